@@ -1,0 +1,101 @@
+"""Exceptions that carry data, built from the message catalogue.
+
+A :class:`Problem` says what is wrong in one line: file, place in it, the value seen and
+what to do. Exceptions hold one or several problems and the exit code of the command
+line: 2 bad input, 3 no solution, 4 solution not trustworthy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from fg_orient.messages import CATALOGUE
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fault in the user's terms.
+
+    Parameters
+    ----------
+    code : str
+        Key of the message catalogue.
+    message, remedy : str
+        What is wrong and what to do about it.
+    file, place, value : str
+        File name, line / element / column inside it, and the offending value ("" if none).
+    """
+
+    code: str
+    message: str
+    file: str = ""
+    place: str = ""
+    value: str = ""
+    remedy: str = ""
+
+    def as_dict(self) -> dict[str, str]:
+        """Give the record that ``--json`` prints."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        where = ", ".join(part for part in (self.file, self.place) if part)
+        seen = f" (found {self.value})" if self.value else ""
+        head = f"{where}: " if where else ""
+        tail = f"; {self.remedy}" if self.remedy else ""
+        return " ".join(f"{head}{self.message}{seen}{tail}".split())
+
+
+def problem(code: str, *, file: object = "", place: object = "", value: object = "", **fields: object) -> Problem:
+    """Fill the catalogue entry ``code``.
+
+    Raises
+    ------
+    KeyError
+        The code is not in the catalogue.
+    """
+    message, remedy = CATALOGUE[code]
+    known = {"file": file, "place": place, "value": value, **fields}
+    text = str(value)
+    seen = text if len(text) <= 80 else text[:77] + "..."
+    return Problem(code, message.format(**known), str(file), str(place), seen, remedy.format(**known))
+
+
+class FgOrientError(Exception):
+    """Base of all errors of this package; ``problems`` holds one record per fault."""
+
+    exit_code = 1
+
+    def __init__(self, *problems: Problem) -> None:
+        self.problems = problems
+        super().__init__("\n".join(str(p) for p in problems))
+
+    @classmethod
+    def of(
+        cls, code: str, *, file: object = "", place: object = "", value: object = "", **fields: object
+    ) -> FgOrientError:
+        """Build the error from one catalogue entry."""
+        return cls(problem(code, file=file, place=place, value=value, **fields))
+
+
+class InputError(FgOrientError):
+    """The input is unusable (exit code 2)."""
+
+    exit_code = 2
+
+
+class OutOfTimeRange(InputError):
+    """A line time lies outside the ephemeris or attitude list."""
+
+
+class OutOfImage(InputError):
+    """A pixel lies outside the image."""
+
+
+class NoSolutionError(FgOrientError):
+    """The adjustment has no solution (exit code 3)."""
+
+    exit_code = 3
+
+
+class RankDeficientError(NoSolutionError):
+    """The normal equations are singular; the problems name the directions."""
