@@ -1,0 +1,159 @@
+"""The calling convention of every observation equation, and the registry.
+
+An equation is one scalar kernel, compiled with numba and pure::
+
+    value, jacobian_1, ..., jacobian_n = kernel(record, setup, x_1, ..., x_n, want)
+
+``record`` (d,) holds the constants of one observation, ``setup`` (2, k) what all
+observations of a group share, ``x_i`` (k_i,) the unknowns, all float64 in C order.
+``value`` (m,) is the whitened residual, ``jacobian_i`` (m, k_i) its derivative. With
+``want`` False the Jacobians are (0, 0) arrays; the value never depends on ``want``.
+``residual(record, setup, x_1, ...)`` gives the value alone and accepts complex unknowns,
+so that every Jacobian can be checked by complex step.
+
+Factors and batches call the same kernel. Observations run along axis 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Array = npt.NDArray[np.float64]
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def compiled(function: F) -> F:
+    """Compile with numba: cached, no fast-math, division by zero gives inf (then refused)."""
+    return cast(F, njit(cache=True, error_model="numpy")(function))
+
+
+@dataclass(frozen=True)
+class Argument:
+    """One unknown of an equation: its name, its typical size and what one unit of it means."""
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Example:
+    """A well-posed random state for the generic tests: constants and unknowns."""
+
+    record: Array
+    setup: Array
+    unknowns: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Equation:
+    """A registered observation equation.
+
+    Parameters
+    ----------
+    name : str
+        Unique name, used in messages and in the registry.
+    kernel, residual : callable
+        See the module docstring.
+    arguments : tuple of Argument
+        The unknowns in order.
+    example : callable
+        ``example(rng) -> Example``; random, well posed, covers every branch over many draws.
+    source : str
+        Author year, equation number.
+    """
+
+    name: str
+    kernel: Callable[..., tuple[Array, ...]]
+    residual: Callable[..., npt.NDArray[Any]]
+    arguments: tuple[Argument, ...]
+    example: Callable[[np.random.Generator], Example]
+    source: str
+
+
+_REGISTRY: dict[str, Equation] = {}
+
+
+def register(equation: Equation) -> Equation:
+    """Add an equation to the registry.
+
+    Raises
+    ------
+    ValueError
+        Another equation has the same name.
+    """
+    present = _REGISTRY.get(equation.name)
+    if present is not None and present.kernel is not equation.kernel:
+        raise ValueError(f"an equation named {equation.name!r} is registered already")
+    _REGISTRY[equation.name] = equation
+    return equation
+
+
+def registered() -> dict[str, Equation]:
+    """Give a copy of the registry, name to equation."""
+    return dict(_REGISTRY)
+
+
+def evaluate(
+    equation: Equation, records: Array, setups: list[Array], *unknowns: list[Array] | Array, jacobian: bool = True
+) -> tuple[Array, tuple[list[Array], ...]]:
+    """Evaluate an equation over N observations with the scalar kernel.
+
+    Parameters
+    ----------
+    records : (N, d) array
+    setups : list of N (2, k) arrays
+    unknowns : one list (or array) of N vectors per argument
+
+    Returns
+    -------
+    values : (N, m) array
+    jacobians : one list of N arrays (m, k_i) per argument
+    """
+    rows = [equation.kernel(records[i], setups[i], *(u[i] for u in unknowns), jacobian) for i in range(len(records))]
+    values = np.array([row[0] for row in rows])
+    return values, tuple([row[1 + k] for row in rows] for k in range(len(equation.arguments)))
+
+
+def check_blocks(name: str, label: str, blocks: tuple[Any, ...], sizes: tuple[int, ...], n_residuals: int) -> None:
+    """Refuse a kernel result of wrong shape, type or with values that are not finite.
+
+    GTSAM 4.3.0 accepts all of these silently (ecosystem.md 6.2), so nothing passes unseen.
+
+    Raises
+    ------
+    ValueError
+        Names the equation, the observation and the fault.
+    """
+    expected = [(n_residuals,)] + [(n_residuals, size) for size in sizes]
+    if len(blocks) != len(expected):
+        raise ValueError(f"equation {name!r}, {label}: {len(expected)} arrays expected, {len(blocks)} returned")
+    for k, (block, shape) in enumerate(zip(blocks, expected, strict=True)):
+        what = "residual" if k == 0 else f"Jacobian {k}"
+        if not isinstance(block, np.ndarray) or block.dtype != np.float64:
+            raise ValueError(f"equation {name!r}, {label}: {what} is not a float64 array")
+        if block.shape != shape:
+            raise ValueError(f"equation {name!r}, {label}: {what} has shape {block.shape}, expected {shape}")
+        if not math.isfinite(float(block.sum())):
+            raise ValueError(f"equation {name!r}, {label}: {what} is not finite")
+
+
+@compiled
+def finite2(value: Array, j1: Array, j2: Array) -> bool:
+    """Tell whether value and both Jacobians are finite (the fast form used by factors)."""
+    total = 0.0
+    for a in value:
+        total += a * 0.0
+    for row in j1:
+        for a in row:
+            total += a * 0.0
+    for row in j2:
+        for a in row:
+            total += a * 0.0
+    return total == 0.0

@@ -1,0 +1,39 @@
+"""Attitude at a time: linear angles, linear normalised quaternions, quaternion polynomials.
+
+Source: Terlemezoğlu 2019, eq. 2.33 (interval as corrected) and 2.37-2.40.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors._contract import Array
+
+
+def linear(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
+    """Piecewise linear interpolation, constant beyond the ends: (n, c), (N,) -> (N, c)."""
+    return np.stack([np.interp(time_s, sample_time_s, column) for column in samples.T], axis=1)
+
+
+def sign_aligned(quaternion: Array) -> Array:
+    """Turn signs so that neighbours have a positive product: (n, 4) -> (n, 4), normalised.
+
+    q and -q are the same rotation; a jump between them must not be interpolated.
+    """
+    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    products = np.einsum("ij,ij->i", unit[1:], unit[:-1])
+    sign = np.concatenate([[1.0], np.cumprod(np.where(products < 0.0, -1.0, 1.0))])
+    return np.asarray(unit * sign[:, None])
+
+
+def quaternion_linear(sample_time_s: Array, quaternion: Array, time_s: Array) -> Array:
+    """Normalised linear interpolation of sampled quaternions: (n, 4), (N,) -> (N, 4)."""
+    q = linear(sample_time_s, sign_aligned(quaternion), time_s)
+    return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
+
+
+def quaternion_polynomial(coefficients: Array, offset_s: float, scale_s: float, time_s: Array) -> Array:
+    """Polynomials of the scaled time, normalised: (4, k), (N,) -> (N, 4)."""
+    scaled = (np.asarray(time_s, float) - offset_s) / scale_s
+    q = (scaled[:, None] ** np.arange(coefficients.shape[1])) @ coefficients.T
+    return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))

@@ -1,0 +1,89 @@
+"""Observed unknowns: ground control points and prior observations of parameters.
+
+``control_point``: residual ``W (G - G_0)`` of a ground point observed with covariance
+``C = (W^T W)^-1``, W upper triangular; sigmas in East, North, Up are rotated to the axes of
+the unknown by :func:`whitening`. ``observed_parameters``: residual ``(x - x_0) / sigma``;
+with unknowns in prior sigmas this is the prior x = 0 with sigma 1 (orientation.md 4.6,
+stochastic weights: a ridge with physical units).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from factors._contract import Argument, Array, Equation, Example, compiled, register
+
+
+def whitening(covariance: Array) -> Array:
+    """Upper triangular W with ``W^T W = C^-1`` of a (k, k) covariance.
+
+    Raises
+    ------
+    ValueError
+        The covariance is not symmetric or not positive definite.
+    """
+    scale = np.abs(covariance).max()
+    if not np.isfinite(scale) or np.abs(covariance - covariance.T).max() > 1e-12 * scale:
+        raise ValueError("the covariance is not symmetric and finite")
+    try:
+        return np.ascontiguousarray(np.linalg.cholesky(np.linalg.inv(covariance)).T)
+    except np.linalg.LinAlgError as error:
+        raise ValueError("the covariance is not positive definite") from error
+
+
+@compiled
+def residual_point(record: Any, setup: Any, ground: Any) -> Any:
+    """``W (G - G_0)``: record = W row-major (9), G_0 (3) m; (3,)."""
+    d0, d1, d2 = ground[0] - record[9], ground[1] - record[10], ground[2] - record[11]
+    return np.array([
+        record[0] * d0 + record[1] * d1 + record[2] * d2,
+        record[3] * d0 + record[4] * d1 + record[5] * d2,
+        record[6] * d0 + record[7] * d1 + record[8] * d2,
+    ])  # fmt: skip
+
+
+@compiled
+def kernel_point(record: Array, setup: Array, ground: Array, want: bool) -> tuple[Array, Array]:
+    """Residual (3,) and Jacobian (3, 3) of an observed ground point."""
+    value = residual_point(record, setup, ground)
+    if not want:
+        return value, np.empty((0, 0))
+    return value, record[0:9].copy().reshape((3, 3))
+
+
+@compiled
+def residual_parameters(record: Any, setup: Any, x: Any) -> Any:
+    """``(x - x_0) / sigma``: record (0, unused), setup rows x_0 and sigma; (k,)."""
+    return (x - setup[0]) / setup[1]
+
+
+@compiled
+def kernel_parameters(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
+    """Residual (k,) and Jacobian (k, k) of observed parameters."""
+    value = residual_parameters(record, setup, x)
+    if not want:
+        return value, np.empty((0, 0))
+    return value, np.diag(1.0 / setup[1])
+
+
+def _example_point(rng: np.random.Generator) -> Example:
+    a = rng.normal(size=(3, 3))
+    w = whitening(a @ a.T + np.eye(3))
+    return Example(np.concatenate([w.ravel(), rng.normal(size=3)]), np.zeros((2, 0)), (rng.normal(size=3),))
+
+
+def _example_parameters(rng: np.random.Generator) -> Example:
+    setup = np.stack([rng.normal(size=5), rng.uniform(0.1, 2.0, 5)])
+    return Example(np.zeros(0), setup, (rng.normal(size=5),))
+
+
+CONTROL_POINT = register(Equation(
+    "control_point", kernel_point, residual_point, (Argument("ground", "m"),), _example_point,
+    "orientation.md 4.6, stochastic weights",
+))  # fmt: skip
+OBSERVED_PARAMETERS = register(Equation(
+    "observed_parameters", kernel_parameters, residual_parameters, (Argument("x", "prior sigma"),),
+    _example_parameters, "orientation.md 4.6, stochastic weights",
+))  # fmt: skip

@@ -1,0 +1,36 @@
+"""Look angles of a sample: table or polynomial, and the direction they stand for.
+
+The viewing direction is ``u1 = (-tan psi_y, tan psi_x, -1)`` in the body frame: x right of
+flight, y forward, z outward (orientation.md 2.3; the printed +1 sends the ray into space).
+Tangents, not angles, are linear between detectors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors._contract import Array
+
+
+def from_table(sample_grid: Array, psi_x_rad: Array, psi_y_rad: Array, sample: Array) -> tuple[Array, Array]:
+    """Look angles psi_x, psi_y (rad) at N samples; beyond the table the end segments continue."""
+    s = np.asarray(sample, float)
+    k = np.clip(np.searchsorted(sample_grid, s, side="right") - 1, 0, len(sample_grid) - 2)
+    f = (s - sample_grid[k]) / (sample_grid[k + 1] - sample_grid[k])
+    tangents = [np.tan(psi) for psi in (psi_x_rad, psi_y_rad)]
+    psi = [np.arctan(t[k] + f * (t[k + 1] - t[k])) for t in tangents]
+    return psi[0], psi[1]
+
+
+def from_polynomial(tan_psi_x: Array, tan_psi_y: Array, origin_sample: float, sample: Array) -> tuple[Array, Array]:
+    """Look angles psi_x, psi_y (rad) at N samples from polynomials of ``sample - origin_sample``."""
+    d = np.asarray(sample, float) - origin_sample
+    return (
+        np.arctan(np.polynomial.polynomial.polyval(d, tan_psi_x)),
+        np.arctan(np.polynomial.polynomial.polyval(d, tan_psi_y)),
+    )
+
+
+def direction(psi_x_rad: Array, psi_y_rad: Array) -> Array:
+    """Viewing direction in the body frame, not normalised: (N,), (N,) -> (N, 3)."""
+    return np.stack([-np.tan(psi_y_rad), np.tan(psi_x_rad), -np.ones_like(psi_x_rad)], axis=1)

@@ -1,0 +1,189 @@
+"""Look-angle collinearity of a pushbroom image: the observation equation of the satellite path.
+
+For an image point measured at (line, sample) of ground point G::
+
+    w = R_OG^T (G - P),   f = M^T R_UY^T w,
+    F_y = f1/f3 - tan psi_y,   F_x = f2/f3 + tan psi_x          (T 2.66-2.67 as corrected)
+
+P, V and the attitude a = (roll, pitch, yaw) at the line are metadata plus the correction
+polynomial ``c0 + c1 tau + c2 tau^2`` of each of the 9 components (27 EOP coefficients);
+``R_OG(P, V)`` is the orbital frame of convention B, ``R_UY(a)`` the attitude, M a constant
+mounting of the line. psi_x, psi_y are the look angles of the sample plus ``sum b_k s^k``.
+
+Two kinds of files share it. Angles (DIMAP v1): a = file + correction, M = I, and R_OG
+follows the corrected P and V. Quaternions (DIMAP v2): a = correction, M = R_OG^T R_q, and
+R_OG stays that of the metadata, so that P does not turn the camera: R_OG R_UY(a) R_OG^T R_q.
+The small-angle form (faithful mode) uses the transpose as inverse throughout.
+
+Whitening: the residual is ``A F`` with the constant 2 x 2 A = S^-1 J^-1, J = dF/d(line,
+sample) and S the pixel sigmas: a unit is one sigma of a pixel coordinate.
+
+V enters through n = V x P only: ``dF/dV . V = dF/dV . P = 0``; the rest is a yaw
+(orientation.md 3.3). Derivation of the derivatives of w: docs/derivations.md.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from factors import rotations
+from factors._contract import Argument, Array, Equation, Example, compiled, register
+
+#: Record: P 0:3 m, V 3:6 m/s, angles 6:9 rad, M 9:18 row-major, tau 18, psi_x 19, psi_y 20, s 21,
+#: A 22:26 row-major, frame follows P and V 26 (1/0), small-angle form 27 (1/0), local origin 28:31 m.
+RECORD_SIZE = 31
+#: Setup row 0: column codes; row 1: the prior sigma of each unknown. Code 3 component + degree for EOP,
+#: components X Y Z VX VY VZ roll pitch yaw; 27 + 2 k for psi_x and 28 + 2 k for psi_y, coefficient of s^k.
+N_EOP = 27
+
+
+@compiled
+def corrected(record: Any, setup: Any, x: Any) -> Any:
+    """Corrected EOP (9) and look angles psi_x, psi_y (2) of the observation."""
+    tau, s = record[18], record[21]
+    e = np.zeros(11, x.dtype)
+    for c in range(9):
+        e[c] += record[c]
+    e[9] += record[19]
+    e[10] += record[20]
+    for j in range(setup.shape[1]):
+        code = int(setup[0, j])
+        if code < N_EOP:
+            e[code // 3] += x[j] * setup[1, j] * tau ** (code % 3)
+        else:
+            e[9 + (code - N_EOP) % 2] += x[j] * setup[1, j] * s ** ((code - N_EOP) // 2)
+    return e
+
+
+@compiled
+def _frame(record: Any, e: Any) -> Any:
+    if record[26] > 0.5:
+        return rotations.ecef_from_orbital(e[0], e[1], e[2], e[3], e[4], e[5])
+    zero = 0.0 * e[0]
+    p, v = record[0:3], record[3:6]
+    return rotations.ecef_from_orbital(p[0] + zero, p[1] + zero, p[2] + zero, v[0] + zero, v[1] + zero, v[2] + zero)
+
+
+@compiled
+def _attitude(record: Any, e: Any) -> Any:
+    if record[27] > 0.5:
+        return rotations.orbital_from_body_small(e[6], e[7], e[8])
+    return rotations.orbital_from_body(e[6], e[7], e[8])
+
+
+@compiled
+def _sight(record: Any, e: Any, ground: Any) -> Any:
+    """Orbital frame, w in the orbital frame and f in the body frame."""
+    frame = _frame(record, e)
+    dx = ground[0] + record[28] - e[0]
+    dy = ground[1] + record[29] - e[1]
+    dz = ground[2] + record[30] - e[2]
+    w = rotations.multiply_transposed(frame, dx, dy, dz)
+    g = rotations.multiply_transposed(_attitude(record, e), w[0], w[1], w[2])
+    mount = record[9:18]
+    return frame, w, rotations.multiply_transposed(mount, g[0], g[1], g[2])
+
+
+@compiled
+def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
+    """Whitened conditions A (F_y, F_x): (2,); accepts complex unknowns."""
+    e = corrected(record, setup, x)
+    _, _, f = _sight(record, e, ground)
+    f_y = f[0] / f[2] - np.tan(e[10])
+    f_x = f[1] / f[2] + np.tan(e[9])
+    return np.array([record[22] * f_y + record[23] * f_x, record[24] * f_y + record[25] * f_x])
+
+
+@compiled
+def _state_derivatives(record: Array, e: Array, frame: Any, w: Any) -> Array:
+    """Derivatives of w with respect to P, V (columns 0-5) and G (columns 6-8): (3, 9)."""
+    d = np.zeros((3, 9))
+    for i in range(3):
+        x, y, z = frame[3 * i], frame[3 * i + 1], frame[3 * i + 2]
+        d[0, 6 + i], d[1, 6 + i], d[2, 6 + i] = x, y, z
+        d[0, i], d[1, i], d[2, i] = -x, -y, -z
+    if record[26] > 0.5:
+        p = np.sqrt(e[0] ** 2 + e[1] ** 2 + e[2] ** 2)
+        v3 = frame[2] * e[3] + frame[5] * e[4] + frame[8] * e[5]
+        v2 = frame[1] * e[3] + frame[4] * e[4] + frame[7] * e[5]
+        for i in range(3):
+            x, y, z = frame[3 * i], frame[3 * i + 1], frame[3 * i + 2]
+            d[0, i] += (w[1] * v3 / v2 - w[2]) / p * x
+            d[1, i] -= (w[2] * y + w[0] * v3 / v2 * x) / p
+            d[2, i] += (w[0] * x + w[1] * y) / p
+            d[0, 3 + i] -= w[1] / v2 * x
+            d[1, 3 + i] += w[0] / v2 * x
+    return d
+
+
+@compiled
+def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
+    value = residual(record, setup, x, ground)
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    e = corrected(record, setup, x)
+    frame, w, f = _sight(record, e, ground)
+    attitude = _attitude(record, e)
+    if record[27] > 0.5:
+        d_attitude = rotations.d_orbital_from_body_small()
+    else:
+        d_attitude = rotations.d_orbital_from_body(e[6], e[7], e[8])
+    mount = record[9:18]
+    dw = _state_derivatives(record, e, frame, w)
+    # columns of df: P, V, attitude (9), ground (3)
+    d = np.empty((2, 14))
+    for c in range(12):
+        if 6 <= c < 9:
+            g = rotations.multiply_transposed(d_attitude[c - 6], w[0], w[1], w[2])
+        else:
+            k = c if c < 6 else c - 3
+            g = rotations.multiply_transposed(attitude, dw[0, k], dw[1, k], dw[2, k])
+        df = rotations.multiply_transposed(mount, g[0], g[1], g[2])
+        d_y = (df[0] - f[0] / f[2] * df[2]) / f[2]
+        d_x = (df[1] - f[1] / f[2] * df[2]) / f[2]
+        d[0, c] = record[22] * d_y + record[23] * d_x
+        d[1, c] = record[24] * d_y + record[25] * d_x
+    sec_x, sec_y = 1.0 / np.cos(e[9]) ** 2, 1.0 / np.cos(e[10]) ** 2
+    d[0, 12], d[1, 12] = record[23] * sec_x, record[25] * sec_x
+    d[0, 13], d[1, 13] = -record[22] * sec_y, -record[24] * sec_y
+    j_image = np.empty((2, setup.shape[1]))
+    for j in range(setup.shape[1]):
+        code = int(setup[0, j])
+        if code < N_EOP:
+            column, factor = code // 3, record[18] ** (code % 3) * setup[1, j]
+        else:
+            column, factor = 12 + (code - N_EOP) % 2, record[21] ** ((code - N_EOP) // 2) * setup[1, j]
+        j_image[0, j], j_image[1, j] = d[0, column] * factor, d[1, column] * factor
+    return value, j_image, d[:, 9:12].copy()
+
+
+def example(rng: np.random.Generator) -> Example:
+    """Build a SPOT-like observation; both kinds of files and both attitude forms occur."""
+    p = rng.normal(size=3)
+    p *= 7.2e6 / np.linalg.norm(p)
+    v = np.cross(p, rng.normal(size=3))
+    v = 7400.0 * v / np.linalg.norm(v) + 8.0 * p / np.linalg.norm(p)
+    frame = rotations.orbital_frames(p[None], v[None])[0]
+    psi_x, psi_y = rng.uniform(-0.02, 0.02), rng.uniform(-0.4, 0.4)
+    ray = frame @ np.array([-np.tan(psi_y), np.tan(psi_x), -1.0])
+    origin = p + 8.4e5 * ray
+    turn = rotations.attitude_matrices(rng.normal(scale=1e-3, size=(1, 3)), False)[0]
+    record = np.concatenate([
+        p, v, rng.normal(scale=1e-3, size=3), turn.ravel(), rng.uniform(-1, 1, 1), [psi_x, psi_y], rng.uniform(-1, 1, 1),
+        rng.normal(scale=5e5, size=4), rng.integers(0, 2, 2).astype(float), origin,
+    ])  # fmt: skip
+    codes = np.arange(N_EOP + 6)
+    scale = np.concatenate([np.tile([10.0, 1.0, 0.1], 3), np.tile([1e-2, 1e-3, 1e-4], 3), np.tile([5e-5, 1e-5, 2e-6], 3),
+                            np.full(6, 1e-4)])  # fmt: skip
+    setup = np.ascontiguousarray(np.stack([codes.astype(float), scale]))
+    return Example(record, setup, (rng.normal(size=len(codes)), rng.normal(scale=100.0, size=3)))
+
+
+LOOK_ANGLE_COLLINEARITY = register(Equation(
+    "look_angle_collinearity", kernel, residual,
+    (Argument("image", "prior sigma"), Argument("ground", "m")), example,
+    "Terlemezoğlu 2019, eqs. 2.34, 2.65-2.67; Topan & Maktav 2010, eqs. 11-13",
+))  # fmt: skip
