@@ -1,0 +1,83 @@
+"""Sparse bundle adjustment for optical images: pushbroom orientation through a factor graph.
+
+The public names are loaded on first use (PEP 562), so that ``import fg_orient`` and the
+command line start quickly and import gtsam only when something is adjusted::
+
+    import fg_orient as fg
+
+    block = fg.read_project("zonguldak/project.toml")
+    solution = fg.adjust(block)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+import factors
+
+if not getattr(factors, "FG_ORIENT_FACTORS", False):
+    raise ImportError(
+        f"another distribution's package 'factors' hides the one of fg_orient: {getattr(factors, '__file__', None)}; "
+        "install fg-orient into an environment of its own, or remove that package"
+    )
+
+if TYPE_CHECKING:
+    from fg_orient import adjust as adjust
+    from fg_orient.block import Block, GroundPoints, Image, ImagePoints, Options
+    from fg_orient.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
+    from fg_orient.io.project import read_project
+    from fg_orient.names import Role, Status
+    from fg_orient.sensors import read_sensor
+
+__version__: Final = "0.1.0"
+
+#: Public name -> module that defines it; ``adjust`` is a subpackage that can be called.
+_HOME: Final[dict[str, str]] = {
+    "Block": "fg_orient.block",
+    "FgOrientError": "fg_orient.errors",
+    "GroundPoints": "fg_orient.block",
+    "Image": "fg_orient.block",
+    "ImagePoints": "fg_orient.block",
+    "InputError": "fg_orient.errors",
+    "NoSolutionError": "fg_orient.errors",
+    "Options": "fg_orient.block",
+    "RankDeficientError": "fg_orient.errors",
+    "Role": "fg_orient.names",
+    "Status": "fg_orient.names",
+    "read_project": "fg_orient.io.project",
+    "read_sensor": "fg_orient.sensors",
+}
+
+__all__ = [
+    "Block",
+    "FgOrientError",
+    "GroundPoints",
+    "Image",
+    "ImagePoints",
+    "InputError",
+    "NoSolutionError",
+    "Options",
+    "RankDeficientError",
+    "Role",
+    "Status",
+    "__version__",
+    "adjust",
+    "read_project",
+    "read_sensor",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the module that defines a public name, on first use."""
+    if name == "adjust":
+        return import_module("fg_orient.adjust")
+    if name in _HOME:
+        value = globals()[name] = getattr(import_module(_HOME[name]), name)
+        return value
+    raise AttributeError(f"module 'fg_orient' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """List the public names, loaded or not."""
+    return sorted(set(globals()) | set(__all__))
