@@ -13,8 +13,240 @@ XML: Final = {
     "xml.missing_file": ("the file does not exist", "check the path; it is taken relative to {base}"),
 }
 
+SENSOR: Final = {
+    "sensor.ephemeris_span": (
+        "the ephemeris covers {first:.6f} .. {last:.6f} s of the day only and is never extrapolated",
+        "use a metadata file whose state vectors cover the image",
+    ),
+    "sensor.attitude_span": (
+        "the attitudes cover {first:.6f} .. {last:.6f} s of the day, {gap:.3f} s less than the image; "
+        "at most {hold} s are held",
+        "use a metadata file whose attitudes cover the image",
+    ),
+    "sensor.pixel_outside": (
+        "pixel outside the image",
+        "lines run from -0.5 to {last_line:g}, samples from -0.5 to {last_sample:g}; (0, 0) is the first pixel's centre",
+    ),
+    "sensor.ray_misses": (
+        "the viewing ray does not meet the Earth at this height",
+        "check the height (m, ellipsoidal)",
+    ),
+}
+
+DEM: Final = {
+    "dem.no_rasterio": ("reading a DEM needs rasterio", "install the extra: pip install 'fg-orient[geo]'"),
+    "dem.missing": ("the DEM file does not exist", "check the path"),
+    "dem.no_crs": ("the DEM has no coordinate reference system", "assign one, for instance with gdal_edit -a_srs"),
+    "dem.unreadable": ("the DEM cannot be read", "give a raster that GDAL reads"),
+    "dem.not_covered": ("a viewing ray leaves the DEM or meets nodata", "use a DEM that covers the image footprint"),
+}
+
+PARAMETERS: Final = {
+    "parameters.eop_set": (
+        "no such EOP set",
+        "give a number from 1 to 20 or a name: {names}",
+    ),
+}
+
+ADJUST: Final = {
+    "initial.no_intersection": (
+        "no start value: fewer than two rays, or rays less than {least} degrees from parallel",
+        "measure the point in another image, give it coordinates as control, or remove it",
+    ),
+    "initial.behind": ("its rays meet behind a sensor", "check the point's identity in every image"),
+    "block.no_control": (
+        "no control point is measured in any image: the block has no datum",
+        "give at least one point of role control, better six or more well spread",
+    ),
+}
+
+GEODESY: Final = {
+    "geodesy.not_epsg": (
+        "the coordinate reference system is not an EPSG code",
+        "write EPSG:n, or EPSG:n+m with a vertical CRS, for instance EPSG:4979 or EPSG:32636",
+    ),
+    "geodesy.unknown_crs": (
+        "no such EPSG code",
+        "look it up at epsg.org; WGS84 longitude, latitude, height is EPSG:4979",
+    ),
+    "geodesy.not_spatial": (
+        "the CRS has no horizontal coordinates and height",
+        "give a geographic, projected or geocentric CRS",
+    ),
+    "geodesy.axes": (
+        "the axes of the CRS are not {unit}s to the east and north and metres up",
+        "convert the coordinates first, for instance to EPSG:4979",
+    ),
+    "geodesy.no_operation": (
+        "PROJ has no exact operation to WGS84; it needs {grids}",
+        "install the grid (projsync), or give ellipsoidal heights and no vertical CRS",
+    ),
+    "geodesy.outside": (
+        "the coordinates lie outside the domain of {crs}",
+        "check the values, the order of the columns and the CRS",
+    ),
+}
+
+TABLE: Final = {
+    "table.missing_file": (
+        "the file does not exist",
+        "check the path; it is taken relative to the project file's folder",
+    ),
+    "table.unreadable": ("the file cannot be read", "give a readable file"),
+    "table.utf16": ("the file is UTF-16", "save it as UTF-8 text with commas (in Excel: CSV UTF-8)"),
+    "table.nul": ("the file holds NUL bytes and is no text", "save the table as UTF-8 text with commas"),
+    "table.not_utf8": ("the file is not UTF-8, perhaps Latin-1", "save it as UTF-8 text"),
+    "table.empty": ("the file holds no header line", "begin with a line that names the columns: {columns}"),
+    "table.no_records": ("no records follow the header", "add at least one record"),
+    "table.long_line": ("the line is too long for a record", "keep lines below {limit} characters, one record on each"),
+    "table.quotes": ("the quotes of the line are not balanced", "close the quotes, or remove them"),
+    "table.delimiter": ("the columns are not separated by commas", "save the table with commas and decimal points"),
+    "table.column_twice": ("two columns have the same name", "keep one of them"),
+    "table.column_unknown": ("unknown column", "{hint}; put remarks into lines that begin with #"),
+    "table.column_foreign": ("the column does not belong with the others", "the columns are {columns}"),
+    "table.column_missing": ("a column is missing", "the columns are {columns}, in any order"),
+    "table.cell_count": (
+        "the line does not have one cell for each of the {count} columns",
+        "write an empty cell for a missing value and decimal points, not commas",
+    ),
+    "table.cell_empty": ("the cell is empty", "write a number"),
+    "table.decimal_comma": ("decimal comma", "write a decimal point"),
+    "table.not_a_number": ("not a finite number", "write a number such as -12.5 or 1e-6"),
+    "table.number_too_large": ("the number is too large for double precision", "write a number below 1.7e308"),
+    "table.more_faults": ("further faults are not listed", "mend the faults above first"),
+}
+
+POINTS: Final = {
+    "points.crs_columns": (
+        "the CRS is {kind}, the coordinate columns are not",
+        "name them {columns}, or change the project file's crs",
+    ),
+    "points.sigma_axes": (
+        "sigmas along the axes of the CRS are not supported",
+        "give sigma_east_m, sigma_north_m, sigma_up_m at the point",
+    ),
+    "points.id_missing": ("the point has no id", "give every point an id"),
+    "points.id_twice": ("the id is used twice, first on line {first}", "give every point its own id"),
+    "points.role": ("unknown role", "write control, check or tie"),
+    "points.no_coordinates": ("the {role} point has no coordinates", "give its coordinates, or make it a tie point"),
+    "points.tie_coordinates": (
+        "a tie point has no known coordinates",
+        "empty the cell, or make it a control or check point",
+    ),
+    "points.sigma_not_positive": (
+        "the standard deviation is not above zero",
+        "give it in metres; a point without uncertainty has the word fixed in all three sigma columns",
+    ),
+    "points.fixed_partly": (
+        "fixed stands in some sigma columns only",
+        "write fixed in all three sigma columns, or in none",
+    ),
+    "points.fixed_check": ("only a control point can be fixed", "give the standard deviations of the check point"),
+    "points.latitude": ("the latitude is outside -90 .. 90 degrees", "check the value"),
+    "points.longitude": ("the longitude is outside -180 .. 180 degrees", "check the value; 190 is written -170"),
+    "points.swapped_range": ("longitude and latitude look swapped", "exchange the values of lon_deg and lat_deg"),
+    "points.swapped": (
+        "{first} and {second} look swapped: exchanged, the points lie in the images ({count} of {total})",
+        "exchange the two columns",
+    ),
+    "points.far": (
+        "the point lies {distance_km:.0f} km from the centre of the nearest image, {image}, which is {size_km:.0f} km across",
+        "check the coordinates, the columns and the crs of the project file",
+    ),
+    "points.changed": ("the file has changed since it was read", "run the adjustment again"),
+}
+
+OBSERVATIONS: Final = {
+    "observations.image_unknown": ("the project has no such image", "{hint}"),
+    "observations.point_unknown": ("the point file has no such id", "{hint}"),
+    "observations.twice": ("the point is measured twice in this image, first on line {first}", "keep one measurement"),
+    "observations.outside": (
+        "the pixel lies outside image {image}",
+        "{axis} runs from -0.5 to {last:g}; (0, 0) is the centre of the first pixel",
+    ),
+    "observations.sigma_not_positive": ("the standard deviation is not above zero", "give it in pixels"),
+    "observations.seen_once": (
+        "{count} check or tie point(s) are measured in one image only, so that they have no position",
+        'measure them in a second image, or write points_seen_once = "drop" under [adjustment]',
+    ),
+    "observations.image_unused": (
+        "no point is measured in the image",
+        "measure points in it, or remove it from the project",
+    ),
+}
+
+PROJECT: Final = {
+    "project.missing_file": ("the file does not exist", "check the path; it is taken relative to {folder}"),
+    "project.unreadable": ("the file cannot be read", "give a readable text file"),
+    "project.encoding": ("the project file is not UTF-8", "save it as UTF-8 text"),
+    "project.syntax": ("the project file is not valid TOML", "mend the line; strings stand in double quotes"),
+    "project.schema": ("unknown schema of the project file", "this version reads schema = 1"),
+    "project.missing": ("a required entry is missing", "add it: {expected}"),
+    "project.unknown_key": ("unknown entry", "{hint}"),
+    "project.value": ("the value is not allowed", "give {expected}"),
+    "project.image_twice": ("the image id is used twice", "give every image its own id"),
+    "project.backend_later": ("the backend comes with a later version", 'write "auto" or "graph"'),
+}
+
+#: Remarks: worth a line in the report and in ``validate``, but no reason to stop.
+REMARKS: Final = {
+    "remark.sigma_ground": (
+        "standard deviations outside {low:g} .. {high:g} m at {count} point(s)",
+        "check that they are in metres",
+    ),
+    "remark.sigma_image": (
+        "standard deviations outside {low:g} .. {high:g} pixels in {count} record(s)",
+        "check that they are in pixels",
+    ),
+    "remark.not_measured": (
+        "{count} point(s) are measured in no image and left out",
+        "measure them, if they should count",
+    ),
+    "remark.seen_once": (
+        "{count} check or tie point(s) with a single ray are left out",
+        "measure them in a second image",
+    ),
+    "remark.grid_missing": (
+        "a more accurate coordinate operation exists; the one used is good to {accuracy}",
+        "install {grids} (projsync) if that matters",
+    ),
+    "remark.few_control": (
+        "only {count} control point(s) measured",
+        "use six or more, well spread: errors of control are found only if there is a surplus",
+    ),
+    "remark.control_line": (
+        "the control points lie close to a line: {across_m:.0f} m wide, {along_m:.0f} m long",
+        "add control beside the line: roll and pitch lean on the priors",
+    ),
+    "remark.control_clustered": (
+        "the control points of image {image} cover only {lines:.0%} of its lines and {samples:.0%} of its samples",
+        "add control in the rest of the image",
+    ),
+    "remark.control_one_image": (
+        "control points are measured in image {image} only",
+        "measure control in the other images, too",
+    ),
+    "remark.few_check": (
+        "{count} check points: fewer than the 30 of ASPRS 2023, the accuracy figures are uncertain",
+        "add check points if you can",
+    ),
+}
+
 OUTPUT: Final = {
     "output.exists": ("the output folder exists already", "give another --out or add --overwrite"),
 }
 
-CATALOGUE: Final[dict[str, tuple[str, str]]] = {**XML, **OUTPUT}
+CATALOGUE: Final[dict[str, tuple[str, str]]] = {
+    **XML,
+    **SENSOR,
+    **DEM,
+    **PARAMETERS,
+    **ADJUST,
+    **OUTPUT,
+    **GEODESY,
+    **TABLE,
+    **POINTS,
+    **OBSERVATIONS,
+    **PROJECT,
+    **REMARKS,
+}

@@ -1,0 +1,263 @@
+"""Coordinate reference systems: the only module that talks to PROJ, with its guards.
+
+Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in
+metres. Borders speak any EPSG code. What PROJ would do silently is refused here: axis
+order is always easting/longitude first, results must be finite, a "ballpark"
+transformation (which returns heights unchanged when a geoid grid is missing) is never
+used, and the network is off. Heights are ellipsoidal, above the ellipsoid of the named
+CRS, unless a compound code such as ``EPSG:4326+5773`` names a vertical CRS. One operation
+is chosen for all points of a call, the best for their area; its name and accuracy are
+given back for the record.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.errors import InputError, problem
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+    from pyproj.transformer import TransformerGroup
+
+Array = npt.NDArray[np.float64]
+Kind = Literal["geographic", "projected", "geocentric"]
+
+ECEF: Final = "EPSG:4978"
+#: Columns of a point table, by the kind of its CRS.
+COORDINATE_COLUMNS: Final[dict[Kind, tuple[str, str, str]]] = {
+    "geographic": ("lon_deg", "lat_deg", "height_m"),
+    "projected": ("easting_m", "northing_m", "height_m"),
+    "geocentric": ("x_m", "y_m", "z_m"),
+}
+_CODE = re.compile(r"EPSG:[0-9]{1,6}(\+[0-9]{1,6})?", re.IGNORECASE)
+#: Margin of the area of interest around the points, degrees.
+_AREA_MARGIN_DEG: Final = 0.01
+
+
+@dataclass(frozen=True)
+class Operation:
+    """The coordinate operation PROJ used: for the provenance record.
+
+    Parameters
+    ----------
+    crs : str
+        Source CRS, for instance ``EPSG:32636``.
+    name : str
+        PROJ's name of the operation.
+    accuracy_m : float
+        Its stated accuracy; nan if PROJ does not know it.
+    missing_grids : tuple of str
+        Grid files that a more accurate operation would need; empty if the best one was used.
+    """
+
+    crs: str
+    name: str
+    accuracy_m: float
+    missing_grids: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        accuracy = "unknown accuracy" if np.isnan(self.accuracy_m) else f"accuracy {self.accuracy_m:g} m"
+        better = f"; a better one needs {', '.join(self.missing_grids)}" if self.missing_grids else ""
+        return f"{self.crs} to {ECEF} by {self.name} ({accuracy}){better}"
+
+
+def crs_kind(crs: str) -> Kind:
+    """Tell whether coordinates in ``crs`` are geographic, projected or geocentric.
+
+    Raises
+    ------
+    InputError
+        The code is unknown, or its axes are not degrees / metres towards east, north, up.
+    """
+    return _kind(crs, _source(crs))
+
+
+def to_ecef(
+    crs: str,
+    east_or_lon: npt.ArrayLike,
+    north_or_lat: npt.ArrayLike,
+    height: npt.ArrayLike,
+    *,
+    labels: Sequence[str] | None = None,
+) -> Array:
+    """Transform N points of any EPSG CRS to ECEF.
+
+    Parameters
+    ----------
+    crs : str
+        ``EPSG:n``, or ``EPSG:n+m`` with a vertical CRS.
+    east_or_lon, north_or_lat, height : (N,) array_like
+        Easting and northing (m) or longitude and latitude (degrees), height (m); x, y, z
+        (m) if the CRS is geocentric. The order is the same whatever the CRS definition says.
+    labels : sequence of str, optional
+        Place of each point in its file, for messages.
+
+    Returns
+    -------
+    (N, 3) array
+        ECEF coordinates in m.
+
+    Raises
+    ------
+    InputError
+        Unknown CRS, no exact operation (a grid is missing), or a point outside its domain.
+    """
+    return to_ecef_with_operation(crs, east_or_lon, north_or_lat, height, labels=labels)[0]
+
+
+def to_ecef_with_operation(
+    crs: str,
+    east_or_lon: npt.ArrayLike,
+    north_or_lat: npt.ArrayLike,
+    height: npt.ArrayLike,
+    *,
+    labels: Sequence[str] | None = None,
+) -> tuple[Array, Operation]:
+    """Do :func:`to_ecef` and give the operation used, too."""
+    first, second, third = (np.atleast_1d(np.asarray(a, float)) for a in (east_or_lon, north_or_lat, height))
+    source = _source(crs)
+    kind = _kind(crs, source)
+    given = np.stack([first, second, third], axis=1)
+    _require_finite(crs, given, given, labels)
+    group = _operations(crs, source, _longitude_latitude(crs, source, kind, given, labels))
+    chosen = group.transformers[0]
+    xyz = np.stack(chosen.transform(first, second, third), axis=1)
+    _require_finite(crs, xyz, given, labels)
+    grids = {grid.short_name for operation in group.unavailable_operations[:1] for grid in operation.grids}
+    missing = () if group.best_available else tuple(sorted(grids))
+    accuracy = chosen.accuracy if chosen.accuracy >= 0.0 else np.nan
+    return np.ascontiguousarray(xyz), Operation(crs, chosen.description, float(accuracy), missing)
+
+
+def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> Array:
+    """Transform WGS84 longitude, latitude (degrees), ellipsoidal height (m) of N points to (N, 3) ECEF m."""
+    return to_ecef("EPSG:4979", lon_deg, lat_deg, height_m)
+
+
+def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
+    """Transform (N, 3) ECEF m to WGS84 longitude, latitude (degrees) and ellipsoidal height (m), each (N,).
+
+    Raises
+    ------
+    InputError
+        A coordinate is not finite.
+    """
+    xyz = np.atleast_2d(np.asarray(xyz_m, float))
+    _require_finite(ECEF, xyz, xyz, None)
+    proj = _pyproj()
+    back = proj.Transformer.from_crs(ECEF, "EPSG:4979", always_xy=True, allow_ballpark=False)
+    lon, lat, height = back.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], errcheck=True)
+    return np.asarray(lon), np.asarray(lat), np.asarray(height)
+
+
+def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
+    """Rotations (N, 3, 3) that turn an ECEF vector into East, North, Up at N places.
+
+    Rows are the unit vectors of East, North and Up in ECEF, Up along the ellipsoid normal.
+    """
+    lon, lat = np.broadcast_arrays(*(np.radians(np.atleast_1d(np.asarray(a, float))) for a in (lon_deg, lat_deg)))
+    sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
+    rows = [[-sl, cl, np.zeros_like(sl)], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]]
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
+
+
+# --- PROJ, guarded -------------------------------------------------------------------------------
+
+
+def _pyproj() -> Any:
+    """Import pyproj with its network access switched off: results must not depend on it."""
+    import pyproj
+    import pyproj.network
+
+    pyproj.network.set_network_enabled(active=False)
+    return pyproj
+
+
+def _source(crs: str) -> CRS:
+    """CRS of the code, with an ellipsoidal height axis where none is named."""
+    text = str(crs).strip()
+    if not _CODE.fullmatch(text):
+        raise InputError.of("geodesy.not_epsg", place="crs", value=crs)
+    proj = _pyproj()
+    try:
+        found: CRS = proj.CRS.from_user_input(text.upper())
+    except proj.exceptions.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
+    return found if found.is_compound or found.is_geocentric or found.is_vertical else found.to_3d()
+
+
+def _kind(crs: str, source: CRS) -> Kind:
+    kind: Kind | None = None
+    if source.is_geocentric:
+        kind = "geocentric"
+    elif source.is_projected:
+        kind = "projected"
+    elif source.is_geographic:
+        kind = "geographic"
+    if kind is None or len(source.axis_info) != 3:
+        raise InputError.of("geodesy.not_spatial", place="crs", value=f"{crs}, {source.name}")
+    horizontal = "degree" if kind == "geographic" else "metre"
+    units = [axis.unit_name for axis in source.axis_info]
+    backwards = {axis.direction for axis in source.axis_info} & {"west", "down"}
+    if units != [horizontal, horizontal, "metre"] or backwards:
+        axes = ", ".join(f"{axis.direction} {axis.unit_name}" for axis in source.axis_info)
+        raise InputError.of("geodesy.axes", place="crs", value=f"{crs}: {axes}", unit=horizontal)
+    return kind
+
+
+def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
+    """Longitude, latitude (degrees) on the CRS's own datum, good enough to choose an operation: (N, 2)."""
+    if kind == "geographic":
+        return given[:, :2]
+    if kind == "geocentric":
+        p = np.hypot(given[:, 0], given[:, 1])
+        return np.degrees(np.stack([np.arctan2(given[:, 1], given[:, 0]), np.arctan2(given[:, 2], p)], axis=1))
+    proj = _pyproj()
+    horizontal = source.sub_crs_list[0] if source.is_compound else source
+    flat = horizontal.to_2d()
+    back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
+    lonlat = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
+    _require_finite(crs, lonlat, given, labels)
+    return lonlat
+
+
+def _operations(crs: str, source: CRS, lonlat: Array) -> TransformerGroup:
+    """Operations to ECEF for the area of the points, best first, none of them a ballpark."""
+    proj = _pyproj()
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.transformer import TransformerGroup
+
+    low, high = lonlat.min(axis=0) - _AREA_MARGIN_DEG, lonlat.max(axis=0) + _AREA_MARGIN_DEG
+    low, high = np.clip(low, [-180.0, -90.0], [180.0, 90.0]), np.clip(high, [-180.0, -90.0], [180.0, 90.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # "best not available": recorded in Operation instead
+        group = TransformerGroup(
+            source, proj.CRS.from_user_input(ECEF), always_xy=True, allow_ballpark=False,
+            area_of_interest=AreaOfInterest(low[0], low[1], high[0], high[1]),
+        )  # fmt: skip
+    if not group.transformers:
+        needed = sorted({g.short_name for o in group.unavailable_operations for g in o.grids})
+        raise InputError.of(
+            "geodesy.no_operation", place="crs", value=crs, grids=", ".join(needed) or "an operation PROJ does not have"
+        )
+    return group
+
+
+def _require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] | None) -> None:
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(bad):
+        raise InputError(*(
+            problem(
+                "geodesy.outside", place=labels[i] if labels else f"point {i}",
+                value=" ".join(f"{v:.10g}" for v in given[i]), crs=crs,
+            )
+            for i in bad[:20]
+        ))  # fmt: skip

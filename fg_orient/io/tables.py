@@ -1,0 +1,237 @@
+"""CSV tables, read strictly: every cell is text until somebody asks for a number.
+
+A table is UTF-8 (a byte order mark is fine) with commas, one header line that names the
+columns, and one record per line. Lines starting with ``#`` and blank lines are skipped.
+Ids stay text: ``01`` is not ``1``. Faults are collected, so that a user sees all of them
+at once, each with file, line, column, value and remedy; see ``docs/file-formats.md``.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import hashlib
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from fg_orient.errors import InputError, Problem, problem
+
+#: Faults listed per file; the rest is counted.
+MAX_FAULTS: Final = 20
+#: A longer line than this is not a record of ours.
+MAX_LINE: Final = 100_000
+_NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+")
+
+
+class Faults:
+    """Collects the faults of one file, keeps the first 20 and counts the rest.
+
+    Parameters
+    ----------
+    file : str
+        Name of the file, for the messages.
+    """
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self._problems: list[Problem] = []
+        self._dropped = 0
+
+    def add(self, code: str, *, place: object = "", value: object = "", **fields: object) -> None:
+        """Note one fault from the message catalogue."""
+        self.take(problem(code, file=self.file, place=place, value=value, **fields))
+
+    def take(self, *found: Problem) -> None:
+        """Note faults that somebody else built."""
+        room = MAX_FAULTS - len(self._problems)
+        self._problems.extend(found[:room])
+        self._dropped += max(0, len(found) - room)
+
+    def __bool__(self) -> bool:
+        return bool(self._problems)
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """The faults noted, and one line that counts those left out."""
+        if not self._dropped:
+            return tuple(self._problems)
+        more = problem("table.more_faults", file=self.file, value=f"{self._dropped} more")
+        return (*self._problems, more)
+
+    def raise_if_any(self) -> None:
+        """Raise all faults as one error.
+
+        Raises
+        ------
+        InputError
+            At least one fault was noted.
+        """
+        if self:
+            raise InputError(*self.problems)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One record: its line number in the file (1-based) and the text of its cells by column."""
+
+    line: int
+    cells: dict[str, str]
+
+    def place(self, column: str = "") -> str:
+        """Say where this record, or a cell of it, stands."""
+        return f"line {self.line}, column {column}" if column else f"line {self.line}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table as read: column names, records in file order and the SHA-256 of the file."""
+
+    file: str
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+    sha256: str
+
+
+def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> Table | None:
+    """Read a CSV file that has the columns of one of several layouts.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    columns : sequence of sequences of str
+        The allowed layouts, each a complete set of column names; their order in the file is free.
+    faults : Faults
+        Takes the faults found.
+
+    Returns
+    -------
+    Table or None
+        None if the file as a whole is unusable; the reasons are then in ``faults``.
+        Records with a wrong number of cells are left out, and noted.
+    """
+    data = _read_bytes(path, faults)
+    text = None if data is None else _decode(data, faults)
+    if data is None or text is None:
+        return None
+    records = _records(text, faults)
+    header = next(records, None)
+    if header is None:
+        faults.add("table.empty", place="line 1", columns=", ".join(columns[0]))
+        return None
+    names = _header(*header, columns, faults)
+    if names is None:
+        return None
+    rows = tuple(row for row in (_row(line, cells, names, faults) for line, cells in records) if row)
+    if not rows and not faults:
+        faults.add("table.no_records", place=f"line {header[0]}")
+    return Table(faults.file, names, rows, hashlib.sha256(data).hexdigest())
+
+
+def number(row: Row, column: str, faults: Faults) -> float:
+    """Read a cell as a finite number; nan, with the fault noted, if it is none."""
+    text = row.cells[column]
+    code = ""
+    if not text:
+        code = "table.cell_empty"
+    elif not _NUMBER.fullmatch(text):
+        code = "table.decimal_comma" if _DECIMAL_COMMA.fullmatch(text) else "table.not_a_number"
+    elif float(text) in (float("inf"), float("-inf")):
+        code = "table.number_too_large"
+    if code:
+        faults.add(code, place=row.place(column), value=repr(text))
+        return float("nan")
+    return float(text)
+
+
+def did_you_mean(word: str, known: Sequence[str]) -> str:
+    """Give "did you mean X?", or the list of what is known (shortened)."""
+    close = difflib.get_close_matches(word, known, n=1)
+    if close:
+        return f"did you mean {close[0]}?"
+    more = " ..." if len(known) > 10 else ""
+    return f"known: {', '.join(known[:10])}{more}"
+
+
+# --- from bytes to records -----------------------------------------------------------------------
+
+
+def _read_bytes(path: Path, faults: Faults) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        faults.add("table.missing_file")
+    except OSError as error:
+        faults.add("table.unreadable", value=error.strerror or type(error).__name__)
+    return None
+
+
+def _decode(data: bytes, faults: Faults) -> str | None:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        faults.add("table.utf16", place="line 1")
+        return None
+    if b"\0" in data:
+        faults.add("table.nul", place=f"line {data[: data.index(0)].count(10) + 1}")
+        return None
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        faults.add("table.not_utf8", place=f"line {line}", value=f"byte 0x{data[error.start]:02x}")
+        return None
+
+
+def _records(text: str, faults: Faults) -> Iterator[tuple[int, list[str]]]:
+    """Line number and stripped cells of each line that is neither blank nor a comment."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    for n, line in enumerate(lines, start=1):
+        if line.startswith("#") or not line.strip(" \t,"):
+            continue
+        if len(line) > MAX_LINE:
+            faults.add("table.long_line", place=f"line {n}", value=f"{len(line)} characters", limit=MAX_LINE)
+            continue
+        try:
+            cells = next(csv.reader([line], strict=True))
+        except csv.Error as error:
+            faults.add("table.quotes", place=f"line {n}", value=str(error))
+            continue
+        yield n, [cell.strip() for cell in cells]
+
+
+def _header(
+    line: int, cells: list[str], layouts: Sequence[Sequence[str]], faults: Faults
+) -> tuple[str, ...] | None:
+    """Column names, checked against the layouts; None if they fit none of them."""
+    while cells and not cells[-1]:
+        cells.pop()
+    place = f"line {line}"
+    if len(cells) == 1 and any(mark in cells[0] for mark in ";\t|"):
+        faults.add("table.delimiter", place=place, value=cells[0])
+        return None
+    before = len(faults.problems)
+    for name in sorted({name for name in cells if cells.count(name) > 1}):
+        faults.add("table.column_twice", place=place, value=name or "an unnamed column")
+    layout = max(layouts, key=lambda one: len(set(one) & set(cells)))
+    everything = sorted({name for one in layouts for name in one})
+    for name in dict.fromkeys(cells):
+        if name and name not in everything:
+            faults.add("table.column_unknown", place=place, value=name, hint=did_you_mean(name, everything))
+        elif name and name not in layout:
+            faults.add("table.column_foreign", place=place, value=name, columns=", ".join(layout))
+    for name in layout:
+        if name not in cells:
+            faults.add("table.column_missing", place=place, value=name, columns=", ".join(layout))
+    return None if len(faults.problems) > before else tuple(cells)
+
+
+def _row(line: int, cells: list[str], names: tuple[str, ...], faults: Faults) -> Row | None:
+    while len(cells) > len(names) and not cells[-1]:
+        cells.pop()
+    if len(cells) != len(names):
+        faults.add("table.cell_count", place=f"line {line}", value=f"{len(cells)} cells", count=len(names))
+        return None
+    return Row(line, dict(zip(names, cells, strict=True)))
