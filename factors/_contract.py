@@ -36,10 +36,11 @@ def compiled(function: F) -> F:
 
 @dataclass(frozen=True)
 class Argument:
-    """One unknown of an equation: its name, its typical size and what one unit of it means."""
+    """One unknown of an equation: name, unit of one step, and whether GTSAM holds it as a Point3."""
 
     name: str
     unit: str
+    is_point: bool = False
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def _example_parameters(rng: np.random.Generator) -> Example:
 
 
 CONTROL_POINT = register(Equation(
-    "control_point", kernel_point, residual_point, (Argument("ground", "m"),), _example_point,
+    "control_point", kernel_point, residual_point, (Argument("ground", "m", is_point=True),), _example_point,
     "orientation.md 4.6, stochastic weights",
 ))  # fmt: skip
 OBSERVED_PARAMETERS = register(Equation(

@@ -39,7 +39,7 @@ def factor(
     unknowns : one GTSAM key (int), or a constant vector, per argument of the equation
         A constant argument (a fixed control point) is no unknown of the factor.
     sizes : size of each argument, in order
-        Arguments of size 3 that are keys are read as ``Point3``, others as vectors.
+        Keys of arguments marked ``is_point`` are read as ``Point3``, others as vectors.
     record, setup : arrays
         Constants of the observation, see ``factors._contract``.
     label : str
@@ -59,7 +59,7 @@ def factor(
     noise = gtsam.noiseModel.Unit.Create(n_residuals)
     if loss is not None:
         noise = gtsam.noiseModel.Robust.Create(loss, noise)
-    if len(unknowns) == 2 and len(keys) == 2 and sizes[1] == 3:
+    if [a.is_point for a in equation.arguments] == [False, True] and len(keys) == 2:
         function = _image_and_point(equation, keys, sizes, record, setup, label, n_residuals)
     else:
         function = _general(equation, unknowns, sizes, record, setup, label, n_residuals)
@@ -105,8 +105,8 @@ def _general(
 
     def error(_this: Any, values: Any, jacobians: Any) -> Array:
         x: list[Any] = [
-            u if isinstance(u, np.ndarray) else values.atPoint3(u) if size == 3 else values.atVector(u)
-            for u, size in zip(unknowns, sizes, strict=True)
+            u if isinstance(u, np.ndarray) else values.atPoint3(u) if argument.is_point else values.atVector(u)
+            for u, argument in zip(unknowns, equation.arguments, strict=True)
         ]
         want = jacobians is not None
         blocks = kernel(record, setup, *x, want)

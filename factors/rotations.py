@@ -108,6 +108,19 @@ def matrix_from_quaternion(q0: Any, q1: Any, q2: Any, q3: Any) -> Matrix:
 
 
 @compiled
+def add(a: Matrix, b: Matrix) -> Matrix:
+    """Sum of two matrices."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6], a[7] + b[7],
+            a[8] + b[8])  # fmt: skip
+
+
+@compiled
+def scaled(a: Matrix, k: Any) -> Matrix:
+    """Matrix times scalar."""
+    return (a[0] * k, a[1] * k, a[2] * k, a[3] * k, a[4] * k, a[5] * k, a[6] * k, a[7] * k, a[8] * k)
+
+
+@compiled
 def orbital_frames(position_m: Array, velocity_m_s: Array) -> Array:
     """Orbital frames of N states: (N, 3), (N, 3) -> (N, 3, 3), ecef_from_orbital."""
     out = np.empty((len(position_m), 3, 3))

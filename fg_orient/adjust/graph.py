@@ -1,0 +1,224 @@
+"""The graph backend: the problem as a GTSAM factor graph.
+
+One CustomFactor per image point links the image's coefficient vector to the ground point;
+control points and priors are GTSAM's own prior factors with the same weights as
+``factors.control``. GTSAM linearises, eliminates (points first, then images: the Schur
+complement as an ordering) and retracts; the loop is ours (``fg_orient.adjust.loop``).
+"""
+
+from __future__ import annotations
+
+import gc
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from factors.graph import factor
+from factors.pushbroom import LOOK_ANGLE_COLLINEARITY
+from fg_orient.adjust.problem import Problem, State
+from fg_orient.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+#: GTSAM's own optimisers copy all values at each callback: refused above this many image points.
+NATIVE_LIMIT = 300
+
+
+def image_key(k: int) -> int:
+    """GTSAM key of an image's coefficient vector."""
+    return int(gtsam.symbol("e", k))
+
+
+def point_key(j: int) -> int:
+    """GTSAM key of a ground point."""
+    return int(gtsam.symbol("p", j))
+
+
+def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
+    """One factor per image point, control point and image prior."""
+    graph = gtsam.NonlinearFactorGraph()
+    enabled = gc.isenabled()
+    gc.disable()  # 3 us per factor instead of 10 (performance.md, section 2)
+    try:
+        _add_image_points(graph, problem)
+        _add_priors(graph, problem)
+    finally:
+        if enabled:
+            gc.enable()
+    return graph
+
+
+def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
+    setup, sizes = problem.parameters.setup, (len(problem.parameters), 3)
+    o = problem.observations
+    for row in range(len(o)):
+        j = int(o.point[row])
+        ground = point_key(j) if problem.active[j] else problem.start.ground[j]
+        graph.add(factor(
+            LOOK_ANGLE_COLLINEARITY, (image_key(int(o.image[row])), ground), sizes, problem.records[row], setup,
+            label=problem.label(row),
+        ))  # fmt: skip
+
+
+def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
+    for j in np.flatnonzero(problem.observed):
+        whitening = problem.control_records[j, :9].reshape(3, 3)
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(whitening)
+        graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, 9:], noise)
+    if problem.block.options.priors:
+        k = len(problem.parameters)
+        for i in range(problem.n_images):
+            graph.addPriorVector(image_key(i), np.zeros(k), gtsam.noiseModel.Unit.Create(k))
+
+
+@dataclass
+class GraphStep:
+    """A GTSAM step; see ``loop.Step``."""
+
+    data: gtsam.VectorValues
+    length: float
+    predicted_error: float
+
+
+class GraphSystem:
+    """One linearisation of the graph; see ``loop.System``."""
+
+    def __init__(self, backend: GraphBackend, values: gtsam.Values) -> None:
+        self._backend = backend
+        self.linear: gtsam.GaussianFactorGraph = backend.graph.linearize(values)
+        self.error = float(self.linear.error(backend.zero))
+
+    def solve(self, damping: float) -> GraphStep:
+        """Eliminate points first, then images; damped by ``damping`` times the identity."""
+        linear = self.linear
+        if damping > 0.0:
+            linear = gtsam.GaussianFactorGraph()
+            linear.push_back(self.linear)
+            linear.push_back(self._backend.damping_factors(damping))
+        if self._backend.use_qr:
+            delta = linear.optimize(self._backend.ordering, gtsam.EliminateQR)
+        else:
+            delta = linear.optimize(self._backend.ordering)
+        return self._step(delta)
+
+    def dogleg(self, radius: float) -> GraphStep:
+        """Blend of the steepest-descent and the Gauss-Newton step."""
+        newton = self.solve(0.0)
+        if newton.data.norm() <= radius:
+            return newton
+        steepest = self.linear.optimizeGradientSearch()
+        length = steepest.norm()
+        if length >= radius:
+            return self._step(steepest.scale(radius / length))
+        across = newton.data.subtract(steepest)
+        a, b, c = across.squaredNorm(), steepest.dot(across), length**2 - radius**2
+        share = (-b + np.sqrt(b * b - a * c)) / a
+        return self._step(steepest.add(across.scale(share)))
+
+    def _step(self, delta: gtsam.VectorValues) -> GraphStep:
+        return GraphStep(delta, float(np.abs(delta.vector()).max()), float(self.linear.error(delta)))
+
+
+class GraphBackend:
+    """The problem as a GTSAM graph, driven by ``fg_orient.adjust.loop``.
+
+    Parameters
+    ----------
+    problem : Problem
+    """
+
+    name = "graph"
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.graph = build_graph(problem)
+        # without priors the normal equations may be too ill-conditioned for Cholesky; rank was judged before
+        self.use_qr = not problem.block.options.priors
+        self._points = [int(j) for j in np.flatnonzero(problem.active)]
+        self.ordering = gtsam.Ordering()
+        for j in self._points:
+            self.ordering.push_back(point_key(j))
+        for i in range(problem.n_images):
+            self.ordering.push_back(image_key(i))
+        self.zero = gtsam.VectorValues()
+        for i in range(problem.n_images):
+            self.zero.insert(image_key(i), np.zeros(len(problem.parameters)))
+        for j in self._points:
+            self.zero.insert(point_key(j), np.zeros(3))
+
+    def initial(self) -> gtsam.Values:
+        """Start values."""
+        return self.values(self.problem.start)
+
+    def values(self, state: State) -> gtsam.Values:
+        """GTSAM values of a state."""
+        values = gtsam.Values()
+        for i in range(self.problem.n_images):
+            values.insert(image_key(i), state.image[i])
+        for j in self._points:
+            values.insertPoint3(point_key(j), state.ground[j])
+        return values
+
+    def state(self, values: gtsam.Values) -> State:
+        """Arrays of GTSAM values."""
+        image = np.array([values.atVector(image_key(i)) for i in range(self.problem.n_images)])
+        ground = self.problem.start.ground.copy()
+        for j in self._points:
+            ground[j] = values.atPoint3(point_key(j))
+        return State(image.reshape(self.problem.n_images, -1), ground)
+
+    def linearise(self, state: gtsam.Values) -> GraphSystem:
+        """Linearise at a state."""
+        return GraphSystem(self, state)
+
+    def error(self, state: gtsam.Values) -> float:
+        """Half the weighted sum of squares."""
+        return float(self.graph.error(state))
+
+    def retract(self, state: gtsam.Values, step: Any) -> gtsam.Values:
+        """State after a step."""
+        return state.retract(step.data)
+
+    def damping_factors(self, damping: float) -> gtsam.GaussianFactorGraph:
+        """Identity times the root of the damping, for every unknown."""
+        graph = gtsam.GaussianFactorGraph()
+        root, k = np.sqrt(damping), len(self.problem.parameters)
+        image, point = gtsam.noiseModel.Unit.Create(k), gtsam.noiseModel.Unit.Create(3)
+        for i in range(self.problem.n_images):
+            graph.add(gtsam.JacobianFactor(image_key(i), root * np.eye(k), np.zeros(k), image))
+        for j in self._points:
+            graph.add(gtsam.JacobianFactor(point_key(j), root * np.eye(3), np.zeros(3), point))
+        return graph
+
+
+def run_native(backend: GraphBackend, optimizer: str, max_iterations: int) -> tuple[gtsam.Values, int, float]:
+    """Run GTSAM's own optimiser with its tolerances at 0: values, iterations, error.
+
+    Raises
+    ------
+    InputError
+        More than 300 image points: each callback of a Python factor copies all values there.
+    """
+    n = len(backend.problem.observations)
+    if n > NATIVE_LIMIT:
+        raise InputError.of("adjust.native_limit", place="--optimizer", value=optimizer, count=n, limit=NATIVE_LIMIT)
+    kinds = {
+        "native": (gtsam.GaussNewtonParams, gtsam.GaussNewtonOptimizer),
+        "native-levenberg-marquardt": (gtsam.LevenbergMarquardtParams, gtsam.LevenbergMarquardtOptimizer),
+        "native-dogleg": (gtsam.DoglegParams, gtsam.DoglegOptimizer),
+    }
+    make_params, make = kinds[optimizer]
+    params = make_params()
+    params.setAbsoluteErrorTol(0.0)
+    params.setRelativeErrorTol(0.0)
+    params.setErrorTol(0.0)
+    params.setMaxIterations(max_iterations)
+    params.setOrdering(backend.ordering)
+    if optimizer == "native-levenberg-marquardt":
+        params.setlambdaInitial(1e-9)  # the start is good: damping would only slow the last digits
+    run = make(backend.graph, backend.initial(), params)
+    values = run.optimize()
+    return values, int(run.iterations()), float(backend.error(values))

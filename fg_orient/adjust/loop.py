@@ -1,0 +1,206 @@
+"""Gauss-Newton, Levenberg-Marquardt and Dogleg, one loop over any backend.
+
+The state belongs to Python; a backend only linearises, solves and retracts
+(performance.md, pitfall 1: GTSAM's own optimisers copy all values at every callback of a
+Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so one step
+length speaks for all. The loop ends when the scaled step is below the tolerance, or below
+1e-6 and no longer shrinking (rounding); never on a relative cost.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+S = TypeVar("S")
+
+STEP_TOLERANCE = 1e-8
+ROUNDING_STEP = 1e-6
+MAX_REJECTED = 20
+
+
+class Step(Protocol):
+    """A step: its largest scaled element and the error the linear model predicts after it."""
+
+    length: float
+    predicted_error: float
+    data: Any
+
+
+class System(Protocol):
+    """One linearisation; ``error`` is half the weighted sum of squares at its point."""
+
+    error: float
+
+    def solve(self, damping: float) -> Step:
+        """Solve the normal equations with ``damping`` times the identity added."""
+        ...
+
+    def dogleg(self, radius: float) -> Step:
+        """Give Powell's step inside a trust region of this radius (Euclidean, scaled unknowns)."""
+        ...
+
+
+class Backend(Protocol[S]):
+    """What the loop needs of a solver."""
+
+    def linearise(self, state: S) -> System:
+        """Linearise at a state."""
+        ...
+
+    def error(self, state: S) -> float:
+        """Half the weighted sum of squares."""
+        ...
+
+    def retract(self, state: S, step: Step) -> S:
+        """Give the state after a step."""
+        ...
+
+
+@dataclass(frozen=True)
+class IterationRecord:
+    """One iteration, as the log and the callback see it.
+
+    ``step`` is the largest scaled element; ``chi2`` and ``chi2_after`` are weighted sums of
+    squares; ``ratio`` is actual over predicted decrease (nan where the predicted decrease is rounding:
+    such a step is taken).
+    """
+
+    iteration: int
+    chi2: float
+    chi2_after: float
+    predicted: float
+    ratio: float
+    step: float
+    damping: float
+    accepted: bool
+    seconds: float
+
+
+Callback = Callable[[IterationRecord], None]
+
+
+@dataclass(frozen=True)
+class LoopResult(Generic[S]):
+    """End of the loop: state, its error, the log, and why it ended."""
+
+    state: S
+    error: float
+    log: tuple[IterationRecord, ...]
+    converged: bool
+    reason: str
+
+
+class _Log:
+    """Collect the records and pass each one on."""
+
+    def __init__(self, callback: Callback | None) -> None:
+        self.records: list[IterationRecord] = []
+        self._callback = callback
+        self._start = time.perf_counter()
+
+    def add(self, before: float, after: float, step: Step, damping: float, accepted: bool) -> IterationRecord:
+        predicted = before - step.predicted_error
+        ratio = (before - after) / predicted if predicted > 1e-12 * max(before, 1.0) else math.nan
+        record = IterationRecord(
+            len(self.records) + 1, 2.0 * before, 2.0 * after, 2.0 * predicted, ratio, step.length, damping, accepted,
+            time.perf_counter() - self._start,
+        )  # fmt: skip
+        self.records.append(record)
+        if self._callback:
+            self._callback(record)
+        return record
+
+
+def _small(step: float, previous: float) -> bool:
+    return step < STEP_TOLERANCE or (step < ROUNDING_STEP and step > 0.5 * previous)
+
+
+def gauss_newton(
+    backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None
+) -> LoopResult[S]:
+    """Full steps; ends unconverged when the error rises three times running or is not finite."""
+    log, state, previous, rising = _Log(callback), start, math.inf, 0
+    system = backend.linearise(state)
+    for _ in range(max_iterations):
+        step = system.solve(0.0)
+        state = backend.retract(state, step)
+        last = _small(step.length, previous)
+        following = None if last else backend.linearise(state)
+        error = following.error if following else backend.error(state)
+        log.add(system.error, error, step, 0.0, True)
+        rising = rising + 1 if error > system.error * (1.0 + 1e-9) + 1e-9 else 0
+        if not math.isfinite(error) or rising >= 3:
+            return LoopResult(state, error, tuple(log.records), False, "the error rises: try --optimizer levenberg-marquardt")
+        if following is None:
+            return LoopResult(state, error, tuple(log.records), rising == 0, "the scaled step is below the tolerance")
+        system, previous = following, step.length
+    return LoopResult(state, system.error, tuple(log.records), False, f"no convergence in {max_iterations} iterations")
+
+
+def levenberg_marquardt(
+    backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None
+) -> LoopResult[S]:
+    """Damped steps; the damping follows the ratio of actual to predicted decrease (Nielsen 1999)."""
+    log, state, previous, damping, growth, rejected = _Log(callback), start, math.inf, 1e-4, 2.0, 0
+    system = backend.linearise(state)
+    for _ in range(max_iterations):
+        step = system.solve(damping)
+        trial = backend.retract(state, step)
+        error = backend.error(trial)
+        record = log.add(system.error, error, step, damping, accepted=False)
+        accepted = math.isfinite(error) and (math.isnan(record.ratio) or record.ratio > 0.0)
+        log.records[-1] = _accepted(record, accepted)
+        if not accepted:
+            damping, growth, rejected = damping * growth, 2.0 * growth, rejected + 1
+            if rejected >= MAX_REJECTED:
+                return LoopResult(state, system.error, tuple(log.records), False, "no step lowers the error")
+            continue
+        state, rejected = trial, 0
+        if _small(step.length, previous):
+            return LoopResult(state, error, tuple(log.records), True, "the scaled step is below the tolerance")
+        ratio = 1.0 if math.isnan(record.ratio) else record.ratio
+        damping, growth = max(damping * max(1e-3, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-14), 2.0
+        system, previous = backend.linearise(state), step.length
+    return LoopResult(state, system.error, tuple(log.records), False, f"no convergence in {max_iterations} iterations")
+
+
+def dogleg(backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None) -> LoopResult[S]:
+    """Powell's dogleg in a trust region of the scaled unknowns."""
+    log, state, previous, radius, rejected = _Log(callback), start, math.inf, 1e3, 0
+    system = backend.linearise(state)
+    for _ in range(max_iterations):
+        step = system.dogleg(radius)
+        trial = backend.retract(state, step)
+        error = backend.error(trial)
+        record = log.add(system.error, error, step, radius, accepted=False)
+        accepted = math.isfinite(error) and (math.isnan(record.ratio) or record.ratio > 0.0)
+        log.records[-1] = _accepted(record, accepted)
+        if not accepted or record.ratio < 0.25:
+            radius *= 0.25
+        elif record.ratio > 0.75:
+            radius = max(radius, 3.0 * step.length)
+        if not accepted:
+            rejected += 1
+            if rejected >= MAX_REJECTED:
+                return LoopResult(state, system.error, tuple(log.records), False, "no step lowers the error")
+            continue
+        state, rejected = trial, 0
+        if _small(step.length, previous):
+            return LoopResult(state, error, tuple(log.records), True, "the scaled step is below the tolerance")
+        system, previous = backend.linearise(state), step.length
+    return LoopResult(state, system.error, tuple(log.records), False, f"no convergence in {max_iterations} iterations")
+
+
+def _accepted(record: IterationRecord, accepted: bool) -> IterationRecord:
+    return IterationRecord(**{**record.__dict__, "accepted": accepted})
+
+
+OPTIMIZERS: dict[str, Callable[..., LoopResult[Any]]] = {
+    "gauss-newton": gauss_newton,
+    "levenberg-marquardt": levenberg_marquardt,
+    "dogleg": dogleg,
+}

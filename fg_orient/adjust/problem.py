@@ -1,0 +1,194 @@
+"""The adjustment problem: block, parameters and start values compiled to arrays, once.
+
+A unit of every residual is one sigma: image points ``S^-1 J^-1 F`` (J = dF/d(line, sample)
+at the start, S the pixel sigmas), control points ``W (G - G_0)``, priors ``x`` (unknowns in
+prior sigmas). All backends start from this object, so a difference between them is the
+solver's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import control, ellipsoid
+from factors._contract import evaluate
+from factors.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD_SIZE
+from fg_orient import initial
+from fg_orient.block import Block, ImagePoints
+from fg_orient.errors import InputError
+from fg_orient.names import Role
+from fg_orient.parameters import ImageParameters
+from fg_orient.sensors.projection import pixel_derivative
+from fg_orient.sensors.pushbroom import Correction
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """Unknowns: ``image`` (M, k) in prior sigmas, ``ground`` (N, 3) m in the local frame."""
+
+    image: Array
+    ground: Array
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a backend solves.
+
+    Parameters
+    ----------
+    block : Block
+    parameters : ImageParameters
+        Unknowns of each image.
+    observations : ImagePoints
+        The image points that take part.
+    records : (n, 34) array
+        Whitened constants of the look-angle collinearity per image point.
+    origin_m : (3,) array
+        Local origin, ECEF; unknown ground points are relative to it, axes parallel to ECEF.
+    start : State
+    active, observed : (N,) bool arrays
+        Points that are unknowns, and those of them with control-point equations.
+    control_records : (N, 12) array
+        Record of the control-point equation, rows of observed points.
+    """
+
+    block: Block
+    parameters: ImageParameters
+    observations: ImagePoints
+    records: Array
+    origin_m: Array
+    start: State
+    active: npt.NDArray[np.bool_]
+    observed: npt.NDArray[np.bool_]
+    control_records: Array
+
+    @property
+    def n_images(self) -> int:
+        """Number of images."""
+        return len(self.block.images)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Image unknowns and three per unknown ground point."""
+        return self.n_images * len(self.parameters) + 3 * int(self.active.sum())
+
+    @property
+    def n_observations(self) -> int:
+        """Equations: two per image point, three per observed control point, one per prior."""
+        priors = self.n_images * len(self.parameters) if self.block.options.priors else 0
+        return 2 * len(self.observations) + 3 * int(self.observed.sum()) + priors
+
+    @property
+    def redundancy(self) -> int:
+        """Observations minus unknowns."""
+        return self.n_observations - self.n_unknowns
+
+    def label(self, row: int) -> str:
+        """Name an image point for messages."""
+        image = self.block.images[self.observations.image[row]].id
+        return f"image {image}, point {self.block.points.ids[self.observations.point[row]]}"
+
+    def corrections(self, state: State) -> list[Correction]:
+        """Physical corrections of all images."""
+        small = self.block.options.small_angle
+        return [Correction(*self.parameters.physical(x), small_angle=small) for x in state.image]
+
+    def image_residuals(
+        self, state: State, *, jacobian: bool = False
+    ) -> tuple[Array, list[Array], list[Array]]:
+        """Whitened residuals (n, 2) of the image points and, if asked, Jacobians (2, k), (2, 3) each."""
+        setups = [self.parameters.setup] * len(self.observations)
+        x, ground = state.image[self.observations.image], state.ground[self.observations.point]
+        values, blocks = evaluate(
+            LOOK_ANGLE_COLLINEARITY, self.records, setups, x, np.ascontiguousarray(ground), jacobian=jacobian
+        )
+        return values.reshape(-1, 2), blocks[0], blocks[1]
+
+    def pixel_residuals(self, state: State) -> Array:
+        """Residuals v = adjusted - observed (n, 2): line, sample in pixels."""
+        whitened, _, _ = self.image_residuals(state)
+        return -whitened * np.stack([self.observations.sigma_line_px, self.observations.sigma_sample_px], axis=1)
+
+
+def compile_problem(block: Block) -> Problem:
+    """Make the adjustment problem of a block.
+
+    Raises
+    ------
+    InputError
+        No control point, nothing to adjust, points that cannot be intersected.
+    """
+    options = block.options
+    control_rows = block.points.where(Role.CONTROL)
+    seen = np.unique(block.observations.point)
+    if not np.isin(control_rows, seen).any():
+        raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control_rows)} measured")
+    observations = _participating(block)
+    parameters = ImageParameters.from_options(options)
+    origin = np.asarray(np.mean([image.sensor.centre_m for image in block.images], axis=0))
+    known = block.points.known
+    start_ecef = known.ecef_m.copy()
+    part = np.isin(np.arange(len(start_ecef)), observations.point)
+    wanted = part & np.isnan(start_ecef).any(axis=1)
+    fill = np.where((part & ~wanted)[:, None], start_ecef, 0.0)
+    fill[wanted] = np.nan
+    start_ecef[part] = initial.ground_points(block.images, observations, block.points.ids, fill)[part]
+    is_control = np.isin(np.arange(len(part)), control_rows)
+    active = part & ~(is_control & known.fixed)
+    observed = active & is_control
+    records = _whitened_records(block, observations, start_ecef, origin)
+    return Problem(
+        block, parameters, observations, records, origin,
+        State(np.zeros((len(block.images), len(parameters))), np.where(part[:, None], start_ecef - origin, np.nan)),
+        active, observed, _control_records(known.sigma_enu_m, start_ecef, origin, observed),
+    )  # fmt: skip
+
+
+def _participating(block: Block) -> ImagePoints:
+    """Image points that enter the adjustment: all, or those of other than check points."""
+    if block.options.check_points == "use":
+        return block.observations
+    keep = ~np.isin(block.observations.point, block.points.where(Role.CHECK))
+    return block.observations.take(keep)
+
+
+def _whitened_records(block: Block, observations: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
+    """Records with the whitening ``S^-1 J^-1``."""
+    small = block.options.small_angle
+    out = np.empty((len(observations), RECORD_SIZE))
+    for k, image in enumerate(block.images):
+        rows = np.flatnonzero(observations.image == k)
+        if not len(rows):
+            continue
+        o = observations.take(rows)
+        out[rows] = image.sensor.records(o.line, o.sample, ground_m[o.point], origin_m, small_angle=small)
+        j = pixel_derivative(image.sensor, o.line, o.sample, ground_m[o.point], Correction(small_angle=small))
+        sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+        out[rows, 22:26] = (np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
+    return out
+
+
+def _control_records(sigma_enu_m: Array, ecef_m: Array, origin_m: Array, observed: npt.NDArray[np.bool_]) -> Array:
+    """Records (N, 12) of the control-point equations: W for ECEF axes from E/N/U sigmas."""
+    out = np.full((len(ecef_m), 12), np.nan)
+    rows = np.flatnonzero(observed)
+    enu = enu_from_ecef(ecef_m[rows])
+    for k, row in enumerate(rows):
+        covariance = enu[k].T @ np.diag(sigma_enu_m[row] ** 2) @ enu[k]
+        out[row, :9] = control.whitening(0.5 * (covariance + covariance.T)).ravel()
+        out[row, 9:] = ecef_m[row] - origin_m
+    return out
+
+
+def enu_from_ecef(ecef_m: Array) -> Array:
+    """Rotations (N, 3, 3) from ECEF axes to East, North, Up of each point."""
+    lon, lat, _ = ellipsoid.geodetic_array(np.ascontiguousarray(ecef_m)).T
+    sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
+    zero = np.zeros_like(sl)
+    rows = [[-sl, cl, zero], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]]
+    return np.moveaxis(np.array(rows), 2, 0)

@@ -1,0 +1,129 @@
+"""Named parameters of an image: EOP coefficients and look-angle polynomial, and the 20 EOP sets.
+
+Codes are those of ``factors.pushbroom``: ``3 component + degree`` for the 27 EOP
+coefficients, ``27 + 2 k`` and ``28 + 2 k`` for the coefficients of ``s^k`` in psi_x and
+psi_y. Unknowns are in prior sigmas, coefficients belong to tau in [-1, 1].
+
+Source of the sets: Terlemezoğlu 2019, Table 4.2 (sets 1-19: Topan & Maktav 2010, Table 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.block import Options
+from fg_orient.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+COMPONENTS = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")
+UNITS = ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
+POSITION, VELOCITY, ATTITUDE = (0, 1, 2), (3, 4, 5), (6, 7, 8)
+N_EOP = 27
+
+_KINDS = {"PU": POSITION, "V": VELOCITY, "A": ATTITUDE}
+#: Number, name, kinds and degrees of each set; PU = position, V = velocity, A = attitude.
+EOP_SETS: dict[int, tuple[str, tuple[str, ...], tuple[int, ...]]] = {
+    1: ("PU", ("PU",), (0, 1, 2)), 2: ("PU0", ("PU",), (0,)), 3: ("PU1", ("PU",), (1,)), 4: ("PU2", ("PU",), (2,)),
+    5: ("V", ("V",), (0, 1, 2)), 6: ("V0", ("V",), (0,)), 7: ("V1", ("V",), (1,)), 8: ("V2", ("V",), (2,)),
+    9: ("A", ("A",), (0, 1, 2)), 10: ("A0", ("A",), (0,)), 11: ("A1", ("A",), (1,)), 12: ("A2", ("A",), (2,)),
+    13: ("PUV", ("PU", "V"), (0, 1, 2)), 14: ("PUV0", ("PU", "V"), (0,)),
+    15: ("PUA", ("PU", "A"), (0, 1, 2)), 16: ("PUA0", ("PU", "A"), (0,)),
+    17: ("VA", ("V", "A"), (0, 1, 2)), 18: ("VA0", ("V", "A"), (0,)),
+    19: ("PUVA0", ("PU", "V", "A"), (0,)), 20: ("PUVA", ("PU", "V", "A"), (0, 1, 2)),
+}  # fmt: skip
+
+
+def eop_set_number(name: int | str) -> int:
+    """Number 1-20 of an EOP set given by number or name.
+
+    Raises
+    ------
+    InputError
+        There is no such set.
+    """
+    text = str(name).strip().upper()
+    for number, (known, _, _) in EOP_SETS.items():
+        if text in (str(number), known):
+            return number
+    names = ", ".join(f"{n} {entry[0]}" for n, entry in EOP_SETS.items())
+    raise InputError.of("parameters.eop_set", place="eop_set", value=name, names=names)
+
+
+def eop_codes(number: int) -> tuple[int, ...]:
+    """Codes of the coefficients in a set, by component, then degree."""
+    _, kinds, degrees = EOP_SETS[number]
+    return tuple(3 * c + k for kind in kinds for c in _KINDS[kind] for k in degrees)
+
+
+@dataclass(frozen=True)
+class ImageParameters:
+    """The unknowns of one image: codes, prior sigmas and names; the same for all pushbroom images.
+
+    Parameters
+    ----------
+    codes : tuple of int
+        See the module docstring.
+    sigma : (k,) array
+        Prior sigmas in m, m/s, rad.
+    """
+
+    codes: tuple[int, ...]
+    sigma: Array
+
+    @classmethod
+    def from_options(cls, options: Options) -> ImageParameters:
+        """Select the coefficients of the EOP set and the look polynomial."""
+        eop = eop_codes(options.eop_set)
+        degree = options.look_polynomial
+        n_look = 0 if degree is None else 2 * (degree + 1)
+        table = np.repeat(
+            [options.position_sigma_m, options.velocity_sigma_m_s, options.attitude_sigma_rad], 3, axis=0
+        ).ravel()
+        sigma = np.concatenate([table[list(eop)], np.full(n_look, options.look_sigma_rad)])
+        return cls(eop + tuple(range(N_EOP, N_EOP + n_look)), sigma)
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    @property
+    def n_eop(self) -> int:
+        """Number of EOP coefficients; the look coefficients follow them."""
+        return sum(code < N_EOP for code in self.codes)
+
+    @cached_property
+    def setup(self) -> Array:
+        """Setup array of the equation: codes and prior sigmas (2, k)."""
+        return np.ascontiguousarray(np.stack([np.array(self.codes, float), self.sigma]))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Short names: ``x_0``, ``roll_2``, ``psi_y_s1`` ..."""
+        return tuple(parameter_name(code) for code in self.codes)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Physical unit of each unknown."""
+        return tuple(UNITS[code // 3] if code < N_EOP else "rad" for code in self.codes)
+
+    def physical(self, x: Array) -> tuple[Array, Array]:
+        """EOP corrections (9, 3) and look corrections (2, degree + 1) in physical units."""
+        eop = np.zeros(N_EOP)
+        look = np.zeros(max(0, len(self.codes) - self.n_eop))
+        for code, value in zip(self.codes, x * self.sigma, strict=True):
+            if code < N_EOP:
+                eop[code] = value
+            else:
+                look[code - N_EOP] = value
+        return eop.reshape(9, 3), np.ascontiguousarray(look.reshape(-1, 2).T)
+
+
+def parameter_name(code: int) -> str:
+    """Short name of one coefficient."""
+    if code < N_EOP:
+        return f"{COMPONENTS[code // 3]}_{code % 3}"
+    return f"psi_{'xy'[(code - N_EOP) % 2]}_s{(code - N_EOP) // 2}"

@@ -1,0 +1,84 @@
+"""Ground to image for a pushbroom: the zero of the look-angle collinearity in (line, sample).
+
+Newton on both pixel coordinates at once (orientation.md 2.7): the conditions F_y, F_x are
+those of the observation equation, so every correction (EOP, look angles) is honoured;
+their derivatives with respect to line and sample come from differences over half a pixel.
+Attitude is piecewise linear in time, hence up to 30 steps, ended when the step is below
+1e-9 px. Lines are evaluated inside the image only: a point outside gets the linear
+continuation from the border, a point that the satellite cannot see gets nan.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import pushbroom
+
+if TYPE_CHECKING:
+    from fg_orient.sensors.pushbroom import Correction, PushbroomSensor
+
+Array = npt.NDArray[np.float64]
+
+MAX_STEPS = 30
+STEP_PX = 1e-9
+
+
+def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
+    """Setup (2, k) and unknowns (k,) of the equation for a correction in physical units."""
+    codes = np.arange(pushbroom.N_EOP + correction.look.size, dtype=float)
+    setup = np.stack([codes, np.ones_like(codes)])
+    return np.ascontiguousarray(setup), np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
+
+
+def conditions(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
+    """F_y, F_x (tangents) of N pixels and ground points: (N, 2)."""
+    setup, x = physical_unknowns(correction)
+    records = sensor.records(line, sample, ground_m, small_angle=correction.small_angle)
+    return pushbroom.conditions(records, setup, x, np.ascontiguousarray(ground_m))
+
+
+def pixel_derivative(
+    sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
+) -> Array:
+    """Local derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
+    columns = []
+    for values, count, axis in ((line, sensor.n_lines, 0), (sample, sensor.n_samples, 1)):
+        low, high = np.clip(values - 0.5, -0.5, count - 0.5), np.clip(values + 0.5, -0.5, count - 0.5)
+        pair = [(v, sample) if axis == 0 else (line, v) for v in (low, high)]
+        f_low, f_high = (conditions(sensor, a, b, ground_m, correction) for a, b in pair)
+        columns.append((f_high - f_low) / (high - low)[:, None])
+    return np.stack(columns, axis=2)
+
+
+def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
+    """Line and sample of N ECEF points (N, 3) m; see the module docstring."""
+    line = np.full(len(ground_m), (sensor.n_lines - 1) / 2.0)
+    sample = np.full(len(ground_m), (sensor.n_samples - 1) / 2.0)
+    centre = sensor.states((sensor.n_lines - 1) / 2.0).position_m
+    visible = np.isfinite(ground_m).all(axis=1)
+    visible &= np.einsum("ij,ij->i", np.nan_to_num(ground_m) - centre, np.nan_to_num(ground_m)) < 0.0
+    line[~visible], sample[~visible] = np.nan, np.nan
+    todo = np.flatnonzero(visible)
+    for _ in range(MAX_STEPS):
+        if not len(todo):
+            break
+        step = _newton_step(sensor, line[todo], sample[todo], ground_m[todo], correction)
+        line[todo] += step[:, 0]
+        sample[todo] += step[:, 1]
+        todo = todo[np.abs(step).max(axis=1) > STEP_PX]
+    return line, sample
+
+
+def _newton_step(
+    sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
+) -> Array:
+    """Step (N, 2) from the nearest pixel of the image, relative to the present estimate."""
+    l_in = np.clip(line, -0.5, sensor.n_lines - 0.5)
+    s_in = np.clip(sample, -0.5, sensor.n_samples - 0.5)
+    f = conditions(sensor, l_in, s_in, ground_m, correction)
+    j = pixel_derivative(sensor, l_in, s_in, ground_m, correction)
+    full = -np.linalg.solve(j, f[:, :, None])[:, :, 0]
+    return full + np.stack([l_in - line, s_in - sample], axis=1)

@@ -1,0 +1,300 @@
+"""The rigorous pushbroom sensor: binds metadata to the look-angle collinearity.
+
+One class serves DIMAP v1 (angles in the orbital frame) and DIMAP v2 (quaternions body to
+ECEF). Pixels are (line, sample), (0, 0) = centre of the first pixel; ground points ECEF
+metres; ``Correction`` holds EOP and look-angle corrections in physical units. Light time
+and aberration are off: the vendor attitudes contain the aberration
+(real-data-findings, section 5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import attitude, ellipsoid, ephemeris, look, polynomials, pushbroom, rotations
+from fg_orient.errors import InputError, OutOfImage, OutOfTimeRange, problem
+from fg_orient.sensors.metadata import (
+    AngleAttitude,
+    LookAngleTable,
+    PushbroomMetadata,
+    QuaternionList,
+    QuaternionPolynomial,
+)
+
+Array = npt.NDArray[np.float64]
+
+#: Attitudes are held constant for at most this long beyond their list, with a note.
+HOLD_S = 0.2
+#: Rounding of printed times: lists of SPOT 6 start and end with the image.
+TIME_PRINT_S = 2e-6
+#: Vendor v2 body axes (x along, y across, z to the Earth) from our body axes.
+V2_BODY_FROM_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+class HeightSurface(Protocol):
+    """A surface to locate on: ellipsoidal height (m) at longitude, latitude (degrees), nan outside."""
+
+    path: str
+
+    @property
+    def range_m(self) -> tuple[float, float]:
+        """Lowest and highest height."""
+        ...
+
+    def height_m(self, lon_deg: Array, lat_deg: Array) -> Array:
+        """Ellipsoidal heights of N points."""
+        ...
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Orientation corrections of one image in physical units.
+
+    Parameters
+    ----------
+    eop : (9, 3) array
+        c0, c1, c2 of tau for X, Y, Z (m), VX, VY, VZ (m/s), roll, pitch, yaw (rad).
+    look : (2, k) array
+        Coefficients of s^k added to psi_x and psi_y (rad).
+    small_angle : bool
+        Use the small-angle attitude matrix (faithful mode).
+    """
+
+    eop: Array = field(default_factory=lambda: np.zeros((9, 3)))
+    look: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    small_angle: bool = False
+
+
+@dataclass(frozen=True)
+class LineStates:
+    """Metadata state of N lines: the constants of the observation equation."""
+
+    tau: Array
+    position_m: Array
+    velocity_m_s: Array
+    angles_rad: Array
+    mount: Array  # (N, 3, 3)
+
+
+class PushbroomSensor:
+    """Rigorous model of one pushbroom image.
+
+    Parameters
+    ----------
+    metadata : PushbroomMetadata
+        Everything read from the file.
+
+    Raises
+    ------
+    OutOfTimeRange
+        The ephemeris does not cover the image, or the attitudes leave more than 0.2 s open.
+    """
+
+    def __init__(self, metadata: PushbroomMetadata) -> None:
+        self.metadata = metadata
+        self.n_lines, self.n_samples = metadata.n_lines, metadata.n_samples
+        self.follows_orbit = isinstance(metadata.attitude, AngleAttitude)
+        self.notes: tuple[str, ...] = metadata.notes + self._check_time_range()
+
+    @property
+    def file(self) -> str:
+        """Name of the metadata file."""
+        return self.metadata.file
+
+    def _line_time(self, line: Array) -> Array:
+        timing = self.metadata.timing
+        return np.asarray(timing.reference_time_s + timing.line_period_s * (line - timing.reference_line))
+
+    def _check_time_range(self) -> tuple[str, ...]:
+        first, last = self._line_time(np.array([0.0, self.n_lines - 1.0]))
+        covered = self.metadata.ephemeris.time_s
+        if min(first, last) < covered[0] - TIME_PRINT_S or max(first, last) > covered[-1] + TIME_PRINT_S:
+            raise OutOfTimeRange(problem(
+                "sensor.ephemeris_span", file=self.file, place="ephemeris", value=f"image {first:.6f} .. {last:.6f} s",
+                first=covered[0], last=covered[-1],
+            ))  # fmt: skip
+        source = self.metadata.attitude
+        if isinstance(source, QuaternionPolynomial):
+            return ()
+        gap = max(source.time_s[0] - min(first, last), max(first, last) - source.time_s[-1])
+        if gap > HOLD_S:
+            raise OutOfTimeRange(problem(
+                "sensor.attitude_span", file=self.file, place="attitudes", value=f"image {first:.6f} .. {last:.6f} s",
+                first=source.time_s[0], last=source.time_s[-1], hold=HOLD_S, gap=gap,
+            ))  # fmt: skip
+        if gap > TIME_PRINT_S:
+            return (f"attitudes end {gap:.3f} s before the image does: the last one is held",)
+        return ()
+
+    # --- constants of the equation -----------------------------------------------------------
+
+    def states(self, line: npt.ArrayLike) -> LineStates:
+        """Metadata state at N lines (0-based, fractions allowed)."""
+        line = np.atleast_1d(np.asarray(line, float))
+        t = self._line_time(line)
+        orbit = self.metadata.ephemeris
+        inside = np.clip(t, orbit.time_s[0] - TIME_PRINT_S, orbit.time_s[-1] + TIME_PRINT_S)
+        beyond = np.abs(t - inside) > 0.51 * abs(self.metadata.timing.line_period_s)
+        if beyond.any():
+            raise OutOfTimeRange(problem(
+                "sensor.ephemeris_span", file=self.file, place=f"line {line[beyond][0]:.2f}", value=f"{t[beyond][0]:.6f} s",
+                first=orbit.time_s[0], last=orbit.time_s[-1],
+            ))  # fmt: skip
+        state = ephemeris.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
+        p, v = np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
+        angles, mount = self._attitude(t, p, v)
+        return LineStates(polynomials.normalised(line, self.n_lines), p, v, angles, mount)
+
+    def _attitude(self, t: Array, p: Array, v: Array) -> tuple[Array, Array]:
+        """Angles (N, 3) and mounting (N, 3, 3) of the observation equation."""
+        source = self.metadata.attitude
+        if isinstance(source, AngleAttitude):
+            angles = attitude.linear(source.time_s, source.angles_rad, t)
+            return np.ascontiguousarray(angles), np.broadcast_to(np.eye(3), (len(t), 3, 3))
+        if isinstance(source, QuaternionList):
+            q = attitude.quaternion_linear(source.time_s, source.quaternion, t)
+        else:
+            q = attitude.quaternion_polynomial(source.coefficients, source.offset_s, source.scale_s, t)
+        ecef_from_body = rotations.quaternion_matrices(np.ascontiguousarray(q)) @ V2_BODY_FROM_BODY
+        mount = np.swapaxes(rotations.orbital_frames(p, v), 1, 2) @ ecef_from_body
+        return np.zeros((len(t), 3)), mount
+
+    def look_angles(self, sample: npt.ArrayLike) -> tuple[Array, Array]:
+        """Look angles psi_x (along), psi_y (across), rad, of N samples."""
+        s, source = np.atleast_1d(np.asarray(sample, float)), self.metadata.look
+        if isinstance(source, LookAngleTable):
+            return look.from_table(source.sample, source.psi_x_rad, source.psi_y_rad, s)
+        return look.from_polynomial(source.tan_psi_x, source.tan_psi_y, source.origin_sample, s)
+
+    def records(
+        self,
+        line: npt.ArrayLike,
+        sample: npt.ArrayLike,
+        reference_m: Array,
+        origin_m: Array | None = None,
+        *,
+        small_angle: bool = False,
+    ) -> Array:
+        """Constants of the look-angle collinearity for N image points, unwhitened: (N, 34).
+
+        ``reference_m`` (N, 3) or (3,): ECEF points near the observed ones; differences are formed
+        against them. ``origin_m`` (3,): local origin of the ground unknowns, ECEF (default 0).
+        """
+        states = self.states(line)
+        s = np.atleast_1d(np.asarray(sample, float))
+        psi_x, psi_y = self.look_angles(s)
+        out = np.zeros((len(s), pushbroom.RECORD_SIZE))
+        out[:, 0:3], out[:, 3:6], out[:, 6:9] = states.position_m, states.velocity_m_s, states.angles_rad
+        out[:, 9:18] = states.mount.reshape(-1, 9)
+        out[:, 18], out[:, 19], out[:, 20] = states.tau, psi_x, psi_y
+        out[:, 21] = polynomials.normalised(s, self.n_samples)
+        out[:, 22], out[:, 25] = 1.0, 1.0
+        out[:, 26], out[:, 27] = float(self.follows_orbit), float(small_angle)
+        out[:, 28:31] = reference_m if origin_m is None else reference_m - origin_m
+        out[:, 31:34] = reference_m - states.position_m
+        return out
+
+    # --- image to ground ---------------------------------------------------------------------
+
+    def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Correction | None = None) -> tuple[Array, Array]:
+        """Projection centres (N, 3) m and unit viewing directions (N, 3) in ECEF."""
+        c = correction or Correction()
+        states = self.states(line)
+        s = np.atleast_1d(np.asarray(sample, float))
+        psi_x, psi_y = self.look_angles(s)
+        delta = polynomials.evaluate(c.eop, states.tau)
+        if c.look.shape[1]:
+            bend = polynomials.evaluate(c.look, polynomials.normalised(s, self.n_samples))
+            psi_x, psi_y = psi_x + bend[:, 0], psi_y + bend[:, 1]
+        p = states.position_m + delta[:, 0:3]
+        p_frame, v_frame = states.position_m, states.velocity_m_s
+        if self.follows_orbit:
+            p_frame, v_frame = p, states.velocity_m_s + delta[:, 3:6]
+        angles = np.ascontiguousarray(states.angles_rad + delta[:, 6:9])
+        orbital = rotations.attitude_matrices(angles, c.small_angle) @ states.mount
+        ecef = rotations.orbital_frames(np.ascontiguousarray(p_frame), np.ascontiguousarray(v_frame)) @ orbital
+        direction = np.einsum("nij,nj->ni", ecef, look.direction(psi_x, psi_y))
+        return p, direction / np.linalg.norm(direction, axis=1, keepdims=True)
+
+    def locate(
+        self,
+        line: npt.ArrayLike,
+        sample: npt.ArrayLike,
+        *,
+        height_m: npt.ArrayLike | None = None,
+        dem: HeightSurface | None = None,
+        correction: Correction | None = None,
+    ) -> Array:
+        """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights, or on a DEM.
+
+        Raises
+        ------
+        OutOfImage
+            A pixel lies outside the image.
+        InputError
+            A ray misses the surface, or the DEM does not cover it.
+        """
+        from fg_orient.sensors.surface import on_surface
+
+        line, sample = (np.atleast_1d(np.asarray(a, float)) for a in (line, sample))
+        self.require_inside(line, sample)
+        p, u = self.rays(line, sample, correction)
+        if dem is not None:
+            return on_surface(p, u, dem, self.file)
+        h = np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), line.shape)
+        ground = ellipsoid.intersect(p, u, np.ascontiguousarray(h))
+        if not np.isfinite(ground).all():
+            bad = int(np.flatnonzero(~np.isfinite(ground).all(axis=1))[0])
+            raise InputError.of(
+                "sensor.ray_misses", file=self.file, place=f"line {line[bad]:g}, sample {sample[bad]:g}",
+                value=f"height {h[bad]:g} m",
+            )  # fmt: skip
+        return ground
+
+    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
+        """Tell which pixels lie in the image, its half-pixel border included."""
+        inside = (line >= -0.5) & (line <= self.n_lines - 0.5) & (sample >= -0.5) & (sample <= self.n_samples - 0.5)
+        return np.asarray(inside)
+
+    def require_inside(self, line: Array, sample: Array) -> None:
+        """Refuse pixels outside the image.
+
+        Raises
+        ------
+        OutOfImage
+            Names the first one and the image's size.
+        """
+        bad = np.flatnonzero(~self.is_inside(line, sample))
+        if len(bad):
+            raise OutOfImage(problem(
+                "sensor.pixel_outside", file=self.file, place=f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}",
+                value=f"{len(bad)} pixel(s)", last_line=self.n_lines - 0.5, last_sample=self.n_samples - 0.5,
+            ))  # fmt: skip
+
+    # --- ground to image ---------------------------------------------------------------------
+
+    def project(self, ground_m: npt.ArrayLike, correction: Correction | None = None) -> tuple[Array, Array]:
+        """Line and sample of N ECEF points; points far outside the image give nan.
+
+        Iterates on the line until the along-track condition holds, then on the sample
+        (orientation.md 2.7); see ``fg_orient.sensors.projection``.
+        """
+        from fg_orient.sensors.projection import project
+
+        return project(self, np.atleast_2d(np.asarray(ground_m, float)), correction or Correction())
+
+    @cached_property
+    def centre_m(self) -> Array:
+        """Ground point of the image centre at height 0, ECEF m (3,)."""
+        return np.asarray(self.locate((self.n_lines - 1) / 2, (self.n_samples - 1) / 2, height_m=0.0)[0])
+
+    def footprint(self) -> Array:
+        """Corners at height 0 in image order (clockwise): (4, 2) longitude, latitude in degrees."""
+        line = np.array([0.0, 0.0, self.n_lines - 1.0, self.n_lines - 1.0])
+        sample = np.array([0.0, self.n_samples - 1.0, self.n_samples - 1.0, 0.0])
+        return np.degrees(ellipsoid.geodetic_array(self.locate(line, sample, height_m=0.0))[:, :2])
