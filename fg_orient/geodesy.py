@@ -16,6 +16,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
@@ -24,7 +25,7 @@ import numpy.typing as npt
 from fg_orient.errors import InputError, problem
 
 if TYPE_CHECKING:
-    from pyproj import CRS
+    from pyproj import CRS, Transformer
     from pyproj.transformer import TransformerGroup
 
 Array = npt.NDArray[np.float64]
@@ -152,10 +153,36 @@ def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """
     xyz = np.atleast_2d(np.asarray(xyz_m, float))
     _require_finite(ECEF, xyz, xyz, None)
-    proj = _pyproj()
-    back = proj.Transformer.from_crs(ECEF, "EPSG:4979", always_xy=True, allow_ballpark=False)
+    back = _transformer(ECEF, "EPSG:4979")
     lon, lat, height = back.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], errcheck=True)
     return np.asarray(lon), np.asarray(lat), np.asarray(height)
+
+
+def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Array]:
+    """Transform WGS84 longitude, latitude (degrees) of N points to horizontal coordinates of a raster's CRS.
+
+    Parameters
+    ----------
+    crs : str
+        WKT or EPSG code; a vertical part is ignored.
+    lon_deg, lat_deg : (N,) array_like
+        WGS84 longitude and latitude.
+
+    Returns
+    -------
+    tuple of two (N,) arrays
+        Easting and northing, or longitude and latitude, in the units of the CRS; nan
+        outside its domain.
+
+    Raises
+    ------
+    InputError
+        The CRS is unknown, or no exact operation leads to it.
+    """
+    lon, lat = np.atleast_1d(np.asarray(lon_deg, float)), np.atleast_1d(np.asarray(lat_deg, float))
+    x, y = (np.asarray(a) for a in _transformer("EPSG:4326", crs, horizontal=True).transform(lon, lat))
+    inside = np.isfinite(x) & np.isfinite(y)
+    return np.where(inside, x, np.nan), np.where(inside, y, np.nan)
 
 
 def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
@@ -177,8 +204,24 @@ def _pyproj() -> Any:
     import pyproj
     import pyproj.network
 
-    pyproj.network.set_network_enabled(active=False)
+    pyproj.network.set_network_enabled(active=False)  # type: ignore[attr-defined]
     return pyproj
+
+
+@cache
+def _transformer(source: str, target: str, *, horizontal: bool = False) -> Transformer:
+    """Make the transformer between two CRS, once: easting or longitude first, never a ballpark."""
+    proj = _pyproj()
+    try:
+        goal = proj.CRS.from_user_input(target)
+        if horizontal:
+            goal = goal.sub_crs_list[0] if goal.is_compound else goal.to_2d()
+        made: Transformer = proj.Transformer.from_crs(source, goal, always_xy=True, allow_ballpark=False)
+    except proj.exceptions.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="crs", value=target) from None
+    except proj.exceptions.ProjError:
+        raise InputError.of("geodesy.no_operation", place="crs", value=target, grids="a grid or datum shift") from None
+    return made
 
 
 def _source(crs: str) -> CRS:
@@ -224,7 +267,7 @@ def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels:
     horizontal = source.sub_crs_list[0] if source.is_compound else source
     flat = horizontal.to_2d()
     back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
-    lonlat = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
+    lonlat: Array = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
     _require_finite(crs, lonlat, given, labels)
     return lonlat
 
@@ -232,8 +275,7 @@ def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels:
 def _operations(crs: str, source: CRS, lonlat: Array) -> TransformerGroup:
     """Operations to ECEF for the area of the points, best first, none of them a ballpark."""
     proj = _pyproj()
-    from pyproj.aoi import AreaOfInterest
-    from pyproj.transformer import TransformerGroup
+    from pyproj.transformer import AreaOfInterest, TransformerGroup
 
     low, high = lonlat.min(axis=0) - _AREA_MARGIN_DEG, lonlat.max(axis=0) + _AREA_MARGIN_DEG
     low, high = np.clip(low, [-180.0, -90.0], [180.0, 90.0]), np.clip(high, [-180.0, -90.0], [180.0, 90.0])

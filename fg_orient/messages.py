@@ -150,7 +150,7 @@ POINTS: Final = {
         "exchange the two columns",
     ),
     "points.far": (
-        "the point lies {distance_km:.0f} km from the centre of the nearest image, {image}, which is {size_km:.0f} km across",
+        "the point lies {distance_km:.0f} km from the centre of the nearest image ({image}, {size_km:.0f} km across)",
         "check the coordinates, the columns and the crs of the project file",
     ),
     "points.changed": ("the file has changed since it was read", "run the adjustment again"),
