@@ -121,14 +121,21 @@ def to_ecef_with_operation(
     height: npt.ArrayLike,
     *,
     labels: Sequence[str] | None = None,
+    deciding: npt.NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Operation]:
-    """Do :func:`to_ecef` and give the operation used, too."""
+    """Do :func:`to_ecef` and give the operation used, too.
+
+    ``deciding`` (N,) selects the points whose area decides on the operation; all points do
+    if it is absent or selects none.
+    """
     first, second, third = (np.atleast_1d(np.asarray(a, float)) for a in (east_or_lon, north_or_lat, height))
     source = _source(crs)
     kind = _kind(crs, source)
     given = np.stack([first, second, third], axis=1)
     _require_finite(crs, given, given, labels)
-    group = _operations(crs, source, _longitude_latitude(crs, source, kind, given, labels))
+    lonlat = _longitude_latitude(crs, source, kind, given, labels)
+    some = deciding is not None and bool(deciding.any())
+    group = _operations(crs, source, lonlat[deciding] if some else lonlat)
     chosen = group.transformers[0]
     xyz = np.stack(chosen.transform(first, second, third), axis=1)
     _require_finite(crs, xyz, given, labels)
@@ -259,7 +266,7 @@ def _kind(crs: str, source: CRS) -> Kind:
 def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
     """Longitude, latitude (degrees) on the CRS's own datum, good enough to choose an operation: (N, 2)."""
     if kind == "geographic":
-        return given[:, :2]
+        return np.asarray(given[:, :2])
     if kind == "geocentric":
         p = np.hypot(given[:, 0], given[:, 1])
         return np.degrees(np.stack([np.arctan2(given[:, 1], given[:, 0]), np.arctan2(given[:, 2], p)], axis=1))
@@ -267,9 +274,9 @@ def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels:
     horizontal = source.sub_crs_list[0] if source.is_compound else source
     flat = horizontal.to_2d()
     back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
-    lonlat: Array = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
+    lonlat = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
     _require_finite(crs, lonlat, given, labels)
-    return lonlat
+    return np.asarray(lonlat, float)
 
 
 def _operations(crs: str, source: CRS, lonlat: Array) -> TransformerGroup:

@@ -202,9 +202,7 @@ def _records(text: str, faults: Faults) -> Iterator[tuple[int, list[str]]]:
         yield n, [cell.strip() for cell in cells]
 
 
-def _header(
-    line: int, cells: list[str], layouts: Sequence[Sequence[str]], faults: Faults
-) -> tuple[str, ...] | None:
+def _header(line: int, cells: list[str], layouts: Sequence[Sequence[str]], faults: Faults) -> tuple[str, ...] | None:
     """Column names, checked against the layouts; None if they fit none of them."""
     while cells and not cells[-1]:
         cells.pop()

@@ -1,0 +1,116 @@
+"""Table of image observations: one record per image and point, pixels and their sigmas.
+
+(line, sample) with (0, 0) in the centre of the first pixel; an image of n lines spans
+-0.5 .. n - 0.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fg_orient.block import ImagePoints
+from fg_orient.errors import Problem, problem
+from fg_orient.io.tables import Faults, Row, did_you_mean, number, read_table
+
+COLUMNS: Final = ("image", "id", "line", "sample", "sigma_line_px", "sigma_sample_px")
+#: Standard deviations outside this range are more likely a wrong unit than a measurement.
+PLAUSIBLE_SIGMA_PX: Final = (1e-4, 1e3)
+
+
+@dataclass(frozen=True)
+class ObservationFile:
+    """Image observations as read, the SHA-256 of the file and remarks about it."""
+
+    path: Path
+    sha256: str
+    observations: ImagePoints
+    remarks: tuple[Problem, ...]
+
+
+def read_observations(
+    path: Path, sizes: Mapping[str, tuple[int, int] | None], point_ids: Sequence[str] | None, faults: Faults
+) -> ObservationFile | None:
+    """Read a table of image observations.
+
+    Parameters
+    ----------
+    path : Path
+        CSV file with the columns ``image, id, line, sample, sigma_line_px, sigma_sample_px``.
+    sizes : mapping of str to (n_lines, n_samples) or None
+        The images in the order of the block; None where the size is unknown (the pixel
+        range is then not checked).
+    point_ids : sequence of str or None
+        Ids of the ground points; None if they are unknown (ids are then not checked).
+    faults : Faults
+        Takes everything wrong with the file.
+
+    Returns
+    -------
+    ObservationFile or None
+        None if anything is wrong; the reasons are then in ``faults``.
+    """
+    table = read_table(path, [COLUMNS], faults)
+    if table is None:
+        return None
+    image_row = {name: k for k, name in enumerate(sizes)}
+    point_row = {name: k for k, name in enumerate(point_ids)} if point_ids is not None else None
+    first: dict[tuple[str, str], int] = {}
+    values = np.full((len(table.rows), 4), np.nan)
+    for k, row in enumerate(table.rows):
+        _check_names(row, image_row, point_row, first, faults)
+        values[k] = _values(row, sizes.get(row.cells["image"]), faults)
+    if faults or point_row is None:
+        return None
+    image = np.array([image_row[row.cells["image"]] for row in table.rows], np.intp)
+    point = np.array([point_row[row.cells["id"]] for row in table.rows], np.intp)
+    columns = (np.ascontiguousarray(column) for column in values.T)
+    observations = ImagePoints(image, point, *columns)
+    return ObservationFile(path, table.sha256, observations, _remarks(faults.file, table.rows, observations))
+
+
+def _check_names(
+    row: Row,
+    images: Mapping[str, int],
+    points: Mapping[str, int] | None,
+    first: dict[tuple[str, str], int],
+    faults: Faults,
+) -> None:
+    image, name = row.cells["image"], row.cells["id"]
+    if image not in images:
+        hint = did_you_mean(image, list(images))
+        faults.add("observations.image_unknown", place=row.place("image"), value=repr(image), hint=hint)
+    if points is not None and name not in points:
+        hint = did_you_mean(name, list(points))
+        faults.add("observations.point_unknown", place=row.place("id"), value=repr(name), hint=hint)
+    if (image, name) in first:
+        place = row.place("id")
+        faults.add("observations.twice", place=place, value=f"{name} in {image}", first=first[image, name])
+    first.setdefault((image, name), row.line)
+
+
+def _values(row: Row, size: tuple[int, int] | None, faults: Faults) -> tuple[float, ...]:
+    """Line, sample and their sigmas of one record; faults are noted."""
+    values = tuple(number(row, column, faults) for column in COLUMNS[2:])
+    for axis, value, n in zip(("line", "sample"), values[:2], size or (), strict=False):
+        if not -0.5 <= value <= n - 0.5 and not np.isnan(value):
+            cell, image = row.cells[axis], row.cells["image"]
+            faults.add("observations.outside", place=row.place(axis), value=cell, image=image, axis=axis, last=n - 0.5)
+    for column, value in zip(COLUMNS[4:], values[2:], strict=True):
+        if value <= 0.0:
+            faults.add("observations.sigma_not_positive", place=row.place(column), value=row.cells[column])
+    return values
+
+
+def _remarks(file: str, rows: Sequence[Row], o: ImagePoints) -> tuple[Problem, ...]:
+    low, high = PLAUSIBLE_SIGMA_PX
+    sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+    odd = np.flatnonzero(((sigma < low) | (sigma > high)).any(axis=1))
+    if not len(odd):
+        return ()
+    place, value = f"{rows[odd[0]].place()}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
+    return (problem("remark.sigma_image", file=file, place=place, value=value, low=low, high=high, count=len(odd)),)
