@@ -11,6 +11,91 @@ from typing import Final
 
 XML: Final = {
     "xml.missing_file": ("the file does not exist", "check the path; it is taken relative to {base}"),
+    "xml.not_a_file": ("this is a folder or a device, not a file", "give the metadata file itself"),
+    "xml.unreadable": ("the file cannot be read", "check its permissions"),
+    "xml.too_large": ("the file is larger than the limit of {limit} bytes", "raise max_bytes if you trust the file"),
+    "xml.empty_file": ("the file is empty", "copy or download it again"),
+    "xml.not_xml": ("the file is no XML", "give the metadata file (METADATA.DIM or DIM_*.XML)"),
+    "xml.html": ("the file is an HTML page, probably an error page of a download", "download the metadata file again"),
+    "xml.malformed": ("the XML is damaged", "copy or download the file again"),
+    "xml.doctype": (
+        "the file holds a DOCTYPE, which no DIMAP product has and which can hide an attack",
+        "remove it if you trust the file",
+    ),
+    "xml.missing_element": ("element {element} is missing", "use the complete metadata file of the product"),
+    "xml.too_few": ("needs at least {at_least} {element}", "use the complete metadata file of the product"),
+    "xml.doubled": ("the element may occur only once here", "remove the wrong one"),
+    "xml.empty": ("the element is empty", "fill it or use the original file"),
+    "xml.not_plain": ("the element must hold a plain value, no markup", "use the original file"),
+    "xml.not_a_number": ("not a number", "write it as 123.456 or 1.23e4"),
+    "xml.decimal_comma": ("a decimal comma", "write numbers with a decimal point"),
+    "xml.not_finite": ("not a finite number", "use the original file"),
+    "xml.not_whole": ("not a whole number", "use the original file"),
+    "xml.out_of_range": ("outside the possible range {low:g} .. {high:g}{unit}", "check the value and its unit"),
+    "xml.wrong_count": ("needs {expected} numbers separated by blanks", "use the original file"),
+    "xml.unit": ("unknown unit for a {quantity}", "use one of: {known}"),
+    "xml.not_a_time": ("not a UTC time", "write it as 2005-03-13T05:21:07.332158Z"),
+}
+
+DIMAP: Final = {
+    "dimap.other_format": (
+        "not a DIMAP product file that can be read",
+        "give METADATA.DIM of a SPOT 1-5 level 1A scene or DIM_*.XML of a Pléiades 1A/1B or SPOT 6/7 sensor product",
+    ),
+    "dimap.other_version": (
+        "DIMAP of a version that is not read",
+        "needed: DIMAP 1.1 (SPOT 1-5) or DIMAP 2.x (Pléiades 1A/1B, SPOT 6/7); newer missions: use their RPC",
+    ),
+    "dimap.other_mission": (
+        "DIMAP of a mission whose rigorous model is not read",
+        "needed: SPOT 1-7 or Pléiades 1A/1B; other missions: use their RPC",
+    ),
+    "dimap.other_level": (
+        "the image is resampled: its viewing model is no longer in the file",
+        "needed: level 1A (SPOT 1-5) or the sensor product (profile PHR_SENSOR, S6_SENSOR, S7_SENSOR)",
+    ),
+    "dimap.rpc_file": (
+        "the file holds RPC, not the rigorous model",
+        "give the DIM_*.XML that lies beside it, or use the RPC commands",
+    ),
+    "dimap.pixel_origin": ("pixels must be counted from 1 in this format", "use the original file"),
+    "dimap.time_order": ("times must increase", "sort the list or remove the repeated entry"),
+    "dimap.radius": (
+        "the distance from the Earth's centre must be {low:g} .. {high:g} m",
+        "check unit and frame (Earth-fixed, m)",
+    ),
+    "dimap.speed": ("the speed must be {low:g} .. {high:g} m/s", "check unit and frame (Earth-fixed, m/s)"),
+    "dimap.quaternion_norm": (
+        "a quaternion must have norm 1 within {tolerance:g} over the whole image",
+        "use the original file",
+    ),
+    "dimap.quaternion_span": (
+        "OFFSET and SCALE do not belong to the time of the image (scaled time beyond +-{limit:g})",
+        "check day and unit of OFFSET and SCALE (s of the day)",
+    ),
+    "dimap.duration": (
+        "{n_lines} lines at this period do not fill START .. END ({duration:.6g} s)",
+        "check LINE_PERIOD and its unit attribute, NROWS, START and END",
+    ),
+    "dimap.look_angle": ("a viewing direction lies more than 45 degrees off", "check the look angle polynomial"),
+    "dimap.detector_order": ("detector numbers must increase", "sort the list or remove the repeated entry"),
+    "dimap.detectors_cover": (
+        "look angles must cover detectors {first} to {last} (NCOLS)",
+        "use the complete metadata file of the product",
+    ),
+    "dimap.speed_span": (
+        "angular speeds cover {first:.3f} .. {last:.3f} s of the day, too little for the image; at most {hold} s are held",
+        "use a metadata file whose angular speeds cover the image",
+    ),
+    "dimap.speed_gap": (
+        "a gap in the angular speeds; a speed is held for at most {hold} s",
+        "use a metadata file with the complete list",
+    ),
+    "dimap.anchor": (
+        "the first absolute attitude lies more than {hold} s outside the angular speeds",
+        "use a metadata file whose angular speeds start with the absolute attitude",
+    ),
+    "dimap.not_writable": ("this metadata cannot be written as {target}", "{needed}"),
 }
 
 SENSOR: Final = {
@@ -54,6 +139,21 @@ ADJUST: Final = {
         "measure the point in another image, give it coordinates as control, or remove it",
     ),
     "initial.behind": ("its rays meet behind a sensor", "check the point's identity in every image"),
+    "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
+    "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
+    "adjust.native_limit": (
+        "GTSAM's own optimisers copy all values at each callback of a Python factor and are refused above "
+        "{limit} image points; the block has {count}",
+        "use --optimizer gauss-newton, levenberg-marquardt or dogleg (the same linear algebra, driven from Python)",
+    ),
+    "adjust.rank_deficient": ("not observable without priors", "keep the priors or choose a smaller EOP set"),
+    "adjust.negative_redundancy": (
+        "{observations} equations cannot determine {unknowns} unknowns",
+        "keep the priors, measure more points or choose a smaller EOP set",
+    ),
+    "covariance.withheld": ("no covariance was computed", "see the warnings of the adjustment"),
+    "covariance.no_such": ("no such image or point", 'name them as "image:left" or "point:12"'),
+    "covariance.not_unknown": ("not an unknown of the adjustment: no covariance", "ask for adjusted points only"),
     "block.no_control": (
         "no control point is measured in any image: the block has no datum",
         "give at least one point of role control, better six or more well spread",
@@ -238,6 +338,7 @@ OUTPUT: Final = {
 
 CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **XML,
+    **DIMAP,
     **SENSOR,
     **DEM,
     **PARAMETERS,

@@ -59,7 +59,7 @@ class ImageObservability:
 
 
 def analyse(
-    image: str, jacobian: Array, parameters: ImageParameters, ecef_from_orbital: Array, speed_m_s: float
+    image: str, jacobian: Array, parameters: ImageParameters, ecef_from_orbital: Array, speed_m_s: float | None
 ) -> ImageObservability:
     """Judge one image.
 
@@ -69,8 +69,9 @@ def analyse(
         Whitened, with respect to the unknowns in prior sigmas.
     ecef_from_orbital : (3, 3) array
         Orbital frame at the image centre: columns across track, along track, radial.
-    speed_m_s : float
-        Across-radius speed there, which turns a velocity across track into an angle.
+    speed_m_s : float or None
+        Speed along track there, which turns a velocity across track into an angle; None for
+        Earth-fixed attitudes (DIMAP v2), which the velocity does not turn at all.
     """
     k = len(parameters)
     full = np.vstack([jacobian, np.zeros((max(0, k - len(jacobian)), k))])
@@ -82,7 +83,7 @@ def analyse(
     return ImageObservability(image, s, int(dead.sum()), int(((s < WEAK) & ~dead).sum()), null, tuple(sentences))
 
 
-def _candidates(parameters: ImageParameters, frame: Array, speed_m_s: float) -> list[tuple[str, Array]]:
+def _candidates(parameters: ImageParameters, frame: Array, speed_m_s: float | None) -> list[tuple[str, Array]]:
     """Physical directions (unit vectors in prior sigmas) with the sentence each one stands for."""
     out: list[tuple[str, Array]] = []
     index = {code: j for j, code in enumerate(parameters.codes)}
@@ -98,7 +99,7 @@ def _candidates(parameters: ImageParameters, frame: Array, speed_m_s: float) -> 
         direction = np.zeros(len(parameters))
         direction[rows] = frame[:, 0] / parameters.sigma[rows]
         yaw = index.get(3 * _YAW + degree)
-        if yaw is not None:
+        if yaw is not None and speed_m_s is not None:
             direction[yaw] = 1.0 / speed_m_s / parameters.sigma[yaw]
             text = "velocity across track acts as yaw ({}): only their sum is observable"
         else:

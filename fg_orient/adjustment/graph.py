@@ -3,7 +3,7 @@
 One CustomFactor per image point links the image's coefficient vector to the ground point;
 control points and priors are GTSAM's own prior factors with the same weights as
 ``factors.control``. GTSAM linearises, eliminates (points first, then images: the Schur
-complement as an ordering) and retracts; the loop is ours (``fg_orient.adjust.loop``).
+complement as an ordering) and retracts; the loop is ours (``fg_orient.adjustment.loop``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from factors.graph import factor
 from factors.pushbroom import LOOK_ANGLE_COLLINEARITY
-from fg_orient.adjust.problem import Problem, State
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -123,7 +123,7 @@ class GraphSystem:
 
 
 class GraphBackend:
-    """The problem as a GTSAM graph, driven by ``fg_orient.adjust.loop``.
+    """The problem as a GTSAM graph, driven by ``fg_orient.adjustment.loop``.
 
     Parameters
     ----------

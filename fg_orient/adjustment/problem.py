@@ -141,7 +141,7 @@ def compile_problem(block: Block) -> Problem:
     is_control = np.isin(np.arange(len(part)), control_rows)
     active = part & ~(is_control & known.fixed)
     observed = active & is_control
-    records = _whitened_records(block, observations, start_ecef, origin)
+    records = whitened_records(block, observations, start_ecef, origin)
     return Problem(
         block, parameters, observations, records, origin,
         State(np.zeros((len(block.images), len(parameters))), np.where(part[:, None], start_ecef - origin, np.nan)),
@@ -157,7 +157,7 @@ def _participating(block: Block) -> ImagePoints:
     return block.observations.take(keep)
 
 
-def _whitened_records(block: Block, observations: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
+def whitened_records(block: Block, observations: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
     """Records with the whitening ``S^-1 J^-1``."""
     small = block.options.small_angle
     out = np.empty((len(observations), RECORD_SIZE))

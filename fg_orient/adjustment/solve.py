@@ -1,0 +1,94 @@
+"""From a problem to an estimate: choose backend and optimiser, run, linearise at the end."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fg_orient.adjustment.loop import OPTIMIZERS, Callback, IterationRecord
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.errors import InputError
+
+if TYPE_CHECKING:
+    import gtsam
+
+#: Names of ``--optimizer``; the native ones are GTSAM's own, for equality tests on small blocks.
+NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
+OPTIMIZER_NAMES = (*OPTIMIZERS, *NATIVE)
+BACKENDS = ("auto", "graph")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """End of the optimisation.
+
+    Parameters
+    ----------
+    state : State
+    chi2 : float
+        Weighted sum of squares.
+    linear, zero : GTSAM linear graph at the state and zero values of its unknowns
+    structure_s, jit_s, solve_s : float
+        Wall-clock seconds: building the graph, compiling kernels, optimising.
+    """
+
+    state: State
+    chi2: float
+    converged: bool
+    reason: str
+    log: tuple[IterationRecord, ...]
+    iterations: int
+    linear: gtsam.GaussianFactorGraph
+    zero: gtsam.VectorValues
+    structure_s: float
+    jit_s: float
+    solve_s: float
+
+
+def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
+    """Adjust through the graph backend.
+
+    Raises
+    ------
+    InputError
+        Unknown backend or optimiser; a native optimiser on too large a block.
+    """
+    options = problem.block.options
+    if options.backend not in BACKENDS:
+        raise InputError.of("adjust.backend", place="backend", value=options.backend, known=", ".join(BACKENDS))
+    if options.optimizer not in OPTIMIZER_NAMES:
+        raise InputError.of(
+            "adjust.optimizer", place="optimizer", value=options.optimizer, known=", ".join(OPTIMIZER_NAMES)
+        )
+    from fg_orient.adjustment.graph import GraphBackend, run_native
+
+    marks = [time.perf_counter()]
+    _warm_up(problem)
+    marks.append(time.perf_counter())
+    backend = GraphBackend(problem)
+    marks.append(time.perf_counter())
+    if options.optimizer in NATIVE:
+        values, iterations, error = run_native(backend, options.optimizer, options.max_iterations)
+        converged, reason, log = iterations < options.max_iterations, "GTSAM's own optimiser ended", ()
+    else:
+        result = OPTIMIZERS[options.optimizer](backend, backend.initial(), options.max_iterations, callback)
+        values, iterations, error = result.state, len(result.log), result.error
+        converged, reason, log = result.converged, result.reason, result.log
+    marks.append(time.perf_counter())
+    linear = backend.linearise(values).linear
+    return Estimate(
+        backend.state(values), 2.0 * error, converged, reason, log, iterations, linear, backend.zero,
+        marks[2] - marks[1], marks[1] - marks[0], marks[3] - marks[2],
+    )  # fmt: skip
+
+
+def _warm_up(problem: Problem) -> None:
+    """Compile the kernels (or load them from the cache) so that the solve time is the solver's."""
+    from factors._contract import finite2
+    from factors.pushbroom import kernel
+
+    x, ground = problem.start.image[problem.observations.image[0]], problem.start.ground[problem.observations.point[0]]
+    for want in (False, True):
+        blocks = kernel(problem.records[0], problem.parameters.setup, x, ground.copy(), want)
+    finite2(*blocks)

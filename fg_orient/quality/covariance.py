@@ -1,0 +1,133 @@
+"""Cofactors of images and points by GTSAM Marginals, in prior scale.
+
+Block queries only: GTSAM eliminates the graph once and gives the joint marginal of the
+variables asked for. Unknowns are prior sigmas (images) and metres (points);
+:func:`named_cofactors` turns them into physical units. Excluded check points are
+propagated from the images that see them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.errors import InputError, NoSolutionError
+
+if TYPE_CHECKING:
+    import gtsam
+
+    from fg_orient.solution import NamedMatrix, Solution
+
+Array = npt.NDArray[np.float64]
+
+
+class Cofactors:
+    """Joint marginal cofactors of the linearised graph at the solution.
+
+    Parameters
+    ----------
+    problem : Problem
+    linear : gtsam.GaussianFactorGraph
+        Linearised at the solution, undamped.
+    point : (gtsam.VectorValues)
+        Any values of the unknowns (GTSAM asks for them).
+
+    Raises
+    ------
+    RuntimeError
+        GTSAM finds the system indeterminate.
+    """
+
+    def __init__(self, problem: Problem, linear: gtsam.GaussianFactorGraph, zero: gtsam.VectorValues) -> None:
+        import gtsam
+
+        self._problem = problem
+        self._marginals = gtsam.Marginals(linear, zero)
+        self._images: dict[int, Array] = {}
+        self._points: dict[int, Array] = {}
+
+    def image(self, k: int) -> Array:
+        """Cofactors (u, u) of an image's unknowns, in prior sigmas."""
+        from fg_orient.adjustment.graph import image_key
+
+        if k not in self._images:
+            self._images[k] = np.asarray(self._marginals.marginalCovariance(image_key(k)))
+        return self._images[k]
+
+    def point(self, j: int) -> Array:
+        """Cofactors (3, 3) of an unknown ground point, m^2, ECEF axes; zero for a fixed one."""
+        from fg_orient.adjustment.graph import point_key
+
+        if not self._problem.active[j]:
+            return np.zeros((3, 3))
+        if j not in self._points:
+            self._points[j] = np.asarray(self._marginals.marginalCovariance(point_key(j)))
+        return self._points[j]
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """Joint cofactors of images, then points, in the order given."""
+        from fg_orient.adjustment.graph import image_key, point_key
+
+        keys = [image_key(k) for k in images] + [point_key(j) for j in points if self._problem.active[j]]
+        if len(keys) == 1:
+            return self.image(images[0]) if images else self.point(points[0])
+        found = self._marginals.jointMarginalCovariance(keys)
+        return np.block([[np.asarray(found.at(a, b)) for b in keys] for a in keys])
+
+
+def named_cofactors(solution: Solution, names: tuple[str, ...]) -> NamedMatrix:
+    """Joint cofactors of named images and points in physical units; see ``Solution.cofactor_matrix``."""
+    from fg_orient.solution import NamedMatrix
+
+    if solution.cofactors is None:
+        raise NoSolutionError.of("covariance.withheld", value="; ".join(solution.withheld))
+    block, parameters = solution.block, solution.problem.parameters
+    images, points = [], []
+    for name in names or tuple(f"image:{image.id}" for image in block.images):
+        kind, _, identifier = name.partition(":")
+        if kind == "image" and identifier in [image.id for image in block.images]:
+            images.append(block.image_index(identifier))
+        elif kind == "point" and identifier in block.points.ids:
+            points.append(block.points.ids.index(identifier))
+        else:
+            raise InputError.of("covariance.no_such", place="covariance", value=name)
+    fixed = [block.points.ids[j] for j in points if not solution.problem.active[j]]
+    if fixed:
+        raise InputError.of("covariance.not_unknown", place="covariance", value=", ".join(fixed))
+    scale = np.concatenate([*([parameters.sigma] * len(images)), np.ones(3 * len(points))])
+    q = solution.cofactors.joint(tuple(images), tuple(points)) * np.outer(scale, scale)
+    labels = [f"{block.images[k].id}.{n}" for k in images for n in parameters.names]
+    labels += [f"{block.points.ids[j]}.{axis}" for j in points for axis in "xyz"]
+    units = [u for _ in images for u in parameters.units] + ["m"] * (3 * len(points))
+    return NamedMatrix(tuple(labels), tuple(units), 0.5 * (q + q.T))
+
+
+def propagated_point(problem: Problem, state: State, ground_m: Array, j: int, cofactors: Cofactors) -> Array:
+    """Cofactors (3, 3) m^2 of a point intersected after the adjustment, not an unknown of it.
+
+    Image noise and orientation cofactors are propagated through the least-squares
+    intersection: ``G = (A^T A)^-1 A^T``, ``Q = G (I + B Q_ee B^T) G^T`` with A, B the whitened
+    Jacobians with respect to the point and to the images that see it.
+    """
+    from factors.pushbroom import kernel
+    from fg_orient.adjustment.problem import whitened_records
+
+    block = problem.block
+    rows = np.flatnonzero(block.observations.point == j)
+    seen = block.observations.take(rows)
+    images = tuple(dict.fromkeys(int(k) for k in seen.image))
+    width = len(problem.parameters)
+    records = whitened_records(block, seen, np.repeat(ground_m[None], len(block.points.ids), axis=0), problem.origin_m)
+    a, b = np.zeros((2 * len(rows), 3)), np.zeros((2 * len(rows), width * len(images)))
+    for r, k in enumerate(seen.image):
+        x = np.ascontiguousarray(state.image[k])
+        _, j_image, j_ground = kernel(records[r], problem.parameters.setup, x, ground_m - problem.origin_m, True)
+        a[2 * r : 2 * r + 2] = j_ground
+        at = images.index(int(k)) * width
+        b[2 * r : 2 * r + 2, at : at + width] = j_image
+    gain = np.linalg.pinv(a)
+    q_e = cofactors.joint(images, ())
+    return np.asarray(gain @ (np.eye(len(a)) + b @ q_e @ b.T) @ gain.T)

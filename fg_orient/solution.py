@@ -1,0 +1,153 @@
+"""The solution of an adjustment: state, fit, observability, accuracy, covariance on demand.
+
+Cofactors are in prior scale (sigma0 = 1 a priori); :meth:`Solution.covariance` multiplies
+with the a posteriori variance factor ``sigma0^2``. Both are available because the prior
+scale is what predictions are tested against, the posterior one what is reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.block import Block
+from fg_orient.names import Role, Status
+from fg_orient.quality.accuracy import Accuracy
+from fg_orient.quality.observability import ImageObservability
+from fg_orient.sensors.pushbroom import Correction
+
+if TYPE_CHECKING:
+    from fg_orient.quality.covariance import Cofactors
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """Wall-clock seconds by phase; ``read`` is filled by the command line."""
+
+    read: float = 0.0
+    structure: float = 0.0
+    jit: float = 0.0
+    solve: float = 0.0
+    statistics: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """Sum of all phases."""
+        return self.read + self.structure + self.jit + self.solve + self.statistics
+
+
+@dataclass(frozen=True)
+class NamedMatrix:
+    """A symmetric matrix with the names and units of its rows."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Result of :func:`fg_orient.adjust` (``fg_orient.orient``).
+
+    Parameters
+    ----------
+    problem : Problem
+        What was solved (block, parameters, weights, start).
+    status : Status
+    reason : str
+        Why it ended so, in words.
+    state : State
+        Unknowns: prior sigmas and local metres.
+    ground_m : (N, 3) array
+        Adjusted ECEF coordinates in file order; excluded check points are intersected, points
+        without image observations nan.
+    chi2 : float
+        Weighted sum of squares of all residuals.
+    residuals_px : (n, 2) array
+        Line and sample residuals, adjusted minus observed, of ``problem.observations``.
+    sigma0_interval : (float, float)
+        99.9 % interval of sigma0 if model and weights hold.
+    observability : tuple of ImageObservability
+    accuracy : Accuracy
+        Control and check points against their measured coordinates.
+    cofactors : Cofactors or None
+        None where the covariance cannot be computed; ``withheld`` says why.
+    """
+
+    problem: Problem
+    status: Status
+    reason: str
+    backend: str
+    optimizer: str
+    state: State
+    ground_m: Array
+    chi2: float
+    sigma0_interval: tuple[float, float]
+    log: tuple[IterationRecord, ...]
+    iterations: int
+    residuals_px: Array
+    observability: tuple[ImageObservability, ...]
+    accuracy: Accuracy
+    cofactors: Cofactors | None
+    withheld: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    seconds: Seconds = field(default_factory=Seconds)
+
+    @property
+    def block(self) -> Block:
+        """The block that was adjusted."""
+        return self.problem.block
+
+    @property
+    def redundancy(self) -> int:
+        """Observations minus unknowns."""
+        return self.problem.redundancy
+
+    @property
+    def sigma0(self) -> float:
+        """A posteriori standard deviation of unit weight (nan without redundancy)."""
+        return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else float("nan")
+
+    @property
+    def rank_defect(self) -> dict[str, int]:
+        """Dead directions per image."""
+        return {o.image: o.rank_defect for o in self.observability}
+
+    @property
+    def unobservable(self) -> tuple[str, ...]:
+        """One sentence per dead direction."""
+        return tuple(sentence for o in self.observability for sentence in o.sentences)
+
+    def correction(self, image: str) -> Correction:
+        """Orientation correction of an image in physical units, for its sensor."""
+        return self.problem.corrections(self.state)[self.block.image_index(image)]
+
+    def cofactor_matrix(self, *names: str) -> NamedMatrix:
+        """Joint cofactor matrix (prior scale) of images ("image:left") and points ("point:12").
+
+        Units are physical: m, m/s, rad for images, ECEF metres for points.
+
+        Raises
+        ------
+        NoSolutionError
+            The covariance could not be computed; the message says why.
+        """
+        from fg_orient.quality.covariance import named_cofactors
+
+        return named_cofactors(self, names)
+
+    def covariance(self, *names: str) -> NamedMatrix:
+        """Joint covariance ``sigma0^2 Q`` of images and points; see :meth:`cofactor_matrix`."""
+        q = self.cofactor_matrix(*names)
+        return NamedMatrix(q.names, q.units, q.values * self.sigma0**2)
+
+    def role(self, point: int) -> Role:
+        """Role of a ground point."""
+        return self.block.points.roles[point]
