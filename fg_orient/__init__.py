@@ -23,16 +23,17 @@ if not getattr(factors, "FG_ORIENT_FACTORS", False):
     )
 
 if TYPE_CHECKING:
-    from fg_orient import adjust as adjust
     from fg_orient.block import Block, GroundPoints, Image, ImagePoints, Options
     from fg_orient.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
     from fg_orient.io.project import read_project
     from fg_orient.names import Role, Status
+    from fg_orient.orient import adjust
     from fg_orient.sensors import read_sensor
+    from fg_orient.solution import Solution
 
 __version__: Final = "0.1.0"
 
-#: Public name -> module that defines it; ``adjust`` is a subpackage that can be called.
+#: Public name -> module that defines it.
 _HOME: Final[dict[str, str]] = {
     "Block": "fg_orient.block",
     "FgOrientError": "fg_orient.errors",
@@ -44,7 +45,9 @@ _HOME: Final[dict[str, str]] = {
     "Options": "fg_orient.block",
     "RankDeficientError": "fg_orient.errors",
     "Role": "fg_orient.names",
+    "Solution": "fg_orient.solution",
     "Status": "fg_orient.names",
+    "adjust": "fg_orient.orient",
     "read_project": "fg_orient.io.project",
     "read_sensor": "fg_orient.sensors",
 }
@@ -60,6 +63,7 @@ __all__ = [
     "Options",
     "RankDeficientError",
     "Role",
+    "Solution",
     "Status",
     "__version__",
     "adjust",
@@ -70,8 +74,6 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import the module that defines a public name, on first use."""
-    if name == "adjust":
-        return import_module("fg_orient.adjust")
     if name in _HOME:
         value = globals()[name] = getattr(import_module(_HOME[name]), name)
         return value

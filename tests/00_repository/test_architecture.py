@@ -1,0 +1,120 @@
+"""The floors, module sizes and habits that every file of the two packages keeps."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+LIMIT = {"factors": 200, "fg_orient": 450}  # lines per module, design.md 7
+MEDIAN = {"factors": 100, "fg_orient": 200}
+
+
+def modules(repository: Path, *packages: str) -> list[Path]:
+    """Python files of the packages."""
+    return [path for package in packages for path in sorted((repository / package).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("package", ["factors", "fg_orient"])
+def test_module_sizes(repository: Path, package: str) -> None:
+    sizes = {
+        str(p.relative_to(repository)): len(p.read_text("utf-8").splitlines()) for p in modules(repository, package)
+    }
+    assert len(sizes) > 5
+    assert {name: n for name, n in sizes.items() if n > LIMIT[package]} == {}
+    assert sorted(sizes.values())[len(sizes) // 2] <= MEDIAN[package]
+
+
+def test_the_library_never_prints(repository: Path) -> None:
+    """Only the command line talks to the terminal."""
+    found = []
+    for path in modules(repository, "factors", "fg_orient"):
+        name = str(path.relative_to(repository))
+        if name.startswith("fg_orient/cli"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print":
+                found.append(f"{name}:{node.lineno}")
+    assert found == []
+
+
+def tracked_files(repository: Path) -> list[Path]:
+    """Text files under version control (or of the tree where there is no git)."""
+    done = subprocess.run(["git", "ls-files"], cwd=repository, capture_output=True, text=True)
+    if done.returncode != 0 or not done.stdout.strip():
+        pytest.skip("not a git checkout")
+    return [repository / name for name in done.stdout.splitlines() if (repository / name).is_file()]
+
+
+# Written in pieces, so that this file does not name what it looks for.
+FORBIDDEN = {
+    "a folder of a developer's machine": re.compile("/" + r"(work|root|home|Users|tmp/try)/\w"),
+    "the shared folder": re.compile(r"\.\./" + "shared"),
+    "a package registry": re.compile(
+        "(files[.]python" + "hosted|pypi[.]" + r"org/simple|--index-" + r"url|find-" + "links)"
+    ),
+}
+
+
+@pytest.mark.parametrize("what", FORBIDDEN)
+def test_no_committed_file_names(repository: Path, what: str) -> None:
+    found = []
+    for path in tracked_files(repository):
+        name = path.relative_to(repository).as_posix()
+        if path.suffix in {".png", ".npz", ".gz"} or (what == "the shared folder" and name == ".ci/run"):
+            continue
+        text = path.read_text("utf-8")
+        found += [f"{name}: {match.group()}" for match in FORBIDDEN[what].finditer(text)]
+    assert found == []
+
+
+def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run import-linter on the packages in a folder, not on the installed ones."""
+    code = (
+        "import sys; sys.path.insert(0, '.'); from importlinter.cli import lint_imports; "
+        "sys.exit(lint_imports(cache_dir=None))"
+    )
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def copied_tree(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy the packages and the contracts."""
+    folder = tmp_path_factory.mktemp("tree")
+    for package in ("factors", "fg_orient"):
+        shutil.copytree(repository / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(repository / "pyproject.toml", folder)
+    return folder
+
+
+def test_contracts_hold(copied_tree: Path) -> None:
+    done = lint_imports(copied_tree)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "contract"),
+    [
+        ("factors/polynomials.py", "import fg_orient.block", "factors is the ground floor"),
+        ("factors/polynomials.py", "import gtsam", "inside factors only factors.graph imports gtsam"),
+        ("fg_orient/block.py", "def f():\n    import gtsam", "only adjustment and quality.covariance import gtsam"),
+        ("fg_orient/sensors/metadata.py", "import fg_orient.adjustment.problem", "floors of fg_orient"),
+        ("fg_orient/parameters.py", "def f():\n    import fg_orient.quality.observability", "floors of fg_orient"),
+    ],
+)
+def test_planted_violation_is_caught(copied_tree: Path, module: str, line: str, contract: str) -> None:
+    path = copied_tree / module
+    text = path.read_text("utf-8")
+    path.write_text(f"{text}\n\n{line}\n", "utf-8")
+    try:
+        done = lint_imports(copied_tree)
+    finally:
+        path.write_text(text, "utf-8")
+    assert done.returncode != 0
+    broken = [row for row in done.stdout.splitlines() if " BROKEN" in row]
+    assert any(contract in row for row in broken), done.stdout

@@ -1,0 +1,116 @@
+"""The message catalogue and the sources agree: no unknown code, no unused one, every field given."""
+
+from __future__ import annotations
+
+import ast
+import re
+import string
+from pathlib import Path
+
+import pytest
+
+from fg_orient.errors import FgOrientError, InputError, problem
+from fg_orient.messages import CATALOGUE
+
+ALWAYS = {"file", "place", "value"}
+DOMAINS = {code.split(".")[0] for code in CATALOGUE}
+FILE_SUFFIXES = {"csv", "toml", "json", "jsonl", "html", "npz", "txt", "py", "xml"}
+CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$")
+
+
+def sources(repository: Path) -> list[Path]:
+    """Modules of fg_orient but the catalogue itself."""
+    return [p for p in sorted((repository / "fg_orient").rglob("*.py")) if p.name != "messages.py"]
+
+
+def literal_codes(expression: ast.expr) -> list[str]:
+    """Codes an expression can give: a literal, or the branches of a conditional expression."""
+    if isinstance(expression, ast.Constant) and isinstance(expression.value, str):
+        return [expression.value]
+    if isinstance(expression, ast.IfExp):
+        return literal_codes(expression.body) + literal_codes(expression.orelse)
+    return []
+
+
+def calls(repository: Path) -> list[tuple[str, str, set[str] | None]]:
+    """Every ``problem("code", ...)`` and ``SomeError.of("code", ...)``: place, code, keywords (None = ``**``)."""
+    found = []
+    for path in sources(repository):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if not (isinstance(node, ast.Call) and node.args):
+                continue
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if name not in {"problem", "of"}:
+                continue
+            keywords = {k.arg for k in node.keywords if k.arg} if all(k.arg for k in node.keywords) else None
+            place = f"{path.relative_to(repository)}:{node.lineno}"
+            found += [(place, code, keywords) for code in literal_codes(node.args[0])]
+    return found
+
+
+def fields(code: str) -> set[str]:
+    """Names of the format fields of a catalogue entry."""
+    return {name.split(".")[0] for text in CATALOGUE[code] for _, name, _, _ in string.Formatter().parse(text) if name}
+
+
+def literals(repository: Path) -> set[str]:
+    """Every string literal of the sources: codes also travel as variables."""
+    return {
+        node.value
+        for path in sources(repository)
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+
+
+def test_every_code_in_the_sources_is_in_the_catalogue(repository: Path) -> None:
+    used = calls(repository)
+    assert used
+    assert [(place, code) for place, code, _ in used if code not in CATALOGUE] == []
+
+
+def test_every_literal_that_looks_like_a_code_is_in_the_catalogue(repository: Path) -> None:
+    """``domain.word`` of a known domain, unless the word is the suffix of a file name."""
+    alike = {
+        text
+        for text in literals(repository)
+        if CODE.match(text) and text.split(".")[0] in DOMAINS and text.split(".")[1] not in FILE_SUFFIXES
+    }
+    assert sorted(alike - set(CATALOGUE)) == []
+
+
+def test_every_field_of_a_message_is_given(repository: Path) -> None:
+    lacking = [
+        (place, code, fields(code) - ALWAYS - keywords)
+        for place, code, keywords in calls(repository)
+        if code in CATALOGUE and keywords is not None and fields(code) - ALWAYS - keywords
+    ]
+    assert lacking == []
+
+
+def test_every_code_of_the_catalogue_is_used(repository: Path) -> None:
+    assert sorted(set(CATALOGUE) - literals(repository)) == []
+
+
+@pytest.mark.parametrize("code", sorted(CATALOGUE))
+def test_entry_is_well_formed(code: str) -> None:
+    message, remedy = CATALOGUE[code]
+    assert CODE.match(code)
+    assert message and remedy
+    assert "\n" not in message + remedy
+    assert not message.endswith(".")
+
+
+def test_one_problem_is_one_line_with_file_place_value_and_remedy() -> None:
+    text = str(InputError.of("output.exists", file="out", place="--out", value="two\nlines"))
+    assert text.startswith("out, --out: ")
+    assert "(found two lines)" in text
+    assert CATALOGUE["output.exists"][1] in text
+    assert "\n" not in text
+
+
+def test_problems_of_one_error_are_listed_line_by_line() -> None:
+    first, second = problem("output.exists", file="a"), problem("output.exists", file="b")
+    error = FgOrientError(first, second)
+    assert [line[0] for line in str(error).splitlines()] == ["a", "b"]
+    assert [record["file"] for record in (p.as_dict() for p in error.problems)] == ["a", "b"]
