@@ -269,7 +269,8 @@ def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels:
         return np.asarray(given[:, :2])
     if kind == "geocentric":
         p = np.hypot(given[:, 0], given[:, 1])
-        return np.degrees(np.stack([np.arctan2(given[:, 1], given[:, 0]), np.arctan2(given[:, 2], p)], axis=1))
+        angles = np.stack([np.arctan2(given[:, 1], given[:, 0]), np.arctan2(given[:, 2], p)], axis=1)
+        return np.asarray(np.degrees(angles))
     proj = _pyproj()
     horizontal = source.sub_crs_list[0] if source.is_compound else source
     flat = horizontal.to_2d()

@@ -230,7 +230,7 @@ def _sigmas(row: Row, role: Role, faults: Faults) -> tuple[Array, bool]:
 def _ecef(
     crs: str, given: Array, control: npt.NDArray[np.bool_], places: Sequence[str], faults: Faults
 ) -> tuple[Array, Operation | None]:
-    """ECEF of the rows with coordinates; control alone decides on the operation, so that check points decide nothing."""
+    """ECEF of rows with coordinates; control alone decides on the operation: check points decide nothing."""
     ecef = np.full_like(given, np.nan)
     rows = np.flatnonzero(np.isfinite(given).all(axis=1))
     if not len(rows):

@@ -1,0 +1,77 @@
+"""Brings points and observations together: who is measured how often, and who is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fg_orient.block import GroundPoints, ImagePoints, WithheldCoordinates
+from fg_orient.errors import Problem, problem
+from fg_orient.io.observations import ObservationFile
+from fg_orient.io.points import PointFile, take_points
+from fg_orient.names import Role
+
+#: Ids named in one message.
+_NAMED = 10
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """Points that take part, their observations, and what was found on the way."""
+
+    points: GroundPoints
+    observations: ImagePoints
+    withheld: WithheldCoordinates
+    problems: tuple[Problem, ...]
+    remarks: tuple[Problem, ...]
+
+
+def assemble(image_ids: Sequence[str], points: PointFile, observations: ObservationFile, *, drop: bool) -> Assembly:
+    """Leave out unmeasured points; refuse, or ``drop``, check and tie points with a single ray.
+
+    Control points with a single ray stay: their coordinates complete it. An image without
+    any measured point is refused, and so is a block without measured control.
+    """
+    problems: list[Problem] = []
+    remarks: list[Problem] = []
+    rays = np.bincount(observations.observations.point, minlength=len(points.points.ids))
+    control = np.array([role is Role.CONTROL for role in points.points.roles], bool)
+    lonely = (rays == 1) & ~control
+    file, point_file = str(observations.path), str(points.path)
+    if lonely.any():
+        code, found = ("remark.seen_once", remarks) if drop else ("observations.seen_once", problems)
+        named = _named(points.points.ids, np.flatnonzero(lonely))
+        found.append(problem(code, file=file, place="column id", value=named, count=int(lonely.sum())))
+    unmeasured = np.flatnonzero(rays == 0)
+    if len(unmeasured):
+        named = _named(points.points.ids, unmeasured)
+        remarks.append(
+            problem("remark.not_measured", file=point_file, place="column id", value=named, count=len(unmeasured))
+        )
+    if not (control & (rays > 0)).any():
+        value = f"{control.sum()} control points in the file, 0 measured"
+        problems.append(problem("block.no_control", file=point_file, place="column role", value=value))
+    kept = np.flatnonzero((rays > 0) & ~lonely)
+    taken = _renumber(observations.observations, kept, len(rays))
+    for k in sorted(set(range(len(image_ids))) - set(taken.image.tolist())):
+        problems.append(problem("observations.image_unused", file=file, place="column image", value=image_ids[k]))
+    left = take_points(points.points, kept)
+    withheld = points.withheld([left.ids[k] for k in left.where(Role.CHECK)])
+    return Assembly(left, taken, withheld, tuple(problems), tuple(remarks))
+
+
+def _named(ids: Sequence[str], rows: np.ndarray[tuple[int], np.dtype[np.intp]]) -> str:
+    more = " ..." if len(rows) > _NAMED else ""
+    return ", ".join(ids[int(k)] for k in rows[:_NAMED]) + more
+
+
+def _renumber(observations: ImagePoints, kept: np.ndarray[tuple[int], np.dtype[np.intp]], n_points: int) -> ImagePoints:
+    """Observations of the kept points, numbered anew."""
+    number = np.full(n_points, -1, np.intp)
+    number[kept] = np.arange(len(kept))
+    taken = observations.take(number[observations.point] >= 0)
+    return ImagePoints(
+        taken.image, number[taken.point], taken.line, taken.sample, taken.sigma_line_px, taken.sigma_sample_px
+    )

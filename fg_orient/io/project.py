@@ -1,0 +1,231 @@
+"""Project file: reads a whole adjustment block from one TOML file and the files it names.
+
+Every fault of every file is reported in one error, so that a user mends them in one go;
+``docs/file-formats.md`` describes the format. Paths are relative to the project file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fg_orient.block import Block, Image, Options, Source
+from fg_orient.errors import InputError, Problem, problem
+from fg_orient.geodesy import crs_kind
+from fg_orient.io.assemble import Assembly, assemble
+from fg_orient.io.observations import ObservationFile, read_observations
+from fg_orient.io.points import PointFile, read_points
+from fg_orient.io.scenes import Scene
+from fg_orient.io.tables import Faults
+from fg_orient.parameters import eop_set_number
+
+if TYPE_CHECKING:
+    from fg_orient.io.schema import ProjectFile
+
+#: Where an option of :func:`read_project` stands in the project file.
+_TABLE_OF = {
+    "eop_set": "orientation", "look_polynomial": "orientation", "priors": "orientation",
+    "position_sigma_m": "orientation", "velocity_sigma_m_s": "orientation", "attitude_sigma_rad": "orientation",
+    "look_sigma_rad": "orientation", "small_angle": "orientation", "backend": "adjustment", "optimizer": "adjustment",
+    "max_iterations": "adjustment", "check_points": "adjustment", "points_seen_once": "adjustment",
+}  # fmt: skip
+
+
+def read_project(path: str | Path, **overrides: object) -> Block:
+    """Read a project file and everything it names.
+
+    Parameters
+    ----------
+    path : str or Path
+        The TOML file.
+    **overrides
+        Options that replace those of the file: ``eop_set``, ``look_polynomial``,
+        ``priors``, ``backend``, ``optimizer``, ``max_iterations``, ``check_points``,
+        ``points_seen_once``, ``small_angle`` and the prior sigmas. None keeps the file's.
+
+    Returns
+    -------
+    Block
+        Images, points, observations and options; ``sources`` holds the SHA-256 of each
+        file, ``notes`` the remarks of the readers.
+
+    Raises
+    ------
+    InputError
+        One problem per fault of any of the files.
+    TypeError
+        An override is not an option.
+
+    Examples
+    --------
+    >>> import fg_orient as fg
+    >>> block = fg.read_project("zonguldak/project.toml", eop_set="PUA")  # doctest: +SKIP
+    """
+    path = Path(path)
+    project = _read_toml(path, overrides)
+    options, problems = _options(project, str(path))
+    folder = path.parent
+    images, sources, image_problems = _images(project, folder, str(path))
+    problems += image_problems
+    tables = _tables(project, folder, str(path), images)
+    problems += tables.problems
+    ready: Assembly | None = None
+    if tables.points is not None and tables.observations is not None and not problems:
+        ids = [entry.id for entry in project.images]
+        ready = assemble(ids, tables.points, tables.observations, drop=project.adjustment.points_seen_once == "drop")
+        problems += ready.problems
+    if ready is None or tables.points is None or tables.observations is None or problems:
+        raise InputError(*problems)
+    return Block(
+        name=project.name,
+        images=tuple(image for image in images.values() if image is not None),
+        points=ready.points,
+        observations=ready.observations,
+        withheld=ready.withheld,
+        options=options,
+        sources=(_source(path), *sources, *_table_sources(project, folder, tables.points, tables.observations)),
+        notes=_notes(images, tables.points, tables.observations, ready),
+    )
+
+
+# --- the TOML file -------------------------------------------------------------------------------
+
+
+def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
+    from fg_orient.io.schema import validate
+
+    unknown = sorted(set(overrides) - set(_TABLE_OF))
+    if unknown:
+        raise TypeError(f"read_project() has no option {unknown[0]!r}; known: {', '.join(_TABLE_OF)}")
+    content = _parse(path)
+    for name, value in overrides.items():
+        if value is not None:
+            table = content.setdefault(_TABLE_OF[name], {})
+            if isinstance(table, dict):
+                table[name] = value
+    found = validate(content, str(path))
+    if isinstance(found, tuple):
+        raise InputError(*found)
+    return found
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError.of("project.missing_file", file=path, folder="the current folder") from None
+    except OSError as error:
+        raise InputError.of("project.unreadable", file=path, value=error.strerror) from None
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        byte = f"byte 0x{error.object[error.start]:02x}"
+        raise InputError.of("project.encoding", file=path, place=f"line {line}", value=byte) from None
+    try:
+        return tomllib.loads(text.replace("\r\n", "\n"))
+    except tomllib.TOMLDecodeError as error:
+        message, _, place = str(error).rstrip(")").rpartition(" (at ")
+        raise InputError.of("project.syntax", file=path, place=place, value=message or place) from None
+
+
+def _options(project: ProjectFile, file: str) -> tuple[Options, list[Problem]]:
+    """Options of the block; problems that the schema cannot see."""
+    problems: list[Problem] = []
+    values = {**dict(project.orientation), **dict(project.adjustment)}
+    values.pop("points_seen_once")
+    if project.adjustment.backend not in ("auto", "graph"):
+        place, value = "adjustment.backend", project.adjustment.backend
+        problems.append(problem("project.backend_later", file=file, place=place, value=value))
+    try:
+        values["eop_set"] = eop_set_number(project.orientation.eop_set)
+    except InputError as error:
+        values["eop_set"] = Options.eop_set
+        problems += [dataclasses.replace(p, file=file, place="orientation.eop_set") for p in error.problems]
+    ids = [entry.id for entry in project.images]
+    for k, name in enumerate(ids):
+        if name in ids[:k]:
+            problems.append(problem("project.image_twice", file=file, place=f"images[{k + 1}].id", value=name))
+    return Options(**values), problems
+
+
+# --- the files it names --------------------------------------------------------------------------
+
+
+def _images(
+    project: ProjectFile, folder: Path, file: str
+) -> tuple[dict[str, Image | None], list[Source], list[Problem]]:
+    """Images by id, None where the metadata file is unusable."""
+    import fg_orient.sensors as sensors
+
+    images: dict[str, Image | None] = {}
+    sources: list[Source] = []
+    problems: list[Problem] = []
+    for k, entry in enumerate(project.images):
+        images.setdefault(entry.id, None)
+        metadata = folder / entry.metadata
+        if not metadata.is_file():
+            place = f"images[{k + 1}].metadata"
+            problems.append(
+                problem("project.missing_file", file=file, place=place, value=entry.metadata, folder=folder)
+            )
+            continue
+        try:
+            images[entry.id] = Image(entry.id, sensors.read_sensor(metadata))
+            sources.append(_source(metadata))
+        except InputError as error:
+            problems += error.problems
+    return images, sources, problems
+
+
+@dataclass(frozen=True)
+class _Tables:
+    points: PointFile | None
+    observations: ObservationFile | None
+    problems: tuple[Problem, ...]
+
+
+def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, Image | None]) -> _Tables:
+    """Read the points, then the observations against them."""
+    point_path, observation_path = folder / project.points.file, folder / project.observations.file
+    point_faults, observation_faults = Faults(str(point_path)), Faults(str(observation_path))
+    points, crs_problems = None, list[Problem]()
+    try:
+        crs_kind(project.points.crs)
+    except InputError as error:
+        crs_problems = [dataclasses.replace(p, file=file, place="points.crs") for p in error.problems]
+    else:
+        known = [image for image in images.values() if image is not None]
+        scenes = [Scene.from_footprint(image.id, image.sensor.footprint()) for image in known]
+        points = read_points(point_path, project.points.crs, point_faults, scenes)
+    sizes = {name: (i.sensor.n_lines, i.sensor.n_samples) if i is not None else None for name, i in images.items()}
+    ids = points.points.ids if points is not None else None
+    observations = read_observations(observation_path, sizes, ids, observation_faults)
+    problems = (*crs_problems, *point_faults.problems, *observation_faults.problems)
+    return _Tables(points, observations, problems)
+
+
+def _source(path: Path) -> Source:
+    return Source(str(path), hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+def _table_sources(
+    project: ProjectFile, folder: Path, points: PointFile, observations: ObservationFile
+) -> tuple[Source, Source]:
+    return (
+        Source(str(folder / project.points.file), points.sha256),
+        Source(str(folder / project.observations.file), observations.sha256),
+    )
+
+
+def _notes(
+    images: Mapping[str, Image | None], points: PointFile, observations: ObservationFile, ready: Assembly
+) -> tuple[str, ...]:
+    """Everything worth a line in the report: remarks first, then how coordinates were converted."""
+    sensor = [f"image {i.id}: {note}" for i in images.values() if i is not None for note in i.sensor.notes]
+    remarks = [str(p) for p in (*points.remarks, *observations.remarks, *ready.remarks)]
+    operation = [] if points.operation is None else [f"coordinates of {points.path.name}: {points.operation}"]
+    return (*remarks, *sensor, *operation)

@@ -1,0 +1,141 @@
+"""The project file's content as pydantic models: the border where TOML becomes options.
+
+Unknown keys, wrong types, nan and infinity are refused, all at once. ``description`` of a
+field is what an error message tells the user to give.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic.fields import FieldInfo
+
+from fg_orient.errors import Problem, problem
+from fg_orient.io.tables import did_you_mean
+
+Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
+Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
+Three = tuple[Positive, Positive, Positive]
+Switch = Annotated[bool, Field(strict=True)]
+_THREE = "three numbers above zero: the sigmas of c0, c1, c2"
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ImageEntry(_Table):
+    """One ``[[images]]`` table."""
+
+    id: Text = Field(description='a name in quotes, such as "left"')
+    metadata: Text = Field(description="the path of the metadata file in quotes")
+
+
+class PointsEntry(_Table):
+    """The ``[points]`` table."""
+
+    file: Text = Field(description="the path of the point table in quotes")
+    crs: Text = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
+
+
+class ObservationsEntry(_Table):
+    """The ``[observations]`` table."""
+
+    file: Text = Field(description="the path of the observation table in quotes")
+
+
+class Orientation(_Table):
+    """The ``[orientation]`` table: which unknowns an image has and their prior sigmas."""
+
+    eop_set: Annotated[int, Field(strict=True)] | Text = Field(
+        default=15, description='a number 1-20 or a name such as "PUA"'
+    )
+    look_polynomial: Annotated[int, Field(strict=True, ge=0, le=5)] | None = Field(
+        default=None, description="a degree from 0 to 5; leave it out for no look-angle unknowns"
+    )
+    priors: Switch = Field(default=True, description="true or false")
+    position_sigma_m: Three = Field(default=(10.0, 1.0, 0.1), description=_THREE + " in m")
+    velocity_sigma_m_s: Three = Field(default=(1e-2, 1e-3, 1e-4), description=_THREE + " in m/s")
+    attitude_sigma_rad: Three = Field(default=(50e-6, 10e-6, 2e-6), description=_THREE + " in rad")
+    look_sigma_rad: Positive = Field(default=1e-4, description="a number above zero in rad")
+    small_angle: Switch = Field(default=False, description="true or false")
+
+
+class Adjustment(_Table):
+    """The ``[adjustment]`` table: how the block is solved."""
+
+    backend: Literal["auto", "graph", "schur", "dense"] = Field(default="auto", description='"auto" or "graph"')
+    optimizer: Literal["gauss-newton", "levenberg-marquardt", "dogleg", "native"] = Field(
+        default="gauss-newton", description='"gauss-newton", "levenberg-marquardt", "dogleg" or "native"'
+    )
+    max_iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = Field(
+        default=50, description="a whole number from 1 to 10000"
+    )
+    check_points: Literal["use", "exclude"] = Field(default="use", description='"use" or "exclude"')
+    points_seen_once: Literal["error", "drop"] = Field(default="error", description='"error" or "drop"')
+
+
+class ProjectFile(_Table):
+    """A whole project file."""
+
+    schema_: Literal[1] = Field(alias="schema", description="schema = 1")
+    name: Text = Field(description='a name in quotes, such as name = "zonguldak"')
+    images: tuple[ImageEntry, ...] = Field(
+        min_length=1, description="at least one [[images]] table with id and metadata"
+    )
+    points: PointsEntry = Field(description="a table [points] with file and crs")
+    observations: ObservationsEntry = Field(description="a table [observations] with file")
+    orientation: Orientation = Field(default_factory=Orientation, description="a table [orientation]")
+    adjustment: Adjustment = Field(default_factory=Adjustment, description="a table [adjustment]")
+
+
+def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Problem, ...]:
+    """Check the parsed TOML; give the project, or every fault with its place and remedy."""
+    try:
+        return ProjectFile.model_validate(content)
+    except ValidationError as error:
+        places: dict[str, Problem] = {}
+        for detail in error.errors(include_url=False, include_context=False):
+            found = _problem(detail["type"], detail["loc"], detail["input"], file)
+            places.setdefault(found.place, found)  # a union reports one fault per member
+        return tuple(places.values())
+
+
+def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str) -> Problem:
+    path, field, siblings = _walk(loc)
+    if kind == "extra_forbidden":
+        hint = did_you_mean(path.rpartition(".")[2], siblings)
+        return problem("project.unknown_key", file=file, place=path, value=value, hint=hint)
+    expected = field.description if field is not None else "a value of the right type"
+    if path == "schema" and kind != "missing":
+        return problem("project.schema", file=file, place=path, value=value)
+    if kind == "missing":
+        return problem("project.missing", file=file, place=path, expected=expected)
+    return problem("project.value", file=file, place=path, value=repr(value), expected=expected)
+
+
+def _walk(loc: tuple[int | str, ...]) -> tuple[str, FieldInfo | None, list[str]]:
+    """Path such as ``images[1].metadata``, the field's definition and the names beside it."""
+    path, field, siblings = "", None, list[str]()
+    table: type[BaseModel] | None = ProjectFile
+    for step in loc:
+        if isinstance(step, int):
+            path += f"[{step + 1}]"
+        elif table is None:
+            break  # the name of a union member, not a key
+        else:
+            path += f".{step}" if path else step
+            siblings = [info.alias or name for name, info in table.model_fields.items()]
+            field = next((info for name, info in table.model_fields.items() if step in (name, info.alias)), None)
+            table = _table_of(field)
+    return path, field, siblings
+
+
+def _table_of(field: FieldInfo | None) -> type[BaseModel] | None:
+    """Model that a field holds, directly or as the items of an array; None for a plain value."""
+    annotation = field.annotation if field is not None else None
+    for candidate in (annotation, *getattr(annotation, "__args__", ())):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None
