@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 from fg_orient.block import Block, Image, Options, Source
 from fg_orient.errors import InputError, Problem, problem
 from fg_orient.geodesy import crs_kind
-from fg_orient.io.assemble import Assembly, assemble
+from fg_orient.io.assemble import assemble
+from fg_orient.io.geometry import geometry_remarks
 from fg_orient.io.observations import ObservationFile, read_observations
 from fg_orient.io.points import PointFile, read_points
 from fg_orient.io.scenes import Scene
@@ -66,31 +67,39 @@ def read_project(path: str | Path, **overrides: object) -> Block:
     >>> import fg_orient as fg
     >>> block = fg.read_project("zonguldak/project.toml", eop_set="PUA")  # doctest: +SKIP
     """
+    return read_project_with_remarks(path, **overrides)[0]
+
+
+def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Block, tuple[Problem, ...]]:
+    """Do :func:`read_project` and give the remarks as records, too."""
     path = Path(path)
     project = _read_toml(path, overrides)
     options, problems = _options(project, str(path))
     folder = path.parent
     images, sources, image_problems = _images(project, folder, str(path))
-    problems += image_problems
     tables = _tables(project, folder, str(path), images)
-    problems += tables.problems
-    ready: Assembly | None = None
-    if tables.points is not None and tables.observations is not None and not problems:
-        ids = [entry.id for entry in project.images]
-        ready = assemble(ids, tables.points, tables.observations, drop=project.adjustment.points_seen_once == "drop")
-        problems += ready.problems
-    if ready is None or tables.points is None or tables.observations is None or problems:
+    problems += [*image_problems, *tables.problems]
+    if problems or tables.points is None or tables.observations is None:
         raise InputError(*problems)
-    return Block(
+    points, observations = tables.points, tables.observations
+    known = tuple(image for image in images.values() if image is not None)
+    drop = project.adjustment.points_seen_once == "drop"
+    ready = assemble([image.id for image in known], points, observations, drop=drop)
+    if ready.problems:
+        raise InputError(*ready.problems)
+    geometry = geometry_remarks(known, ready.points, ready.observations, str(points.path))
+    remarks = (*points.remarks, *observations.remarks, *ready.remarks, *geometry)
+    block = Block(
         name=project.name,
-        images=tuple(image for image in images.values() if image is not None),
+        images=known,
         points=ready.points,
         observations=ready.observations,
         withheld=ready.withheld,
         options=options,
-        sources=(_source(path), *sources, *_table_sources(project, folder, tables.points, tables.observations)),
-        notes=_notes(images, tables.points, tables.observations, ready),
+        sources=(_source(path), *sources, *_table_sources(project, folder, points, observations)),
+        notes=_notes(known, points, remarks),
     )
+    return block, remarks
 
 
 # --- the TOML file -------------------------------------------------------------------------------
@@ -221,11 +230,8 @@ def _table_sources(
     )
 
 
-def _notes(
-    images: Mapping[str, Image | None], points: PointFile, observations: ObservationFile, ready: Assembly
-) -> tuple[str, ...]:
+def _notes(images: Sequence[Image], points: PointFile, remarks: Sequence[Problem]) -> tuple[str, ...]:
     """Everything worth a line in the report: remarks first, then how coordinates were converted."""
-    sensor = [f"image {i.id}: {note}" for i in images.values() if i is not None for note in i.sensor.notes]
-    remarks = [str(p) for p in (*points.remarks, *observations.remarks, *ready.remarks)]
+    sensor = [f"image {image.id}: {note}" for image in images for note in image.sensor.notes]
     operation = [] if points.operation is None else [f"coordinates of {points.path.name}: {points.operation}"]
-    return (*remarks, *sensor, *operation)
+    return (*(str(p) for p in remarks), *sensor, *operation)

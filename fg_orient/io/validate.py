@@ -1,0 +1,36 @@
+"""Checks a project before a run: everything that is wrong, then everything worth a remark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fg_orient.errors import InputError, Problem
+from fg_orient.io.project import read_project_with_remarks
+
+
+def is_remark(found: Problem) -> bool:
+    """Tell a remark, which stops nothing, from an error."""
+    return found.code.startswith("remark.")
+
+
+def validate_project(path: str | Path, **overrides: object) -> list[Problem]:
+    """Read a project with all its files and list what is found.
+
+    Parameters
+    ----------
+    path : str or Path
+        The project file.
+    **overrides
+        Options as for :func:`fg_orient.io.project.read_project`.
+
+    Returns
+    -------
+    list of Problem
+        Either errors, with which ``adjust`` would refuse the project, or remarks
+        (:func:`is_remark`); empty if all is well.
+    """
+    try:
+        _, remarks = read_project_with_remarks(path, **overrides)
+    except InputError as error:
+        return list(error.problems)
+    return list(remarks)
