@@ -1,0 +1,151 @@
+"""Generic tests of every registered equation: a new one is covered on the day it is registered."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import factors.control
+import factors.pushbroom  # noqa: F401  (registers)
+from factors._contract import Equation, Example, evaluate, register, registered
+
+EQUATIONS = sorted(registered().values(), key=lambda e: e.name)
+DRAWS = 60
+
+
+def complex_step(equation: Equation, example: Example, which: int) -> np.ndarray:
+    """Jacobian of the residual with respect to one argument, to rounding."""
+    columns = []
+    for c in range(len(example.unknowns[which])):
+        z = [u.astype(complex) for u in example.unknowns]
+        z[which][c] += 1e-30j
+        columns.append(equation.residual(example.record, example.setup, *z).imag / 1e-30)
+    return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
+def test_jacobian_equals_complex_step(equation: Equation) -> None:
+    """Bound of the issue: 1e-11 of the largest element of the row, in prior-sigma units; observed 7e-16."""
+    rng = np.random.default_rng(1)
+    worst = 0.0
+    for _ in range(DRAWS):
+        example = equation.example(rng)
+        _, *jacobians = equation.kernel(example.record, example.setup, *example.unknowns, True)
+        for k, jacobian in enumerate(jacobians):
+            reference = complex_step(equation, example, k)
+            row = np.abs(reference).max(axis=1, keepdims=True)
+            worst = max(worst, float((np.abs(jacobian - reference) / np.where(row > 0, row, 1.0)).max()))
+    assert worst <= 1e-11
+    assert worst <= 1e-13  # what the analytic form really reaches; a loss of two digits is a fault
+
+
+@pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
+def test_jacobian_equals_central_differences(equation: Equation) -> None:
+    """Second opinion on the real-valued kernel itself: O(h^2) + rounding/h leaves 1e-6."""
+    rng = np.random.default_rng(2)
+    for _ in range(10):
+        example = equation.example(rng)
+        _, *jacobians = equation.kernel(example.record, example.setup, *example.unknowns, True)
+        for k, jacobian in enumerate(jacobians):
+            for c in range(jacobian.shape[1]):
+                ends = []
+                for sign in (1.0, -1.0):
+                    u = [x.copy() for x in example.unknowns]
+                    u[k][c] += sign * 1e-4
+                    ends.append(equation.kernel(example.record, example.setup, *u, False)[0])
+                numeric = (ends[0] - ends[1]) / 2e-4
+                scale = np.abs(jacobian).max(axis=1)
+                assert np.all(np.abs(numeric - jacobian[:, c]) <= 1e-6 * scale)
+
+
+@pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
+def test_value_does_not_depend_on_the_request_for_jacobians(equation: Equation) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(DRAWS):
+        example = equation.example(rng)
+        with_j = equation.kernel(example.record, example.setup, *example.unknowns, True)[0]
+        without = equation.kernel(example.record, example.setup, *example.unknowns, False)[0]
+        assert np.array_equal(with_j, without)
+        assert np.array_equal(without, equation.residual(example.record, example.setup, *example.unknowns))
+
+
+@pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
+def test_batch_equals_scalar(equation: Equation) -> None:
+    rng = np.random.default_rng(4)
+    examples = [equation.example(rng) for _ in range(7)]
+    unknowns = [[e.unknowns[k] for e in examples] for k in range(len(equation.arguments))]
+    values, blocks = evaluate(equation, np.array([e.record for e in examples]), [e.setup for e in examples], *unknowns)
+    for i, e in enumerate(examples):
+        single = equation.kernel(e.record, e.setup, *e.unknowns, True)
+        assert np.array_equal(values[i], single[0])
+        for k, block in enumerate(blocks):
+            assert np.array_equal(block[i], single[1 + k])
+
+
+def test_two_equations_of_one_name_are_refused() -> None:
+    known = EQUATIONS[0]
+    with pytest.raises(ValueError, match=known.name):
+        register(Equation(known.name, lambda *a: (), known.residual, known.arguments, known.example, ""))
+
+
+def reference_conditions(record: np.ndarray, setup: np.ndarray, x: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """F_y, F_x written straight from orientation.md 2.3 and 3.3 with matrices, in extended precision."""
+    ld = np.longdouble
+    r = record.astype(ld)
+    correction = np.zeros(27, ld)
+    look = np.zeros(2, ld)
+    for code, sigma, value in zip(setup[0].astype(int), setup[1].astype(ld), x.astype(ld), strict=True):
+        if code < 27:
+            correction[code] += sigma * value
+        else:
+            look[(code - 27) % 2] += sigma * value * r[21] ** ((code - 27) // 2)
+    eop = r[0:9] + correction.reshape(9, 3) @ np.array([1.0, r[18], r[18] ** 2], ld)
+    frame_state = eop if record[26] > 0.5 else r
+    p, v = frame_state[0:3], frame_state[3:6]
+    z = p / np.sqrt(p @ p)
+    n = np.cross(v, z)
+    x_axis = n / np.sqrt(n @ n)
+    r_og = np.stack([x_axis, np.cross(z, x_axis), z], axis=1)
+    roll, pitch, yaw = eop[6:9]
+    if record[27] > 0.5:
+        r_uy = np.array([[1, -yaw, roll], [yaw, 1, -pitch], [-roll, pitch, 1]], ld)
+    else:
+        rx = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]], ld)
+        ry = np.array([[np.cos(roll), 0, np.sin(roll)], [0, 1, 0], [-np.sin(roll), 0, np.cos(roll)]], ld)
+        rz = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]], ld)
+        r_uy = rx @ ry @ rz
+    d = (r[31:34] + r[0:3]) + (ground.astype(ld) - r[28:31]) - eop[0:3]  # reference point + difference - P
+    f = r[9:18].reshape(3, 3).T @ r_uy.T @ r_og.T @ d
+    psi_x, psi_y = r[19] + look[0], r[20] + look[1]
+    return np.array([f[0] / f[2] - np.tan(psi_y), f[1] / f[2] + np.tan(psi_x)], ld)
+
+
+def test_pushbroom_equals_an_independent_evaluation() -> None:
+    """The pair arithmetic against plain matrices in 80-bit floats: 1e-15 rad, a few roundings."""
+    equation = registered()["look_angle_collinearity"]
+    rng = np.random.default_rng(5)
+    for _ in range(DRAWS):
+        e = equation.example(rng)
+        record = e.record.copy()
+        record[22:26] = 1.0, 0.0, 0.0, 1.0
+        ours = equation.residual(record, e.setup, *e.unknowns)
+        theirs = reference_conditions(record, e.setup, *e.unknowns)
+        assert np.abs(ours - theirs).max() < 2e-15
+
+
+def test_differences_keep_their_digits() -> None:
+    """A correction of 1e-9 prior sigmas changes F by its derivative to 1e-6 relative: no cancellation."""
+    equation = registered()["look_angle_collinearity"]
+    rng = np.random.default_rng(6)
+    e = equation.example(rng)
+    record = e.record.copy()
+    record[26], record[27] = 1.0, 0.0
+    zero = np.zeros_like(e.unknowns[0])
+    base = equation.residual(record, e.setup, zero, np.zeros(3))
+    _, j, _ = equation.kernel(record, e.setup, zero, np.zeros(3), True)
+    for c in range(len(zero)):
+        x = zero.copy()
+        x[c] = 1e-9
+        change = equation.residual(record, e.setup, x, np.zeros(3)) - base
+        floor = 4.0 * np.spacing(np.abs(base).max())  # F itself is stored with 16 digits
+        assert np.all(np.abs(change - 1e-9 * j[:, c]) <= 1e-6 * np.abs(1e-9 * j[:, c]) + floor)

@@ -1,0 +1,162 @@
+"""The GTSAM wrapper: what it gives GTSAM, and what it refuses."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+
+from factors import pushbroom
+from factors._contract import Argument, Equation, check_blocks
+from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS, kernel_point, whitening
+from factors.graph import factor
+
+E0, P0 = gtsam.symbol("e", 0), gtsam.symbol("p", 0)
+LABEL = "image left, point 12"
+
+
+def example() -> tuple[pushbroom.Example, gtsam.Values]:
+    e = pushbroom.example(np.random.default_rng(7))
+    values = gtsam.Values()
+    values.insert(E0, e.unknowns[0])
+    values.insertPoint3(P0, e.unknowns[1])
+    return e, values
+
+
+def image_point(e: pushbroom.Example, equation: Equation, ground: object = P0) -> gtsam.CustomFactor:
+    return factor(equation, (E0, ground), (len(e.unknowns[0]), 3), e.record, e.setup, label=LABEL)
+
+
+def test_linearisation_equals_the_kernel() -> None:
+    e, values = example()
+    linear = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY).linearize(values)
+    value, j_image, j_ground = pushbroom.kernel(e.record, e.setup, *e.unknowns, True)
+    a, b = linear.jacobian()
+    assert np.array_equal(a, np.hstack([j_image, j_ground]))
+    assert np.array_equal(b, -value)
+
+
+def test_error_is_half_the_weighted_square() -> None:
+    e, values = example()
+    f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY)
+    value = pushbroom.residual(e.record, e.setup, *e.unknowns)
+    assert f.error(values) == pytest.approx(0.5 * value @ value, rel=1e-15)
+
+
+def test_constant_ground_point_is_no_unknown() -> None:
+    e, values = example()
+    f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY, ground=e.unknowns[1])
+    assert list(f.keys()) == [E0]
+    a, _ = f.linearize(values).jacobian()
+    assert np.array_equal(a, pushbroom.kernel(e.record, e.setup, *e.unknowns, True)[1])
+
+
+def test_image_of_three_unknowns_and_a_fixed_point() -> None:
+    """A vector of length 3 must not be mistaken for a ground point."""
+    e, _ = example()
+    setup = np.ascontiguousarray(e.setup[:, :3])
+    values = gtsam.Values()
+    values.insert(E0, e.unknowns[0][:3])
+    f = factor(
+        pushbroom.LOOK_ANGLE_COLLINEARITY, (E0, e.unknowns[1]), (3, 3), e.record, setup, label=LABEL
+    )
+    assert np.isfinite(f.error(values))
+
+
+def test_nothing_unknown_is_refused() -> None:
+    e, _ = example()
+    with pytest.raises(ValueError, match=f"{LABEL}: no unknown"):
+        factor(pushbroom.LOOK_ANGLE_COLLINEARITY, e.unknowns, (33, 3), e.record, e.setup, label=LABEL)
+
+
+WRONG = {
+    "wrong width": lambda v, a, b: (v, a[:, :5], b),
+    "transposed": lambda v, a, b: (v, a, b.T),
+    "flat": lambda v, a, b: (v, a, b.ravel()),
+    "residual of length 1": lambda v, a, b: (v[:1], a, b),
+    "nan in the Jacobian": lambda v, a, b: (v, np.full_like(a, np.nan), b),
+    "inf in the residual": lambda v, a, b: (v + np.inf, a, b),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_faulty_kernels_are_named(fault: str) -> None:
+    """GTSAM accepts a (2, 5) Jacobian for 33 unknowns and nan silently; we do not."""
+    e, values = example()
+
+    def kernel(record: np.ndarray, setup: np.ndarray, x: np.ndarray, g: np.ndarray, want: bool) -> tuple:
+        return WRONG[fault](*pushbroom.kernel(record, setup, x, g, True))
+
+    base = pushbroom.LOOK_ANGLE_COLLINEARITY
+    broken = Equation("my_broken_equation", kernel, base.residual, base.arguments, base.example, "")
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(image_point(e, broken))
+    with pytest.raises(ValueError, match=f"'my_broken_equation', {LABEL}"):
+        graph.linearize(values)
+
+
+def test_float32_and_missing_blocks_are_refused() -> None:
+    ok = np.zeros((2, 3))
+    check_blocks("a", "b", (np.zeros(2), ok), (3,), 2)
+    with pytest.raises(ValueError, match="not a float64 array"):
+        check_blocks("a", "b", (np.zeros(2), ok.astype(np.float32)), (3,), 2)
+    with pytest.raises(ValueError, match="2 arrays expected, 1 returned"):
+        check_blocks("a", "b", (np.zeros(2),), (3,), 2)
+
+
+def test_general_wrapper_checks_too() -> None:
+    """Equations of one argument take the general path."""
+    rng = np.random.default_rng(8)
+    e = CONTROL_POINT.example(rng)
+    values = gtsam.Values()
+    values.insertPoint3(P0, e.unknowns[0])
+    good = factor(CONTROL_POINT, (P0,), (3,), e.record, e.setup, label=LABEL, n_residuals=3)
+    a, b = good.linearize(values).jacobian()
+    value, j = kernel_point(e.record, e.setup, e.unknowns[0], True)
+    assert np.array_equal(a, j)
+    assert np.array_equal(b, -value)
+    bad = Equation(
+        "short", lambda *a: kernel_point(*a)[:1], CONTROL_POINT.residual, (Argument("ground", "m", True),),
+        CONTROL_POINT.example, "",
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="'short'"):
+        factor(bad, (P0,), (3,), e.record, e.setup, label=LABEL, n_residuals=3).linearize(values)
+
+
+def test_priors_equal_gtsams_own() -> None:
+    """The control equations and GTSAM's prior factors give the same normal equations."""
+    rng = np.random.default_rng(9)
+    e = CONTROL_POINT.example(rng)
+    values = gtsam.Values()
+    values.insertPoint3(P0, e.unknowns[0])
+    ours = factor(CONTROL_POINT, (P0,), (3,), e.record, e.setup, label=LABEL, n_residuals=3)
+    graph = gtsam.NonlinearFactorGraph()
+    noise = gtsam.noiseModel.Gaussian.SqrtInformation(e.record[:9].reshape(3, 3))
+    graph.addPriorPoint3(P0, e.record[9:12], noise)
+    n_theirs = graph.linearize(values).hessian()[0]
+    n_ours = ours.linearize(values).information()
+    assert np.abs(n_ours - n_theirs).max() <= 1e-14 * np.abs(n_theirs).max()
+    p = OBSERVED_PARAMETERS.example(rng)
+    vector = gtsam.Values()
+    vector.insert(E0, p.unknowns[0])
+    f = factor(OBSERVED_PARAMETERS, (E0,), (5,), p.record, p.setup, label=LABEL, n_residuals=5)
+    assert f.error(vector) == pytest.approx(0.5 * np.sum(((p.unknowns[0] - p.setup[0]) / p.setup[1]) ** 2))
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [np.diag([1.0, 1.0, 0.0]), np.diag([1.0, -1.0, 1.0]), np.array([[1, 2, 0], [0, 1, 0], [0, 0, 1.0]]), np.full((3, 3), np.nan)],
+)  # fmt: skip
+def test_impossible_covariances_are_refused(covariance: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="covariance is not"):
+        whitening(covariance)
+
+
+def test_robust_loss_lowers_the_weight() -> None:
+    e, values = example()
+    huber = gtsam.noiseModel.mEstimator.Huber.Create(1.0)
+    base = pushbroom.LOOK_ANGLE_COLLINEARITY
+    robust = factor(base, (E0, P0), (33, 3), e.record, e.setup, label=LABEL, loss=huber)
+    r = np.linalg.norm(pushbroom.residual(e.record, e.setup, *e.unknowns))
+    assert r > 1.0
+    assert robust.error(values) == pytest.approx(r - 0.5, rel=1e-12)  # Huber's loss at k = 1
