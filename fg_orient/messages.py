@@ -334,6 +334,7 @@ REMARKS: Final = {
 
 OUTPUT: Final = {
     "output.exists": ("the output folder exists already", "give another --out or add --overwrite"),
+    "output.unwritable": ("the file cannot be written", "check folder, permissions and free space"),
 }
 
 CATALOGUE: Final[dict[str, tuple[str, str]]] = {
