@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fg_orient.io.project import read_project
     from fg_orient.names import Role, Status
     from fg_orient.orient import adjust
-    from fg_orient.sensors import read_sensor
+    from fg_orient.io.sensor import read_sensor
     from fg_orient.solution import Solution
 
 __version__: Final = "0.1.0"
@@ -49,7 +49,7 @@ _HOME: Final[dict[str, str]] = {
     "Status": "fg_orient.names",
     "adjust": "fg_orient.orient",
     "read_project": "fg_orient.io.project",
-    "read_sensor": "fg_orient.sensors",
+    "read_sensor": "fg_orient.io.sensor",
 }
 
 __all__ = [

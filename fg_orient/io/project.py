@@ -168,7 +168,7 @@ def _images(
     project: ProjectFile, folder: Path, file: str
 ) -> tuple[dict[str, Image | None], list[Source], list[Problem]]:
     """Images by id, None where the metadata file is unusable."""
-    import fg_orient.sensors as sensors
+    import fg_orient.io.sensor as sensor_reader
 
     images: dict[str, Image | None] = {}
     sources: list[Source] = []
@@ -183,7 +183,7 @@ def _images(
             )
             continue
         try:
-            images[entry.id] = Image(entry.id, sensors.read_sensor(metadata))
+            images[entry.id] = Image(entry.id, sensor_reader.read_sensor(metadata))
             sources.append(_source(metadata))
         except InputError as error:
             problems += error.problems
