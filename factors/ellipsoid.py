@@ -46,14 +46,14 @@ def distance_to_height(p: Array, u: Array, h: float) -> float:
     d3 = (p[0] * p[0] + p[1] * p[1]) / a2 + p[2] * p[2] / b2 - 1.0
     inside = d2 * d2 - 4.0 * d1 * d3
     if inside < 0.0:
-        return np.nan
+        return math.nan
     # the stable pair of roots: no cancellation between -d2 and the square root
     q = -0.5 * (d2 + math.copysign(math.sqrt(inside), d2))
     s1, s2 = q / d1, d3 / q
-    low, high = min(s1, s2), max(s1, s2)
+    low, high = float(min(s1, s2)), float(max(s1, s2))
     if low > 0.0:
         return low
-    return high if high > 0.0 else np.nan
+    return high if high > 0.0 else math.nan
 
 
 @compiled

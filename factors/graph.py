@@ -56,7 +56,7 @@ def factor(
     keys = [int(u) for u in unknowns if not isinstance(u, np.ndarray)]
     if not keys:
         raise ValueError(f"equation {equation.name!r}, {label}: no unknown, nothing to adjust")
-    noise = gtsam.noiseModel.Unit.Create(n_residuals)
+    noise: Any = gtsam.noiseModel.Unit.Create(n_residuals)
     if loss is not None:
         noise = gtsam.noiseModel.Robust.Create(loss, noise)
     if [a.is_point for a in equation.arguments] == [False, True] and len(keys) == 2:
@@ -97,8 +97,14 @@ def _image_and_point(
 
 
 def _general(
-    equation: Equation, unknowns: Sequence[int | Array], sizes: Sequence[int], record: Array, setup: Array, label: str, m: int
-) -> ErrorFunction:  # fmt: skip
+    equation: Equation,
+    unknowns: Sequence[int | Array],
+    sizes: Sequence[int],
+    record: Array,
+    setup: Array,
+    label: str,
+    m: int,
+) -> ErrorFunction:
     """Build the case of any number of arguments, constants among them."""
     kernel, name, widths = equation.kernel, equation.name, tuple(sizes)
     free = [k for k, u in enumerate(unknowns) if not isinstance(u, np.ndarray)]

@@ -34,8 +34,8 @@ def fit(argument: Array, values: Array, degree: int) -> tuple[Array, Array]:
     residuals : (N, c), value minus polynomial
     """
     powers = np.asarray(argument, float)[:, None] ** np.arange(degree + 1)
-    coefficients = np.linalg.lstsq(powers, values, rcond=None)[0].T
-    return np.ascontiguousarray(coefficients), values - evaluate(coefficients, argument)
+    coefficients: Array = np.ascontiguousarray(np.linalg.lstsq(powers, values, rcond=None)[0].T, dtype=float)
+    return coefficients, np.asarray(values - evaluate(coefficients, argument), dtype=float)
 
 
 def per_line_from_tau(n_lines: int) -> Array:

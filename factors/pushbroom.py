@@ -6,21 +6,20 @@ For an image point measured at (line, sample) of ground point G::
     F_y = f1/f3 - tan psi_y,   F_x = f2/f3 + tan psi_x          (T 2.66-2.67 as corrected)
 
 P, V and the attitude a = (roll, pitch, yaw) at the line are metadata plus the correction
-polynomial ``c0 + c1 tau + c2 tau^2`` of each of the 9 components (27 EOP coefficients);
-``R_OG(P, V)`` is the orbital frame of convention B, ``R_UY(a)`` the attitude, M a constant
-mounting of the line. psi_x, psi_y are the look angles of the sample plus ``sum b_k s^k``.
+polynomial ``c0 + c1 tau + c2 tau^2`` of each of the 9 components (27 EOP coefficients); R_OG(P, V)
+is the orbital frame of convention B, R_UY(a) the attitude, M a constant mounting of the line;
+psi_x, psi_y are the look angles of the sample plus ``sum b_k s^k``.
 
 Two kinds of files share it. Angles (DIMAP v1): a = file + correction, M = I, and R_OG
-follows the corrected P and V. Quaternions (DIMAP v2): a = correction, M = R_OG^T R_q, and
-R_OG stays that of the metadata, so that P does not turn the camera: R_OG R_UY(a) R_OG^T R_q.
-The small-angle form (faithful mode) uses the transpose as inverse throughout.
+follows the corrected P and V. Quaternions (DIMAP v2): a = correction, M = R_OG^T R_q, and R_OG stays
+that of the metadata, so that P does not turn the camera: R_OG R_UY(a) R_OG^T R_q.
 
-Whitening: the residual is ``A F`` with the constant 2 x 2 A = S^-1 J^-1, J = dF/d(line,
-sample) and S the pixel sigmas: a unit is one sigma of a pixel coordinate.
+Whitening: the residual is ``A F`` with the constant 2 x 2 A = S^-1 J^-1, J = dF/d(line, sample) and
+S the pixel sigmas: a unit is one sigma of a pixel coordinate. V enters through V x P only:
+``dF/dV . V = dF/dV . P = 0``; the rest is a yaw (orientation.md 3.3).
 
-V enters through n = V x P only: ``dF/dV . V = dF/dV . P = 0``; the rest is a yaw
-(orientation.md 3.3). Everything is formed as reference (metadata) plus difference, so that rounding is relative to
-the correction and not to the orbit radius: 1e-9 sigma of noise in F becomes 1e-13.
+Everything is formed as reference (metadata) plus difference, so that rounding is relative to the
+correction and not to the orbit radius: 1e-9 sigma of noise in F becomes 1e-13.
 """
 
 from __future__ import annotations
@@ -29,15 +28,15 @@ from typing import Any
 
 import numpy as np
 
-from factors import differences, rotations
+from factors import differences, orbital, rotations
 from factors._contract import Argument, Array, Equation, Example, compiled, register
 
 #: Record: P 0:3 m, V 3:6 m/s, angles 6:9 rad, M 9:18 row-major, tau 18, psi_x 19, psi_y 20, s 21,
 #: A 22:26 row-major, frame follows P and V 26 (1/0), small-angle form 27 (1/0), reference ground point
 #: 28:31 m (local) and the same minus P 31:34 m (ECEF axes).
 RECORD_SIZE = 34
-#: Setup row 0: column codes; row 1: the prior sigma of each unknown. Code 3 component + degree for EOP,
-#: components X Y Z VX VY VZ roll pitch yaw; 27 + 2 k for psi_x and 28 + 2 k for psi_y, coefficient of s^k.
+#: Setup: codes and prior sigmas of the unknowns. Code 3 component + degree for EOP (X Y Z VX VY VZ roll
+#: pitch yaw); 27 + 2 k for psi_x and 28 + 2 k for psi_y, coefficient of s^k.
 N_EOP = 27
 
 
@@ -79,10 +78,8 @@ def _sight(record: Any, d: Any, ground: Any) -> Any:
 
 
 @compiled
-def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
-    """Whitened conditions A (F_y, F_x): (2,); accepts complex unknowns."""
-    d = corrections(record, setup, x)
-    _, _, f, df = _sight(record, d, ground)
+def _misclosure(record: Any, d: Any, f: Any, df: Any) -> Any:
+    """Whitened conditions from f (reference and difference): a pair."""
     t_x, t_y = np.tan(record[19]), np.tan(record[20])
     b_x, b_y = np.tan(d[9]), np.tan(d[10])
     # tan(psi + b) - tan(psi), exact for small b
@@ -90,7 +87,15 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     f3 = f[2] + df[2]
     f_y = ((f[0] - t_y * f[2]) + (df[0] - t_y * df[2])) / f3 - d_y
     f_x = ((f[1] + t_x * f[2]) + (df[1] + t_x * df[2])) / f3 + d_x
-    return np.array([record[22] * f_y + record[23] * f_x, record[24] * f_y + record[25] * f_x])
+    return record[22] * f_y + record[23] * f_x, record[24] * f_y + record[25] * f_x
+
+
+@compiled
+def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
+    """Whitened conditions A (F_y, F_x): (2,); accepts complex unknowns."""
+    d = corrections(record, setup, x)
+    _, _, f, df = _sight(record, d, ground)
+    return np.array(_misclosure(record, d, f, df))
 
 
 @compiled
@@ -103,35 +108,13 @@ def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
 
 
 @compiled
-def _state_derivatives(record: Array, e: Array, frame: Any, w: Any) -> Array:
-    """Derivatives of w with respect to P, V (columns 0-5) and G (columns 6-8): (3, 9)."""
-    d = np.zeros((3, 9))
-    for i in range(3):
-        x, y, z = frame[3 * i], frame[3 * i + 1], frame[3 * i + 2]
-        d[0, 6 + i], d[1, 6 + i], d[2, 6 + i] = x, y, z
-        d[0, i], d[1, i], d[2, i] = -x, -y, -z
-    if record[26] > 0.5:
-        p = np.sqrt(e[0] ** 2 + e[1] ** 2 + e[2] ** 2)
-        v3 = frame[2] * e[3] + frame[5] * e[4] + frame[8] * e[5]
-        v2 = frame[1] * e[3] + frame[4] * e[4] + frame[7] * e[5]
-        for i in range(3):
-            x, y, z = frame[3 * i], frame[3 * i + 1], frame[3 * i + 2]
-            d[0, i] += (w[1] * v3 / v2 - w[2]) / p * x
-            d[1, i] -= (w[2] * y + w[0] * v3 / v2 * x) / p
-            d[2, i] += (w[0] * x + w[1] * y) / p
-            d[0, 3 + i] -= w[1] / v2 * x
-            d[1, 3 + i] += w[0] / v2 * x
-    return d
-
-
-@compiled
 def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
     """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
-    value = residual(record, setup, x, ground)
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
     e = corrections(record, setup, x)
     frame, w, f0, f1 = _sight(record, e, ground)
+    value = np.array(_misclosure(record, e, f0, f1))
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
     f = (f0[0] + f1[0], f0[1] + f1[1], f0[2] + f1[2])
     for c in range(9):
         e[c] += record[c]
@@ -143,7 +126,7 @@ def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> 
     else:
         attitude = rotations.orbital_from_body(e[6], e[7], e[8])
         d_attitude = rotations.d_orbital_from_body(e[6], e[7], e[8])
-    dw = _state_derivatives(record, e, frame, w)
+    dw = orbital.coordinate_derivatives(e, frame, w, record[26] > 0.5)
     # columns of df: P, V, attitude (9), ground (3)
     d = np.empty((2, 14))
     for c in range(12):
@@ -157,9 +140,9 @@ def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> 
         d_x = (df[1] - f[1] / f[2] * df[2]) / f[2]
         d[0, c] = record[22] * d_y + record[23] * d_x
         d[1, c] = record[24] * d_y + record[25] * d_x
-    sec_x, sec_y = 1.0 / np.cos(e[9]) ** 2, 1.0 / np.cos(e[10]) ** 2
-    d[0, 12], d[1, 12] = record[23] * sec_x, record[25] * sec_x
-    d[0, 13], d[1, 13] = -record[22] * sec_y, -record[24] * sec_y
+    sec2_x, sec2_y = 1.0 / np.cos(e[9]) ** 2, 1.0 / np.cos(e[10]) ** 2
+    d[0, 12], d[1, 12] = record[23] * sec2_x, record[25] * sec2_x
+    d[0, 13], d[1, 13] = -record[22] * sec2_y, -record[24] * sec2_y
     j_image = np.empty((2, setup.shape[1]))
     for j in range(setup.shape[1]):
         code = int(setup[0, j])
@@ -183,13 +166,13 @@ def example(rng: np.random.Generator) -> Example:
     origin = p + 8.4e5 * ray
     turn = rotations.attitude_matrices(rng.normal(scale=1e-3, size=(1, 3)), False)[0]
     record = np.concatenate([
-        p, v, rng.normal(scale=1e-3, size=3), turn.ravel(), rng.uniform(-1, 1, 1), [psi_x, psi_y], rng.uniform(-1, 1, 1),
-        rng.normal(scale=5e5, size=4), rng.integers(0, 2, 2).astype(float), np.zeros(3), origin - p,
+        p, v, rng.normal(scale=1e-3, size=3), turn.ravel(), rng.uniform(-1, 1, 1), [psi_x, psi_y],
+        rng.uniform(-1, 1, 1), rng.normal(scale=5e5, size=4), rng.integers(0, 2, 2).astype(float),
+        np.zeros(3), origin - p,
     ])  # fmt: skip
+    sigma = np.repeat([[10.0, 1.0, 0.1], [1e-2, 1e-3, 1e-4], [5e-5, 1e-5, 2e-6]], 3, axis=0).ravel()
     codes = np.arange(N_EOP + 6)
-    scale = np.concatenate([np.tile([10.0, 1.0, 0.1], 3), np.tile([1e-2, 1e-3, 1e-4], 3), np.tile([5e-5, 1e-5, 2e-6], 3),
-                            np.full(6, 1e-4)])  # fmt: skip
-    setup = np.ascontiguousarray(np.stack([codes.astype(float), scale]))
+    setup = np.ascontiguousarray(np.stack([codes.astype(float), np.append(sigma, np.full(6, 1e-4))]))
     return Example(record, setup, (rng.normal(size=len(codes)), rng.normal(scale=100.0, size=3)))
 
 

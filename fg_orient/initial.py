@@ -19,6 +19,11 @@ Array = npt.NDArray[np.float64]
 MIN_CONVERGENCE_DEG = 0.1
 
 
+def missing_rows(coordinates_m: Array) -> npt.NDArray[np.bool_]:
+    """Tell which rows (N, 3) hold no coordinates."""
+    return np.asarray(np.isnan(coordinates_m).any(axis=1))
+
+
 def all_rays(
     images: tuple[Image, ...], observations: ImagePoints, corrections: list[Correction] | None = None
 ) -> tuple[Array, Array]:
@@ -85,7 +90,7 @@ def ground_points(
         A point without coordinates is seen once, by parallel rays, or behind the sensors.
     """
     start = known_m.copy()
-    unknown = np.isnan(known_m).any(axis=1)
+    unknown = missing_rows(known_m)
     if not unknown.any():
         return start
     rows = unknown[observations.point]

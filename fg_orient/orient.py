@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -72,7 +73,7 @@ def adjust(
     RankDeficientError
         Without priors some directions are not observable; one problem per direction (exit code 3).
     """
-    given = {
+    given: dict[str, Any] = {
         "eop_set": None if eop_set is None else eop_set_number(eop_set),
         "look_polynomial": look_polynomial, "priors": priors, "backend": backend, "optimizer": optimizer,
         "max_iterations": max_iterations, "check_points": check_points,
@@ -96,7 +97,9 @@ def judge_observability(compiled: Problem, state: State | None = None) -> tuple[
         width = len(compiled.parameters)
         jacobian = np.vstack([j_image[r] for r in rows]) if len(rows) else np.zeros((0, width))
         frame, speed = _central_frame(image.sensor)
-        out.append(analyse(image.id, jacobian, compiled.parameters, frame, speed if image.sensor.follows_orbit else None))
+        out.append(
+            analyse(image.id, jacobian, compiled.parameters, frame, speed if image.sensor.follows_orbit else None)
+        )
     return tuple(out)
 
 
@@ -159,7 +162,7 @@ def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None,
 def _all_ground_points(compiled: Problem, state: State) -> Array:
     """ECEF coordinates of all points; excluded check points intersected with the adjusted orientation."""
     ground = state.ground + compiled.origin_m
-    missing = np.isnan(ground).any(axis=1)
+    missing = initial.missing_rows(ground)
     o = compiled.block.observations
     rows = missing[o.point]
     if rows.any():
@@ -176,7 +179,7 @@ def _all_ground_points(compiled: Problem, state: State) -> Array:
 def _assess(compiled: Problem, state: State, ground: Array, cofactors: Cofactors | None) -> Accuracy:
     """Differences at control points and, after opening their coordinates, at check points."""
     points = compiled.block.points
-    used = ~np.isnan(ground).any(axis=1)
+    used = ~initial.missing_rows(ground)
     control = np.array([j for j in points.where(Role.CONTROL) if used[j]], dtype=np.intp)
     check = np.array([j for j in points.where(Role.CHECK) if used[j]], dtype=np.intp)
     opened = compiled.block.withheld.open() if len(check) else None
@@ -197,7 +200,9 @@ def _differences(
     if cofactors is not None:
         for k, j in enumerate(index):
             excluded = not compiled.active[j] and compiled.block.points.roles[j] is Role.CHECK
-            q[k] = propagated_point(compiled, state, ground[j], int(j), cofactors) if excluded else cofactors.point(int(j))
+            q[k] = (
+                propagated_point(compiled, state, ground[j], int(j), cofactors) if excluded else cofactors.point(int(j))
+            )
     sigma = np.where(measured.fixed[rows][:, None], 0.0, measured.sigma_enu_m[rows]).reshape(-1, 3)
     return differences(ids, index, ground[index], measured_m, sigma, q, enu_from_ecef(measured_m))
 

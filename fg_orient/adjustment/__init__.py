@@ -1,0 +1,1 @@
+"""Adjustment: the problem as arrays, the backends, one loop over all of them."""

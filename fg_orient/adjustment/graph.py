@@ -211,7 +211,7 @@ def run_native(backend: GraphBackend, optimizer: str, max_iterations: int) -> tu
         "native-dogleg": (gtsam.DoglegParams, gtsam.DoglegOptimizer),
     }
     make_params, make = kinds[optimizer]
-    params = make_params()
+    params: Any = make_params()
     params.setAbsoluteErrorTol(0.0)
     params.setRelativeErrorTol(0.0)
     params.setErrorTol(0.0)

@@ -119,9 +119,7 @@ def _small(step: float, previous: float) -> bool:
     return step < STEP_TOLERANCE or (step < ROUNDING_STEP and step > 0.5 * previous)
 
 
-def gauss_newton(
-    backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None
-) -> LoopResult[S]:
+def gauss_newton(backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None) -> LoopResult[S]:
     """Full steps; ends unconverged when the error rises three times running or is not finite."""
     log, state, previous, rising = _Log(callback), start, math.inf, 0
     system = backend.linearise(state)
@@ -134,7 +132,9 @@ def gauss_newton(
         log.add(system.error, error, step, 0.0, True)
         rising = rising + 1 if error > system.error * (1.0 + 1e-9) + 1e-9 else 0
         if not math.isfinite(error) or rising >= 3:
-            return LoopResult(state, error, tuple(log.records), False, "the error rises: try --optimizer levenberg-marquardt")
+            return LoopResult(
+                state, error, tuple(log.records), False, "the error rises: try --optimizer levenberg-marquardt"
+            )
         if following is None:
             return LoopResult(state, error, tuple(log.records), rising == 0, "the scaled step is below the tolerance")
         system, previous = following, step.length

@@ -98,9 +98,7 @@ class Problem:
         small = self.block.options.small_angle
         return [Correction(*self.parameters.physical(x), small_angle=small) for x in state.image]
 
-    def image_residuals(
-        self, state: State, *, jacobian: bool = False
-    ) -> tuple[Array, list[Array], list[Array]]:
+    def image_residuals(self, state: State, *, jacobian: bool = False) -> tuple[Array, list[Array], list[Array]]:
         """Whitened residuals (n, 2) of the image points and, if asked, Jacobians (2, k), (2, 3) each."""
         setups = [self.parameters.setup] * len(self.observations)
         x, ground = state.image[self.observations.image], state.ground[self.observations.point]
@@ -134,7 +132,7 @@ def compile_problem(block: Block) -> Problem:
     known = block.points.known
     start_ecef = known.ecef_m.copy()
     part = np.isin(np.arange(len(start_ecef)), observations.point)
-    wanted = part & np.isnan(start_ecef).any(axis=1)
+    wanted = part & initial.missing_rows(start_ecef)
     fill = np.where((part & ~wanted)[:, None], start_ecef, 0.0)
     fill[wanted] = np.nan
     start_ecef[part] = initial.ground_points(block.images, observations, block.points.ids, fill)[part]

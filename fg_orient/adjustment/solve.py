@@ -68,9 +68,10 @@ def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
     marks.append(time.perf_counter())
     backend = GraphBackend(problem)
     marks.append(time.perf_counter())
+    log: tuple[IterationRecord, ...] = ()
     if options.optimizer in NATIVE:
         values, iterations, error = run_native(backend, options.optimizer, options.max_iterations)
-        converged, reason, log = iterations < options.max_iterations, "GTSAM's own optimiser ended", ()
+        converged, reason = iterations < options.max_iterations, "GTSAM's own optimiser ended"
     else:
         result = OPTIMIZERS[options.optimizer](backend, backend.initial(), options.max_iterations, callback)
         values, iterations, error = result.state, len(result.log), result.error

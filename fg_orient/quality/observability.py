@@ -92,7 +92,10 @@ def _candidates(parameters: ImageParameters, frame: Array, speed_m_s: float | No
         if any(j is None for j in triple):
             continue
         rows = [j for j in triple if j is not None]
-        for axis, text in ((1, "velocity along track ({}) acts on nothing"), (2, "radial velocity ({}) acts on nothing")):
+        for axis, text in (
+            (1, "velocity along track ({}) acts on nothing"),
+            (2, "radial velocity ({}) acts on nothing"),
+        ):
             direction = np.zeros(len(parameters))
             direction[rows] = frame[:, axis]
             out.append((text.format(_DEGREE[degree]), direction))

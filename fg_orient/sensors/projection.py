@@ -72,13 +72,11 @@ def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) ->
     return line, sample
 
 
-def _newton_step(
-    sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
-) -> Array:
+def _newton_step(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """Step (N, 2) from the nearest pixel of the image, relative to the present estimate."""
     l_in = np.clip(line, -0.5, sensor.n_lines - 0.5)
     s_in = np.clip(sample, -0.5, sensor.n_samples - 0.5)
     f = conditions(sensor, l_in, s_in, ground_m, correction)
     j = pixel_derivative(sensor, l_in, s_in, ground_m, correction)
     full = -np.linalg.solve(j, f[:, :, None])[:, :, 0]
-    return full + np.stack([l_in - line, s_in - sample], axis=1)
+    return np.asarray(full + np.stack([l_in - line, s_in - sample], axis=1), dtype=float)

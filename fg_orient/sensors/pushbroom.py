@@ -142,8 +142,8 @@ class PushbroomSensor:
         beyond = np.abs(t - inside) > 0.51 * abs(self.metadata.timing.line_period_s)
         if beyond.any():
             raise OutOfTimeRange(problem(
-                "sensor.ephemeris_span", file=self.file, place=f"line {line[beyond][0]:.2f}", value=f"{t[beyond][0]:.6f} s",
-                first=orbit.time_s[0], last=orbit.time_s[-1],
+                "sensor.ephemeris_span", file=self.file, place=f"line {line[beyond][0]:.2f}",
+                value=f"{t[beyond][0]:.6f} s", first=orbit.time_s[0], last=orbit.time_s[-1],
             ))  # fmt: skip
         state = ephemeris.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
         p, v = np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
@@ -201,7 +201,9 @@ class PushbroomSensor:
 
     # --- image to ground ---------------------------------------------------------------------
 
-    def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Correction | None = None) -> tuple[Array, Array]:
+    def rays(
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Correction | None = None
+    ) -> tuple[Array, Array]:
         """Projection centres (N, 3) m and unit viewing directions (N, 3) in ECEF."""
         c = correction or Correction()
         states = self.states(line)

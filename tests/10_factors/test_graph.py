@@ -57,9 +57,7 @@ def test_image_of_three_unknowns_and_a_fixed_point() -> None:
     setup = np.ascontiguousarray(e.setup[:, :3])
     values = gtsam.Values()
     values.insert(E0, e.unknowns[0][:3])
-    f = factor(
-        pushbroom.LOOK_ANGLE_COLLINEARITY, (E0, e.unknowns[1]), (3, 3), e.record, setup, label=LABEL
-    )
+    f = factor(pushbroom.LOOK_ANGLE_COLLINEARITY, (E0, e.unknowns[1]), (3, 3), e.record, setup, label=LABEL)
     assert np.isfinite(f.error(values))
 
 
@@ -145,8 +143,13 @@ def test_priors_equal_gtsams_own() -> None:
 
 @pytest.mark.parametrize(
     "covariance",
-    [np.diag([1.0, 1.0, 0.0]), np.diag([1.0, -1.0, 1.0]), np.array([[1, 2, 0], [0, 1, 0], [0, 0, 1.0]]), np.full((3, 3), np.nan)],
-)  # fmt: skip
+    [
+        np.diag([1.0, 1.0, 0.0]),
+        np.diag([1.0, -1.0, 1.0]),
+        np.array([[1, 2, 0], [0, 1, 0], [0, 0, 1.0]]),
+        np.full((3, 3), np.nan),
+    ],
+)
 def test_impossible_covariances_are_refused(covariance: np.ndarray) -> None:
     with pytest.raises(ValueError, match="covariance is not"):
         whitening(covariance)
