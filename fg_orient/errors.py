@@ -7,6 +7,7 @@ line: 2 bad input, 3 no solution, 4 solution not trustworthy.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 from fg_orient.messages import CATALOGUE
@@ -98,4 +99,11 @@ class NoSolutionError(FgOrientError):
 
 
 class RankDeficientError(NoSolutionError):
-    """The normal equations are singular; the problems name the directions."""
+    """The normal equations are singular; the problems name the directions.
+
+    ``rank_defect`` counts the dead directions of each image.
+    """
+
+    def __init__(self, *problems: Problem, rank_defect: Mapping[str, int] | None = None) -> None:
+        super().__init__(*problems)
+        self.rank_defect = dict(rank_defect or {})

@@ -333,7 +333,12 @@ REMARKS: Final = {
 }
 
 OUTPUT: Final = {
-    "output.exists": ("the output folder exists already", "give another --out or add --overwrite"),
+    "output.exists": ("the output exists already", "give another --out or add --overwrite"),
+    "output.not_a_folder": ("this is no folder, or a link to one", "give another --out"),
+    "output.foreign": (
+        "the folder holds other files, so it is not replaced",
+        "give another --out; --overwrite replaces folders with {mark} only",
+    ),
     "output.unwritable": ("the file cannot be written", "check folder, permissions and free space"),
 }
 
