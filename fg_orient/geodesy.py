@@ -32,6 +32,9 @@ Array = npt.NDArray[np.float64]
 Kind = Literal["geographic", "projected", "geocentric"]
 
 ECEF: Final = "EPSG:4978"
+#: WGS84 as PROJ and EPSG define it.
+_A_M: Final = 6378137.0
+_E2: Final = (2.0 - 1.0 / 298.257223563) / 298.257223563
 #: Columns of a point table, by the kind of its CRS.
 COORDINATE_COLUMNS: Final[dict[Kind, tuple[str, str, str]]] = {
     "geographic": ("lon_deg", "lat_deg", "height_m"),
@@ -153,6 +156,10 @@ def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: n
 def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """Transform (N, 3) ECEF m to WGS84 longitude, latitude (degrees) and ellipsoidal height (m), each (N,).
 
+    Iterates on the latitude (orientation.md 2.5; the error shrinks by e^2 = 0.0067 each
+    time). PROJ is not used: it takes a single step, which errs by 1e-6 m at 9 km height and
+    7 mm at that of a satellite.
+
     Raises
     ------
     InputError
@@ -160,9 +167,15 @@ def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """
     xyz = np.atleast_2d(np.asarray(xyz_m, float))
     _require_finite(ECEF, xyz, xyz, None)
-    back = _transformer(ECEF, "EPSG:4979")
-    lon, lat, height = back.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], errcheck=True)
-    return np.asarray(lon), np.asarray(lat), np.asarray(height)
+    x, y, z = xyz.T
+    p = np.hypot(x, y)
+    lat = np.arctan2(z, p * (1.0 - _E2))
+    for _ in range(9):
+        sine = np.sin(lat)
+        lat = np.arctan2(z + _E2 * _A_M / np.sqrt(1.0 - _E2 * sine * sine) * sine, p)
+    sine = np.sin(lat)
+    height = p * np.cos(lat) + z * sine - _A_M * np.sqrt(1.0 - _E2 * sine * sine)
+    return np.degrees(np.arctan2(y, x)), np.degrees(lat), height
 
 
 def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Array]:

@@ -1,0 +1,220 @@
+"""Geodesy against closed formulas written out here, and the guards around PROJ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fg_orient import geodesy
+from fg_orient.errors import InputError
+
+A, F = 6378137.0, 1.0 / 298.257223563
+E2 = F * (2.0 - F)
+#: One unit in the last place of an ECEF coordinate is 9.3e-10 m; ten of them for the few operations.
+ROUNDING_M = 1e-8
+
+lons = st.floats(-180.0, 180.0)
+lats = st.floats(-90.0, 90.0)
+heights = st.floats(-500.0, 9000.0)
+
+
+def closed_ecef(lon_deg, lat_deg, height):
+    """Give (N, 3) ECEF by the textbook formula (orientation.md 2.5)."""
+    lon, lat, height = np.broadcast_arrays(*np.atleast_1d(np.radians(lon_deg), np.radians(lat_deg), height))
+    n = A / np.sqrt(1.0 - E2 * np.sin(lat) ** 2)
+    return np.stack(
+        [
+            (n + height) * np.cos(lat) * np.cos(lon),
+            (n + height) * np.cos(lat) * np.sin(lon),
+            (n * (1.0 - E2) + height) * np.sin(lat),
+        ],
+        axis=-1,
+    )
+
+
+def closed_utm(lon_deg, lat_deg, meridian_deg):
+    """Krüger's series to n^4 (Karney 2011, equations 8-10, 35), northern hemisphere."""
+    n = F / (2.0 - F)
+    alpha = (
+        n / 2 - 2 * n**2 / 3 + 5 * n**3 / 16 + 41 * n**4 / 180,
+        13 * n**2 / 48 - 3 * n**3 / 5 + 557 * n**4 / 1440,
+        61 * n**3 / 240 - 103 * n**4 / 140,
+        49561 * n**4 / 161280,
+    )
+    radius = A / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
+    lat, dlon = np.radians(lat_deg), np.radians(lon_deg - meridian_deg)
+    e = np.sqrt(E2)
+    tau = np.tan(lat)
+    sigma = np.sinh(e * np.arctanh(e * tau / np.sqrt(1 + tau**2)))
+    conformal = tau * np.sqrt(1 + sigma**2) - sigma * np.sqrt(1 + tau**2)
+    xi = np.arctan2(conformal, np.cos(dlon))
+    eta = np.arcsinh(np.sin(dlon) / np.sqrt(conformal**2 + np.cos(dlon) ** 2))
+    north, east = xi.copy(), eta.copy()
+    for j, a in enumerate(alpha, start=1):
+        north = north + a * np.sin(2 * j * xi) * np.cosh(2 * j * eta)
+        east = east + a * np.cos(2 * j * xi) * np.sinh(2 * j * eta)
+    return 500_000.0 + 0.9996 * radius * east, 0.9996 * radius * north
+
+
+@given(lons, lats, heights)
+def test_geographic_to_ecef_is_the_closed_formula(lon, lat, height):
+    ours = geodesy.to_ecef("EPSG:4979", lon, lat, height)
+    np.testing.assert_allclose(ours, closed_ecef(lon, lat, height), rtol=0, atol=ROUNDING_M)
+
+
+@given(lons, lats, heights)
+def test_ecef_to_geodetic_inverts_the_closed_formula(lon, lat, height):
+    back = np.stack(geodesy.ecef_to_geodetic(closed_ecef(lon, lat, height)), axis=-1)
+    again = closed_ecef(back[:, 0], back[:, 1], back[:, 2])
+    np.testing.assert_allclose(again, closed_ecef(lon, lat, height), rtol=0, atol=ROUNDING_M)
+    assert abs(back[0, 2] - height) < ROUNDING_M
+
+
+def test_satellite_positions_convert_as_well():
+    """PROJ's own inverse is off by 7 mm at this height."""
+    lat = np.linspace(-90.0, 90.0, 181)
+    _, back, height = geodesy.ecef_to_geodetic(closed_ecef(31.8, lat, 832e3))
+    np.testing.assert_allclose(height, 832e3, rtol=0, atol=ROUNDING_M)
+    np.testing.assert_allclose(back, lat, rtol=0, atol=1e-13)  # a few units in the last place of 90 degrees
+
+
+def test_heights_without_a_vertical_crs_are_ellipsoidal():
+    flat = geodesy.to_ecef("EPSG:4326", 31.8, 41.3, 1000.0)
+    np.testing.assert_allclose(flat, closed_ecef(31.8, 41.3, 1000.0), rtol=0, atol=ROUNDING_M)
+
+
+def test_projected_coordinates_are_the_kruger_series():
+    lon, lat, height = np.array([31.8, 33.0, 35.2]), np.array([41.3, 1.0, 75.0]), np.array([0.0, 800.0, 1800.0])
+    east, north = closed_utm(lon, lat, 33.0)
+    ours = geodesy.to_ecef("EPSG:32636", east, north, height)
+    # the series ends at n^4; the next term is below 1e-7 m (n^5 times the radius)
+    np.testing.assert_allclose(ours, closed_ecef(lon, lat, height), rtol=0, atol=1e-6)
+
+
+def test_easting_comes_first_even_where_the_crs_says_north_first():
+    """EPSG:5254 (TUREF / TM30) defines x as north; the caller gives easting first all the same."""
+    lon, lat, _ = geodesy.ecef_to_geodetic(geodesy.to_ecef("EPSG:5254", 580_000.0, 4_570_000.0, 0.0))
+    # 80 km east of 30 E is 0.95 degrees at latitude 41
+    assert lon[0] == pytest.approx(30.95, abs=0.02) and lat[0] == pytest.approx(41.25, abs=0.05)
+
+
+def test_geocentric_coordinates_pass_unchanged():
+    xyz = closed_ecef(np.array([31.8, 10.0]), np.array([41.3, -20.0]), np.array([10.0, 20.0]))
+    np.testing.assert_array_equal(geodesy.to_ecef("EPSG:4978", *xyz.T), xyz)
+
+
+def test_the_operation_and_its_accuracy_are_recorded():
+    _, utm = geodesy.to_ecef_with_operation("EPSG:32636", 4e5, 4.57e6, 0.0)
+    assert "UTM zone 36N" in utm.name and utm.accuracy_m == 0.0 and not utm.missing_grids
+    _, old = geodesy.to_ecef_with_operation("EPSG:4230", 31.8, 41.3, 0.0)
+    assert "ED50" in old.name and old.accuracy_m > 0.5
+    assert "accuracy" in str(old) and "EPSG:4230" in str(old)
+
+
+def test_one_operation_serves_all_points_and_only_the_deciding_ones_choose_it():
+    """ED50 has other shifts in Turkey than in Norway: the chosen area decides for both points."""
+    lon, lat = [31.8, 10.0], [41.3, 60.0]
+    chosen = [
+        geodesy.to_ecef_with_operation("EPSG:4230", lon, lat, [0.0, 0.0], deciding=np.array(mask))
+        for mask in ([True, False], [False, True])
+    ]
+    assert chosen[0][1].name != chosen[1][1].name
+    assert np.linalg.norm(chosen[0][0] - chosen[1][0], axis=1).min() > 0.1
+    alone, _ = geodesy.to_ecef_with_operation("EPSG:4230", 31.8, 41.3, 0.0)
+    np.testing.assert_array_equal(chosen[0][0][0], alone[0])
+
+
+@given(lons, lats)
+def test_enu_rotation_holds_the_derivatives_of_the_closed_formula(lon, lat):
+    r = geodesy.enu_from_ecef(lon, lat)[0]
+    # entries are products of two rounded sines: 1.5 eps each, squared and summed
+    np.testing.assert_allclose(r @ r.T, np.eye(3), rtol=0, atol=4.5 * np.finfo(float).eps)
+    assert np.linalg.det(r) == pytest.approx(1.0, abs=1e-15)
+    sl, cl, sp, cp = (f(np.radians(v)) for v in (lon, lat) for f in (np.sin, np.cos))
+    # d(ECEF)/d lon ~ East, d/d lat ~ North, d/d h = Up
+    np.testing.assert_allclose(r, [[-sl, cl, 0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]], atol=1e-16)
+    up = closed_ecef(lon, lat, 1000.0) - closed_ecef(lon, lat, 0.0)
+    np.testing.assert_allclose(r @ up[0], [0, 0, 1000.0], rtol=0, atol=ROUNDING_M)
+
+
+def test_north_is_where_latitude_grows_and_east_where_longitude_grows():
+    base, step = closed_ecef(31.8, 41.3, 0.0), 1e-5
+    r = geodesy.enu_from_ecef(31.8, 41.3)[0]
+    east = r @ (closed_ecef(31.8 + step, 41.3, 0.0) - base)[0]
+    north = r @ (closed_ecef(31.8, 41.3 + step, 0.0) - base)[0]
+    # a step of about 1 m; the sagitta of a metre on the Earth is 1e-7 m
+    assert east[0] > 0.8 and abs(east[1]) < 1e-6 and north[1] > 1.1 and abs(north[0]) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("crs", "code", "named"),
+    [
+        ("EPSG:999999", "geodesy.unknown_crs", "EPSG:999999"),
+        ("+proj=utm +zone=36", "geodesy.not_epsg", "+proj=utm"),
+        ("WGS84", "geodesy.not_epsg", "WGS84"),
+        ("EPSG:5773", "geodesy.not_spatial", "EGM96"),
+        ("EPSG:2053", "geodesy.axes", "west"),
+        ("EPSG:2225", "geodesy.axes", "foot"),
+        ("EPSG:4807", "geodesy.axes", "grad"),
+    ],
+)
+def test_unusable_crs_are_refused(crs, code, named):
+    with pytest.raises(InputError) as caught:
+        geodesy.to_ecef(crs, 400_000.0, 4_570_000.0, 0.0)
+    (found,) = caught.value.problems
+    assert found.code == code and named in found.value and found.remedy
+
+
+def test_a_missing_geoid_grid_is_an_error_and_not_an_unchanged_height():
+    with pytest.raises(InputError) as caught:
+        geodesy.to_ecef("EPSG:9518", 31.8, 41.3, 1000.0)
+    (found,) = caught.value.problems
+    assert found.code == "geodesy.no_operation" and "egm08" in found.message
+
+
+def test_coordinates_outside_the_projection_are_refused_with_their_place():
+    with pytest.raises(InputError) as caught:
+        geodesy.to_ecef("EPSG:32636", [4e5, 1e30], [4.5e6, 4.5e6], [0.0, 0.0], labels=["line 2", "line 3"])
+    (found,) = caught.value.problems
+    assert found.code == "geodesy.outside" and found.place == "line 3" and "1e+30" in found.value
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_non_finite_coordinates_are_refused(bad):
+    with pytest.raises(InputError):
+        geodesy.to_ecef("EPSG:4979", 31.8, bad, 0.0)
+    with pytest.raises(InputError):
+        geodesy.ecef_to_geodetic([[4e6, bad, 4e6]])
+
+
+def test_the_network_stays_off(monkeypatch):
+    import pyproj.network
+
+    pyproj.network.set_network_enabled(active=True)
+    geodesy.to_ecef("EPSG:4979", 31.8, 41.3, 0.0)
+    assert not pyproj.network.is_network_enabled()
+
+
+def test_raster_coordinates_follow_the_kruger_series_and_end_at_the_domain():
+    lon, lat = np.array([31.8, 35.2]), np.array([41.3, 75.0])
+    x, y = geodesy.from_geographic("EPSG:32636", lon, lat)
+    east, north = closed_utm(lon, lat, 33.0)
+    np.testing.assert_allclose([x, y], [east, north], rtol=0, atol=1e-6)  # as above: the series ends at n^4
+    x, y = geodesy.from_geographic("EPSG:3857", [31.8, 31.8], [41.3, 90.1])
+    assert np.isfinite([x[0], y[0]]).all() and np.isnan(y[1])
+
+
+@pytest.mark.real_data
+def test_real_survey_points_agree_in_both_representations(real_data):
+    """The 86 points of Zonguldak are given as ECEF (0.1 mm) and as latitude, longitude, height."""
+    folder = real_data / "geoetrim-pleiades"
+    xyz = np.genfromtxt(folder / "points_img1.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    llh = np.genfromtxt(folder / "points_img1_llh.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert len(xyz) == 86
+    lon, lat, height = geodesy.ecef_to_geodetic(np.stack([xyz["X_ecef_m"], xyz["Y_ecef_m"], xyz["Z_ecef_m"]], axis=1))
+    # printed to 1e-8 degree (half of it: 0.6 mm) and 0.1 mm; ECEF to 0.1 mm
+    assert np.abs(lat - llh["lat_deg"]).max() < 0.7e-8 and np.abs(lon - llh["lon_deg"]).max() < 0.7e-8
+    assert np.abs(height - llh["h_ell_m"]).max() < 2e-4
+    assert np.abs(geodesy.to_ecef("EPSG:4979", lon, lat, height)[:, 0] - xyz["X_ecef_m"]).max() < ROUNDING_M
