@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from fg_orient.block import Block, GroundPoints, Image, ImagePoints, Options
     from fg_orient.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
     from fg_orient.io.project import read_project
+    from fg_orient.io.sensor import read_sensor
     from fg_orient.names import Role, Status
     from fg_orient.orient import adjust
-    from fg_orient.io.sensor import read_sensor
     from fg_orient.solution import Solution
 
 __version__: Final = "0.1.0"

@@ -82,9 +82,13 @@ def test_commands_of_the_readme_exist(repository: Path) -> None:
     assert known - shown == set()
 
 
-def test_project_file_of_the_readme_parses(repository: Path) -> None:
+def test_project_file_of_the_readme_is_valid(repository: Path) -> None:
+    from fg_orient.io.schema import ProjectFile, validate
+
     (text,) = blocks(repository / "README.md", "toml")
-    assert [image["id"] for image in tomllib.loads(text)["images"]] == ["left", "right"]
+    project = validate(tomllib.loads(text), "README.md")
+    assert isinstance(project, ProjectFile), project
+    assert [image.id for image in project.images] == ["left", "right"]
 
 
 def test_links_between_pages_exist(repository: Path) -> None:
