@@ -110,7 +110,8 @@ SENSOR: Final = {
     ),
     "sensor.pixel_outside": (
         "pixel outside the image",
-        "lines run from -0.5 to {last_line:g}, samples from -0.5 to {last_sample:g}; (0, 0) is the first pixel's centre",
+        "lines run from -0.5 to {last_line:g}, samples with look angles from {first_sample:g} to {last_sample:g}; "
+        "(0, 0) is the first pixel's centre",
     ),
     "sensor.ray_misses": (
         "the viewing ray does not meet the Earth at this height",

@@ -45,8 +45,9 @@ def pixel_derivative(
 ) -> Array:
     """Local derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
     columns = []
-    for values, count, axis in ((line, sensor.n_lines, 0), (sample, sensor.n_samples, 1)):
-        low, high = np.clip(values - 0.5, -0.5, count - 0.5), np.clip(values + 0.5, -0.5, count - 0.5)
+    limits = ((0.0, sensor.n_lines - 1.0), (sensor.first_sample, sensor.last_sample))
+    for axis, (values, (first, last)) in enumerate(zip((line, sample), limits, strict=True)):
+        low, high = (np.clip(values + step, first - 0.5, last + 0.5) for step in (-0.5, 0.5))
         pair = [(v, sample) if axis == 0 else (line, v) for v in (low, high)]
         f_low, f_high = (conditions(sensor, a, b, ground_m, correction) for a, b in pair)
         columns.append((f_high - f_low) / (high - low)[:, None])
@@ -56,7 +57,7 @@ def pixel_derivative(
 def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
     """Line and sample of N ECEF points (N, 3) m; see the module docstring."""
     line = np.full(len(ground_m), (sensor.n_lines - 1) / 2.0)
-    sample = np.full(len(ground_m), (sensor.n_samples - 1) / 2.0)
+    sample = np.full(len(ground_m), (sensor.first_sample + sensor.last_sample) / 2.0)
     centre = sensor.states((sensor.n_lines - 1) / 2.0).position_m
     visible = np.isfinite(ground_m).all(axis=1)
     visible &= np.einsum("ij,ij->i", np.nan_to_num(ground_m) - centre, np.nan_to_num(ground_m)) < 0.0
@@ -75,7 +76,7 @@ def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) ->
 def _newton_step(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """Step (N, 2) from the nearest pixel of the image, relative to the present estimate."""
     l_in = np.clip(line, -0.5, sensor.n_lines - 0.5)
-    s_in = np.clip(sample, -0.5, sensor.n_samples - 0.5)
+    s_in = np.clip(sample, sensor.first_sample - 0.5, sensor.last_sample + 0.5)
     f = conditions(sensor, l_in, s_in, ground_m, correction)
     j = pixel_derivative(sensor, l_in, s_in, ground_m, correction)
     full = -np.linalg.solve(j, f[:, :, None])[:, :, 0]

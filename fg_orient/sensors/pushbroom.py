@@ -98,6 +98,9 @@ class PushbroomSensor:
     def __init__(self, metadata: PushbroomMetadata) -> None:
         self.metadata = metadata
         self.n_lines, self.n_samples = metadata.n_lines, metadata.n_samples
+        self.first_sample, self.last_sample = 0.0, self.n_samples - 1.0
+        if isinstance(metadata.look, LookAngleTable):
+            self.first_sample, self.last_sample = float(metadata.look.sample[0]), float(metadata.look.sample[-1])
         self.follows_orbit = isinstance(metadata.attitude, AngleAttitude)
         self.notes: tuple[str, ...] = metadata.notes + self._check_time_range()
 
@@ -259,9 +262,9 @@ class PushbroomSensor:
         return ground
 
     def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
-        """Tell which pixels lie in the image, its half-pixel border included."""
-        inside = (line >= -0.5) & (line <= self.n_lines - 0.5) & (sample >= -0.5) & (sample <= self.n_samples - 0.5)
-        return np.asarray(inside)
+        """Tell which pixels lie in the image and have look angles, half a pixel of border included."""
+        inside = (line >= -0.5) & (line <= self.n_lines - 0.5)
+        return np.asarray(inside & (sample >= self.first_sample - 0.5) & (sample <= self.last_sample + 0.5))
 
     def require_inside(self, line: Array, sample: Array) -> None:
         """Refuse pixels outside the image.
@@ -275,7 +278,8 @@ class PushbroomSensor:
         if len(bad):
             raise OutOfImage(problem(
                 "sensor.pixel_outside", file=self.file, place=f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}",
-                value=f"{len(bad)} pixel(s)", last_line=self.n_lines - 0.5, last_sample=self.n_samples - 0.5,
+                value=f"{len(bad)} pixel(s)", last_line=self.n_lines - 0.5,
+                first_sample=self.first_sample - 0.5, last_sample=self.last_sample + 0.5,
             ))  # fmt: skip
 
     # --- ground to image ---------------------------------------------------------------------
@@ -293,10 +297,11 @@ class PushbroomSensor:
     @cached_property
     def centre_m(self) -> Array:
         """Ground point of the image centre at height 0, ECEF m (3,)."""
-        return np.asarray(self.locate((self.n_lines - 1) / 2, (self.n_samples - 1) / 2, height_m=0.0)[0])
+        middle = 0.5 * (self.first_sample + self.last_sample)
+        return np.asarray(self.locate((self.n_lines - 1) / 2, middle, height_m=0.0)[0])
 
     def footprint(self) -> Array:
         """Corners at height 0 in image order (clockwise): (4, 2) longitude, latitude in degrees."""
         line = np.array([0.0, 0.0, self.n_lines - 1.0, self.n_lines - 1.0])
-        sample = np.array([0.0, self.n_samples - 1.0, self.n_samples - 1.0, 0.0])
+        sample = np.array([self.first_sample, self.last_sample, self.last_sample, self.first_sample])
         return np.degrees(ellipsoid.geodetic_array(self.locate(line, sample, height_m=0.0))[:, :2])
