@@ -42,6 +42,7 @@ format: $(STAMP)  ## let ruff mend and format the code
 	$(BIN)/ruff format .
 
 docs: $(STAMP)  ## build the documentation into docs/_build/html, warnings are errors
+	rm -rf docs/api  # made at each build; pages of modules that moved must go
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
 	@echo "documentation: $(CURDIR)/docs/_build/html/index.html"
 
