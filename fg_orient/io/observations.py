@@ -33,7 +33,7 @@ class ObservationFile:
 
 
 def read_observations(
-    path: Path, sizes: Mapping[str, tuple[int, int] | None], point_ids: Sequence[str] | None, faults: Faults
+    path: Path, sizes: Mapping[str, tuple[int, int] | None] | None, point_ids: Sequence[str] | None, faults: Faults
 ) -> ObservationFile | None:
     """Read a table of image observations.
 
@@ -41,9 +41,9 @@ def read_observations(
     ----------
     path : Path
         CSV file with the columns ``image, id, line, sample, sigma_line_px, sigma_sample_px``.
-    sizes : mapping of str to (n_lines, n_samples) or None
+    sizes : mapping of str to (n_lines, n_samples) or None, or None
         The images in the order of the block; None where the size is unknown (the pixel
-        range is then not checked).
+        range is then not checked), or for all if the images are unknown.
     point_ids : sequence of str or None
         Ids of the ground points; None if they are unknown (ids are then not checked).
     faults : Faults
@@ -57,14 +57,14 @@ def read_observations(
     table = read_table(path, [COLUMNS], faults)
     if table is None:
         return None
-    image_row = {name: k for k, name in enumerate(sizes)}
+    image_row = {name: k for k, name in enumerate(sizes)} if sizes is not None else None
     point_row = {name: k for k, name in enumerate(point_ids)} if point_ids is not None else None
     first: dict[tuple[str, str], int] = {}
     values = np.full((len(table.rows), 4), np.nan)
     for k, row in enumerate(table.rows):
         _check_names(row, image_row, point_row, first, faults)
-        values[k] = _values(row, sizes.get(row.cells["image"]), faults)
-    if faults or point_row is None:
+        values[k] = _values(row, (sizes or {}).get(row.cells["image"]), faults)
+    if faults or point_row is None or image_row is None:
         return None
     image = np.array([image_row[row.cells["image"]] for row in table.rows], np.intp)
     point = np.array([point_row[row.cells["id"]] for row in table.rows], np.intp)
@@ -75,13 +75,13 @@ def read_observations(
 
 def _check_names(
     row: Row,
-    images: Mapping[str, int],
+    images: Mapping[str, int] | None,
     points: Mapping[str, int] | None,
     first: dict[tuple[str, str], int],
     faults: Faults,
 ) -> None:
     image, name = row.cells["image"], row.cells["id"]
-    if image not in images:
+    if images is not None and image not in images:
         hint = did_you_mean(image, list(images))
         faults.add("observations.image_unknown", place=row.place("image"), value=repr(image), hint=hint)
     if points is not None and name not in points:

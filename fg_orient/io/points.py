@@ -29,6 +29,8 @@ Array = npt.NDArray[np.float64]
 SIGMA_COLUMNS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 _SIGMA_XYZ: Final = ("sigma_x_m", "sigma_y_m", "sigma_z_m")
 FIXED: Final = "fixed"
+#: Faults after which the list of ids is not the one the user meant.
+LOSES_IDS: Final = {"table.cell_count", "table.quotes", "table.long_line", "points.id_twice", "points.id_missing"}
 #: Standard deviations outside this range are more likely a wrong unit than a survey: 0.01 mm, 10 km.
 PLAUSIBLE_SIGMA_M: Final = (1e-5, 1e4)
 

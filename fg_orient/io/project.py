@@ -20,7 +20,7 @@ from fg_orient.geodesy import crs_kind
 from fg_orient.io.assemble import assemble
 from fg_orient.io.geometry import geometry_remarks
 from fg_orient.io.observations import ObservationFile, read_observations
-from fg_orient.io.points import PointFile, read_points
+from fg_orient.io.points import LOSES_IDS, PointFile, read_points
 from fg_orient.io.scenes import Scene
 from fg_orient.io.tables import Faults
 from fg_orient.parameters import eop_set_number
@@ -210,9 +210,11 @@ def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, 
         known = [image for image in images.values() if image is not None]
         scenes = [Scene.from_footprint(image.id, image.sensor.footprint()) for image in known]
         points = read_points(point_path, project.points.crs, point_faults, scenes)
+    # names are checked only against lists that are themselves in order: no faults that follow from faults
     sizes = {name: (i.sensor.n_lines, i.sensor.n_samples) if i is not None else None for name, i in images.items()}
-    ids = points.points.ids if points is not None else None
-    observations = read_observations(observation_path, sizes, ids, observation_faults)
+    known_images = sizes if len(sizes) == len(project.images) else None
+    ids = points.points.ids if points is not None and not point_faults.codes & LOSES_IDS else None
+    observations = read_observations(observation_path, known_images, ids, observation_faults)
     problems = (*crs_problems, *point_faults.problems, *observation_faults.problems)
     return _Tables(points, observations, problems)
 

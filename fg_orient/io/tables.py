@@ -34,12 +34,18 @@ class Faults:
     ----------
     file : str
         Name of the file, for the messages.
+
+    Attributes
+    ----------
+    codes : set of str
+        Codes of all faults noted, listed or not.
     """
 
     def __init__(self, file: str) -> None:
         self.file = file
         self._problems: list[Problem] = []
         self._dropped = 0
+        self.codes: set[str] = set()
 
     def add(self, code: str, *, place: object = "", value: object = "", **fields: object) -> None:
         """Note one fault from the message catalogue."""
@@ -47,6 +53,7 @@ class Faults:
 
     def take(self, *found: Problem) -> None:
         """Note faults that somebody else built."""
+        self.codes.update(p.code for p in found)
         room = MAX_FAULTS - len(self._problems)
         self._problems.extend(found[:room])
         self._dropped += max(0, len(found) - room)
@@ -150,6 +157,8 @@ def number(row: Row, column: str, faults: Faults) -> float:
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
     """Give "did you mean X?", or the list of what is known (shortened)."""
+    if not known:
+        return "there is none"
     close = difflib.get_close_matches(word, known, n=1)
     if close:
         return f"did you mean {close[0]}?"
@@ -220,8 +229,9 @@ def _header(line: int, cells: list[str], layouts: Sequence[Sequence[str]], fault
             faults.add("table.column_unknown", place=place, value=name, hint=did_you_mean(name, everything))
         elif name and name not in layout:
             faults.add("table.column_foreign", place=place, value=name, columns=", ".join(layout))
+    misspelt = [match for name in cells for match in difflib.get_close_matches(name, layout, n=1)]
     for name in layout:
-        if name not in cells:
+        if name not in cells and name not in misspelt:
             faults.add("table.column_missing", place=place, value=name, columns=", ".join(layout))
     return None if len(faults.problems) > before else tuple(cells)
 

@@ -1,0 +1,231 @@
+"""From the project file to the block: roles, sealed coordinates, options, provenance, remarks."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+
+import numpy as np
+import pytest
+
+from fg_orient import geodesy
+from fg_orient.block import Options
+from fg_orient.errors import InputError
+from fg_orient.io.project import read_project
+from fg_orient.io.schema import Adjustment, Orientation
+from fg_orient.io.validate import is_remark, validate_project
+from fg_orient.names import Role
+
+
+def test_block_of_a_small_project(folder):
+    block = read_project(folder.project)
+    assert block.name == "small" and [image.id for image in block.images] == ["left", "right"]
+    assert block.points.ids == ("01", "1", "c3", "c4", "k1", "k2", "t1")  # 01 and 1 are two points
+    assert block.points.roles == (Role.CONTROL,) * 4 + (Role.CHECK,) * 2 + (Role.TIE,)
+    assert len(block.observations) == 14
+    o = block.observations
+    row = int(np.flatnonzero((o.image == 1) & (o.point == 3))[0])
+    assert (o.line[row], o.sample[row], o.sigma_line_px[row]) == (9200.0, 11000.25, 0.3)
+
+
+def test_only_control_is_known_and_fixed_means_no_sigma(folder):
+    known = read_project(folder.project).points.known
+    expected = geodesy.geodetic_to_ecef(
+        [31.60, 32.05, 31.62, 32.00], [41.20, 41.22, 41.45, 41.44], [12.5, 250, 830, 1500]
+    )
+    np.testing.assert_array_equal(known.ecef_m[:4], expected)
+    assert np.isnan(known.ecef_m[4:]).all() and np.isnan(known.sigma_enu_m[4:]).all()
+    assert known.fixed.tolist() == [False, False, True, False, False, False, False]
+    assert np.isnan(known.sigma_enu_m[2]).all()
+    np.testing.assert_array_equal(known.sigma_enu_m[1], [0.06, 0.07, 1.0])
+
+
+def test_check_coordinates_come_out_only_when_opened(folder):
+    block = read_project(folder.project)
+    assert block.withheld.ids == ("k1", "k2")
+    opened = block.withheld.open()
+    np.testing.assert_array_equal(opened.ecef_m, geodesy.geodetic_to_ecef([31.80, 31.85], [41.30, 41.35], [640, 700]))
+    np.testing.assert_array_equal(opened.sigma_enu_m, [[0.1, 0.1, 0.5]] * 2)
+
+
+def test_check_coordinates_change_nothing_else_in_the_block(folder):
+    before = read_project(folder.project)
+    there = before.withheld.open().ecef_m
+    folder.change("points.csv", "k1,check,31.80,41.30,640.0", "k1,check,31.81,41.31,1640.0")
+    after = read_project(folder.project)
+    np.testing.assert_array_equal(before.points.known.ecef_m, after.points.known.ecef_m)
+    np.testing.assert_array_equal(before.observations.line, after.observations.line)
+    moved = np.linalg.norm(after.withheld.open().ecef_m - there, axis=1)
+    assert moved[0] > 1000.0 and moved[1] == 0.0
+
+
+def test_opening_after_the_file_changed_is_refused(folder):
+    block = read_project(folder.project)
+    folder.change("points.csv", "640.0", "641.0")
+    with pytest.raises(InputError) as caught:
+        block.withheld.open()
+    assert caught.value.problems[0].code == "points.changed"
+
+
+def test_sources_carry_the_digests_of_all_files(folder):
+    block = read_project(folder.project)
+    files = [
+        folder.project,
+        folder.folder / "left.DIM",
+        folder.folder / "right.DIM",
+        folder.points,
+        folder.observations,
+    ]
+    assert [s.path for s in block.sources] == [str(f) for f in files]
+    assert [s.sha256 for s in block.sources] == [hashlib.sha256(f.read_bytes()).hexdigest() for f in files]
+
+
+def test_defaults_of_the_file_are_those_of_the_options():
+    """Two places state the defaults: they may not drift apart."""
+    options = Options()
+    stated = {**dict(Orientation()), **dict(Adjustment())}
+    stated.pop("points_seen_once")
+    assert stated == dataclasses.asdict(options)
+
+
+def test_options_of_the_file_and_overrides(folder):
+    folder.change(
+        "project.toml", "eop_set = 15", 'eop_set = "A0"\nlook_polynomial = 2\nlook_sigma_rad = 1\npriors = false'
+    )
+    block = read_project(folder.project)
+    assert (block.options.eop_set, block.options.look_polynomial, block.options.priors) == (10, 2, False)
+    assert block.options.look_sigma_rad == 1.0
+    other = read_project(folder.project, eop_set=1, check_points="exclude", max_iterations=None)
+    assert (other.options.eop_set, other.options.check_points, other.options.max_iterations) == (1, "exclude", 50)
+    with pytest.raises(TypeError, match="eopset"):
+        read_project(folder.project, eopset=1)
+    with pytest.raises(InputError):
+        read_project(folder.project, eop_set=21)
+
+
+def test_paths_are_relative_to_the_project_file(folder, monkeypatch, tmp_path_factory):
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    assert len(read_project(folder.project).images) == 2
+
+
+def test_unmeasured_points_are_left_out_with_a_remark(folder):
+    folder.change("points.csv", "k2,check", "x9,check,31.9,41.3,5,1,1,1\nx8,control,31.9,41.3,5,1,1,1\nk2,check")
+    block = read_project(folder.project)
+    assert "x9" not in block.points.ids and "x8" not in block.points.ids
+    assert block.withheld.ids == ("k1", "k2") and block.withheld.open().ecef_m.shape == (2, 3)
+    assert any("x9, x8" in note for note in block.notes)
+
+
+def test_points_seen_once_are_dropped_on_request(folder):
+    folder.change("observations.csv", "right,t1,7000,2100,0.3,0.3\n", "")
+    folder.change("observations.csv", "left,01,1000,1200,0.3,0.3\n", "")  # control may have a single ray
+    folder.change("project.toml", "max_iterations", 'points_seen_once = "drop"\nmax_iterations')
+    block = read_project(folder.project)
+    assert block.points.ids == ("01", "1", "c3", "c4", "k1", "k2") and len(block.observations) == 11
+    assert block.points.ids[block.observations.point[-1]] == "k2"
+    assert any("single ray" in note and "t1" in note for note in block.notes)
+
+
+@pytest.mark.parametrize(
+    ("crs", "names", "kind"),
+    [
+        ("EPSG:32636", "easting_m,northing_m,height_m", "projected"),
+        ("EPSG:4978", "x_m,y_m,z_m", "geocentric"),
+    ],
+)
+def test_the_same_points_in_another_crs(folder, crs, names, kind):
+    expected = read_project(folder.project).points.known.ecef_m[:4]
+    lon, lat, height = geodesy.ecef_to_geodetic(expected)
+    if kind == "projected":
+        first, second = geodesy.from_geographic(crs, lon, lat)
+        values = np.stack([first, second, height], axis=1)
+    else:
+        values = expected
+    header = f"id,role,{names},sigma_east_m,sigma_north_m,sigma_up_m\n"
+    rows = [
+        f"{n},control,{','.join(map(repr, map(float, v)))},1,1,1\n"
+        for n, v in zip(("01", "1", "c3", "c4"), values, strict=True)
+    ]
+    folder.points.write_text(header + "".join(rows) + "k1,tie,,,,,,\nk2,tie,,,,,,\nt1,tie,,,,,,\n", encoding="utf-8")
+    folder.change("project.toml", "EPSG:4979", crs)
+    block = read_project(folder.project)
+    # 1 um: PROJ's transverse Mercator, there and back
+    np.testing.assert_allclose(block.points.known.ecef_m[:4], expected, rtol=0, atol=1e-6)
+    assert any(crs in note and "accuracy" in note for note in block.notes)
+
+
+# --- validation ----------------------------------------------------------------------------------
+
+
+def codes(folder) -> list[str]:
+    found = validate_project(folder.project)
+    assert all(is_remark(p) for p in found)
+    return [p.code for p in found]
+
+
+def test_remarks_on_a_small_block(folder):
+    assert codes(folder) == ["remark.few_control", "remark.few_check"]
+    notes = read_project(folder.project).notes
+    assert any("only 4 control" in note for note in notes) and any("2 check points" in note for note in notes)
+
+
+def test_remark_on_control_along_a_line(folder):
+    """Four points along a diagonal, the last 300 m beside it."""
+    text = folder.points.read_text()
+    for old, new in (("31.60,41.20", "31.60,41.20"), ("32.05,41.22", "31.70,41.28"), ("31.62,41.45", "31.80,41.36"),
+                     ("32.00,41.44", "31.90,41.443")):  # fmt: skip
+        text = text.replace(old, new)
+    folder.points.write_text(text)
+    found = {p.code: p for p in validate_project(folder.project)}
+    assert "remark.control_line" in found and "4 control" in found["remark.control_line"].value
+
+
+def test_remark_on_clustered_control_and_on_one_image(folder):
+    text = folder.observations.read_text()
+    rows = [line for line in text.splitlines() if not line.startswith(("right,01", "right,1", "right,c3", "right,c4"))]
+    pixels = {"9000.5,900": "1500,900", "1100,10800": "1100,1800", "9200,11000.25": "1200,1000.25"}
+    text = "\n".join(rows)
+    for old, new in pixels.items():
+        text = text.replace(old, new)
+    folder.observations.write_text(text)
+    assert {"remark.control_one_image", "remark.control_clustered"} <= set(codes(folder))
+
+
+def test_remarks_on_odd_units_of_sigmas(folder):
+    folder.change("points.csv", "0.06,0.07,1.0", "1e-7,0.07,1.0")
+    folder.change("observations.csv", "left,01,1000,1200,0.3,0.3", "left,01,1000,1200,1e5,0.3")
+    found = {p.code: p for p in validate_project(folder.project)}
+    assert "line 4" in found["remark.sigma_ground"].place and "1e-07" in found["remark.sigma_ground"].value
+    assert "line 2" in found["remark.sigma_image"].place and "100000" in found["remark.sigma_image"].value
+
+
+def test_remark_on_a_better_grid(folder):
+    """OSGB36 has a grid (OSTN15) that does not come with PROJ: a remark, as a coarser operation exists."""
+    _, operation = geodesy.to_ecef_with_operation("EPSG:27700", 4e5, 4e5, 10.0)
+    if not operation.missing_grids:
+        pytest.skip("the grid is installed here")
+    assert "OSTN15" in str(operation)
+
+
+@pytest.mark.real_data
+def test_the_real_pair_is_read_with_its_real_sensors(real_data, tmp_path):
+    """86 surveyed points in both images; ECEF coordinates arrive unchanged."""
+    from fg_orient.io.points_write import write_observations, write_points, write_project
+
+    source = real_data / "geoetrim-pleiades"
+    tables = {k: np.genfromtxt(source / f"points_img{k}.csv", delimiter=",", names=True) for k in (1, 3)}
+    ids = [str(int(i)) for i in tables[1]["point_id"]]
+    ecef = np.stack([tables[1][f"{axis}_ecef_m"] for axis in "XYZ"], axis=1)
+    roles = [Role.CONTROL if k % 8 == 0 else Role.CHECK for k in range(86)]
+    write_points(tmp_path / "points.csv", ids, roles, ecef, np.full((86, 3), 0.3), kind="geocentric")
+    pixels = np.concatenate([np.stack([tables[k]["line"] - 1, tables[k]["col"] - 1], axis=1) for k in (1, 3)])
+    images = ["img1"] * 86 + ["img3"] * 86
+    write_observations(tmp_path / "observations.csv", images, ids * 2, pixels, np.full((1, 2), 0.3))
+    metadata = [(f"img{k}", str(source / f"DIM_PHR1A_derived_img{k}.XML")) for k in (1, 3)]
+    write_project(tmp_path / "project.toml", name="pair", images=metadata, crs="EPSG:4978")
+    block = read_project(tmp_path / "project.toml")
+    assert len(block.points.ids) == 86 and len(block.observations) == 172 and len(block.withheld.ids) == 75
+    control = block.points.where(Role.CONTROL)
+    np.testing.assert_array_equal(block.points.known.ecef_m[control], ecef[control])
+    np.testing.assert_array_equal(block.withheld.open().ecef_m, ecef[block.points.where(Role.CHECK)])
+    assert block.images[0].sensor.n_samples == 40000

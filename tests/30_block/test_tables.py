@@ -1,0 +1,77 @@
+"""The CSV reader: what it accepts as text, and numbers digit by digit."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fg_orient.io.tables import MAX_FAULTS, Faults, Row, number, read_table
+
+
+def read(tmp_path: Path, data: bytes | str, columns=(("id", "x_m"),)):
+    path = tmp_path / "t.csv"
+    path.write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
+    faults = Faults("t.csv")
+    return read_table(path, columns, faults), faults
+
+
+def test_byte_order_mark_crlf_comments_and_blank_lines(tmp_path):
+    table, faults = read(tmp_path, b"\xef\xbb\xbf# made by hand\r\nid,x_m\r\n\r\n 01 , 2.5\r\n#7,8\r\n,,\r\n1,3\r\n")
+    assert not faults and table is not None
+    assert [(row.line, row.cells) for row in table.rows] == [
+        (4, {"id": "01", "x_m": "2.5"}),
+        (7, {"id": "1", "x_m": "3"}),
+    ]
+
+
+def test_columns_in_any_order_quotes_and_empty_trailing_cells(tmp_path):
+    table, faults = read(tmp_path, 'x_m,id,\n1,"a,b",\n2,"say ""x""",,\n')
+    assert not faults and table is not None
+    assert [row.cells["id"] for row in table.rows] == ["a,b", 'say "x"']
+
+
+def test_faults_are_counted_beyond_the_first_twenty(tmp_path):
+    table, faults = read(tmp_path, "id,x_m\n" + "a,oops\n" * 50)
+    assert table is not None
+    for row in table.rows:
+        number(row, "x_m", faults)
+    assert len(faults.problems) == MAX_FAULTS + 1
+    assert faults.problems[-1].code == "table.more_faults" and faults.problems[-1].value == "30 more"
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_every_finite_double_is_read_back(value):
+    faults = Faults("t.csv")
+    assert number(Row(2, {"x": repr(value)}), "x", faults) == value and not faults
+
+
+@given(st.text(max_size=12))
+def test_only_plain_decimal_numbers_are_numbers(text):
+    """Whatever is accepted is a finite float for Python, too, and holds nothing but number characters."""
+    faults = Faults("t.csv")
+    value = number(Row(2, {"x": text}), "x", faults)
+    assert math.isnan(value) == bool(faults)
+    if not faults:
+        assert set(text) <= set("0123456789+-.eE") and math.isfinite(float(text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "nan", "NaN", "inf", "-Infinity", "1e400", "1,5", "1_000", "0x10", "1e", "--1", "٣", "1 2", "1d3", "1.5m"],
+)
+def test_anything_else_is_refused(text):
+    faults = Faults("t.csv")
+    assert math.isnan(number(Row(3, {"x_m": text}), "x_m", faults))
+    (found,) = faults.problems
+    assert found.place == "line 3, column x_m" and found.value == repr(text) and found.remedy
+
+
+@given(st.binary(max_size=200))
+def test_no_bytes_whatever_break_the_reader(tmp_path_factory, data):
+    table, faults = read(tmp_path_factory.mktemp("t"), data)
+    assert (table is not None and table.rows) or faults
+    assert all("\n" not in str(p) and p.remedy for p in faults.problems)
