@@ -93,5 +93,3 @@ def _require_version_2(root: XmlNode) -> None:
 def _seen(form: str, version: str, profile: str) -> str:
     names = [name for prefix, name in _PROFILE_PREFIXES.items() if profile.upper().startswith(prefix)]
     return f"{form} {version or 'without version'}, profile {profile}" + (f" ({names[0]})" if names else "")
-
-

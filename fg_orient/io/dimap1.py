@@ -186,9 +186,7 @@ def _frame_points(root: XmlNode) -> tuple[FramePoint, ...]:
 # --- attitude --------------------------------------------------------------------------------
 
 
-def _attitude(
-    root: XmlNode, epoch: np.datetime64, index: int, ends_s: Array
-) -> tuple[AngleAttitude, tuple[str, ...]]:
+def _attitude(root: XmlNode, epoch: np.datetime64, index: int, ends_s: Array) -> tuple[AngleAttitude, tuple[str, ...]]:
     source = root.one("Data_Strip/Satellite_Attitudes")
     if index == 5:
         nodes = source.every("Corrected_Attitudes/Corrected_Attitude/Angles", 2)

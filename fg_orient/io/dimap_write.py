@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, problem
 from fg_orient.io.atomic import write_text
 from fg_orient.io.dimap1 import ATTITUDE_SIGN, FRAME_HEIGHT_M
 from fg_orient.io.dimap_checks import DIMAP_FIRST_PIXEL
@@ -104,8 +104,8 @@ def write_dimap2(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, d
     look, timing = metadata.look, metadata.timing
     if isinstance(metadata.attitude, AngleAttitude) or not isinstance(look, LookAnglePolynomial):
         raise _misfit(path, metadata, "DIMAP 2.0", "needed: quaternions and look angle polynomials")
-    if timing.reference_line != 0.0:
-        raise _misfit(path, metadata, "DIMAP 2.0", "needed: line times counted from line 0")
+    if timing.reference_line != 0.0 or not look.origin_sample.is_integer():
+        raise _misfit(path, metadata, "DIMAP 2.0", "needed: times counted from line 0, columns from a whole number")
     end = timing.reference_time_s + timing.line_period_s * (metadata.n_lines - 1)
     limits = [
         _leaf("START", _time(metadata.epoch, timing.reference_time_s) + "Z"),
@@ -156,16 +156,14 @@ def _time(epoch: np.datetime64, seconds: float) -> str:
         days, rest = days - 1, rest + 86400
     hour, rest = divmod(rest, 3600)
     minute, second = divmod(rest, 60)
-    date = np.datetime64(epoch, "D") + np.timedelta64(int(days), "D")
+    date = epoch.astype("datetime64[D]") + np.timedelta64(int(days), "D")
     whole, _, digits = f"{second:f}".partition(".")
     return f"{date}T{int(hour):02d}:{int(minute):02d}:{int(whole):02d}.{digits:0<6}"
 
 
 def _misfit(path: str | os.PathLike[str], metadata: PushbroomMetadata, target: str, needed: str) -> InputError:
     kinds = f"{metadata.mission}, {type(metadata.attitude).__name__}, {type(metadata.look).__name__}"
-    return InputError(*InputError.of(
-        "dimap.not_writable", file=os.fspath(path), value=kinds, target=target, needed=needed
-    ).problems)  # fmt: skip
+    return InputError(problem("dimap.not_writable", file=os.fspath(path), value=kinds, target=target, needed=needed))
 
 
 def _states(metadata: PushbroomMetadata) -> tuple[list[str], Array, Array]:

@@ -1,0 +1,100 @@
+"""Typed access to elements: units, numbers, times, paths."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fg_orient.errors import InputError
+from fg_orient.io.xml import DEGREES, METRES, MILLISECONDS, PURE, RADIANS, SECONDS, Quantity, XmlNode, read_xml
+
+
+def node(tmp_path: Path, inner: str) -> XmlNode:
+    path = tmp_path / "small.xml"
+    path.write_text(f"<root>{inner}</root>", "utf-8")
+    return read_xml(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "quantity", "expected"),
+    [
+        ("<a>2</a>", SECONDS, 2.0),
+        ("<a>2</a>", MILLISECONDS, 2e-3),
+        ('<a unit="microsecond">2</a>', MILLISECONDS, 2e-6),
+        ('<a unit=" MS ">2</a>', SECONDS, 2e-3),
+        ('<a unit="\u00b5s">2</a>', SECONDS, 2e-6),
+        ('<a unit="km">2</a>', METRES, 2e3),
+        ('<a unit="deg">180</a>', RADIANS, np.pi),
+        ('<a unit="deg">180</a>', DEGREES, 180.0),
+        ("<a> \n+1.5E-3\t</a>", PURE, 1.5e-3),
+        ("<a>-.5</a>", PURE, -0.5),
+        ("<a>5.</a>", PURE, 5.0),
+        ("<a>1e-400</a>", PURE, 0.0),
+    ],
+)
+def test_numbers_follow_their_unit(tmp_path: Path, text: str, quantity: Quantity, expected: float) -> None:
+    assert node(tmp_path, text).one("a").number(quantity) == pytest.approx(expected, rel=1e-15)
+
+
+@given(value=st.floats(allow_nan=False, allow_infinity=False))
+def test_every_printed_float_is_read_exactly(tmp_path_factory: pytest.TempPathFactory, value: float) -> None:
+    root = node(tmp_path_factory.mktemp("n"), f"<a>{value!r}</a>")
+    assert root.one("a").number() == value
+
+
+@given(text=st.text(st.characters(exclude_characters="<&\r", exclude_categories=("Cs", "Cc")), min_size=1, max_size=12))
+def test_other_text_is_never_a_number(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    """A number means ASCII digits, point and exponent; Python's float() accepts more (underscores, other digits)."""
+    root = node(tmp_path_factory.mktemp("t"), f"<a>{text}</a>")
+    allowed = set("0123456789+-.eE")
+    try:
+        root.one("a").number()
+    except InputError:
+        return
+    assert set(text.strip()) <= allowed
+
+
+def test_vectors_have_their_count(tmp_path: Path) -> None:
+    root = node(tmp_path, '<a unit="km">1 2\n 3</a>')
+    np.testing.assert_array_equal(root.one("a").vector(3, METRES), [1e3, 2e3, 3e3])
+    with pytest.raises(InputError, match="needs 4 numbers"):
+        root.one("a").vector(4, METRES)
+
+
+def test_times_are_exact_and_cross_midnight(tmp_path: Path) -> None:
+    root = node(tmp_path, "<a>2004-02-29T23:59:59.1234567890123Z</a><b>2004-03-01T00:00:00.5</b>")
+    day, seconds = root.one("a").time()
+    assert (day, seconds) == (np.datetime64("2004-02-29"), Decimal("86399.1234567890123"))
+    assert root.one("b").seconds_since(day) == 86400.5
+    assert root.one("a").seconds_since(np.datetime64("2004-03-01")) == float(Decimal("-0.8765432109877"))
+
+
+def test_a_step_of_a_path_may_not_be_doubled(tmp_path: Path) -> None:
+    root = node(tmp_path, "<a><b>1</b></a>\n<a><b>2</b></a><c/>")
+    with pytest.raises(InputError) as caught:
+        root.one("a/b")
+    assert caught.value.problems[0].code == "xml.doubled"
+    assert caught.value.problems[0].place == "line 2, a"
+    assert root.maybe("d/b") is None
+    assert [n.one("b").number() for n in root.every("a")] == [1.0, 2.0]
+    assert root.every("d", 0) == []
+    with pytest.raises(InputError, match="needs at least 1 d"):
+        root.every("d")
+
+
+def test_places_name_line_and_path(tmp_path: Path) -> None:
+    root = node(tmp_path, "\n<a>\n<b>\n<c>x</c></b></a>")
+    assert root.one("a/b/c").place == "line 4, a/b/c"
+    assert root.place == "line 1, root"
+
+
+def test_line_numbers_are_right_in_long_files(tmp_path: Path) -> None:
+    """Beyond 65535 lines libxml2 counts from the following text: right within one line."""
+    root = node(tmp_path, "\n" * 70_000 + "<a>\n<b>x</b>\n</a>")
+    line = int(root.one("a/b").place.split(",")[0].removeprefix("line "))
+    assert abs(line - 70_002) <= 1
