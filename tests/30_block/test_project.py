@@ -11,8 +11,11 @@ import pytest
 from fg_orient import geodesy
 from fg_orient.block import Options
 from fg_orient.errors import InputError
+from fg_orient.io.points import read_points
+from fg_orient.io.points_write import write_observations, write_points, write_project
 from fg_orient.io.project import read_project
 from fg_orient.io.schema import Adjustment, Orientation
+from fg_orient.io.tables import Faults
 from fg_orient.io.validate import is_remark, validate_project
 from fg_orient.names import Role
 
@@ -199,19 +202,21 @@ def test_remarks_on_odd_units_of_sigmas(folder):
     assert "line 2" in found["remark.sigma_image"].place and "100000" in found["remark.sigma_image"].value
 
 
-def test_remark_on_a_better_grid(folder):
+def test_remark_on_a_better_grid(tmp_path):
     """OSGB36 has a grid (OSTN15) that does not come with PROJ: a remark, as a coarser operation exists."""
-    _, operation = geodesy.to_ecef_with_operation("EPSG:27700", 4e5, 4e5, 10.0)
-    if not operation.missing_grids:
+    if not geodesy.to_ecef_with_operation("EPSG:27700", 4e5, 4e5, 10.0)[1].missing_grids:
         pytest.skip("the grid is installed here")
-    assert "OSTN15" in str(operation)
+    path = tmp_path / "points.csv"
+    write_points(path, ["a"], [Role.CONTROL], np.array([[4e5, 4e5, 10.0]]), np.ones((1, 3)), kind="projected")
+    read = read_points(path, "EPSG:27700", Faults(str(path)))
+    assert read is not None
+    (found,) = read.remarks
+    assert found.code == "remark.grid_missing" and "OSTN15" in found.remedy and found.value == "EPSG:27700"
 
 
 @pytest.mark.real_data
 def test_the_real_pair_is_read_with_its_real_sensors(real_data, tmp_path):
     """86 surveyed points in both images; ECEF coordinates arrive unchanged."""
-    from fg_orient.io.points_write import write_observations, write_points, write_project
-
     source = real_data / "geoetrim-pleiades"
     tables = {k: np.genfromtxt(source / f"points_img{k}.csv", delimiter=",", names=True) for k in (1, 3)}
     ids = [str(int(i)) for i in tables[1]["point_id"]]
@@ -229,3 +234,15 @@ def test_the_real_pair_is_read_with_its_real_sensors(real_data, tmp_path):
     np.testing.assert_array_equal(block.points.known.ecef_m[control], ecef[control])
     np.testing.assert_array_equal(block.withheld.open().ecef_m, ecef[block.points.where(Role.CHECK)])
     assert block.images[0].sensor.n_samples == 40000
+
+
+def test_the_documented_example_is_a_valid_project(folder, repository):
+    """The listings of docs/file-formats.md, put into files, are read."""
+    listings = (repository / "docs" / "file-formats.md").read_text(encoding="utf-8").split("```")[1::2]
+    project, points, observations = (text.partition("\n")[2] for text in listings)
+    folder.project.write_text(project, encoding="utf-8")
+    folder.points.write_text(points, encoding="utf-8")
+    rows = "".join(f"{image},{name},10,20,0.3,0.3\n" for name in ("P2", "P3", "T1") for image in ("left", "right"))
+    folder.observations.write_text(observations + rows, encoding="utf-8")
+    block = read_project(folder.project)
+    assert block.points.ids == ("P1", "P2", "P3", "T1") and block.options.look_polynomial == 2

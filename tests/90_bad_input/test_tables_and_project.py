@@ -160,6 +160,29 @@ def test_swapped_easting_and_northing(folder):
     assert found.code == "points.swapped" and "easting_m and northing_m" in found.message
 
 
+def test_sigmas_along_the_axes_of_the_crs(folder):
+    rows = "01,control,4078323.8,2515180.6,4195881.4,1,1,1\n"
+    folder.points.write_text("id,role,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n" + rows)
+    folder.change(T, "EPSG:4979", "EPSG:4978")
+    found = refused(folder)
+    assert found[0].code == "points.sigma_axes" and "sigma_east_m" in found[0].remedy and len(found) == 1
+
+
+def test_coordinates_outside_the_projection(folder):
+    header = HEADER.replace("lon_deg,lat_deg", "easting_m,northing_m")
+    folder.points.write_text(header + "\n01,control,1e30,1,1,1,1,1\n")
+    folder.observations.write_text("image,id,line,sample,sigma_line_px,sigma_sample_px\nleft,01,1,1,1,1\n")
+    folder.change(T, "EPSG:4979", "EPSG:32636")
+    (found,) = refused(folder)
+    assert (found.code, found.place, found.value) == ("geodesy.outside", "line 2", "1e+30 1 1")
+
+
+def test_project_that_is_a_folder(tmp_path):
+    with pytest.raises(InputError) as caught:
+        read_project(tmp_path)
+    assert caught.value.problems[0].code == "project.unreadable"
+
+
 def test_no_control(folder):
     text = folder.points.read_text().replace("control", "check").replace("fixed,fixed,fixed", "1,1,1")
     folder.points.write_text(text)
