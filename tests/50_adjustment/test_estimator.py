@@ -1,0 +1,211 @@
+"""The estimator against independent computations: dense least squares, scipy, GTSAM's own optimisers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+import fg_orient as fg
+from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.block import Block
+from fg_orient.names import Role
+
+OWN = ("gauss-newton", "levenberg-marquardt", "dogleg")
+NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
+
+
+def residual_vector(problem: Problem, state: State) -> np.ndarray:
+    """All whitened residuals written out: image points, control points, priors."""
+    image, _, _ = problem.image_residuals(state)
+    parts = [image.ravel()]
+    for j in np.flatnonzero(problem.observed):
+        w = problem.control_records[j, :9].reshape(3, 3)
+        parts.append(w @ (state.ground[j] - problem.control_records[j, 9:]))
+    if problem.block.options.priors:
+        parts.append(state.image.ravel())
+    return np.concatenate(parts)
+
+
+def dense_jacobian(problem: Problem, state: State) -> np.ndarray:
+    """The same rows as a full matrix: image unknowns first, then unknown points."""
+    m, k = state.image.shape
+    points = np.flatnonzero(problem.active)
+    column = {int(j): m * k + 3 * c for c, j in enumerate(points)}
+    _, j_image, j_ground = problem.image_residuals(state, jacobian=True)
+    rows = []
+    for r in range(len(problem.observations)):
+        a = np.zeros((2, m * k + 3 * len(points)))
+        i, j = int(problem.observations.image[r]), int(problem.observations.point[r])
+        a[:, i * k : (i + 1) * k] = j_image[r]
+        if j in column:
+            a[:, column[j] : column[j] + 3] = j_ground[r]
+        rows.append(a)
+    for j in np.flatnonzero(problem.observed):
+        a = np.zeros((3, m * k + 3 * len(points)))
+        a[:, column[int(j)] : column[int(j)] + 3] = problem.control_records[j, :9].reshape(3, 3)
+        rows.append(a)
+    if problem.block.options.priors:
+        rows.append(np.hstack([np.eye(m * k), np.zeros((m * k, 3 * len(points)))]))
+    return np.vstack(rows)
+
+
+def flat(problem: Problem, state: State) -> np.ndarray:
+    return np.concatenate([state.image.ravel(), state.ground[problem.active].ravel()])
+
+
+def unflat(problem: Problem, x: np.ndarray) -> State:
+    size = problem.start.image.size
+    ground = problem.start.ground.copy()
+    ground[problem.active] = x[size:].reshape(-1, 3)
+    return State(x[:size].reshape(problem.start.image.shape), ground)
+
+
+@pytest.mark.parametrize("eop_set", [2, 15, 20])
+def test_graph_equals_dense_normal_equations(twin: Block, eop_set: int) -> None:
+    """One step of the graph against numpy's QR of the stacked rows: 1e-9 of the step."""
+    problem = compile_problem(replace(twin, options=replace(twin.options, eop_set=eop_set)))
+    backend = GraphBackend(problem)
+    system = backend.linearise(backend.initial())
+    a, r = dense_jacobian(problem, problem.start), residual_vector(problem, problem.start)
+    assert 2.0 * system.error == pytest.approx(r @ r, rel=1e-12)
+    expected = flat(problem, problem.start) - np.linalg.lstsq(a, r, rcond=None)[0]
+    found = flat(problem, backend.state(backend.retract(backend.initial(), system.solve(0.0))))
+    assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected - flat(problem, problem.start)).max()
+
+
+def test_solution_equals_scipy(twin: Block) -> None:
+    """scipy's trust-region solver from the same start, our residuals, its own derivatives of nothing."""
+    solution = fg.adjust(twin, eop_set=16)
+    problem = solution.problem
+    result = least_squares(
+        lambda x: residual_vector(problem, unflat(problem, x)),
+        flat(problem, problem.start),
+        jac=lambda x: dense_jacobian(problem, unflat(problem, x)),
+        xtol=1e-15, ftol=1e-15, gtol=1e-12,
+    )  # fmt: skip
+    assert 2.0 * result.cost == pytest.approx(solution.chi2, rel=1e-10)
+    assert np.abs(result.x - flat(problem, solution.state)).max() < 1e-6  # scipy's own stopping, not ours
+
+
+@pytest.mark.parametrize("eop_set", [1, 10, 15, 20])
+@pytest.mark.parametrize("look", [None, 2])
+def test_own_and_native_optimisers_agree(twin: Block, eop_set: int, look: int | None) -> None:
+    """Equality of the issue: image unknowns within 1e-9 prior sigma, points within 1e-7 m."""
+    base = fg.adjust(twin, eop_set=eop_set, look_polynomial=look)
+    for optimizer in (*OWN, *NATIVE):
+        other = fg.adjust(twin, eop_set=eop_set, look_polynomial=look, optimizer=optimizer)
+        assert other.status is base.status
+        assert np.abs(other.state.image - base.state.image).max() <= 1e-9, optimizer
+        assert np.abs(other.ground_m - base.ground_m).max() <= 1e-7, optimizer
+
+
+def test_cofactors_equal_the_dense_inverse(twin: Block) -> None:
+    """GTSAM Marginals, joint over both images and three points, against inv(A^T A)."""
+    solution = fg.adjust(twin, eop_set=20)
+    problem = solution.problem
+    a = dense_jacobian(problem, solution.state)
+    q = np.linalg.inv(a.T @ a)
+    m, k = solution.state.image.shape
+    points = np.flatnonzero(problem.active)[[0, 7, 20]]
+    column = {int(j): m * k + 3 * c for c, j in enumerate(np.flatnonzero(problem.active))}
+    index = np.concatenate([np.arange(m * k), *[np.arange(column[int(j)], column[int(j)] + 3) for j in points]])
+    expected = q[np.ix_(index, index)]
+    found = solution.cofactors.joint((0, 1), tuple(int(j) for j in points))
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.abs((found - expected) / scale).max() < 1e-8
+    named = solution.cofactor_matrix("image:left", f"point:{twin.points.ids[points[0]]}")
+    sigma = np.concatenate([problem.parameters.sigma, np.ones(3)])
+    index = np.concatenate([np.arange(k), np.arange(column[int(points[0])], column[int(points[0])] + 3)])
+    assert np.allclose(named.values, q[np.ix_(index, index)] * np.outer(sigma, sigma), rtol=1e-6)
+    assert named.units[0] == "m"
+    assert named.units[-1] == "m"
+    assert named.names[0] == "left.x_0"
+    posterior = solution.covariance("image:left")
+    assert np.allclose(posterior.values, solution.cofactor_matrix("image:left").values * solution.sigma0**2)
+
+
+def test_counts_and_redundancy(twin: Block) -> None:
+    """Observations: 2 x 94 image, 3 x 37 control, 54 priors; unknowns: 54 and 3 x 47."""
+    solution = fg.adjust(twin, eop_set=20)
+    assert solution.problem.n_observations == 188 + 111 + 54
+    assert solution.problem.n_unknowns == 54 + 141
+    assert solution.redundancy == 158
+    excluded = fg.adjust(twin, eop_set=20, check_points="exclude")
+    assert excluded.redundancy == 158 - 10
+    without = fg.adjust(twin, eop_set=2, priors=False)
+    assert without.redundancy == 158 - 6
+
+
+def test_sigma0_is_the_root_of_all_weighted_squares(twin: Block) -> None:
+    solution = fg.adjust(twin, eop_set=15)
+    r = residual_vector(solution.problem, solution.state)
+    assert solution.chi2 == pytest.approx(r @ r, rel=1e-12)
+    assert solution.sigma0 == pytest.approx(np.sqrt(r @ r / 158), rel=1e-12)
+    low, high = solution.sigma0_interval
+    assert low < 1.0 < high
+
+
+def test_gradient_vanishes_at_the_solution(twin: Block) -> None:
+    """A^T r = 0 in scaled unknowns: the minimum, not only the end of a loop."""
+    solution = fg.adjust(twin, eop_set=20, look_polynomial=1)
+    a = dense_jacobian(solution.problem, solution.state)
+    r = residual_vector(solution.problem, solution.state)
+    assert np.abs(a.T @ r).max() < 1e-6 * np.abs(a).max()
+
+
+def test_pixel_residuals_are_adjusted_minus_observed(twin: Block) -> None:
+    """v = project(adjusted point) - observation to second order of v: 1e-4 px."""
+    solution = fg.adjust(twin, eop_set=15)
+    o = solution.problem.observations
+    for k, image in enumerate(twin.images):
+        rows = np.flatnonzero(o.image == k)
+        line, sample = image.sensor.project(solution.ground_m[o.point[rows]], solution.correction(image.id))
+        assert np.abs(line - o.line[rows] - solution.residuals_px[rows, 0]).max() < 1e-3
+        assert np.abs(sample - o.sample[rows] - solution.residuals_px[rows, 1]).max() < 1e-3
+
+
+def test_fixed_control_points_are_constants(twin: Block) -> None:
+    """Fixed points leave the unknowns; very small sigmas give the same answer."""
+    control = twin.points.where(Role.CONTROL)
+    fixed = twin.points.known.fixed.copy()
+    fixed[control] = True
+    hard = replace(twin, points=replace(twin.points, known=replace(twin.points.known, fixed=fixed)))
+    sigma = np.where(np.isnan(twin.points.known.sigma_enu_m), np.nan, 1e-4)
+    tight = replace(twin, points=replace(twin.points, known=replace(twin.points.known, sigma_enu_m=sigma)))
+    a, b = fg.adjust(hard, eop_set=10), fg.adjust(tight, eop_set=10)
+    assert a.problem.n_unknowns == 12 + 30
+    assert np.abs(a.state.image - b.state.image).max() < 1e-4
+    assert np.array_equal(a.ground_m[control], twin.points.known.ecef_m[control])
+    assert a.redundancy == b.redundancy
+
+
+def test_excluded_check_points_are_intersected_afterwards(twin: Block) -> None:
+    """Left out, a check point has no influence; its predicted sigma covers image and orientation."""
+    used, excluded = (fg.adjust(twin, eop_set=15, check_points=c) for c in ("use", "exclude"))
+    assert len(excluded.accuracy.check) == len(used.accuracy.check) == 10
+    a, b = used.accuracy.check.predicted_sigma_enu_m, excluded.accuracy.check.predicted_sigma_enu_m
+    assert np.all(b > 0.9 * a)  # fewer observations cannot predict much better
+    assert np.all(b < 2.0 * a)
+    d = np.linalg.norm(used.accuracy.check.enu_m - excluded.accuracy.check.enu_m, axis=1)
+    assert 0.0 < d.max() < 3.0
+
+
+def test_more_iterations_change_nothing(twin: Block) -> None:
+    a = fg.adjust(twin, eop_set=20)
+    assert a.iterations <= 5
+    assert a.log[-1].step < 1e-6
+    short = fg.adjust(twin, eop_set=20, max_iterations=1)
+    assert short.status is fg.Status.NOT_CONVERGED
+    assert "1 iterations" in short.reason
+
+
+def test_callback_sees_every_iteration(twin: Block) -> None:
+    seen = []
+    solution = fg.adjust(twin, eop_set=10, callback=seen.append)
+    assert tuple(seen) == solution.log
+    assert [record.iteration for record in seen] == list(range(1, len(seen) + 1))
+    assert seen[0].chi2 > seen[-1].chi2_after

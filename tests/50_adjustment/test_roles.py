@@ -1,0 +1,56 @@
+"""Honesty of roles: check coordinates have no influence and are opened after convergence only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import fg_orient as fg
+from fg_orient import orient
+from fg_orient.block import Block, Coordinates, WithheldCoordinates
+
+
+def moved(block: Block, shift_m: float) -> Block:
+    reader = block.withheld.reader
+
+    def shifted() -> Coordinates:
+        c = reader()
+        return replace(c, ecef_m=c.ecef_m + shift_m)
+
+    return replace(block, withheld=WithheldCoordinates(block.withheld.ids, shifted))
+
+
+def test_moving_every_check_coordinate_changes_no_estimate(twin: Block) -> None:
+    a, b = fg.adjust(twin, eop_set=15), fg.adjust(moved(twin, 1000.0), eop_set=15)
+    assert np.array_equal(a.state.image, b.state.image)
+    assert np.array_equal(a.ground_m, b.ground_m)
+    assert np.array_equal(a.residuals_px, b.residuals_px)
+    assert a.chi2 == b.chi2
+    assert np.array_equal(a.accuracy.control.enu_m, b.accuracy.control.enu_m)
+    assert np.abs(b.accuracy.check.ecef_m - a.accuracy.check.ecef_m + 1000.0).max() < 1e-6
+
+
+def test_withheld_coordinates_are_opened_once_and_last(twin: Block, monkeypatch) -> None:
+    events = []
+    solve = orient.solve
+
+    def recording_solve(*args: object) -> object:
+        out = solve(*args)
+        events.append("solved")
+        return out
+
+    def recording_reader() -> Coordinates:
+        events.append("opened")
+        return twin.withheld.reader()
+
+    monkeypatch.setattr(orient, "solve", recording_solve)
+    fg.adjust(replace(twin, withheld=WithheldCoordinates(twin.withheld.ids, recording_reader)), eop_set=10)
+    assert events == ["solved", "opened"]
+
+
+def test_no_check_coordinates_in_the_arrays(twin: Block) -> None:
+    check = twin.points.where(fg.Role.CHECK)
+    assert len(check) == 10
+    assert np.isnan(twin.points.known.ecef_m[check]).all()
+    assert np.isnan(twin.points.known.sigma_enu_m[check]).all()

@@ -1,0 +1,81 @@
+"""The real Pléiades pair: 86 points, ten control points, each point the first one in turn.
+
+Bounds of the issue; an independent bundle gave medians 0.45-0.48 / 0.52-0.57 / 2.01-2.15 m.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.real_data
+
+AXES = ("east", "north", "up")
+
+
+@pytest.fixture(scope="module")
+def example(repository: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("pleiades_pair", repository / "examples" / "pleiades_pair.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def rmse(example: ModuleType, real_data: Path) -> dict[int, np.ndarray]:
+    """Check-point RMSE (86, 3) of each set."""
+    scene = example.Scene(real_data / "geoetrim-pleiades")
+    assert len(scene.ids) == 86
+    out = {}
+    for eop_set in example.SETS:
+        runs = [example.run(scene, first, eop_set, 0.3) for first in range(86)]
+        assert all(r["status"] == "converged" for r in runs)
+        out[eop_set] = np.array([[r[f"rmse_{axis}_m"] for axis in AXES] for r in runs])
+    return out
+
+
+def test_medians_and_maxima(rmse: dict[int, np.ndarray]) -> None:
+    median = {k: np.median(v, axis=0) for k, v in rmse.items()}
+    for eop_set in (2, 10):
+        assert np.all(median[eop_set] <= [0.50, 0.60, 2.15]), (eop_set, median[eop_set])
+    for eop_set in (9, 16, 1, 15):
+        assert np.all(median[eop_set] <= 1.2 * median[10]), (eop_set, median[eop_set])
+    for eop_set, values in rmse.items():
+        assert np.all(values.max(axis=0) <= [0.70, 0.80, 3.5]), (eop_set, values.max(axis=0))
+
+
+def test_direct_geolocation_is_off_by_eight_metres(example: ModuleType, real_data: Path) -> None:
+    direct = example.direct_geolocation(example.Scene(real_data / "geoetrim-pleiades"))
+    assert direct["rmse_horizontal_m"] == pytest.approx(8.1, abs=0.3)
+    assert direct["sd_east_m"] < 1.0
+
+
+def test_too_small_sigmas_are_called_untrustworthy(example: ModuleType, real_data: Path) -> None:
+    """With 0.05 m (surveyed, not identified) sigma0 is 1.9 and the status says so."""
+    scene = example.Scene(real_data / "geoetrim-pleiades")
+    runs = [example.run(scene, first, 10, 0.05) for first in range(0, 86, 10)]
+    assert np.median([r["sigma0"] for r in runs]) == pytest.approx(1.9, abs=0.2)
+    assert all(r["status"] == "not_trustworthy" for r in runs)
+    assert "must not be trusted" in runs[0]["reason"]
+
+
+def test_example_prints_one_json_object(repository: Path, real_data: Path) -> None:
+    command = [sys.executable, str(repository / "examples" / "pleiades_pair.py"), str(real_data / "geoetrim-pleiades")]
+    done = subprocess.run([*command, "--first", "3", "--json"], capture_output=True, text=True, check=True)
+    out = json.loads(done.stdout)
+    assert set(out["sets"]) == {"2", "10", "9", "16", "1", "15"}
+    assert out["details"]["10"]["first"] == "3"
+    assert len(out["details"]["10"]["largest"]) == 5
+    assert all(row["ratio"] > 3.0 for row in out["details"]["10"]["beyond_3_sigma"])
+    text = subprocess.run([*command, "--first", "3"], capture_output=True, text=True, check=True).stdout
+    assert "direct geolocation" in text
+    unknown = subprocess.run([*command, "--first", "nosuch"], capture_output=True, text=True, check=False)
+    assert unknown.returncode != 0
+    assert "no point nosuch" in unknown.stderr
