@@ -199,6 +199,8 @@ def test_size_limit_holds_before_parsing_and_can_be_raised(dim1: Path, refused: 
 
 
 ATTACKS = {
+    # never loaded: a parser that resolves it would report a damaged file instead of the DOCTYPE
+    "entity of a missing file": '<!DOCTYPE d [<!ENTITY e SYSTEM "file:///nowhere/none.txt">]>',
     "internal entity": '<!DOCTYPE d [<!ENTITY e "0.00075">]>',
     "external entity": '<!DOCTYPE d [<!ENTITY e SYSTEM "file:///etc/hostname">]>',
     "external DTD": '<!DOCTYPE d SYSTEM "http://localhost:9/d.dtd">',
@@ -214,15 +216,11 @@ ATTACKS = {
 @pytest.mark.parametrize("attack", ATTACKS)
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
 def test_doctype_and_entities_are_refused(dim1: Path, refused: Refused, attack: str, encoding: str) -> None:
-    text = dim1.read_text().replace('encoding="UTF-8"', f'encoding="{encoding}"')
-    head, body = text.split("\n", 1)
+    """In UTF-8 before the parser sees it, in other encodings after it, without any entity resolved."""
+    change(dim1, r"<LINE_PERIOD>.*?<", "<LINE_PERIOD>&e;<" if "ENTITY e" in ATTACKS[attack] else "<LINE_PERIOD>1<")
+    head, body = dim1.read_text().replace('encoding="UTF-8"', f'encoding="{encoding}"').split("\n", 1)
     dim1.write_bytes(f"{head}\n{ATTACKS[attack]}\n{body}".encode(encoding))
-    if encoding == "utf-8":
-        refused(dim1, "xml.doctype", "prolog", "<!DOCTYPE")
-    else:  # seen by the parser only: refused by it, or afterwards
-        with pytest.raises(InputError) as caught:
-            read_dimap(dim1)
-        assert caught.value.problems[0].code in {"xml.doctype", "xml.malformed"}
+    refused(dim1, "xml.doctype", "prolog", "<!DOCTYPE")
 
 
 def test_undeclared_entity_is_refused(dim1: Path, refused: Refused) -> None:

@@ -12,6 +12,7 @@ import pytest
 from factors import ellipsoid
 from fg_orient.errors import InputError
 from fg_orient.io.dimap import read_dimap
+from fg_orient.io.dimap_write import write_dimap1
 from fg_orient.sensors.metadata import (
     AngleAttitude,
     LookAnglePolynomial,
@@ -190,3 +191,22 @@ def test_other_real_files_are_named_and_refused(real_data: Path, name: str, code
     assert problem.code == code
     assert value in problem.value
     assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_the_real_spot5_file_survives_writing_and_reading(real_data: Path, tmp_path: Path) -> None:
+    first = read_dimap(real_data / COSI / "SPOT5.DIM")
+    write_dimap1(tmp_path / "copy.dim", first)
+    second = read_dimap(tmp_path / "copy.dim")
+    assert isinstance(first.attitude, AngleAttitude) and isinstance(second.attitude, AngleAttitude)
+    assert isinstance(first.look, LookAngleTable) and isinstance(second.look, LookAngleTable)
+    assert (first.timing, first.frame_points, first.epoch) == (second.timing, second.frame_points, second.epoch)
+    for a, b in (
+        (first.ephemeris.time_s, second.ephemeris.time_s),
+        (first.ephemeris.position_m, second.ephemeris.position_m),
+        (first.ephemeris.velocity_m_s, second.ephemeris.velocity_m_s),
+        (first.attitude.time_s, second.attitude.time_s),
+        (first.attitude.angles_rad, second.attitude.angles_rad),
+        (first.look.psi_x_rad, second.look.psi_x_rad),
+        (first.look.psi_y_rad, second.look.psi_y_rad),
+    ):
+        np.testing.assert_array_equal(a, b)
