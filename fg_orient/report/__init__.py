@@ -1,0 +1,46 @@
+"""Reports: one self-contained HTML file made from a result folder.
+
+The report reads the folder only, never the solution in memory, so that it can be made
+again at any time (``fg-orient report DIR``) and shows what was really written.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+REPORT_FILE: Final = "report.html"
+
+
+def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[Path, dict[str, Any] | None]:
+    """Write ``report.html`` of a result folder, whole or not at all.
+
+    Parameters
+    ----------
+    folder : path
+        Result folder of ``adjust``.
+    truth : path, optional
+        Folder ``truth`` of a simulation; adds a comparison with it.
+
+    Returns
+    -------
+    path : Path
+        The file written.
+    comparison : dict or None
+        Estimated minus true; see :func:`fg_orient.report.truth.compare`.
+
+    Raises
+    ------
+    InputError
+        The folder holds no result, or the truth does not belong to it.
+    """
+    from fg_orient.io.atomic import write_text
+    from fg_orient.report.data import read_result
+    from fg_orient.report.html import render
+    from fg_orient.report.truth import compare
+
+    result = read_result(Path(folder))
+    comparison = None if truth is None else compare(result, Path(truth))
+    path = Path(folder) / REPORT_FILE
+    write_text(path, render(result, comparison))
+    return path, comparison

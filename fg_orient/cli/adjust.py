@@ -1,0 +1,136 @@
+"""Command ``adjust``: the main job, with progress for people and one JSON object for programs."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.errors import InputError, RankDeficientError
+from fg_orient.names import EXIT_CODE, Status
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.loop import IterationRecord
+
+#: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
+WORKING = ("gtsam", "fg_orient.run", "fg_orient.adjustment.graph", "fg_orient.quality.covariance", "fg_orient.report",
+           "fg_orient.io.schema", "fg_orient.io.dimap", "fg_orient.sensors.projection", "pyproj", "jinja2")  # fmt: skip
+
+
+def adjust(
+    project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    backend: Annotated[str | None, typer.Option(help="auto or graph.")] = None,
+    eop_set: Annotated[str | None, typer.Option(metavar="N|NAME", help="EOP set, 1-20 or a name such as PUA.")] = None,
+    look_polynomial: Annotated[
+        int | None, typer.Option(metavar="DEGREE", help="Degree of the look-angle correction polynomial, 0-5.")
+    ] = None,
+    no_priors: Annotated[bool, typer.Option("--no-priors", help="Orientation unknowns without prior sigmas.")] = False,
+    optimizer: Annotated[
+        str | None, typer.Option(help="gauss-newton, levenberg-marquardt, dogleg or native (GTSAM's own).")
+    ] = None,
+    max_iterations: Annotated[int | None, typer.Option(help="Give up after so many iterations.")] = None,
+    check_points: Annotated[
+        str | None, typer.Option(metavar="use|exclude", help="Let the rays of check points take part, or not.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Result folder; default: result, beside the project file.")
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no tables.")] = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Adjust a block: orientation, ground points, statistics, result folder and HTML report.
+
+    Options replace those of the project file.
+    """
+    options = {
+        "backend": backend, "eop_set": eop_set, "look_polynomial": look_polynomial,
+        "priors": False if no_priors else None, "optimizer": optimizer, "max_iterations": max_iterations,
+        "check_points": check_points,
+    }  # fmt: skip
+    with outcome(as_json, debug):
+        if not project.is_file():
+            raise InputError.of("project.missing_file", file=project, folder="the current folder")
+        _load()
+        from fg_orient.run import run_project
+
+        target = out or project.parent / "result"
+        try:
+            with _progress(quiet or as_json) as callback:
+                record = run_project(
+                    project, target, overwrite=overwrite, options=options, callback=callback,
+                    command=["fg-orient", *sys.argv[1:]],
+                )  # fmt: skip
+        except RankDeficientError as error:
+            _deficient(error, options, as_json)
+            raise typer.Exit(error.exit_code) from None
+        if as_json:
+            emit(record)
+        elif not quiet:
+            show(record)
+        raise typer.Exit(EXIT_CODE[Status(record["status"])])
+
+
+def _load() -> None:
+    from importlib import import_module
+
+    for name in WORKING:
+        import_module(name)
+
+
+@contextlib.contextmanager
+def _progress(silent: bool) -> Iterator[Callable[[IterationRecord], None] | None]:
+    """Show a status line on the terminal, if standard error is one."""
+    if silent or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("reading the project") as status:
+
+        def update(record: IterationRecord) -> None:
+            status.update(
+                f"iteration {record.iteration}: root of chi2 {math.sqrt(max(record.chi2_after, 0.0)):.4g}, "
+                f"largest step {record.step:.2e} (prior sigmas, m)"
+            )
+
+        yield update
+
+
+def _deficient(error: RankDeficientError, options: dict[str, Any], as_json: bool) -> None:
+    """Report directions that nothing determines."""
+    if as_json:
+        from fg_orient.run.summary import deficient_summary
+
+        emit(deficient_summary(error, {name: value for name, value in options.items() if value is not None}))
+    for found in error.problems:
+        note(f"error: {found}")
+
+
+def show(record: dict[str, Any]) -> None:
+    """Print warnings, verdict, accuracy and where the result lies."""
+    for text in record["warnings"]:
+        say(f"warning: {text}")
+    low, high = record["sigma0_interval_99_9"]
+    say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations: {record['n_image_points']} "
+        f"image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}")  # fmt: skip
+    say(f"sigma0 {number(record['sigma0'])} (99.9 % interval {number(low)} .. {number(high)}), "
+        f"EOP set {record['eop_set']} {record['eop_set_name']}")  # fmt: skip
+    for text in record["unobservable"]:
+        say(f"not observable: {text}")
+    rows = []
+    for role in ("control", "check"):
+        found = record["accuracy"][role]
+        for name, key in (("RMSE", "rmse"), ("mean", "mean"), ("maximum", "max")):
+            if found["n"]:
+                rows.append([f"{role} {name} ({found['n']})" if key == "rmse" else f"{role} {name}",
+                             *(number(found[f"{key}_{axis}_m"]) for axis in ("east", "north", "up"))])  # fmt: skip
+    table("", ("points, m", "East", "North", "Up"), rows)
+    say(f"report: {Path(record['out']) / 'report.html'}")

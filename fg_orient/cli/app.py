@@ -1,0 +1,80 @@
+"""The application: commands by name, usage errors, signals."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from types import FrameType
+from typing import Annotated, NoReturn
+
+import typer
+
+import fg_orient
+from fg_orient.cli import adjust, checks, geometry, reports, simulate
+from fg_orient.cli.common import INTERRUPTED, emit_errors, note
+from fg_orient.errors import InputError
+
+app = typer.Typer(
+    name="fg-orient",
+    epilog="Exit codes: 0 good, 2 bad input, 3 no solution, 4 solution not trustworthy, 130 interrupted.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("adjust")(adjust.adjust)
+app.command("locate")(geometry.locate)
+app.command("project")(geometry.project)
+app.command("intersect")(geometry.intersect)
+app.add_typer(simulate.app, name="simulate")
+app.command("validate")(checks.validate)
+app.command("doctor")(checks.doctor)
+app.command("report")(reports.report)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"fg-orient {fg_orient.__version__}")
+        raise typer.Exit()
+
+
+@app.callback(invoke_without_command=True)
+def root(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    """Orient optical satellite images by bundle adjustment on a factor graph."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main() -> NoReturn:
+    """Run the command line; the entry point of ``fg-orient``."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = app(standalone_mode=False)
+    except (KeyboardInterrupt, typer.Abort):
+        note("interrupted: nothing was written")
+        code = INTERRUPTED
+    except Exception as error:
+        code = _usage_error(error)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _usage_error(error: Exception) -> int:
+    """Report a wrong option or argument in one line; any other exception is not ours to catch."""
+    explain = getattr(error, "format_message", None)
+    if explain is None:
+        raise error
+    context = getattr(error, "ctx", None)
+    found = InputError.of("cli.usage", place=context.command_path if context else "fg-orient", text=explain().rstrip("."))
+    if "--json" in sys.argv:
+        emit_errors(found)
+    note(f"error: {found}")
+    return found.exit_code
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    """End tidily on SIGTERM, so that no half-written folder stays."""
+    sys.exit(128 + number)

@@ -1,0 +1,55 @@
+"""Commands ``validate`` and ``doctor``: is the input sound, is the installation?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fg_orient.cli.common import Debug, Json, emit, note, outcome, say, table
+from fg_orient.errors import InputError
+from fg_orient.names import EXIT_CODE, Status
+
+
+def validate(
+    project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Check a project and all its files: errors (exit code 2) and remarks."""
+    with outcome(as_json, debug):
+        from fg_orient.io.validate import is_remark, validate_project
+
+        found = validate_project(project)
+        errors = [p for p in found if not is_remark(p)]
+        remarks = [p for p in found if is_remark(p)]
+        if as_json:
+            emit({"errors": [p.as_dict() for p in errors], "remarks": [p.as_dict() for p in remarks]})
+        for p in errors:
+            note(f"error: {p}")
+        if not as_json:
+            for p in remarks:
+                say(f"remark: {p}")
+            if not errors:
+                say("no errors")
+        if errors:
+            raise typer.Exit(InputError.exit_code)
+
+
+def doctor(as_json: Json = False, debug: Debug = False) -> None:
+    """Show versions, look for traps of the installation and adjust a small block of its own."""
+    with outcome(as_json, debug):
+        from fg_orient.doctor import examine
+
+        found = examine()
+        if as_json:
+            emit(found)
+        else:
+            table("versions", ("name", "version"), [(k, v or "missing") for k, v in found["versions"].items()], left=2)
+            table("checks", ("check", "good", "detail"),
+                  [(c["name"], "yes" if c["good"] else "NO", c["detail"]) for c in found["checks"]], left=3)  # fmt: skip
+            for text in found["warnings"]:
+                say(f"warning: {text}")
+        if not found["good"]:
+            raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])

@@ -1,0 +1,128 @@
+"""What all commands share: options, exit codes, JSON and tables."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fg_orient.errors import FgOrientError
+
+#: Widest table for people.
+WIDTH = 80
+INTERRUPTED = 130
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error of the program itself.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing output once the new one is complete.")]
+
+
+def printable(text: object) -> str:
+    """Replace characters that a terminal could take as commands."""
+    return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in str(text))
+
+
+def note(text: object) -> None:
+    """Say something beside the result: on standard error."""
+    typer.echo(printable(text), err=True)
+
+
+def say(text: object = "") -> None:
+    """Print a line of the result for people."""
+    typer.echo(printable(text))
+
+
+def emit(record: object) -> None:
+    """Print one JSON object, nan as null."""
+    from fg_orient.run.json import dumps
+
+    typer.echo(dumps(record, indent=1))
+
+
+def emit_errors(error: FgOrientError) -> None:
+    """Print the errors as JSON."""
+    emit({"errors": [p.as_dict() for p in error.problems]})
+
+
+@contextlib.contextmanager
+def outcome(as_json: bool, debug: bool = False) -> Iterator[None]:
+    """Turn exceptions into one line per problem and an exit code.
+
+    Raises
+    ------
+    typer.Exit
+        With the code of the exception: 2 bad input, 3 no solution, 130 interrupted, 1 a bug.
+    """
+    try:
+        yield
+    except typer.Exit:
+        raise
+    except FgOrientError as error:
+        if as_json:
+            emit_errors(error)
+        for found in error.problems:
+            note(f"error: {found}")
+        raise typer.Exit(error.exit_code) from None
+    except KeyboardInterrupt:
+        note("interrupted: nothing was written")
+        raise typer.Exit(INTERRUPTED) from None
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output has gone; nobody is left to be told
+        raise typer.Exit(1) from None
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        hint = "" if debug else " (the same command with --debug shows where)"
+        note(f"error of the program: {type(error).__name__}: {error}; please report it{hint}")
+        raise typer.Exit(1) from None
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, left: int = 1) -> None:
+    """Print a table of at most 80 columns; the first ``left`` columns are aligned to the left."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    out = Table(title=title or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1))
+    for k, name in enumerate(columns):
+        out.add_column(name, justify="left" if k < left else "right", overflow="fold")
+    for row in rows:
+        out.add_row(*(Text(printable(cell)) for cell in row))
+    console = Console(file=sys.stdout, width=min(WIDTH, Console().width), highlight=False)
+    console.print(out)
+
+
+def number(value: object, digits: int = 3) -> str:
+    """Write a number for people; a dash where there is none."""
+    return "-" if not isinstance(value, (int, float)) or value != value else f"{value:.{digits}f}"
+
+
+def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str, Any]], overwrite: bool) -> None:
+    """Write records as CSV, numbers to their last digit, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        The file exists and ``overwrite`` is not given, or it cannot be written.
+    """
+    import csv
+    import io
+
+    from fg_orient.errors import InputError
+    from fg_orient.io.atomic import write_text
+
+    if path.exists() and not overwrite:
+        raise InputError.of("output.exists", file=path, place="--out")
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    for record in records:
+        values = [record[name] for name in columns]
+        writer.writerow(["" if v is None or v != v else str(v).lower() if isinstance(v, bool) else v for v in values])
+    write_text(path, stream.getvalue())

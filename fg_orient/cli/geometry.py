@@ -1,0 +1,258 @@
+"""Commands ``locate``, ``project`` and ``intersect``: geometry with the metadata orientation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table, write_records
+from fg_orient.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from fg_orient.block import Image, ImagePoints
+    from fg_orient.sensors.pushbroom import PushbroomSensor
+    from fg_orient.sensors.surface import RasterDem
+
+    Array = npt.NDArray[np.float64]
+
+GROUND = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m")
+FRAME = (*GROUND, "file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m")
+PIXEL = ("id", "line", "sample", "inside")
+
+ImageFile = Annotated[Path, typer.Argument(metavar="IMAGE", help="Metadata file of the image (DIMAP).", show_default=False)]
+Out = Annotated[Path | None, typer.Option("--out", help="Write the points into this CSV file, too.")]
+Points = Annotated[Path | None, typer.Option("--points", help="CSV file of points; columns see below.")]
+
+
+def locate(
+    image: ImageFile,
+    line: Annotated[float | None, typer.Option("--line", help="Line, pixels; 0 = centre of the first.")] = None,
+    sample: Annotated[float | None, typer.Option("--sample", help="Sample, pixels; 0 = centre of the first.")] = None,
+    height: Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")] = None,
+    dem: Annotated[Path | None, typer.Option("--dem", help="DEM of ellipsoidal heights, any raster GDAL reads.")] = None,
+    frame: Annotated[bool, typer.Option("--frame", help="Locate the file's own frame points and compare.")] = False,
+    points: Points = None,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Image to ground: where a pixel lies, at a height or on a DEM.
+
+    Points of a CSV file: columns id,line,sample and, without --height or --dem, height_m.
+    """
+    with outcome(as_json, debug):
+        _exclude({"--line": line is not None, "--points": points is not None, "--frame": frame})
+        if height is not None and dem is not None:
+            raise InputError.of("cli.two_heights", file=image, place="--height, --dem")
+        from fg_orient.ground import frame_records
+        from fg_orient.io.sensor import read_sensor
+
+        sensor = read_sensor(image)
+        surface = _dem(dem)
+        if frame:
+            records = frame_records(sensor, height, surface)
+        else:
+            records = _located(sensor, image, points, (line, sample), height, surface)
+        _publish(sensor, records, FRAME if frame else GROUND, out, overwrite, as_json)
+
+
+def _exclude(given: dict[str, bool]) -> None:
+    """Refuse options that exclude each other."""
+    names = [name for name, is_given in given.items() if is_given]
+    if len(names) > 1:
+        raise InputError.of("cli.two_ways", place=", ".join(names), options=", ".join(given))
+
+
+def _dem(path: Path | None) -> RasterDem | None:
+    if path is None:
+        return None
+    from fg_orient.sensors.surface import RasterDem
+
+    return RasterDem(path)
+
+
+def _located(
+    sensor: PushbroomSensor, image: Path, points: Path | None, pixel: tuple[float | None, float | None],
+    height: float | None, dem: RasterDem | None,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Records of one pixel or of a CSV file of pixels."""
+    import numpy as np
+
+    from fg_orient.ground import ground_records
+
+    given_height = height is not None or dem is not None
+    if points is not None:
+        ids, (lines, samples, *heights) = _columns(points, ("line", "sample"), "height_m")
+        if heights and given_height:
+            raise InputError.of("cli.two_heights", file=points, place="column height_m")
+    elif pixel[0] is None or pixel[1] is None:
+        raise InputError.of("cli.no_pixel", file=image, place="--line, --sample")
+    else:
+        ids, heights, lines, samples = ["1"], [], np.array([pixel[0]]), np.array([pixel[1]])
+    if not given_height and not heights:
+        raise InputError.of("cli.no_height", file=points or image, place="--height")
+    if dem is not None:
+        return ground_records(ids, lines, samples, sensor.locate(lines, samples, dem=dem))
+    height_m = heights[0] if heights else np.full(len(ids), height)
+    return ground_records(ids, lines, samples, sensor.locate(lines, samples, height_m=height_m))
+
+
+def project(
+    image: ImageFile,
+    lon: Annotated[float | None, typer.Option("--lon", help="Longitude, degrees East (WGS84).")] = None,
+    lat: Annotated[float | None, typer.Option("--lat", help="Latitude, degrees North (WGS84).")] = None,
+    height: Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")] = None,
+    points: Points = None,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Ground to image: the pixel that sees a point.
+
+    Points of a CSV file: columns id,lon_deg,lat_deg,height_m.
+    """
+    with outcome(as_json, debug):
+        _exclude({"--lon": lon is not None, "--points": points is not None})
+        import numpy as np
+
+        from fg_orient.geodesy import geodetic_to_ecef
+        from fg_orient.ground import pixel_records
+        from fg_orient.io.sensor import read_sensor
+
+        if points is not None:
+            ids, columns = _columns(points, ("lon_deg", "lat_deg", "height_m"))
+        elif lon is None or lat is None or height is None:
+            raise InputError.of("cli.no_ground", file=image, place="--lon, --lat, --height")
+        else:
+            ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
+        sensor = read_sensor(image)
+        _publish(sensor, pixel_records(sensor, ids, geodetic_to_ecef(*columns)), PIXEL, out, overwrite, as_json)
+
+
+def intersect(
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="IMAGE IMAGE ... | PROJECT.toml", help="Metadata files, or one project file.")
+    ],
+    pixel: Annotated[
+        list[str] | None, typer.Option("--pixel", metavar="LINE,SAMPLE", help="Pixel, one per image, in their order.")
+    ] = None,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Stereo: the ground point where rays of several images meet, with the metadata orientation.
+
+    A project file gives all its points that are measured twice or more; their coordinates in the
+    file are not used.
+    """
+    with outcome(as_json, debug):
+        from fg_orient.ground import intersection_records
+
+        if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
+            from fg_orient.io.project import read_project
+
+            _exclude({"PROJECT.toml": True, "--pixel": bool(pixel)})
+            block = read_project(sources[0])
+            images, observations, ids = block.images, block.observations, block.points.ids
+        else:
+            images, observations = _pixels_of(sources, pixel or [])
+            ids = ("1",)
+        records = intersection_records(images, observations, ids)
+        if out is not None:
+            write_records(out, (*GROUND, "miss_m"), records, overwrite)
+        if as_json:
+            emit({"points": records, "images": [image.id for image in images], "out": None if out is None else str(out)})
+        else:
+            columns = ("id", "lon_deg", "lat_deg", "height_m", "miss_m")
+            table("", columns, [_for_people(r, columns) for r in records])
+
+
+def _pixels_of(sources: list[Path], pixels: list[str]) -> tuple[tuple[Image, ...], ImagePoints]:
+    """Images and image points of one ground point, given on the command line."""
+    import numpy as np
+
+    from fg_orient.block import Image, ImagePoints
+    from fg_orient.io.sensor import read_sensor
+
+    if len(sources) < 2:
+        raise InputError.of("cli.one_image", file=sources[0], place="IMAGE", value=f"{len(sources)} file")
+    if len(pixels) != len(sources):
+        raise InputError.of("cli.pixel_count", place="--pixel", pixels=len(pixels), images=len(sources))
+    values = np.array([_pixel(text) for text in pixels])
+    images = tuple(Image(str(k + 1), read_sensor(path)) for k, path in enumerate(sources))
+    for k, image in enumerate(images):
+        image.sensor.require_inside(values[k : k + 1, 0], values[k : k + 1, 1])
+    n = len(images)
+    one = np.ones(n)
+    return images, ImagePoints(np.arange(n), np.zeros(n, np.intp), values[:, 0], values[:, 1], one, one)
+
+
+def _pixel(text: str) -> tuple[float, float]:
+    try:
+        line, sample = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError.of("cli.pixel", place="--pixel", value=text) from None
+    return line, sample
+
+
+def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[list[str], list[Array]]:
+    """Ids and numeric columns of a CSV file; ``optional`` is the last one if the file has it.
+
+    Raises
+    ------
+    InputError
+        All faults of the file.
+    """
+    import numpy as np
+
+    from fg_orient.io.tables import Faults, number, read_table
+
+    faults = Faults(str(path))
+    layouts = [("id", *names), *([("id", *names, optional)] if optional else [])]
+    read = read_table(path, layouts, faults)
+    wanted = (*names, optional) if optional and read is not None and optional in read.columns else names
+    rows = read.rows if read is not None else ()
+    columns = [np.array([number(row, name, faults) for row in rows]) for name in wanted]
+    faults.raise_if_any()
+    return [row.cells["id"] for row in rows], columns
+
+
+def _publish(
+    sensor: PushbroomSensor, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None, overwrite: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Write the CSV file if asked; print JSON or a table."""
+    if out is not None:
+        write_records(out, columns, records, overwrite)
+    if as_json:
+        where = None if out is None else str(out)
+        emit({"points": records, "image": Path(sensor.file).name, "notes": list(sensor.notes), "out": where})
+        return
+    for text in sensor.notes:
+        note(f"note: {text}")
+    shown = tuple(name for name in columns if name not in ("x_m", "y_m", "z_m", "file_lon_deg", "file_lat_deg"))
+    rows = [_for_people(record, shown) for record in records]
+    short = tuple(name.replace("misfit_", "") if name != "misfit_m" else "misfit" for name in shown)
+    table("", short, rows)
+    if out is not None:
+        say(f"written: {out}")
+
+
+def _for_people(record: dict[str, Any], columns: tuple[str, ...]) -> list[str]:
+    digits = {"lon_deg": 7, "lat_deg": 7}
+    cells = []
+    for name in columns:
+        value = record[name]
+        if isinstance(value, bool):
+            cells.append("yes" if value else "no")
+        else:
+            cells.append(number(value, digits.get(name, 3)) if isinstance(value, float) else str(value))
+    return cells

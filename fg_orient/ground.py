@@ -1,0 +1,147 @@
+"""Records of located, projected and intersected points: what the commands print and write.
+
+Angles in degrees, lengths in metres, ellipsoidal heights above WGS84; pixels (line,
+sample) with (0, 0) = centre of the first pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import ellipsoid
+from fg_orient import initial
+from fg_orient.errors import InputError
+from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
+
+if TYPE_CHECKING:
+    from fg_orient.block import Image, ImagePoints
+    from fg_orient.sensors.pushbroom import HeightSurface, PushbroomSensor
+
+Array = npt.NDArray[np.float64]
+Records = list[dict[str, Any]]
+
+#: Notes of a reader that speak of the file's own frame points.
+FRAME_NOTE_MARK = "frame points"
+
+
+def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array) -> Records:
+    """Give one record per point: id, line, sample, geodetic and ECEF coordinates.
+
+    Parameters
+    ----------
+    ids : sequence of n str
+    line, sample : (n,) arrays
+    ecef_m : (n, 3) array
+    """
+    lon, lat, height = ellipsoid.geodetic_array(np.ascontiguousarray(ecef_m)).T
+    return [
+        {"id": ids[k], "line": float(line[k]), "sample": float(sample[k]),
+         "lon_deg": float(np.degrees(lon[k])), "lat_deg": float(np.degrees(lat[k])), "height_m": float(height[k]),
+         "x_m": float(ecef_m[k, 0]), "y_m": float(ecef_m[k, 1]), "z_m": float(ecef_m[k, 2])}
+        for k in range(len(ids))
+    ]  # fmt: skip
+
+
+def frame_records(
+    sensor: PushbroomSensor, height_m: float | None = None, dem: HeightSurface | None = None
+) -> Records:
+    """Locate the file's own frame points and compare them with the coordinates it states.
+
+    Points are located at the height of the file (0 where it states none), unless a height or
+    a DEM is given.
+
+    Parameters
+    ----------
+    sensor : PushbroomSensor
+    height_m : float, optional
+        Ellipsoidal height for all points.
+    dem : HeightSurface, optional
+
+    Returns
+    -------
+    list of dict
+        Beside the keys of :func:`ground_records`: ``file_lon_deg``, ``file_lat_deg``,
+        ``misfit_m`` (horizontal, model minus file), ``misfit_east_m``, ``misfit_north_m`` and
+        ``note`` (None, or why the file's point need not agree with the model).
+
+    Raises
+    ------
+    InputError
+        The file has no frame points.
+    """
+    points = sensor.metadata.frame_points
+    if not points:
+        raise InputError.of("cli.no_frame", file=sensor.file, place="--frame")
+    line, sample = (np.array([getattr(p, axis) for p in points]) for axis in ("line", "sample"))
+    heights = np.array([(p.height_m or 0.0) if height_m is None else height_m for p in points])
+    ecef = sensor.locate(line, sample, dem=dem) if dem else sensor.locate(line, sample, height_m=heights)
+    records = ground_records([p.id for p in points], line, sample, ecef)
+    lon, lat = (np.array([getattr(p, axis) for p in points]) for axis in ("lon_deg", "lat_deg"))
+    stated = geodetic_to_ecef(lon, lat, np.array([r["height_m"] for r in records]))
+    east, north, _ = np.einsum("nij,nj->ni", enu_from_ecef(lon, lat), ecef - stated).T
+    note = next((text for text in sensor.notes if FRAME_NOTE_MARK in text), None)
+    for k, record in enumerate(records):
+        record |= {
+            "file_lon_deg": float(lon[k]), "file_lat_deg": float(lat[k]),
+            "misfit_m": float(np.hypot(east[k], north[k])),
+            "misfit_east_m": float(east[k]), "misfit_north_m": float(north[k]), "note": note,
+        }  # fmt: skip
+    return records
+
+
+def pixel_records(sensor: PushbroomSensor, ids: Sequence[str], ecef_m: Array) -> Records:
+    """Project ground points (n, 3) ECEF m: id, line, sample (nan if far outside) and ``inside``."""
+    line, sample = sensor.project(ecef_m)
+    inside = sensor.is_inside(line, sample)
+    return [
+        {"id": ids[k], "line": float(line[k]), "sample": float(sample[k]), "inside": bool(inside[k])}
+        for k in range(len(ids))
+    ]
+
+
+def intersection_records(images: tuple[Image, ...], observations: ImagePoints, ids: Sequence[str]) -> Records:
+    """Intersect all points seen in two images or more, with the metadata orientation.
+
+    Parameters
+    ----------
+    images : tuple of Image
+    observations : ImagePoints
+    ids : sequence of str
+        Ids of the ground points.
+
+    Returns
+    -------
+    list of dict
+        Beside the keys of :func:`ground_records` (line and sample in the first image):
+        ``miss_m``, the largest distance between the feet of the point on two of its rays, which
+        is the shortest distance of two rays; ``convergence_deg``; ``pixels``, all image points.
+
+    Raises
+    ------
+    InputError
+        Rays are parallel or meet behind a sensor.
+    """
+    count = np.bincount(observations.point, minlength=len(ids))
+    wanted = np.zeros((len(ids), 3))
+    wanted[count >= 2] = np.nan
+    ground = initial.ground_points(images, observations, tuple(ids), wanted)
+    centre, direction = initial.all_rays(images, observations)
+    _, convergence = initial.intersect(centre, direction, observations.point, len(ids))
+    along = np.einsum("ni,ni->n", ground[observations.point] - centre, direction)
+    feet = centre + along[:, None] * direction
+    used = np.flatnonzero(count >= 2)
+    rows = [np.flatnonzero(observations.point == j) for j in used]
+    first = [int(r[0]) for r in rows]
+    records = ground_records([ids[j] for j in used], observations.line[first], observations.sample[first], ground[used])
+    for record, j, seen in zip(records, used, rows, strict=True):
+        apart = feet[seen][:, None] - feet[seen][None]
+        record |= {
+            "miss_m": float(np.linalg.norm(apart, axis=-1).max()), "convergence_deg": float(convergence[j]),
+            "pixels": [{"image": images[observations.image[r]].id, "line": float(observations.line[r]),
+                        "sample": float(observations.sample[r])} for r in seen],
+        }  # fmt: skip
+    return records

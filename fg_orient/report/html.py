@@ -1,0 +1,83 @@
+"""Renders the report: one HTML file without scripts or anything from elsewhere."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from fg_orient.report.data import Result, residual_summary
+from fg_orient.report.svg import point_map, singular_values
+
+#: Units that people read more easily: name and factor.
+_READABLE: Final = {"rad": ("µrad", 1e6), "m/s": ("mm/s", 1e3), "m": ("m", 1.0)}
+_DEGREES: Final = ("constant", "linear", "quadratic")
+_AXES: Final = (("East", "east"), ("North", "north"), ("Up", "up"), ("ECEF X", "ecef_x"), ("ECEF Y", "ecef_y"),
+                ("ECEF Z", "ecef_z"))  # fmt: skip
+
+
+def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
+    """Give the HTML text of a result, with the comparison with a truth if there is one."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("fg_orient.report"), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters |= {"number": number, "scientific": scientific, "printable": printable}
+    template = environment.get_template("report.html.j2")
+    return template.render(
+        r=result.record, verdict=verdict(result.record), axes=_AXES, point_map=point_map(result),
+        up_map=point_map(result, up=True), residuals=residual_summary(result), corrections=corrections(result),
+        singular=singular_values(result.record["observability"]), iterations=result.iterations, truth=comparison,
+    )  # fmt: skip
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Write a number with a fixed count of decimals; a dash for none."""
+    return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}f}".replace("-", "−")
+
+
+def scientific(value: float | None, digits: int = 2) -> str:
+    """Write a number with an exponent, or plainly where that is short."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    text = f"{value:.{digits + 1}g}" if value == 0.0 or 1e-3 <= abs(value) < 1e5 else f"{value:.{digits}e}"
+    return text.replace("-", "−")
+
+
+def printable(text: object) -> str:
+    """Replace control characters, which HTML does not allow."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(text))
+
+
+def verdict(record: dict[str, Any]) -> dict[str, str]:
+    """Say in words how it ended: ``kind`` (good, warn, bad), ``title`` and ``text``."""
+    status, sigma0, (low, _) = record["status"], record["sigma0"], record["sigma0_interval_99_9"]
+    if status == "not_converged":
+        return {"kind": "bad", "title": "No solution", "text": record["reason"]}
+    if status == "not_trustworthy":
+        return {"kind": "bad", "title": "Not trustworthy", "text": record["reason"]}
+    if sigma0 is None:
+        return {"kind": "warn", "title": "Converged, unchecked", "text": "Without redundancy nothing was checked."}
+    fit = "The observations fit the model within their standard deviations."
+    if low is not None and sigma0 < low:
+        fit = f"The observations fit better than their standard deviations say (sigma0 below {low:.2f}): these are too large."
+    return {"kind": "warn" if record["warnings"] else "good", "title": "Converged", "text": fit}
+
+
+def corrections(result: Result) -> list[dict[str, Any]]:
+    """Orientation corrections per image in readable units: value, sigma, share of the prior sigma."""
+    images: dict[str, list[dict[str, Any]]] = {}
+    for row in result.eop:
+        unit, factor = _READABLE.get(row["unit"], (row["unit"], 1.0))
+        value, sigma, prior = (float(row[k]) if row[k] else None for k in ("value_per_tau", "sigma", "prior_sigma"))
+        degree = int(row["degree"])
+        is_look = row["parameter"].startswith("psi_")
+        images.setdefault(row["image"], []).append({
+            "name": row["component"] if not is_look else f"look angle {row['component']}",
+            "degree": f"s^{degree}" if is_look else _DEGREES[degree], "unit": unit,
+            "value": None if value is None else value * factor, "sigma": None if sigma is None else sigma * factor,
+            "prior": None if prior is None else prior * factor,
+            "share": None if not prior or value is None else value / prior,
+        })  # fmt: skip
+    return [{"image": image, "rows": rows} for image, rows in images.items()]

@@ -1,0 +1,202 @@
+"""Drawings of the report as SVG text: map of points with error vectors, singular values.
+
+Colours come from the style sheet of the page (classes), so that light and dark both work.
+Everything written into the drawing is escaped by markupsafe.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from markupsafe import Markup, escape
+
+from fg_orient.report.data import Result, values
+
+Array = npt.NDArray[np.float64]
+
+WIDTH: Final = 720.0
+MARGIN: Final = 14.0
+FOOT: Final = 64.0
+#: More points than this are thinned, tie points first: the report must stay small.
+MAX_POINTS: Final = 3000
+#: Length of a large error vector (90 % quantile) as a share of the map's width.
+VECTOR_SHARE: Final = 0.07
+KM_PER_DEGREE: Final = 111.2
+
+
+class MapFrame:
+    """Equirectangular map: longitude, latitude (degrees) to drawing units, North up.
+
+    Parameters
+    ----------
+    lon_lat_deg : (n, 2) array
+        Everything that must be visible.
+    """
+
+    def __init__(self, lon_lat_deg: Array) -> None:
+        low, high = lon_lat_deg.min(axis=0), lon_lat_deg.max(axis=0)
+        self._centre = 0.5 * (low + high)
+        self._shrink = max(math.cos(math.radians(float(self._centre[1]))), 0.01)
+        size = np.maximum((high - low) * KM_PER_DEGREE * np.array([self._shrink, 1.0]), 1e-3)
+        self.km_to_units = min((WIDTH - 2 * MARGIN) / float(size[0]), (WIDTH - 2 * MARGIN) / float(size[1]))
+        self.height = float(size[1]) * self.km_to_units + 2 * MARGIN
+
+    def __call__(self, lon_lat_deg: Array) -> Array:
+        """Drawing coordinates (n, 2), y downwards."""
+        km = (np.atleast_2d(lon_lat_deg) - self._centre) * KM_PER_DEGREE * np.array([self._shrink, 1.0])
+        return np.stack([WIDTH / 2 + km[:, 0] * self.km_to_units, self.height / 2 - km[:, 1] * self.km_to_units], axis=1)
+
+
+def round_down(value: float) -> float:
+    """Largest of 1, 2, 5 times a power of ten that is not above the value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-12))
+
+
+def point_map(result: Result, *, up: bool = False) -> Markup:
+    """Map of footprints and points with horizontal error vectors, or with bars of the Up errors.
+
+    Parameters
+    ----------
+    result : Result
+    up : bool
+        Draw Up differences as vertical bars instead of horizontal vectors.
+
+    Returns
+    -------
+    Markup
+        An ``<svg>`` element; the exaggeration is written into it.
+    """
+    rows = [row for row in result.points if row["lon_deg"]]
+    if not rows:
+        return Markup("<p>No point has coordinates.</p>")
+    rows, left_out = _thinned(rows)
+    place = values(tuple(rows), "lon_deg", "lat_deg")
+    error = values(tuple(rows), "difference_east_m", "difference_north_m", "difference_up_m")
+    feet = [np.array(image["footprint_lon_lat_deg"], float) for image in result.record["images"]]
+    frame = MapFrame(np.vstack([place, *feet]))
+    vectors = np.stack([np.zeros(len(rows)), error[:, 2]], axis=1) if up else error[:, :2]
+    scale = _vector_scale(vectors)
+    names = [image["id"] for image in result.record["images"]]
+    parts = [_footprint(name, frame(corners), k) for k, (name, corners) in enumerate(zip(names, feet, strict=True))]
+    drawn = frame(place)
+    for row, at, vector in zip(rows, drawn, vectors, strict=True):
+        parts.append(_point(row, at, vector * scale * np.array([1.0, -1.0]), up))
+    exaggeration = scale / frame.km_to_units * 1000.0
+    parts.append(_foot(frame, scale, exaggeration, up, left_out))
+    title = "Up errors at control and check points" if up else "Points and horizontal errors"
+    return Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
+        WIDTH, round(frame.height + FOOT, 1), title, Markup("").join(parts)
+    )
+
+
+def _thinned(rows: list[dict[str, str]]) -> tuple[list[dict[str, str]], int]:
+    """At most MAX_POINTS points: control and check points before tie points."""
+    if len(rows) <= MAX_POINTS:
+        return rows, 0
+    ordered = sorted(rows, key=lambda row: row["role"] == "tie")
+    first = [row for row in ordered if row["role"] != "tie"]
+    kept = first[:: max(1, math.ceil(len(first) / MAX_POINTS))]
+    ties = ordered[len(first) :]
+    room = MAX_POINTS - len(kept)
+    kept += ties[:: math.ceil(len(ties) / room)] if room > 0 and ties else []
+    return kept, len(rows) - len(kept)
+
+
+def _vector_scale(vectors: Array) -> float:
+    """Drawing units per metre of error, so that a large error has a good length; 0 without errors."""
+    lengths = np.linalg.norm(vectors[np.isfinite(vectors).all(axis=1)], axis=1)
+    lengths = lengths[lengths > 0.0]
+    if not len(lengths):
+        return 0.0
+    return WIDTH * VECTOR_SHARE / float(np.quantile(lengths, 0.9))
+
+
+def _footprint(name: str, corners: Array, k: int) -> Markup:
+    text = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+    at = corners[np.argmin(corners[:, 1])] if k % 2 == 0 else corners[np.argmax(corners[:, 1])]
+    shift = 16.0 if k % 2 == 0 else -8.0
+    towards = float(np.clip(at[0], 60.0, WIDTH - 60.0))
+    return Markup(
+        '<polygon class="foot" points="{}"/><text class="label" x="{}" y="{}" text-anchor="middle">{}</text>'
+    ).format(text, round(towards, 1), round(float(at[1]) + shift, 1), name)
+
+
+def _point(row: dict[str, str], at: Array, vector: Array, up: bool) -> Markup:
+    x, y = round(float(at[0]), 1), round(float(at[1]), 1)
+    role = row["role"]
+    symbol = {
+        "control": Markup('<path class="control" d="M{} {}l5 8.6h-10z"/>').format(x, round(y - 5.7, 1)),
+        "check": Markup('<circle class="check" cx="{}" cy="{}" r="4"/>').format(x, y),
+    }.get(role, Markup('<circle class="tie" cx="{}" cy="{}" r="1.8"/>').format(x, y))
+    line = Markup("")
+    if np.isfinite(vector).all() and np.any(vector != 0.0):
+        kind = ("bar " if up else "vector ") + role
+        line = Markup('<line class="{}" x1="{}" y1="{}" x2="{}" y2="{}"/>').format(
+            kind, x, y, round(x + float(vector[0]), 1), round(y + float(vector[1]), 1)
+        )
+    axes = ("east", "north", "up")
+    given = [f"{axis} {float(row[f'difference_{axis}_m']):+.3f} m" for axis in axes if row[f"difference_{axis}_m"]]
+    tip = Markup("<title>{}</title>").format(f"{role} {row['id']}" + (": " + ", ".join(given) if given else ""))
+    return Markup("<g>{}{}{}</g>").format(tip, line, symbol)
+
+
+def _foot(frame: MapFrame, scale: float, exaggeration: float, up: bool, left_out: int) -> Markup:
+    """Legend and scale bars below the map."""
+    y = frame.height + 16.0
+    km = round_down(0.2 * WIDTH / frame.km_to_units)
+    parts = [
+        Markup('<path class="control" d="M22 {}l5 8.6h-10z"/><text x="34" y="{}">control</text>').format(y - 9, y),
+        Markup('<circle class="check" cx="104" cy="{}" r="4"/><text x="114" y="{}">check</text>').format(y - 4, y),
+        Markup('<circle class="tie" cx="172" cy="{}" r="1.8"/><text x="180" y="{}">tie</text>').format(y - 4, y),
+        _bar(24.0, y + 24.0, km * frame.km_to_units, f"{km:g} km on the ground" if km >= 1 else f"{km * 1000:g} m"),
+    ]
+    if scale > 0.0:
+        metres = round_down(0.2 * WIDTH / scale)
+        what = "Up error (upwards = too high)" if up else "horizontal error"
+        parts.append(_bar(330.0, y + 24.0, metres * scale, f"{metres:g} m {what}, {exaggeration:,.0f} times enlarged"))
+    if left_out:
+        parts.append(Markup('<text x="330" y="{}">{} points are not drawn</text>').format(y, left_out))
+    return Markup("").join(parts)
+
+
+def _bar(x: float, y: float, length: float, text: str) -> Markup:
+    path = f"M{x:.1f} {y - 4:.1f}v4h{length:.1f}v-4"
+    return Markup('<path class="bar-line" d="{}"/><text x="{}" y="{}">{}</text>').format(path, x, y + 16, text)
+
+
+def singular_values(images: Sequence[dict[str, Any]]) -> Markup:
+    """Singular values of each image on a logarithmic axis, with the limits of weak and dead."""
+    every = [v for image in images for v in image["singular_values"] if v and v > 0.0]
+    if not every:
+        return Markup("")
+    low, high = -8.0, max(2.0, math.ceil(math.log10(max(every))))
+    left, right, row = 110.0, WIDTH - 16.0, 26.0
+    bottom = row * len(images) + 10.0
+
+    def position(value: float) -> float:
+        return round(left + (right - left) * (max(math.log10(max(value, 10.0**low)), low) - low) / (high - low), 1)
+
+    parts = []
+    for limit, text in ((1e-5, "dead"), (1.0, "weak")):
+        x = position(limit)
+        parts.append(Markup('<line class="limit" x1="{}" y1="0" x2="{}" y2="{}"/>').format(x, x, bottom))
+        parts.append(Markup('<text class="small" x="{}" y="{}" text-anchor="end">{} below</text>').format(
+            x - 4, bottom + 30, text))  # fmt: skip
+    for k, image in enumerate(images):
+        y = row * k + 16.0
+        name = image["image"] if len(image["image"]) <= 14 else image["image"][:13] + "…"
+        parts.append(Markup('<text x="0" y="{}">{}</text>').format(y + 4, name))
+        parts += [Markup('<circle class="sv" cx="{}" cy="{}" r="3.5"/>').format(position(v or 0.0), y)
+                  for v in image["singular_values"]]  # fmt: skip
+    for power in range(int(low), int(high) + 1, 2):
+        label = ("≤ " if power == low else "") + f"1e{power}"
+        parts.append(Markup('<text class="small" x="{}" y="{}" text-anchor="middle">{}</text>').format(
+            position(10.0**power), bottom + 14, label))  # fmt: skip
+    return Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
+        WIDTH, bottom + 36, escape("singular values per image"), Markup("").join(parts)
+    )

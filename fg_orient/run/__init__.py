@@ -1,0 +1,133 @@
+"""Runs: a project in, a result folder out, with its provenance.
+
+The folder is filled under a hidden name and renamed at the end, so that a run that fails
+or is interrupted leaves nothing behind.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from fg_orient.io.folder import require_free, staged_folder
+from fg_orient.io.project import read_project
+from fg_orient.orient import adjust
+from fg_orient.run.json import dumps, plain
+from fg_orient.run.provenance import provenance
+from fg_orient.run.summary import summary
+from fg_orient.run.tables import write_tables
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.loop import Callback, IterationRecord
+    from fg_orient.block import Block
+    from fg_orient.solution import Solution
+
+SCHEMA_VERSION: Final = 1
+#: The file by which a result folder is known.
+RESULT_FILE: Final = "result.json"
+
+
+def run_project(
+    project: str | Path,
+    out: str | Path,
+    *,
+    overwrite: bool = False,
+    options: Mapping[str, object] | None = None,
+    callback: Callback | None = None,
+    command: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Read a project, adjust it and write the result folder.
+
+    Parameters
+    ----------
+    project : path
+        The TOML file.
+    out : path
+        Result folder to come.
+    overwrite : bool
+        Replace an existing result folder, once the new one is complete.
+    options : mapping, optional
+        Options that replace those of the project file; see ``read_project``.
+    callback : callable, optional
+        Called with an ``IterationRecord`` after each iteration.
+    command : sequence of str
+        The command line, for the record.
+
+    Returns
+    -------
+    dict
+        The record of ``adjust --json``.
+
+    Raises
+    ------
+    InputError
+        The project or the output folder is unusable.
+    RankDeficientError
+        Without priors some directions are not observable; nothing is written.
+    """
+    start = time.perf_counter()
+    require_free(Path(out), overwrite=overwrite, mark=RESULT_FILE)
+    block = read_project(project, **dict(options or {}))
+    read_s = time.perf_counter() - start
+    with staged_folder(out, overwrite=overwrite, mark=RESULT_FILE) as folder:
+        solution = _adjust_and_log(block, folder, callback)
+        record = _record(solution, Path(project), Path(out), command)
+        phases = asdict(solution.seconds) | {"read": read_s}
+        _write(folder, solution, record, phases, start)
+    return {**record, "out": str(out)}
+
+
+def _adjust_and_log(block: Block, folder: Path, callback: Callback | None) -> Solution:
+    """Adjust; each iteration is on disk as soon as it is done."""
+    with (folder / "iterations.jsonl").open("w", encoding="utf-8") as stream:
+
+        def note(record: IterationRecord) -> None:
+            stream.write(dumps(asdict(record)) + "\n")
+            stream.flush()
+            if callback is not None:
+                callback(record)
+
+        return adjust(block, callback=note)
+
+
+def _record(solution: Solution, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:
+    """Everything of ``result.json`` but the times."""
+    folder = project.parent
+    notes = [note.replace(f"{folder}/", "").replace(f"{folder.absolute()}/", "") for note in solution.block.notes]
+    images = [
+        {"id": image.id, "file": Path(image.sensor.file).name, "mission": image.sensor.metadata.mission,
+         "instrument": image.sensor.metadata.instrument, "format": image.sensor.metadata.format,
+         "n_lines": image.sensor.n_lines, "n_samples": image.sensor.n_samples,
+         "footprint_lon_lat_deg": image.sensor.footprint().tolist()}
+        for image in solution.block.images
+    ]  # fmt: skip
+    observability = [
+        {"image": o.image, "rank_defect": o.rank_defect, "weak": o.weak, "singular_values": o.singular_values.tolist(),
+         "sentences": list(o.sentences)}
+        for o in solution.observability
+    ]  # fmt: skip
+    record: dict[str, Any] = plain(summary(solution))
+    return {
+        "schema": SCHEMA_VERSION, "name": solution.block.name, **record, "out": out.name, "notes": notes,
+        "images": images, "observability": plain(observability), "provenance": provenance(solution.block, folder, command),
+    }  # fmt: skip
+
+
+def _write(
+    folder: Path, solution: Solution, record: dict[str, Any], phases: dict[str, float], start: float
+) -> None:
+    """Write tables, report and, last, the record with the times of all phases."""
+    from fg_orient.report import write_report
+
+    mark = time.perf_counter()
+    write_tables(folder, solution)
+    phases["write"] = time.perf_counter() - mark
+    record["seconds"] = {**phases, "total": time.perf_counter() - start}
+    (folder / RESULT_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
+    mark = time.perf_counter()
+    write_report(folder)
+    record["seconds"] |= {"report": time.perf_counter() - mark, "total": time.perf_counter() - start}
+    (folder / RESULT_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,78 @@
+"""What a run was made from and with: inputs by SHA-256, versions, options, command, time.
+
+No absolute path is recorded: a result folder may be passed on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from fg_orient.block import Block
+
+#: Distributions whose versions decide on the digits of a result.
+COMPUTING: Final = ("gtsam", "numpy", "scipy", "numba")
+#: All that fg_orient needs.
+REQUIRED: Final = (*COMPUTING, "pyproj", "lxml", "pydantic", "typer", "rich", "jinja2")
+
+
+def version_of(distribution: str) -> str | None:
+    """Version of an installed distribution, None if it is missing."""
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def versions(distributions: Sequence[str] = COMPUTING) -> dict[str, str | None]:
+    """Versions of Python, fg_orient and the given distributions."""
+    import fg_orient
+
+    found = {name: version_of(name) for name in distributions}
+    return {"python": platform.python_version(), "fg_orient": fg_orient.__version__, **found}
+
+
+def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, Any]:
+    """Give the record of a run.
+
+    Parameters
+    ----------
+    block : Block
+    folder : Path
+        The project's folder; inputs are named relative to it.
+    command : sequence of str
+        Words of the command line.
+
+    Returns
+    -------
+    dict
+        ``inputs`` (file, sha256), ``versions``, ``options``, ``command``, ``date_time_utc``,
+        ``platform``.
+    """
+    return {
+        "inputs": [{"file": relative(source.path, folder), "sha256": source.sha256} for source in block.sources],
+        "versions": versions(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "options": dataclasses.asdict(block.options),
+        "command": [_without_folders(word) for word in command],
+        "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def relative(path: str, folder: Path) -> str:
+    """Name a file relative to a folder, or by its last part."""
+    full, base = Path(path).absolute(), folder.absolute()
+    return full.relative_to(base).as_posix() if full.is_relative_to(base) else full.name
+
+
+def _without_folders(word: str) -> str:
+    option, equals, value = word.partition("=")
+    if equals and option.startswith("--"):
+        return f"{option}={_without_folders(value)}"
+    return Path(word).name if Path(word).is_absolute() else word

@@ -1,0 +1,117 @@
+"""The record of an adjustment: the keys of ``adjust --json`` and ``result.json``.
+
+The keys are stable (docs/command-line.md); lengths are metres, times seconds. A figure that does not
+exist is null and a warning says why.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fg_orient.parameters import EOP_SETS
+
+if TYPE_CHECKING:
+    from fg_orient.errors import RankDeficientError
+    from fg_orient.quality.accuracy import PointDifferences
+    from fg_orient.solution import Solution
+
+
+def summary(solution: Solution) -> dict[str, Any]:
+    """Give the record of a solution; ``seconds`` and ``out`` are added by the run.
+
+    Parameters
+    ----------
+    solution : Solution
+
+    Returns
+    -------
+    dict
+        The keys of ``adjust --json``; numbers may be nan, which :mod:`fg_orient.run.json`
+        turns into null.
+    """
+    problem, options = solution.problem, solution.block.options
+    n, iterations = len(problem.observations), solution.iterations
+    work = n * iterations
+    return {
+        "status": str(solution.status),
+        "reason": solution.reason,
+        "warnings": [*solution.warnings, *solution.withheld, *_missing(solution)],
+        "backend": solution.backend,
+        "optimizer": solution.optimizer,
+        "eop_set": options.eop_set,
+        "eop_set_name": EOP_SETS[options.eop_set][0],
+        "look_polynomial": options.look_polynomial,
+        "priors": options.priors,
+        "check_points": options.check_points,
+        "iterations": iterations,
+        "n_image_points": n,
+        "n_observations": problem.n_observations,
+        "n_unknowns": problem.n_unknowns,
+        "redundancy": solution.redundancy,
+        "chi2": solution.chi2,
+        "sigma0": solution.sigma0,
+        "sigma0_interval_99_9": list(solution.sigma0_interval),
+        "rank_defect": solution.rank_defect,
+        "unobservable": list(solution.unobservable),
+        "accuracy": {
+            "control": solution.accuracy.control.statistics(),
+            "check": _check(solution.accuracy.check),
+        },
+        "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
+    }
+
+
+def _check(points: PointDifferences) -> dict[str, Any]:
+    """Statistics of the check points and the ones a reader should look at."""
+    suspicious = [
+        {"id": name, "axis": axis, "difference_m": difference, "ratio": ratio}
+        for name, axis, difference, ratio in points.suspicious()
+    ]
+    largest = [
+        {"id": name, "difference_east_m": east, "difference_north_m": north, "difference_up_m": up,
+         "length_m": float(np.sqrt(east**2 + north**2 + up**2))}
+        for name, east, north, up in points.largest()
+    ]  # fmt: skip
+    return {**points.statistics(), "suspicious": suspicious, "largest": largest}
+
+
+def _missing(solution: Solution) -> list[str]:
+    """Say why a figure is null."""
+    out = []
+    if solution.redundancy <= 0:
+        out.append("sigma0 is null: there is no redundancy; standard deviations are in prior scale")
+    elif not np.isfinite(solution.sigma0_interval[0]):
+        out.append("sigma0_interval_99_9 is null: the adjustment did not converge")
+    if not solution.problem.n_images * solution.iterations:
+        out.append("us_per_observation_iteration is null: nothing was iterated")
+    return out
+
+
+def deficient_summary(error: RankDeficientError, options: dict[str, Any]) -> dict[str, Any]:
+    """Give the record of a block whose unknowns nothing determines.
+
+    Parameters
+    ----------
+    error : RankDeficientError
+        Its problems name the directions, one each.
+    options : dict
+        What is known of the run, shown beside.
+
+    Returns
+    -------
+    dict
+        ``status``, ``rank_defect``, ``unobservable``, ``errors`` and the options.
+    """
+    sentences = [p.place for p in error.problems if p.code == "adjust.rank_deficient"]
+    return {
+        "status": "rank_deficient",
+        "reason": "some unknowns are determined neither by observations nor by priors",
+        "warnings": [],
+        "rank_defect": dict(error.rank_defect),
+        "unobservable": sentences or [p.message for p in error.problems],
+        "errors": [p.as_dict() for p in error.problems],
+        "out": None,
+        **options,
+    }

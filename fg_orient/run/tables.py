@@ -1,0 +1,185 @@
+"""Tables and arrays of the result folder; every number to its last digit.
+
+RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.csv``,
+``eop.csv`` and the input::
+
+    chi2 = sum (v/sigma)^2                    residuals.csv, both coordinates
+         + sum (difference/own sigma)^2       points.csv, East, North, Up of control points not fixed
+         + sum (value_per_tau/prior sigma)^2  eop.csv
+
+Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy; else in
+prior scale. The column ``sigma_scale`` says which.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import ellipsoid
+from factors.polynomials import per_line_from_tau
+from fg_orient.adjustment.problem import enu_from_ecef
+from fg_orient.parameters import COMPONENTS, N_EOP
+from fg_orient.quality.accuracy import PointDifferences
+
+if TYPE_CHECKING:
+    from fg_orient.solution import Solution
+
+Array = npt.NDArray[np.float64]
+
+EOP_COLUMNS: Final = (
+    "image", "parameter", "component", "degree", "unit", "value_per_tau", "sigma", "prior_sigma", "sigma_scale",
+    "per_line_value", "per_line_sigma", "per_line_unit",
+)  # fmt: skip
+_ENU = ("east_m", "north_m", "up_m")
+POINT_COLUMNS: Final = (
+    "id", "role", "n_rays", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m",
+    *(f"sigma_{axis}" for axis in _ENU), "sigma_scale",
+    *(f"difference_{axis}" for axis in (*_ENU, "x_m", "y_m", "z_m")), *(f"own_sigma_{axis}" for axis in _ENU),
+)  # fmt: skip
+RESIDUAL_COLUMNS: Final = (
+    "image", "id", "line", "sample", "v_line_px", "v_sample_px", "sigma_line_px", "sigma_sample_px",
+)  # fmt: skip
+ACCURACY_COLUMNS: Final = ("role", "quantity", "value")
+
+
+def write_tables(folder: Path, solution: Solution) -> None:
+    """Write ``eop.csv``, ``points.csv``, ``residuals.csv``, ``accuracy.csv`` and ``arrays.npz``.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing folder.
+    solution : Solution
+    """
+    write_csv(folder / "eop.csv", EOP_COLUMNS, eop_rows(solution))
+    write_csv(folder / "points.csv", POINT_COLUMNS, point_rows(solution))
+    write_csv(folder / "residuals.csv", RESIDUAL_COLUMNS, residual_rows(solution))
+    write_csv(folder / "accuracy.csv", ACCURACY_COLUMNS, accuracy_rows(solution))
+    _write_arrays(folder / "arrays.npz", solution)
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write one table; numbers with the digits that read back to the same double, nan as empty cell."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows([_cell(value) for value in row] for row in rows)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return repr(float(value)) if np.isfinite(value) else ""
+    return str(value)
+
+
+def sigma_scale(solution: Solution) -> tuple[float, str]:
+    """Factor from the root of a cofactor to a standard deviation, and its name."""
+    return (solution.sigma0, "posterior") if solution.redundancy > 0 else (1.0, "prior")
+
+
+def image_cofactors(solution: Solution) -> Array:
+    """Cofactors (M, k, k) of the images' unknowns in physical units, prior scale; nan where withheld."""
+    parameters, count = solution.problem.parameters, solution.problem.n_images
+    k = len(parameters)
+    if solution.cofactors is None:
+        return np.full((count, k, k), np.nan)
+    scale = np.outer(parameters.sigma, parameters.sigma)
+    return np.array([solution.cofactors.image(i) * scale for i in range(count)]).reshape(count, k, k)
+
+
+def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
+    """Corrections per image and parameter: coefficients of tau, and per line about the same line."""
+    parameters = solution.problem.parameters
+    factor, name = sigma_scale(solution)
+    sigmas = factor * np.sqrt(np.maximum(np.einsum("mkk->mk", image_cofactors(solution)), 0.0))
+    priors = parameters.sigma if solution.block.options.priors else np.full(len(parameters), np.nan)
+    rows: list[tuple[object, ...]] = []
+    for i, image in enumerate(solution.block.images):
+        values = solution.state.image[i] * parameters.sigma
+        per_line = per_line_from_tau(image.sensor.n_lines)
+        for j, code in enumerate(parameters.codes):
+            is_eop = code < N_EOP
+            degree = code % 3 if is_eop else (code - N_EOP) // 2
+            unit = parameters.units[j]
+            change = per_line[degree] if is_eop else np.nan
+            line_unit = "" if not is_eop else unit + ("", "/line", "/line^2")[degree]
+            component = COMPONENTS[code // 3] if is_eop else parameters.names[j].rpartition("_")[0]
+            rows.append((
+                image.id, parameters.names[j], component, degree, unit, values[j], sigmas[i, j], priors[j], name,
+                values[j] * change, sigmas[i, j] * change, line_unit,
+            ))  # fmt: skip
+    return rows
+
+
+def point_rows(solution: Solution) -> list[tuple[object, ...]]:
+    """Adjusted coordinates, their standard deviations and the differences at control and check points."""
+    points, ground = solution.block.points, solution.ground_m
+    rays = np.bincount(solution.block.observations.point, minlength=len(points.ids))
+    known = ~np.isnan(ground).any(axis=1)
+    geodetic = np.full_like(ground, np.nan)
+    geodetic[known] = ellipsoid.geodetic_array(np.ascontiguousarray(ground[known]))
+    lon, lat = np.degrees(geodetic[:, 0]), np.degrees(geodetic[:, 1])
+    factor, name = sigma_scale(solution)
+    sigma = factor * point_sigmas(solution, known)
+    enu, ecef, own = (np.full_like(ground, np.nan) for _ in range(3))
+    for group in (solution.accuracy.control, solution.accuracy.check):
+        enu[group.index], ecef[group.index] = group.enu_m, group.ecef_m
+        own[group.index] = group.own_sigma_enu_m
+    return [
+        (points.ids[j], str(points.roles[j]), int(rays[j]), lon[j], lat[j], geodetic[j, 2], *ground[j],
+         *sigma[j], name if np.isfinite(sigma[j]).all() else "", *enu[j], *ecef[j], *own[j])
+        for j in range(len(points.ids))
+    ]  # fmt: skip
+
+
+def point_sigmas(solution: Solution, known: npt.NDArray[np.bool_]) -> Array:
+    """Standard deviations (N, 3) East, North, Up in prior scale; nan where withheld or not determined."""
+    out = np.full((len(known), 3), np.nan)
+    if solution.cofactors is None:
+        return out
+    rows = np.flatnonzero(known)
+    turn = enu_from_ecef(np.ascontiguousarray(solution.ground_m[rows]))
+    for k, j in enumerate(rows):
+        q = turn[k] @ solution.cofactors.point(int(j)) @ turn[k].T
+        out[j] = np.sqrt(np.maximum(np.diag(q), 0.0))
+    check: PointDifferences = solution.accuracy.check
+    out[check.index] = check.predicted_sigma_enu_m  # excluded ones are propagated, not unknowns
+    return out
+
+
+def residual_rows(solution: Solution) -> list[tuple[object, ...]]:
+    """Observed pixels with residuals v = adjusted minus observed, and their sigmas."""
+    o, block = solution.problem.observations, solution.block
+    return [
+        (block.images[o.image[r]].id, block.points.ids[o.point[r]], o.line[r], o.sample[r],
+         *solution.residuals_px[r], o.sigma_line_px[r], o.sigma_sample_px[r])
+        for r in range(len(o))
+    ]  # fmt: skip
+
+
+def accuracy_rows(solution: Solution) -> list[tuple[object, ...]]:
+    """Every figure of the accuracy assessment, one on a line."""
+    groups = (("control", solution.accuracy.control), ("check", solution.accuracy.check))
+    return [(role, key, value) for role, group in groups for key, value in group.statistics().items()]
+
+
+def _write_arrays(path: Path, solution: Solution) -> None:
+    """State, adjusted points and cofactors (prior scale) as plain arrays; no pickle needed."""
+    parameters = solution.problem.parameters
+    factor, _ = sigma_scale(solution)
+    cofactors = image_cofactors(solution)
+    np.savez(
+        path, allow_pickle=False,
+        image_ids=np.array([image.id for image in solution.block.images], dtype=str),
+        point_ids=np.array(solution.block.points.ids, dtype=str),
+        parameter_names=np.array(parameters.names, dtype=str), parameter_units=np.array(parameters.units, dtype=str),
+        prior_sigma=parameters.sigma, state_image=solution.state.image, state_ground_m=solution.state.ground,
+        origin_m=solution.problem.origin_m, ground_m=solution.ground_m, residuals_px=solution.residuals_px,
+        image_cofactors=cofactors, image_covariance=cofactors * factor**2,
+    )  # fmt: skip
