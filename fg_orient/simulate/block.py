@@ -1,0 +1,228 @@
+"""A synthetic block of SPOT-5-like scenes of any size, for cost and accuracy studies.
+
+Ground centres lie on a grid of rows x columns around the twin's centre; each is seen by a
+pass of its own, rolled alternately to one side and the other like the fields of a
+checkerboard, so that neighbouring scenes (60 km wide, by default 28 km apart) overlap and
+intersect at 24 degrees. Ground points are uniform over the block; a point is kept if at
+least two scenes see it. About 2.7 (2 x 2 scenes) to 4 (10 x 10) image points come per
+ground point. Geometry in the spirit of performance.md, section 1, on the real ellipsoid.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.block import Block
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.io.folder import require_free
+from fg_orient.names import Role
+from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.simulate.files import PROJECT_FILE, write_simulation
+from fg_orient.simulate.orbit import find_pass
+from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
+from fg_orient.simulate.simulation import (
+    ERRORS,
+    Simulation,
+    Truth,
+    draw_errors,
+    ground_points,
+    observe,
+    random_streams,
+    require,
+)
+from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
+
+Array = npt.NDArray[np.float64]
+
+#: First day of the images; each image has its own pass on its own day.
+FIRST_DAY = np.datetime64("2004-07-05")
+HALF_MINUTES = 1041
+#: Points this close to a border are not measured there: noise never leaves the image.
+MARGIN_PX = 200.0
+#: A scene sees nothing farther than this from its ground centre.
+REACH_M = 70e3
+#: The box of points reaches this far beyond the outer ground centres.
+BORDER_M = 25e3
+LEAST_CONTROL = 6
+
+
+@dataclass(frozen=True)
+class BlockOptions:
+    """Options of a synthetic block.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Grid of ground centres; the block has ``rows * columns`` images, at least 2.
+    points : int
+        Number of ground points, each seen by two images or more.
+    seed : int
+        Seed of all random numbers.
+    spacing_m : float
+        Distance of neighbouring ground centres, 1000 to 40000 m.
+    roll_deg : float
+        Mirror angle, alternately positive and negative, 1 to 27 degrees.
+    control_share, check_share : float
+        Shares of control and check points; at least 6 are control points, the rest tie points.
+    image_noise_px : float
+        Sigma of the noise in line and in sample.
+    errors : str
+        Errors of the metadata: "prior", "constant" or "none" (see ``ZonguldakOptions``).
+    ground_noise_m : (east, north, up)
+        Sigmas of the noise of control and check coordinates.
+    max_height_m : float
+        Heights are uniform from 0 to this.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+
+    rows: int = 2
+    columns: int = 2
+    points: int = 400
+    seed: int = 1
+    spacing_m: float = 28e3
+    roll_deg: float = 12.0
+    control_share: float = 0.02
+    check_share: float = 0.1
+    image_noise_px: float = 0.3
+    errors: str = "prior"
+    ground_noise_m: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    max_height_m: float = 500.0
+
+    def __post_init__(self) -> None:
+        require(1 <= self.rows <= 20 and 1 <= self.columns <= 20, "rows, columns", (self.rows, self.columns), "1 to 20")
+        require(self.rows * self.columns >= 2, "rows, columns", (self.rows, self.columns), "two images or more")
+        require(LEAST_CONTROL <= self.points <= 10**6, "points", self.points, f"{LEAST_CONTROL} to 1000000")
+        require(self.seed >= 0, "seed", self.seed, "a whole number from 0")
+        require(1e3 <= self.spacing_m <= 40e3, "spacing_m", self.spacing_m, "1000 to 40000 m")
+        require(1.0 <= self.roll_deg <= 27.0, "roll_deg", self.roll_deg, "1 to 27 degrees")
+        shares = (self.control_share, self.check_share)
+        require(min(shares) >= 0.0 and sum(shares) <= 1.0, "control_share, check_share", shares, "shares of 1 together")
+        require(0.0 <= self.image_noise_px <= 30.0, "image_noise_px", self.image_noise_px, "0 to 30 px")
+        require(self.errors in ERRORS, "errors", self.errors, f"one of {', '.join(ERRORS)}")
+        noise = self.ground_noise_m
+        good = len(noise) == 3 and all(0.0 <= v <= 100.0 for v in noise)
+        require(good, "ground_noise_m", noise, "three numbers from 0 to 100")
+        require(0.0 <= self.max_height_m <= 8000.0, "max_height_m", self.max_height_m, "0 to 8000 m")
+
+
+def simulate_block(out: str | Path, options: BlockOptions | None = None, *, overwrite: bool = False) -> Path:
+    """Write a synthetic block: metadata files, points, observations, project file and ``truth/``.
+
+    Parameters
+    ----------
+    out : str or Path
+        Folder to make.
+    options : BlockOptions, optional
+    overwrite : bool
+        Replace a folder that an earlier simulation wrote.
+
+    Returns
+    -------
+    Path
+        The project file.
+
+    Raises
+    ------
+    InputError
+        The folder exists (without ``overwrite``) or cannot be written.
+    """
+    chosen = options or BlockOptions()
+    require_free(Path(out), overwrite=overwrite, mark=PROJECT_FILE)
+    return write_simulation(out, simulate(chosen), chosen, "simulate block", overwrite=overwrite)
+
+
+def grid_block(options: BlockOptions | None = None) -> tuple[Block, Truth]:
+    """Give the block in memory: the one that reading its files gives, and its truth."""
+    simulation = simulate(options or BlockOptions())
+    return simulation.block(), simulation.truth
+
+
+def simulate(options: BlockOptions) -> Simulation:
+    """Draw the block of these options."""
+    streams = random_streams(options.seed)
+    centres = _centres(options)
+    scenes = _scenes(options, centres)
+    lon_lat_height, visible = _points(options, scenes, centres, streams["points"])
+    roles = _roles(options, streams["roles"])
+    width = len(str(options.points))
+    ids = tuple(f"{k + 1:0{width}d}" for k in range(options.points))
+    ground = ground_points(ids, roles, lon_lat_height, options.ground_noise_m, streams["ground_noise"])
+    errors = draw_errors(options.errors, streams["orientation"], len(scenes))
+    name, noise = f"block of {len(scenes)} images", options.image_noise_px
+    return observe(name, scenes, ground, visible, errors, np.zeros((2, 0)), noise, streams["image_noise"])
+
+
+def _centres(options: BlockOptions) -> Array:
+    """Ground centres (m, 3) ECEF at height 0, row by row from the north west."""
+    north = (np.arange(options.rows) - (options.rows - 1) / 2.0) * -options.spacing_m
+    east = (np.arange(options.columns) - (options.columns - 1) / 2.0) * options.spacing_m
+    offset = np.stack([np.tile(east, options.rows), np.repeat(north, options.columns)], axis=1)
+    lon_lat = _shifted(offset)
+    return geodetic_to_ecef(lon_lat[:, 0], lon_lat[:, 1], np.zeros(len(lon_lat)))
+
+
+def _shifted(offset_m: Array) -> Array:
+    """Longitude and latitude (degrees) of N points given by East and North (m) in the plane at the centre."""
+    lon_deg, lat_deg = CENTRE_LON_LAT_DEG
+    plane = enu_from_ecef(lon_deg, lat_deg)[0, :2]
+    lon, lat, _ = ecef_to_geodetic(geodetic_to_ecef(lon_deg, lat_deg, 0.0) + offset_m @ plane)
+    return np.stack([lon, lat], axis=1)
+
+
+def _scenes(options: BlockOptions, centres: Array) -> tuple[Scene, ...]:
+    out = []
+    width = len(str(len(centres)))
+    for k, centre in enumerate(centres):
+        side = 1.0 if sum(divmod(k, options.columns)) % 2 else -1.0
+        mirror = side * math.radians(options.roll_deg)
+        orbit = find_pass(centre, mirror)
+        day = FIRST_DAY + np.timedelta64(k, "D")
+        out.append(Scene(f"image{k + 1:0{width}d}", orbit, mirror, day, HALF_MINUTES, full_look_table=False))
+    return tuple(out)
+
+
+def _points(
+    options: BlockOptions, scenes: tuple[Scene, ...], centres: Array, rng: np.random.Generator
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Points seen twice or more: longitude, latitude (degrees), height (m), (n, 3); who sees them (m, n)."""
+    sensors = [as_read(scene.metadata()) for scene in scenes]
+    half = BORDER_M + options.spacing_m * (np.array([options.columns, options.rows]) - 1) / 2.0
+    found, visible = np.empty((0, 3)), np.empty((len(scenes), 0), bool)
+    while len(found) < options.points:
+        unit = rng.random((options.points + 100, 3))
+        lon_lat = _shifted((2.0 * unit[:, :2] - 1.0) * half)
+        drawn = np.column_stack([lon_lat, options.max_height_m * unit[:, 2]])
+        seen = _visible(sensors, centres, geodetic_to_ecef(*drawn.T))
+        kept = seen.sum(axis=0) >= 2
+        found, visible = np.vstack([found, drawn[kept]]), np.hstack([visible, seen[:, kept]])
+    return found[: options.points], visible[:, : options.points]
+
+
+def _visible(sensors: list[PushbroomSensor], centres: Array, ecef_m: Array) -> npt.NDArray[np.bool_]:
+    """Which of N points lies well inside which image: (m, N)."""
+    size = np.array([N_LINES, N_SAMPLES])
+    out = np.zeros((len(sensors), len(ecef_m)), bool)
+    for k, (sensor, centre) in enumerate(zip(sensors, centres, strict=True)):
+        near = np.flatnonzero(np.linalg.norm(ecef_m - centre, axis=1) < REACH_M)
+        pixels = np.stack(sensor.project(ecef_m[near]), axis=1)
+        out[k, near] = ((pixels >= MARGIN_PX) & (pixels <= size - 1 - MARGIN_PX)).all(axis=1)
+    return out
+
+
+def _roles(options: BlockOptions, rng: np.random.Generator) -> tuple[Role, ...]:
+    """Control, check and tie points, drawn."""
+    n = options.points
+    control = max(LEAST_CONTROL, round(options.control_share * n))
+    check = min(round(options.check_share * n), n - control)
+    order = rng.permutation(n)
+    of_rank = [Role.CONTROL] * control + [Role.CHECK] * check + [Role.TIE] * (n - control - check)
+    return tuple(of_rank[k] for k in np.argsort(order))

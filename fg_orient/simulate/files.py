@@ -1,0 +1,116 @@
+"""Writes a simulated block in the real file formats, with the truth beside it.
+
+``<image>.DIM`` (DIMAP 1.1), ``points.csv``, ``observations.csv``, ``project.toml``; in
+``truth/`` the error-free ``points.csv``, ``eop.csv`` (true minus metadata) and
+``options.json``, which the adjustment never reads. The folder appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fg_orient.io.atomic import write_text
+from fg_orient.io.dimap_write import write_dimap1
+from fg_orient.io.folder import staged_folder
+from fg_orient.io.points_write import write_observations, write_points, write_project
+from fg_orient.parameters import COMPONENTS, UNITS, parameter_name
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    from fg_orient.simulate.simulation import Simulation, Truth
+
+PROJECT_FILE = "project.toml"
+
+
+def write_simulation(
+    out: str | Path, simulation: Simulation, options: DataclassInstance, command: str, *, overwrite: bool = False
+) -> Path:
+    """Write a simulated block.
+
+    Parameters
+    ----------
+    out : str or Path
+        Folder to make.
+    simulation : Simulation
+    options : dataclass
+        Options of the simulator, for the headers and ``truth/options.json``.
+    command : str
+        Command that makes it, for the headers.
+    overwrite : bool
+        Replace a folder that holds a project file.
+
+    Returns
+    -------
+    Path
+        The project file.
+
+    Raises
+    ------
+    InputError
+        The folder exists, or cannot be written; nothing is left behind.
+    """
+    target = Path(out)
+    values = {"command": command, **asdict(options)}
+    with staged_folder(target, overwrite=overwrite, mark=PROJECT_FILE) as folder:
+        _write_block(folder, simulation, values)
+        (folder / "truth").mkdir()
+        _write_truth(folder / "truth", simulation, values)
+    return target / PROJECT_FILE
+
+
+def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any]) -> None:
+    made = [f"simulated by fg_orient: {values['command']}", f"options: {json.dumps(values, sort_keys=True)}"]
+    for metadata in simulation.metadata:
+        write_dimap1(folder / metadata.file, metadata, dataset_name=f"{simulation.name}, simulated")
+    ground, truth = simulation.ground, simulation.truth
+    known = ground.known[:, None]
+    write_points(
+        folder / "points.csv", ground.ids, ground.roles, np.where(known, ground.measured, np.nan),
+        np.where(known, ground.sigma_enu_m, np.nan),
+        comments=[*made, "measured values: WGS84, EPSG:4979, ellipsoidal heights; sigmas at the point"],
+    )  # fmt: skip
+    write_observations(
+        folder / "observations.csv", [truth.image_ids[k] for k in simulation.image],
+        [ground.ids[j] for j in simulation.point], simulation.observed, np.array(simulation.sigma_px),
+        comments=[*made, "(0, 0) is the centre of the first pixel"],
+    )  # fmt: skip
+    images = [(image, metadata.file) for image, metadata in zip(truth.image_ids, simulation.metadata, strict=True)]
+    write_project(folder / PROJECT_FILE, name=simulation.name, images=images, comments=made)
+
+
+def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any]) -> None:
+    truth = simulation.truth
+    rows = [
+        [name, str(role), *map(repr, lonlat.tolist()), *map(repr, xyz.tolist())]
+        for name, role, lonlat, xyz in zip(
+            truth.point_ids, simulation.ground.roles, truth.lon_lat_height, truth.ecef_m, strict=True
+        )
+    ]
+    write_text(folder / "points.csv", _csv(["id", "role", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m"], rows))
+    header = ["image", "parameter", "component", "degree", "unit", "value_per_tau"]
+    write_text(folder / "eop.csv", _csv(header, _eop_rows(truth)))
+    write_text(folder / "options.json", json.dumps(values, indent=2, sort_keys=True) + "\n")
+
+
+def _eop_rows(truth: Truth) -> list[list[str]]:
+    """True minus metadata of all 27 coefficients, then of the look polynomial (per s^degree) if there is one."""
+    rows = []
+    for image, correction in zip(truth.image_ids, truth.corrections, strict=True):
+        for c, (name, unit) in enumerate(zip(COMPONENTS, UNITS, strict=True)):
+            for k in range(3):
+                value = repr(float(correction.eop[c, k]))
+                rows.append([image, parameter_name(3 * c + k), name, str(k), unit, value])
+        for axis, coefficients in zip("xy", correction.look, strict=True):
+            for k, value in enumerate(coefficients.tolist()):
+                rows.append([image, f"psi_{axis}_s{k}", f"psi_{axis}", str(k), "rad", repr(value)])
+    return rows
+
+
+def _csv(header: list[str], rows: list[list[str]]) -> str:
+    return "\n".join(",".join(cells) for cells in [header, *rows]) + "\n"

@@ -1,0 +1,185 @@
+"""The Zonguldak twin: a synthetic SPOT-5 HRG stereo pair with 47 ground points.
+
+Two descending circular passes (832 km, 98.7 degrees) see 41.3 N 31.85 E at mirror angles
+of -18 and +20 degrees from opposite sides; points lie in the overlap at 0 to 1800 m.
+Source of the geometry: the data set of Topan & Maktav (2010) and Terlemezoğlu (2019) as
+specified in orientation.md 6.5. Truth is a model truth, see
+:mod:`fg_orient.simulate.simulation`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.block import Block
+from fg_orient.geodesy import geodetic_to_ecef
+from fg_orient.io.folder import require_free
+from fg_orient.simulate.files import PROJECT_FILE, write_simulation
+from fg_orient.simulate.orbit import find_pass
+from fg_orient.simulate.point_sets import CHECK_COUNT, N_POINTS, roles_of
+from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
+from fg_orient.simulate.simulation import (
+    ERRORS,
+    Simulation,
+    Truth,
+    draw_errors,
+    ground_points,
+    observe,
+    random_streams,
+    require,
+)
+
+Array = npt.NDArray[np.float64]
+
+CENTRE_LON_LAT_DEG = (31.85, 41.3)
+#: Image id, mirror angle (degrees), day, half minutes of the day.
+IMAGES = (("left", -18.0, "2004-07-05", 1041), ("right", 20.0, "2004-07-06", 1003))
+HEIGHT_RANGE_M = (0.0, 1800.0)
+#: Points keep this distance from the border of both images: noise and distortion never leave it.
+MARGIN_PX = 300.0
+#: Box of the overlap in which points are drawn, degrees around the centre.
+_BOX_DEG = (0.55, 0.40)
+
+
+@dataclass(frozen=True)
+class ZonguldakOptions:
+    """Options of the twin.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all random numbers. Points, roles, errors of the metadata, image noise and
+        ground noise come from independent streams of it.
+    point_set : str
+        H-0, H-10, H-20, H-30, H-40, G-A, G-B or G-C.
+    image_noise_px : float
+        Sigma of the noise in line and in sample. The adjustment is given the same sigma, or
+        0.3 px if the noise is 0.
+    errors : str
+        Errors of the metadata: "constant" (5 m per ECEF axis, 20 microrad per angle, signs
+        drawn per image), "prior" (all 27 coefficients from the prior sigmas) or "none".
+    distortion_rad : float
+        True look angles psi_x and psi_y exceed those of the files by this times s^2, s = -1
+        at the first and +1 at the last sample.
+    radial_velocity_m_s : float
+        Rate of the distance from the geocentre (real SPOT 5: 7 to 9 m/s).
+    attitude_rad : (roll, pitch, yaw)
+        True attitude of both images, constant.
+    ground_noise_m : (east, north, up)
+        Sigmas of the noise of control and check coordinates.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+
+    seed: int = 1
+    point_set: str = "H-10"
+    image_noise_px: float = 0.3
+    errors: str = "constant"
+    distortion_rad: float = 0.0
+    radial_velocity_m_s: float = 0.0
+    attitude_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ground_noise_m: tuple[float, float, float] = (0.06, 0.06, 1.0)
+
+    def __post_init__(self) -> None:
+        sets = ", ".join(CHECK_COUNT)
+        require(self.seed >= 0, "seed", self.seed, "a whole number from 0")
+        require(self.point_set in CHECK_COUNT, "point_set", self.point_set, f"one of {sets}")
+        require(0.0 <= self.image_noise_px <= 30.0, "image_noise_px", self.image_noise_px, "0 to 30 px")
+        require(self.errors in ERRORS, "errors", self.errors, f"one of {', '.join(ERRORS)}")
+        require(abs(self.distortion_rad) <= 1e-4, "distortion_rad", self.distortion_rad, "-1e-4 to 1e-4 rad")
+        speed = self.radial_velocity_m_s
+        require(abs(speed) <= 100.0, "radial_velocity_m_s", speed, "-100 to 100 m/s")
+        for name, limit in (("attitude_rad", 1e-2), ("ground_noise_m", 100.0)):
+            values = getattr(self, name)
+            low = 0.0 if name == "ground_noise_m" else -limit
+            good = len(values) == 3 and all(low <= v <= limit for v in values)
+            require(good, name, values, f"three numbers from {low:g} to {limit:g}")
+
+
+def simulate_zonguldak(
+    out: str | Path, options: ZonguldakOptions | None = None, *, overwrite: bool = False
+) -> Path:
+    """Write the twin: metadata files, points, observations, project file and ``truth/``.
+
+    Parameters
+    ----------
+    out : str or Path
+        Folder to make.
+    options : ZonguldakOptions, optional
+    overwrite : bool
+        Replace a folder that an earlier simulation wrote.
+
+    Returns
+    -------
+    Path
+        The project file.
+
+    Raises
+    ------
+    InputError
+        The folder exists (without ``overwrite``) or cannot be written.
+    """
+    chosen = options or ZonguldakOptions()
+    require_free(Path(out), overwrite=overwrite, mark=PROJECT_FILE)
+    return write_simulation(out, simulate(chosen), chosen, "simulate zonguldak", overwrite=overwrite)
+
+
+def zonguldak_block(options: ZonguldakOptions | None = None) -> tuple[Block, Truth]:
+    """Give the twin in memory: the block that reading its files gives, and its truth."""
+    simulation = simulate(options or ZonguldakOptions())
+    return simulation.block(), simulation.truth
+
+
+def simulate(options: ZonguldakOptions) -> Simulation:
+    """Draw the twin of these options."""
+    streams = random_streams(options.seed)
+    scenes = _scenes(options)
+    lon_lat_height, pixels = _points(scenes, streams["points"])
+    roles = roles_of(options.point_set, pixels, streams["roles"])
+    ids = tuple(f"{k + 1:02d}" for k in range(N_POINTS))
+    ground = ground_points(ids, roles, lon_lat_height, options.ground_noise_m, streams["ground_noise"])
+    errors = draw_errors(options.errors, streams["orientation"], len(scenes))
+    bend = np.array([[0.0, 0.0, options.distortion_rad]] * 2) if options.distortion_rad else np.zeros((2, 0))
+    visible = np.ones((len(scenes), N_POINTS), bool)
+    noise = options.image_noise_px
+    return observe("zonguldak twin", scenes, ground, visible, errors, bend, noise, streams["image_noise"])
+
+
+def _scenes(options: ZonguldakOptions) -> tuple[Scene, ...]:
+    centre = geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)[0]
+    out = []
+    for name, mirror_deg, day, half_minutes in IMAGES:
+        mirror = math.radians(mirror_deg)
+        orbit = find_pass(
+            centre, mirror, attitude_rad=options.attitude_rad, radial_velocity_m_s=options.radial_velocity_m_s
+        )
+        out.append(Scene(name, orbit, mirror, np.datetime64(day), half_minutes, options.attitude_rad))
+    return tuple(out)
+
+
+def _points(scenes: tuple[Scene, ...], rng: np.random.Generator) -> tuple[Array, Array]:
+    """Points uniform in the overlap, longitude, latitude (degrees), height (m); pixels in the first image.
+
+    Where they lie is decided by the true orbits and the camera of the files, so errors,
+    noise and distortion do not change them.
+    """
+    sensors = [as_read(scene.metadata()) for scene in scenes]
+    found, pixels = np.empty((0, 3)), np.empty((0, 2))
+    size, low_m, high_m = np.array([N_LINES, N_SAMPLES]), *HEIGHT_RANGE_M
+    while len(found) < N_POINTS:
+        unit = rng.random((4 * N_POINTS, 3))
+        lon_lat = np.array(CENTRE_LON_LAT_DEG) + (2.0 * unit[:, :2] - 1.0) * _BOX_DEG
+        drawn = np.column_stack([lon_lat, low_m + (high_m - low_m) * unit[:, 2]])
+        ecef = geodetic_to_ecef(*drawn.T)
+        seen = np.stack([np.stack(sensor.project(ecef), axis=1) for sensor in sensors])
+        inside = ((seen >= MARGIN_PX) & (seen <= size - 1 - MARGIN_PX)).all(axis=(0, 2))
+        found, pixels = np.vstack([found, drawn[inside]]), np.vstack([pixels, seen[0, inside]])
+    return found[:N_POINTS], pixels[:N_POINTS]
