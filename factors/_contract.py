@@ -68,6 +68,10 @@ class Equation:
         ``example(rng) -> Example``; random, well posed, covers every branch over many draws.
     source : str
         Author year, equation number.
+    fill : callable, optional
+        ``fill(record, setup, x_1, ..., out, want) -> bool`` writes the value into column 0 of ``out`` and
+        the Jacobians into the following ones, and returns False if sizes do not fit or a value is not
+        finite: the same numbers without allocation, used by factors when given.
     """
 
     name: str
@@ -76,6 +80,7 @@ class Equation:
     arguments: tuple[Argument, ...]
     example: Callable[[np.random.Generator], Example]
     source: str
+    fill: Callable[..., bool] | None = None
 
 
 _REGISTRY: dict[str, Equation] = {}
@@ -143,18 +148,3 @@ def check_blocks(name: str, label: str, blocks: tuple[Any, ...], sizes: tuple[in
             raise ValueError(f"equation {name!r}, {label}: {what} has shape {block.shape}, expected {shape}")
         if not math.isfinite(float(block.sum())):
             raise ValueError(f"equation {name!r}, {label}: {what} is not finite")
-
-
-@compiled
-def finite2(value: Array, j1: Array, j2: Array) -> bool:
-    """Tell whether value and both Jacobians are finite (the fast form used by factors)."""
-    total = 0.0
-    for a in value:
-        total += a * 0.0
-    for row in j1:
-        for a in row:
-            total += a * 0.0
-    for row in j2:
-        for a in row:
-            total += a * 0.0
-    return total == 0.0

@@ -14,7 +14,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from factors._contract import Array, Equation, check_blocks, finite2
+from factors._contract import Array, Equation, check_blocks
 
 ErrorFunction = Callable[[Any, Any, Any], Array]
 
@@ -56,44 +56,59 @@ def factor(
     keys = [int(u) for u in unknowns if not isinstance(u, np.ndarray)]
     if not keys:
         raise ValueError(f"equation {equation.name!r}, {label}: no unknown, nothing to adjust")
-    noise: Any = gtsam.noiseModel.Unit.Create(n_residuals)
-    if loss is not None:
-        noise = gtsam.noiseModel.Robust.Create(loss, noise)
-    if [a.is_point for a in equation.arguments] == [False, True] and len(keys) == 2:
-        function = _image_and_point(equation, keys, sizes, record, setup, label, n_residuals)
-    else:
-        function = _general(equation, unknowns, sizes, record, setup, label, n_residuals)
-    return gtsam.CustomFactor(noise, keys, function)
+    if equation.fill and [a.is_point for a in equation.arguments] == [False, True] and len(keys) == 2:
+        make = image_point_factors(equation, sizes[0], setup, n_residuals=n_residuals, loss=loss)
+        return make(keys[0], keys[1], record, label)
+    function = _general(equation, unknowns, sizes, record, setup, label, n_residuals)
+    return gtsam.CustomFactor(_noise(n_residuals, loss), keys, function)
 
 
-def _image_and_point(
-    equation: Equation, keys: list[int], sizes: Sequence[int], record: Array, setup: Array, label: str, m: int
-) -> ErrorFunction:
-    """Build the common case, an image vector and a ground point, with little overhead per call."""
-    kernel, name = equation.kernel, equation.name
-    image, point = keys
-    shape_value, shape_image, shape_point = (m,), (m, sizes[0]), (m, sizes[1])
+def _noise(n_residuals: int, loss: Any) -> Any:
+    """Unit weight (the residual is whitened), under a robust loss if given."""
+    unit = gtsam.noiseModel.Unit.Create(n_residuals)
+    return unit if loss is None else gtsam.noiseModel.Robust.Create(loss, unit)
 
-    def error(_this: Any, values: Any, jacobians: Any) -> Array:
-        x, ground = values.atVector(image), values.atPoint3(point)
-        if jacobians is None:
-            value: Array = kernel(record, setup, x, ground, False)[0]
-            if value.shape != shape_value or not np.isfinite(value.sum()):
-                check_blocks(name, label, (value,), (), m)
+
+def image_point_factors(
+    equation: Equation, size: int, setup: Array, *, n_residuals: int = 2, loss: Any = None
+) -> Callable[[int, int, Array, str], gtsam.CustomFactor]:
+    """Give a maker of factors between an image vector and a ground point, one per image point.
+
+    All factors of the maker share buffers, setup and noise model: GTSAM copies what it is
+    given, and 10 000 closures stay in the cache (15 instead of 28 us per iteration and point).
+    ``make(image_key, point_key, record, label)`` returns the factor.
+    """
+    fill, noise, m = equation.fill, _noise(n_residuals, loss), n_residuals
+    if fill is None:
+        raise ValueError(f"equation {equation.name!r} has no fill function")
+    out = np.zeros((m, size + 4))
+    value, j_image, j_point = out[:, 0], out[:, 1 : 1 + size], out[:, 1 + size :]
+
+    def make(image: int, point: int, record: Array, label: str) -> gtsam.CustomFactor:
+        def error(_this: Any, values: Any, jacobians: Any) -> Array:
+            x, ground = values.atVector(image), values.atPoint3(point)
+            if jacobians is None:
+                if not fill(record, setup, x, ground, out, False):
+                    _complain(equation, size, record, setup, x, ground, label, m)
+            else:
+                if not fill(record, setup, x, ground, out, True):
+                    _complain(equation, size, record, setup, x, ground, label, m)
+                jacobians[0], jacobians[1] = j_image, j_point
             return value
-        blocks = kernel(record, setup, x, ground, True)
-        value, j_image, j_point = blocks
-        if (
-            value.shape != shape_value
-            or j_image.shape != shape_image
-            or j_point.shape != shape_point
-            or not finite2(value, j_image, j_point)
-        ):
-            check_blocks(name, label, blocks, tuple(sizes), m)
-        jacobians[0], jacobians[1] = j_image, j_point
-        return value
 
-    return error
+        return gtsam.CustomFactor(noise, [image, point], error)
+
+    return make
+
+
+def _complain(
+    equation: Equation, size: int, record: Array, setup: Array, x: Array, ground: Array, label: str, m: int
+) -> None:
+    """Raise the error that says why ``fill`` refused."""
+    if x.shape != (size,):
+        raise ValueError(f"equation {equation.name!r}, {label}: {size} unknowns expected, the values hold {x.size}")
+    check_blocks(equation.name, label, equation.kernel(record, setup, x, ground, True), (size, 3), m)
+    raise ValueError(f"equation {equation.name!r}, {label}: the setup does not fit {size} unknowns")
 
 
 def _general(

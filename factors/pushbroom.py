@@ -5,21 +5,17 @@ For an image point measured at (line, sample) of ground point G::
     w = R_OG^T (G - P),   f = M^T R_UY^T w,
     F_y = f1/f3 - tan psi_y,   F_x = f2/f3 + tan psi_x          (T 2.66-2.67 as corrected)
 
-P, V and the attitude a = (roll, pitch, yaw) at the line are metadata plus the correction
-polynomial ``c0 + c1 tau + c2 tau^2`` of each of the 9 components (27 EOP coefficients); R_OG(P, V)
-is the orbital frame of convention B, R_UY(a) the attitude, M a constant mounting of the line;
-psi_x, psi_y are the look angles of the sample plus ``sum b_k s^k``.
+P, V and the attitude a = (roll, pitch, yaw) are metadata plus ``c0 + c1 tau + c2 tau^2`` of each of
+the 9 components (27 EOP coefficients); R_OG(P, V) is the orbital frame of convention B, R_UY(a) the
+attitude, M a constant mounting of the line; psi_x, psi_y are look angles plus ``sum b_k s^k``.
 
-Two kinds of files share it. Angles (DIMAP v1): a = file + correction, M = I, and R_OG
-follows the corrected P and V. Quaternions (DIMAP v2): a = correction, M = R_OG^T R_q, and R_OG stays
-that of the metadata, so that P does not turn the camera: R_OG R_UY(a) R_OG^T R_q.
+Angles (DIMAP v1): a = file + correction, M = I, R_OG follows the corrected P and V. Quaternions
+(DIMAP v2): a = correction, M = R_OG^T R_q with R_OG of the metadata: R_OG R_UY(a) R_OG^T R_q.
 
-Whitening: the residual is ``A F`` with the constant 2 x 2 A = S^-1 J^-1, J = dF/d(line, sample) and
-S the pixel sigmas: a unit is one sigma of a pixel coordinate. V enters through V x P only:
-``dF/dV . V = dF/dV . P = 0``; the rest is a yaw (orientation.md 3.3).
-
-Everything is formed as reference (metadata) plus difference, so that rounding is relative to the
-correction and not to the orbit radius: 1e-9 sigma of noise in F becomes 1e-13.
+Whitening: the residual is ``A F``, A = S^-1 J^-1, J = dF/d(line, sample), S the pixel sigmas: a unit
+is one sigma of a pixel coordinate. V enters through V x P only: ``dF/dV . V = dF/dV . P = 0``; the
+rest is a yaw (orientation.md 3.3). Everything is formed as reference (metadata) plus difference, so
+that rounding is relative to the correction and not to the orbit radius: 1e-13 instead of 1e-9 sigma.
 """
 
 from __future__ import annotations
@@ -108,14 +104,38 @@ def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
 
 
 @compiled
-def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
+def fill(record: Array, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
+    """Write residual (column 0), image Jacobian and ground Jacobian into ``out`` (2, k + 4).
+
+    Returns False if the sizes do not fit or a value is not finite. The form used by factors: no
+    allocation per call.
+    """
+    k = setup.shape[1]
+    if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
+        return False
     e = corrections(record, setup, x)
     frame, w, f0, f1 = _sight(record, e, ground)
-    value = np.array(_misclosure(record, e, f0, f1))
-    if not want:
-        return value, np.empty((0, 0)), np.empty((0, 0))
-    f = (f0[0] + f1[0], f0[1] + f1[1], f0[2] + f1[2])
+    out[0, 0], out[1, 0] = _misclosure(record, e, f0, f1)
+    if want:
+        f = (f0[0] + f1[0], f0[1] + f1[1], f0[2] + f1[2])
+        d = _line_derivatives(record, e, frame, w, f)
+        for j in range(k):
+            code = int(setup[0, j])
+            if code < N_EOP:
+                column, factor = code // 3, record[18] ** (code % 3) * setup[1, j]
+            else:
+                column, factor = 12 + (code - N_EOP) % 2, record[21] ** ((code - N_EOP) // 2) * setup[1, j]
+            out[0, 1 + j], out[1, 1 + j] = d[0, column] * factor, d[1, column] * factor
+        out[:, k + 1 :] = d[:, 9:12]
+    total = 0.0
+    for j in range(k + 4 if want else 1):
+        total += 0.0 * out[0, j] + 0.0 * out[1, j]
+    return total == 0.0
+
+
+@compiled
+def _line_derivatives(record: Array, e: Array, frame: Any, w: Any, f: Any) -> Array:
+    """Whitened derivatives with respect to P, V, attitude (0-8), ground (9-11), psi_x, psi_y: (2, 14)."""
     for c in range(9):
         e[c] += record[c]
     e[9] += record[19]
@@ -127,7 +147,6 @@ def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> 
         attitude = rotations.orbital_from_body(e[6], e[7], e[8])
         d_attitude = rotations.d_orbital_from_body(e[6], e[7], e[8])
     dw = orbital.coordinate_derivatives(e, frame, w, record[26] > 0.5)
-    # columns of df: P, V, attitude (9), ground (3)
     d = np.empty((2, 14))
     for c in range(12):
         if 6 <= c < 9:
@@ -138,20 +157,22 @@ def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> 
         df = rotations.multiply_transposed(record[9:18], g[0], g[1], g[2])
         d_y = (df[0] - f[0] / f[2] * df[2]) / f[2]
         d_x = (df[1] - f[1] / f[2] * df[2]) / f[2]
-        d[0, c] = record[22] * d_y + record[23] * d_x
-        d[1, c] = record[24] * d_y + record[25] * d_x
+        d[0, c], d[1, c] = record[22] * d_y + record[23] * d_x, record[24] * d_y + record[25] * d_x
     sec2_x, sec2_y = 1.0 / np.cos(e[9]) ** 2, 1.0 / np.cos(e[10]) ** 2
     d[0, 12], d[1, 12] = record[23] * sec2_x, record[25] * sec2_x
     d[0, 13], d[1, 13] = -record[22] * sec2_y, -record[24] * sec2_y
-    j_image = np.empty((2, setup.shape[1]))
-    for j in range(setup.shape[1]):
-        code = int(setup[0, j])
-        if code < N_EOP:
-            column, factor = code // 3, record[18] ** (code % 3) * setup[1, j]
-        else:
-            column, factor = 12 + (code - N_EOP) % 2, record[21] ** ((code - N_EOP) // 2) * setup[1, j]
-        j_image[0, j], j_image[1, j] = d[0, column] * factor, d[1, column] * factor
-    return value, j_image, d[:, 9:12].copy()
+    return d
+
+
+@compiled
+def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
+    k = setup.shape[1]
+    out = np.empty((2, k + 4))
+    fill(record, setup, x, ground, out, want)
+    if not want:
+        return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))
+    return out[:, 0].copy(), out[:, 1 : k + 1].copy(), out[:, k + 1 :].copy()
 
 
 def example(rng: np.random.Generator) -> Example:
@@ -179,5 +200,5 @@ def example(rng: np.random.Generator) -> Example:
 LOOK_ANGLE_COLLINEARITY = register(Equation(
     "look_angle_collinearity", kernel, residual,
     (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)), example,
-    "Terlemezoğlu 2019, eqs. 2.34, 2.65-2.67; Topan & Maktav 2010, eqs. 11-13",
+    "Terlemezoğlu 2019, eqs. 2.34, 2.65-2.67; Topan & Maktav 2010, eqs. 11-13", fill,
 ))  # fmt: skip

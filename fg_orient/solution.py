@@ -8,7 +8,6 @@ scale is what predictions are tested against, the posterior one what is reported
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +15,13 @@ import numpy.typing as npt
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.block import Block
+from fg_orient.errors import NoSolutionError
 from fg_orient.names import Role, Status
 from fg_orient.quality.accuracy import Accuracy
+from fg_orient.quality.covariance import Cofactors, NamedMatrix, named_cofactors
 from fg_orient.quality.observability import ImageObservability
 from fg_orient.sensors.pushbroom import Correction
 
-if TYPE_CHECKING:
-    from fg_orient.quality.covariance import Cofactors
 
 Array = npt.NDArray[np.float64]
 
@@ -41,15 +40,6 @@ class Seconds:
     def total(self) -> float:
         """Sum of all phases."""
         return self.read + self.structure + self.jit + self.solve + self.statistics
-
-
-@dataclass(frozen=True)
-class NamedMatrix:
-    """A symmetric matrix with the names and units of its rows."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array
 
 
 @dataclass(frozen=True)
@@ -139,9 +129,9 @@ class Solution:
         NoSolutionError
             The covariance could not be computed; the message says why.
         """
-        from fg_orient.quality.covariance import named_cofactors
-
-        return named_cofactors(self, names)
+        if self.cofactors is None:
+            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
+        return named_cofactors(self.problem, self.cofactors, names)
 
     def covariance(self, *names: str) -> NamedMatrix:
         """Joint covariance ``sigma0^2 Q`` of images and points; see :meth:`cofactor_matrix`."""

@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from factors.graph import factor
+from factors.graph import factor, image_point_factors
 from factors.pushbroom import LOOK_ANGLE_COLLINEARITY
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.errors import InputError
@@ -52,15 +52,16 @@ def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
 
 
 def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
-    setup, sizes = problem.parameters.setup, (len(problem.parameters), 3)
-    o = problem.observations
+    setup, k, o = problem.parameters.setup, len(problem.parameters), problem.observations
+    make = image_point_factors(LOOK_ANGLE_COLLINEARITY, k, setup)
     for row in range(len(o)):
-        j = int(o.point[row])
-        ground = point_key(j) if problem.active[j] else problem.start.ground[j]
-        graph.add(factor(
-            LOOK_ANGLE_COLLINEARITY, (image_key(int(o.image[row])), ground), sizes, problem.records[row], setup,
-            label=problem.label(row),
-        ))  # fmt: skip
+        image, j = image_key(int(o.image[row])), int(o.point[row])
+        record, label = problem.records[row], problem.label(row)
+        if problem.active[j]:
+            graph.add(make(image, point_key(j), record, label))
+        else:
+            constant = np.ascontiguousarray(problem.start.ground[j])
+            graph.add(factor(LOOK_ANGLE_COLLINEARITY, (image, constant), (k, 3), record, setup, label=label))
 
 
 def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:

@@ -86,10 +86,8 @@ def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
 
 def _warm_up(problem: Problem) -> None:
     """Compile the kernels (or load them from the cache) so that the solve time is the solver's."""
-    from factors._contract import finite2
     from factors.pushbroom import kernel
 
     x, ground = problem.start.image[problem.observations.image[0]], problem.start.ground[problem.observations.point[0]]
     for want in (False, True):
-        blocks = kernel(problem.records[0], problem.parameters.setup, x, ground.copy(), want)
-    finite2(*blocks)
+        kernel(problem.records[0], problem.parameters.setup, x, ground.copy(), want)

@@ -8,18 +8,18 @@ propagated from the images that see them.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
     import gtsam
 
-    from fg_orient.solution import NamedMatrix, Solution
 
 Array = npt.NDArray[np.float64]
 
@@ -78,13 +78,18 @@ class Cofactors:
         return np.block([[np.asarray(found.at(a, b)) for b in keys] for a in keys])
 
 
-def named_cofactors(solution: Solution, names: tuple[str, ...]) -> NamedMatrix:
-    """Joint cofactors of named images and points in physical units; see ``Solution.cofactor_matrix``."""
-    from fg_orient.solution import NamedMatrix
+@dataclass(frozen=True)
+class NamedMatrix:
+    """A symmetric matrix with the names and units of its rows."""
 
-    if solution.cofactors is None:
-        raise NoSolutionError.of("covariance.withheld", value="; ".join(solution.withheld))
-    block, parameters = solution.block, solution.problem.parameters
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+
+
+def named_cofactors(problem: Problem, cofactors: Cofactors, names: tuple[str, ...]) -> NamedMatrix:
+    """Joint cofactors of named images and points in physical units; see ``Solution.cofactor_matrix``."""
+    block, parameters = problem.block, problem.parameters
     images, points = [], []
     for name in names or tuple(f"image:{image.id}" for image in block.images):
         kind, _, identifier = name.partition(":")
@@ -94,11 +99,11 @@ def named_cofactors(solution: Solution, names: tuple[str, ...]) -> NamedMatrix:
             points.append(block.points.ids.index(identifier))
         else:
             raise InputError.of("covariance.no_such", place="covariance", value=name)
-    fixed = [block.points.ids[j] for j in points if not solution.problem.active[j]]
+    fixed = [block.points.ids[j] for j in points if not problem.active[j]]
     if fixed:
         raise InputError.of("covariance.not_unknown", place="covariance", value=", ".join(fixed))
     scale = np.concatenate([*([parameters.sigma] * len(images)), np.ones(3 * len(points))])
-    q = solution.cofactors.joint(tuple(images), tuple(points)) * np.outer(scale, scale)
+    q = cofactors.joint(tuple(images), tuple(points)) * np.outer(scale, scale)
     labels = [f"{block.images[k].id}.{n}" for k in images for n in parameters.names]
     labels += [f"{block.points.ids[j]}.{axis}" for j in points for axis in "xyz"]
     units = [u for _ in images for u in parameters.units] + ["m"] * (3 * len(points))

@@ -69,6 +69,21 @@ def test_value_does_not_depend_on_the_request_for_jacobians(equation: Equation) 
         assert np.array_equal(without, equation.residual(example.record, example.setup, *example.unknowns))
 
 
+@pytest.mark.parametrize("equation", [e for e in EQUATIONS if e.fill], ids=lambda e: e.name)
+def test_fill_gives_the_same_numbers_and_refuses_wrong_sizes(equation: Equation) -> None:
+    rng = np.random.default_rng(12)
+    e = equation.example(rng)
+    value, *jacobians = equation.kernel(e.record, e.setup, *e.unknowns, True)
+    out = np.full((len(value), 1 + sum(len(u) for u in e.unknowns)), 7.0)
+    assert equation.fill(e.record, e.setup, *e.unknowns, out, True)
+    assert np.array_equal(out, np.hstack([value[:, None], *jacobians]))
+    assert not equation.fill(e.record, e.setup, e.unknowns[0][:-1], *e.unknowns[1:], out, True)
+    assert not equation.fill(e.record, e.setup, *e.unknowns, out[:, 1:], True)
+    broken = [u.copy() for u in e.unknowns]
+    broken[-1][0] = np.nan
+    assert not equation.fill(e.record, e.setup, *broken, out, False)
+
+
 @pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
 def test_batch_equals_scalar(equation: Equation) -> None:
     rng = np.random.default_rng(4)

@@ -93,6 +93,24 @@ def test_faulty_kernels_are_named(fault: str) -> None:
         graph.linearize(values)
 
 
+def test_nan_and_wrong_sizes_are_named_on_the_fast_path() -> None:
+    e, values = example()
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY))
+    values = gtsam.Values()
+    values.insert(E0, e.unknowns[0])
+    values.insertPoint3(P0, np.array([np.nan, 0.0, 0.0]))
+    with pytest.raises(ValueError, match=f"{LABEL}: residual is not finite"):
+        graph.linearize(values)
+    with pytest.raises(ValueError, match=f"{LABEL}: residual is not finite"):
+        graph.error(values)
+    short = gtsam.Values()
+    short.insert(E0, e.unknowns[0][:5])
+    short.insertPoint3(P0, e.unknowns[1])
+    with pytest.raises(ValueError, match=f"{LABEL}: 33 unknowns expected, the values hold 5"):
+        graph.linearize(short)
+
+
 def test_float32_and_missing_blocks_are_refused() -> None:
     ok = np.zeros((2, 3))
     check_blocks("a", "b", (np.zeros(2), ok), (3,), 2)
