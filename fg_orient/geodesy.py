@@ -216,6 +216,12 @@ def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
     return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
 
 
+def data_folder() -> str:
+    """Folder from which PROJ reads its database and grids."""
+    proj = _pyproj()
+    return str(proj.datadir.get_data_dir())
+
+
 # --- PROJ, guarded -------------------------------------------------------------------------------
 
 

@@ -46,9 +46,7 @@ def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array
     ]  # fmt: skip
 
 
-def frame_records(
-    sensor: PushbroomSensor, height_m: float | None = None, dem: HeightSurface | None = None
-) -> Records:
+def frame_records(sensor: PushbroomSensor, height_m: float | None = None, dem: HeightSurface | None = None) -> Records:
     """Locate the file's own frame points and compare them with the coordinates it states.
 
     Points are located at the height of the file (0 where it states none), unless a height or
@@ -133,7 +131,7 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     _, convergence = initial.intersect(centre, direction, observations.point, len(ids))
     along = np.einsum("ni,ni->n", ground[observations.point] - centre, direction)
     feet = centre + along[:, None] * direction
-    used = np.flatnonzero(count >= 2)
+    used = [int(j) for j in np.flatnonzero(count >= 2)]
     rows = [np.flatnonzero(observations.point == j) for j in used]
     first = [int(r[0]) for r in rows]
     records = ground_records([ids[j] for j in used], observations.line[first], observations.sample[first], ground[used])

@@ -353,18 +353,18 @@ CLI: Final = {
     "cli.two_ways": ("these options exclude each other", "give only one of {options}"),
     "cli.no_ground": ("no ground point is given", "give --lon, --lat and --height, or --points FILE"),
     "cli.pixel": ("not a pixel", "write --pixel LINE,SAMPLE, for instance --pixel 5999.5,120"),
-    "cli.pixel_count": ("the {pixels} pixel(s) do not belong to the {images} image(s)", "give one --pixel per image, in order"),
-    "cli.one_image": ("an intersection needs two images or more", "give several metadata files, or one project file (.toml)"),
+    "cli.pixel_count": ("{pixels} pixel(s) for {images} image(s)", "give one --pixel per image, in order"),
+    "cli.one_image": ("an intersection needs two images", "give several metadata files, or one project file (.toml)"),
     "cli.no_frame": ("the file states no frame points of its own", "locate a pixel with --line and --sample"),
-    "cli.three_numbers": ("not three numbers", "write roll,pitch,yaw in rad, for instance --attitude=-1.6e-4,-7.2e-4,9e-4"),
+    "cli.three_numbers": ("not three numbers", "write roll,pitch,yaw in rad: --attitude=-1.6e-4,-7.2e-4,9e-4"),
     "cli.usage": ("{text}", "see the command's --help"),
 }
 
 REPORT: Final = {
     "report.no_result": ("the folder holds no result of an adjustment", "give a folder that fg-orient adjust wrote"),
     "report.damaged": ("the result cannot be read", "run fg-orient adjust again"),
-    "report.no_truth": ("the folder holds no truth of a simulation", "give the folder truth that fg-orient simulate wrote"),
-    "report.other_truth": ("the truth belongs to another project", "give the truth of the images and points of this result"),
+    "report.no_truth": ("the folder holds no truth of a simulation", "give the folder truth of fg-orient simulate"),
+    "report.other_truth": ("the truth belongs to another project", "give the truth of these images and points"),
 }
 
 SIMULATE: Final = {

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
-from fg_orient.errors import InputError, RankDeficientError
+from fg_orient.errors import InputError
 from fg_orient.names import EXIT_CODE, Status
 
 if TYPE_CHECKING:
@@ -62,18 +62,16 @@ def adjust(
         from fg_orient.run import run_project
 
         target = out or project.parent / "result"
-        try:
-            with _progress(quiet or as_json) as callback:
-                record = run_project(
-                    project, target, overwrite=overwrite, options=options, callback=callback,
-                    command=["fg-orient", *sys.argv[1:]],
-                )  # fmt: skip
-        except RankDeficientError as error:
-            _deficient(error, options, as_json)
-            raise typer.Exit(error.exit_code) from None
+        with _progress(quiet or as_json) as callback:
+            record = run_project(
+                project, target, overwrite=overwrite, options=options, callback=callback,
+                command=["fg-orient", *sys.argv[1:]],
+            )  # fmt: skip
+        for found in record.get("errors", []):
+            note(f"error: {found['place']}: {found['message']}; {found['remedy']}")
         if as_json:
             emit(record)
-        elif not quiet:
+        elif not quiet and record["out"]:
             show(record)
         raise typer.Exit(EXIT_CODE[Status(record["status"])])
 
@@ -102,16 +100,6 @@ def _progress(silent: bool) -> Iterator[Callable[[IterationRecord], None] | None
             )
 
         yield update
-
-
-def _deficient(error: RankDeficientError, options: dict[str, Any], as_json: bool) -> None:
-    """Report directions that nothing determines."""
-    if as_json:
-        from fg_orient.run.summary import deficient_summary
-
-        emit(deficient_summary(error, {name: value for name, value in options.items() if value is not None}))
-    for found in error.problems:
-        note(f"error: {found}")
 
 
 def show(record: dict[str, Any]) -> None:

@@ -53,7 +53,7 @@ def main() -> NoReturn:
     """Run the command line; the entry point of ``fg-orient``."""
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        code = app(standalone_mode=False)
+        code = app(prog_name="fg-orient", standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
         note("interrupted: nothing was written")
         code = INTERRUPTED
@@ -68,7 +68,9 @@ def _usage_error(error: Exception) -> int:
     if explain is None:
         raise error
     context = getattr(error, "ctx", None)
-    found = InputError.of("cli.usage", place=context.command_path if context else "fg-orient", text=explain().rstrip("."))
+    found = InputError.of(
+        "cli.usage", place=context.command_path if context else "fg-orient", text=explain().rstrip(".")
+    )
     if "--json" in sys.argv:
         emit_errors(found)
     note(f"error: {found}")

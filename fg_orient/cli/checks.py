@@ -1,4 +1,4 @@
-"""Commands ``validate`` and ``doctor``: is the input sound, is the installation?"""
+"""Commands ``validate`` and ``doctor``: soundness of the input and of the installation."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def doctor(as_json: Json = False, debug: Debug = False) -> None:
             emit(found)
         else:
             table("versions", ("name", "version"), [(k, v or "missing") for k, v in found["versions"].items()], left=2)
-            table("checks", ("check", "good", "detail"),
-                  [(c["name"], "yes" if c["good"] else "NO", c["detail"]) for c in found["checks"]], left=3)  # fmt: skip
+            checks = [(c["name"], "yes" if c["good"] else "NO", c["detail"]) for c in found["checks"]]
+            table("checks", ("check", "good", "detail"), checks, left=3)
             for text in found["warnings"]:
                 say(f"warning: {text}")
         if not found["good"]:

@@ -22,9 +22,13 @@ if TYPE_CHECKING:
 
 GROUND = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m")
 FRAME = (*GROUND, "file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m")
+#: Columns of the frame points for people: the others do not fit into 80 characters.
+SHOWN_FRAME = ("id", "lon_deg", "lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m")
 PIXEL = ("id", "line", "sample", "inside")
 
-ImageFile = Annotated[Path, typer.Argument(metavar="IMAGE", help="Metadata file of the image (DIMAP).", show_default=False)]
+ImageFile = Annotated[
+    Path, typer.Argument(metavar="IMAGE", help="Metadata file of the image (DIMAP).", show_default=False)
+]
 Out = Annotated[Path | None, typer.Option("--out", help="Write the points into this CSV file, too.")]
 Points = Annotated[Path | None, typer.Option("--points", help="CSV file of points; columns see below.")]
 
@@ -34,7 +38,9 @@ def locate(
     line: Annotated[float | None, typer.Option("--line", help="Line, pixels; 0 = centre of the first.")] = None,
     sample: Annotated[float | None, typer.Option("--sample", help="Sample, pixels; 0 = centre of the first.")] = None,
     height: Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")] = None,
-    dem: Annotated[Path | None, typer.Option("--dem", help="DEM of ellipsoidal heights, any raster GDAL reads.")] = None,
+    dem: Annotated[
+        Path | None, typer.Option("--dem", help="DEM of ellipsoidal heights, any raster GDAL reads.")
+    ] = None,
     frame: Annotated[bool, typer.Option("--frame", help="Locate the file's own frame points and compare.")] = False,
     points: Points = None,
     out: Out = None,
@@ -138,7 +144,8 @@ def project(
 
 def intersect(
     sources: Annotated[
-        list[Path], typer.Argument(metavar="IMAGE IMAGE ... | PROJECT.toml", help="Metadata files, or one project file.")
+        list[Path],
+        typer.Argument(metavar="IMAGE IMAGE ... | PROJECT.toml", help="Metadata files, or one project file."),
     ],
     pixel: Annotated[
         list[str] | None, typer.Option("--pixel", metavar="LINE,SAMPLE", help="Pixel, one per image, in their order.")
@@ -169,7 +176,9 @@ def intersect(
         if out is not None:
             write_records(out, (*GROUND, "miss_m"), records, overwrite)
         if as_json:
-            emit({"points": records, "images": [image.id for image in images], "out": None if out is None else str(out)})
+            emit(
+                {"points": records, "images": [image.id for image in images], "out": None if out is None else str(out)}
+            )
         else:
             columns = ("id", "lon_deg", "lat_deg", "height_m", "miss_m")
             table("", columns, [_for_people(r, columns) for r in records])
@@ -238,10 +247,8 @@ def _publish(
         return
     for text in sensor.notes:
         note(f"note: {text}")
-    shown = tuple(name for name in columns if name not in ("x_m", "y_m", "z_m", "file_lon_deg", "file_lat_deg"))
-    rows = [_for_people(record, shown) for record in records]
-    short = tuple(name.replace("misfit_", "") if name != "misfit_m" else "misfit" for name in shown)
-    table("", short, rows)
+    shown = SHOWN_FRAME if columns is FRAME else tuple(name for name in columns if name not in ("x_m", "y_m", "z_m"))
+    table("", shown, [_for_people(record, shown) for record in records])
     if out is not None:
         say(f"written: {out}")
 

@@ -27,6 +27,9 @@ def report(
             emit({"report": str(path), "truth": comparison})
             return
         if comparison is not None:
-            rows = [(g["name"], g["n"], number(g["rms_normalised"]), number(g["max_normalised"])) for g in comparison["groups"]]
+            rows = [
+                (g["name"], g["n"], number(g["rms_normalised"]), number(g["max_normalised"]))
+                for g in comparison["groups"]
+            ]
             table("estimated minus true, in predicted standard deviations", ("what", "n", "RMS", "largest"), rows)
         say(f"report: {path}")

@@ -54,12 +54,13 @@ def read_result(folder: Path) -> Result:
     name = "result.json"
     try:
         record = json.loads((folder / name).read_text("utf-8"))
-        tables = []
+        tables = {}
         for name in ("points.csv", "residuals.csv", "eop.csv"):
-            tables.append(read_rows(folder / name))
+            tables[name] = read_rows(folder / name)
         name = "iterations.jsonl"
         lines = (folder / name).read_text("utf-8").splitlines()
-        return Result(folder, record, *tables, tuple(json.loads(line) for line in lines))
+        iterations = tuple(json.loads(line) for line in lines)
+        return Result(folder, record, tables["points.csv"], tables["residuals.csv"], tables["eop.csv"], iterations)
     except (OSError, ValueError, csv.Error) as error:
         raise InputError.of("report.damaged", file=folder / name, value=error) from None
 

@@ -61,7 +61,7 @@ def verdict(record: dict[str, Any]) -> dict[str, str]:
         return {"kind": "warn", "title": "Converged, unchecked", "text": "Without redundancy nothing was checked."}
     fit = "The observations fit the model within their standard deviations."
     if low is not None and sigma0 < low:
-        fit = f"The observations fit better than their standard deviations say (sigma0 below {low:.2f}): these are too large."
+        fit = f"The observations fit better than they should (sigma0 below {low:.2f}): their sigmas are too large."
     return {"kind": "warn" if record["warnings"] else "good", "title": "Converged", "text": fit}
 
 

@@ -48,7 +48,9 @@ class MapFrame:
     def __call__(self, lon_lat_deg: Array) -> Array:
         """Drawing coordinates (n, 2), y downwards."""
         km = (np.atleast_2d(lon_lat_deg) - self._centre) * KM_PER_DEGREE * np.array([self._shrink, 1.0])
-        return np.stack([WIDTH / 2 + km[:, 0] * self.km_to_units, self.height / 2 - km[:, 1] * self.km_to_units], axis=1)
+        return np.stack(
+            [WIDTH / 2 + km[:, 0] * self.km_to_units, self.height / 2 - km[:, 1] * self.km_to_units], axis=1
+        )
 
 
 def round_down(value: float) -> float:

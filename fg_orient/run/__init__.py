@@ -12,12 +12,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from fg_orient.errors import RankDeficientError
 from fg_orient.io.folder import require_free, staged_folder
 from fg_orient.io.project import read_project
 from fg_orient.orient import adjust
 from fg_orient.run.json import dumps, plain
 from fg_orient.run.provenance import provenance
-from fg_orient.run.summary import summary
+from fg_orient.run.summary import deficient_summary, summary
 from fg_orient.run.tables import write_tables
 
 if TYPE_CHECKING:
@@ -59,24 +60,27 @@ def run_project(
     Returns
     -------
     dict
-        The record of ``adjust --json``.
+        The record of ``adjust --json``. With status ``rank_deficient`` nothing is written and
+        ``out`` is None.
 
     Raises
     ------
     InputError
         The project or the output folder is unusable.
-    RankDeficientError
-        Without priors some directions are not observable; nothing is written.
     """
     start = time.perf_counter()
     require_free(Path(out), overwrite=overwrite, mark=RESULT_FILE)
     block = read_project(project, **dict(options or {}))
     read_s = time.perf_counter() - start
-    with staged_folder(out, overwrite=overwrite, mark=RESULT_FILE) as folder:
-        solution = _adjust_and_log(block, folder, callback)
-        record = _record(solution, Path(project), Path(out), command)
-        phases = asdict(solution.seconds) | {"read": read_s}
-        _write(folder, solution, record, phases, start)
+    try:
+        with staged_folder(out, overwrite=overwrite, mark=RESULT_FILE) as folder:
+            solution = _adjust_and_log(block, folder, callback)
+            record = _record(solution, Path(project), Path(out), command)
+            phases = asdict(solution.seconds) | {"read": read_s}
+            _write(folder, solution, record, phases, start)
+    except RankDeficientError as error:
+        seconds = {"read": read_s, "total": time.perf_counter() - start}
+        return deficient_summary(error, block) | {"seconds": seconds}
     return {**record, "out": str(out)}
 
 
@@ -111,14 +115,18 @@ def _record(solution: Solution, project: Path, out: Path, command: Sequence[str]
     ]  # fmt: skip
     record: dict[str, Any] = plain(summary(solution))
     return {
-        "schema": SCHEMA_VERSION, "name": solution.block.name, **record, "out": out.name, "notes": notes,
-        "images": images, "observability": plain(observability), "provenance": provenance(solution.block, folder, command),
-    }  # fmt: skip
+        "schema": SCHEMA_VERSION,
+        "name": solution.block.name,
+        **record,
+        "out": out.name,
+        "notes": notes,
+        "images": images,
+        "observability": plain(observability),
+        "provenance": provenance(solution.block, folder, command),
+    }
 
 
-def _write(
-    folder: Path, solution: Solution, record: dict[str, Any], phases: dict[str, float], start: float
-) -> None:
+def _write(folder: Path, solution: Solution, record: dict[str, Any], phases: dict[str, float], start: float) -> None:
     """Write tables, report and, last, the record with the times of all phases."""
     from fg_orient.report import write_report
 

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fg_orient.names import Status
 from fg_orient.parameters import EOP_SETS
 
 if TYPE_CHECKING:
+    from fg_orient.block import Block, Options
     from fg_orient.errors import RankDeficientError
     from fg_orient.quality.accuracy import PointDifferences
     from fg_orient.solution import Solution
@@ -39,12 +41,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "reason": solution.reason,
         "warnings": [*solution.warnings, *solution.withheld, *_missing(solution)],
         "backend": solution.backend,
-        "optimizer": solution.optimizer,
-        "eop_set": options.eop_set,
-        "eop_set_name": EOP_SETS[options.eop_set][0],
-        "look_polynomial": options.look_polynomial,
-        "priors": options.priors,
-        "check_points": options.check_points,
+        **_choices(options),
         "iterations": iterations,
         "n_image_points": n,
         "n_observations": problem.n_observations,
@@ -89,29 +86,46 @@ def _missing(solution: Solution) -> list[str]:
     return out
 
 
-def deficient_summary(error: RankDeficientError, options: dict[str, Any]) -> dict[str, Any]:
-    """Give the record of a block whose unknowns nothing determines.
+def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]:
+    """Give the record of a block whose unknowns nothing determines; there is no result folder.
 
     Parameters
     ----------
     error : RankDeficientError
         Its problems name the directions, one each.
-    options : dict
-        What is known of the run, shown beside.
+    block : Block
+        What could not be adjusted.
 
     Returns
     -------
     dict
-        ``status``, ``rank_defect``, ``unobservable``, ``errors`` and the options.
+        The keys of :func:`summary` that exist without a solution, and ``errors``.
     """
     sentences = [p.place for p in error.problems if p.code == "adjust.rank_deficient"]
     return {
-        "status": "rank_deficient",
+        "status": str(Status.RANK_DEFICIENT),
         "reason": "some unknowns are determined neither by observations nor by priors",
-        "warnings": [],
+        "warnings": ["sigma0 and accuracy are null: nothing was adjusted"],
+        **_choices(block.options),
+        "backend": block.options.backend,
+        "iterations": 0,
+        "n_image_points": len(block.observations),
+        "sigma0": None,
         "rank_defect": dict(error.rank_defect),
         "unobservable": sentences or [p.message for p in error.problems],
+        "accuracy": None,
         "errors": [p.as_dict() for p in error.problems],
         "out": None,
-        **options,
+    }
+
+
+def _choices(options: Options) -> dict[str, Any]:
+    """Options that decide on the result."""
+    return {
+        "optimizer": options.optimizer,
+        "eop_set": options.eop_set,
+        "eop_set_name": EOP_SETS[options.eop_set][0],
+        "look_polynomial": options.look_polynomial,
+        "priors": options.priors,
+        "check_points": options.check_points,
     }

@@ -121,7 +121,7 @@ def point_rows(solution: Solution) -> list[tuple[object, ...]]:
     """Adjusted coordinates, their standard deviations and the differences at control and check points."""
     points, ground = solution.block.points, solution.ground_m
     rays = np.bincount(solution.block.observations.point, minlength=len(points.ids))
-    known = ~np.isnan(ground).any(axis=1)
+    known = np.asarray(~np.isnan(ground).any(axis=1))
     geodetic = np.full_like(ground, np.nan)
     geodetic[known] = ellipsoid.geodetic_array(np.ascontiguousarray(ground[known]))
     lon, lat = np.degrees(geodetic[:, 0]), np.degrees(geodetic[:, 1])
