@@ -212,14 +212,21 @@ def run_native(backend: GraphBackend, optimizer: str, max_iterations: int) -> tu
         "native-dogleg": (gtsam.DoglegParams, gtsam.DoglegOptimizer),
     }
     make_params, make = kinds[optimizer]
-    params: Any = make_params()
+    params = _zero_tolerances(make_params())
+    params.setMaxIterations(max_iterations)
+    params.setOrdering(backend.ordering)
+    run = make(backend.graph, backend.initial(), params)
+    values, iterations = run.optimize(), int(run.iterations())
+    if optimizer == "native-levenberg-marquardt":
+        # it refuses steps whose decrease is below the rounding of chi2 (about 1e-7 sigma): one undamped step more
+        last = gtsam.GaussNewtonOptimizer(backend.graph, values, _zero_tolerances(gtsam.GaussNewtonParams()))
+        last.iterate()
+        values, iterations = last.values(), iterations + 1
+    return values, iterations, float(backend.error(values))
+
+
+def _zero_tolerances(params: Any) -> Any:
     params.setAbsoluteErrorTol(0.0)
     params.setRelativeErrorTol(0.0)
     params.setErrorTol(0.0)
-    params.setMaxIterations(max_iterations)
-    params.setOrdering(backend.ordering)
-    if optimizer == "native-levenberg-marquardt":
-        params.setlambdaInitial(1e-9)  # the start is good: damping would only slow the last digits
-    run = make(backend.graph, backend.initial(), params)
-    values = run.optimize()
-    return values, int(run.iterations()), float(backend.error(values))
+    return params
