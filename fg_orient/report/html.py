@@ -34,7 +34,10 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
 
 def number(value: float | None, digits: int = 3) -> str:
     """Write a number with a fixed count of decimals; a dash for none."""
-    return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}f}".replace("-", "−")
+    if value is None or not math.isfinite(value):
+        return "–"
+    rounded = round(value, digits) + 0.0  # no minus before a zero
+    return f"{rounded:.{digits}f}".replace("-", "−")
 
 
 def scientific(value: float | None, digits: int = 2) -> str:
@@ -65,6 +68,14 @@ def verdict(record: dict[str, Any]) -> dict[str, str]:
     return {"kind": "warn" if record["warnings"] else "good", "title": "Converged", "text": fit}
 
 
+def _component(name: str) -> str:
+    """Name a component in words."""
+    if name.startswith("psi_"):
+        return f"look angle ψ{name[-1]}"
+    kind = {1: "position", 2: "velocity"}.get(len(name))
+    return f"{kind} {name[-1].upper()}" if kind else name
+
+
 def corrections(result: Result) -> list[dict[str, Any]]:
     """Orientation corrections per image in readable units: value, sigma, share of the prior sigma."""
     images: dict[str, list[dict[str, Any]]] = {}
@@ -74,7 +85,7 @@ def corrections(result: Result) -> list[dict[str, Any]]:
         degree = int(row["degree"])
         is_look = row["parameter"].startswith("psi_")
         images.setdefault(row["image"], []).append({
-            "name": row["component"] if not is_look else f"look angle {row['component']}",
+            "name": _component(row["component"]),
             "degree": f"s^{degree}" if is_look else _DEGREES[degree], "unit": unit,
             "value": None if value is None else value * factor, "sigma": None if sigma is None else sigma * factor,
             "prior": None if prior is None else prior * factor,

@@ -20,9 +20,11 @@ Array = npt.NDArray[np.float64]
 
 WIDTH: Final = 720.0
 MARGIN: Final = 14.0
-FOOT: Final = 64.0
+FOOT: Final = 108.0
 #: More points than this are thinned, tie points first: the report must stay small.
 MAX_POINTS: Final = 3000
+#: Singular values are drawn for so many images; the table beside lists all.
+MAX_IMAGES: Final = 40
 #: Length of a large error vector (90 % quantile) as a share of the map's width.
 VECTOR_SHARE: Final = 0.07
 KM_PER_DEGREE: Final = 111.2
@@ -149,26 +151,35 @@ def _point(row: dict[str, str], at: Array, vector: Array, up: bool) -> Markup:
 
 def _foot(frame: MapFrame, scale: float, exaggeration: float, up: bool, left_out: int) -> Markup:
     """Legend and scale bars below the map."""
-    y = frame.height + 16.0
+    y = frame.height + 18.0
     km = round_down(0.2 * WIDTH / frame.km_to_units)
     parts = [
         Markup('<path class="control" d="M22 {}l5 8.6h-10z"/><text x="34" y="{}">control</text>').format(y - 9, y),
-        Markup('<circle class="check" cx="104" cy="{}" r="4"/><text x="114" y="{}">check</text>').format(y - 4, y),
-        Markup('<circle class="tie" cx="172" cy="{}" r="1.8"/><text x="180" y="{}">tie</text>').format(y - 4, y),
+        Markup('<circle class="check" cx="152" cy="{}" r="4"/><text x="162" y="{}">check</text>').format(y - 4, y),
+        Markup('<circle class="tie" cx="262" cy="{}" r="1.8"/><text x="270" y="{}">tie</text>').format(y - 4, y),
         _bar(24.0, y + 24.0, km * frame.km_to_units, f"{km:g} km on the ground" if km >= 1 else f"{km * 1000:g} m"),
     ]
     if scale > 0.0:
         metres = round_down(0.2 * WIDTH / scale)
-        what = "Up error (upwards = too high)" if up else "horizontal error"
-        parts.append(_bar(330.0, y + 24.0, metres * scale, f"{metres:g} m {what}, {exaggeration:,.0f} times enlarged"))
+        what = "Up error" if up else "horizontal error"
+        parts.append(
+            _bar(24.0, y + 58.0, metres * scale, f"{metres:g} m {what}, enlarged {_thousands(exaggeration)} times")
+        )
     if left_out:
-        parts.append(Markup('<text x="330" y="{}">{} points are not drawn</text>').format(y, left_out))
+        parts.append(Markup('<text x="340" y="{}">{} points are not drawn</text>').format(y, left_out))
     return Markup("").join(parts)
 
 
 def _bar(x: float, y: float, length: float, text: str) -> Markup:
-    path = f"M{x:.1f} {y - 4:.1f}v4h{length:.1f}v-4"
-    return Markup('<path class="bar-line" d="{}"/><text x="{}" y="{}">{}</text>').format(path, x, y + 16, text)
+    path = f"M{x:.1f} {y - 5:.1f}v5h{length:.1f}v-5"
+    return Markup('<path class="bar-line" d="{}"/><text x="{}" y="{}">{}</text>').format(
+        path, round(x + length + 10.0, 1), round(y + 3.0, 1), text
+    )
+
+
+def _thousands(value: float) -> str:
+    """Two or three digits that count: an exaggeration is no measurement."""
+    return f"{float(f'{value:.2g}'):,.0f}"
 
 
 def singular_values(images: Sequence[dict[str, Any]]) -> Markup:
@@ -177,6 +188,7 @@ def singular_values(images: Sequence[dict[str, Any]]) -> Markup:
     if not every:
         return Markup("")
     low, high = -8.0, max(2.0, math.ceil(math.log10(max(every))))
+    images = images[:MAX_IMAGES]
     left, right, row = 110.0, WIDTH - 16.0, 26.0
     bottom = row * len(images) + 10.0
 
