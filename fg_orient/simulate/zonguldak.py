@@ -104,9 +104,7 @@ class ZonguldakOptions:
             require(good, name, values, f"three numbers from {low:g} to {limit:g}")
 
 
-def simulate_zonguldak(
-    out: str | Path, options: ZonguldakOptions | None = None, *, overwrite: bool = False
-) -> Path:
+def simulate_zonguldak(out: str | Path, options: ZonguldakOptions | None = None, *, overwrite: bool = False) -> Path:
     """Write the twin: metadata files, points, observations, project file and ``truth/``.
 
     Parameters
