@@ -115,19 +115,18 @@ def _name_directions(
     image: str, null: Array, parameters: ImageParameters, candidates: list[tuple[str, Array]]
 ) -> list[str]:
     """One sentence per dead direction: greedy match with the candidates, the rest by components."""
-    sentences, rest = [], null
-    candidates = list(candidates)
-    while rest.shape[1] and candidates:
-        shares = [float(np.linalg.norm(rest.T @ direction)) for _, direction in candidates]
-        best = int(np.argmax(shares))
-        if shares[best] < MATCH:
+    found, rest = [], null
+    while rest.shape[1]:
+        shares = [0.0 if k in found else float(np.linalg.norm(rest.T @ d)) for k, (_, d) in enumerate(candidates)]
+        if not shares or max(shares) < MATCH:
             break
-        text, direction = candidates.pop(best)
-        sentences.append(f"image {image}: {text}")
+        found.append(int(np.argmax(shares)))
+        direction = candidates[found[-1]][1]
         explained = rest @ (rest.T @ direction)
         explained /= np.linalg.norm(explained)
         u, s, _ = np.linalg.svd(rest - np.outer(explained, explained @ rest), full_matrices=False)
         rest = u[:, s > 0.5]
+    sentences = [f"image {image}: {candidates[k][0]}" for k in sorted(found)]
     return sentences + [f"image {image}: {_by_components(rest[:, j], parameters)}" for j in range(rest.shape[1])]
 
 

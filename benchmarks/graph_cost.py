@@ -1,0 +1,129 @@
+"""Cost of the graph path per image point and iteration, and against empty Python factors.
+
+    python benchmarks/graph_cost.py [--sizes 1000 3000 10000] [--repeats 5] [--json FILE]
+
+One block (3 x 3 scenes, set 20, 27 unknowns per image) at several numbers of image points. An
+iteration is what the Gauss-Newton loop does: linearise, error, eliminate, retract. The same
+graph with *empty* Python factors (constant Jacobians, no arithmetic) costs what GTSAM and its
+Python callback cost; the ratio is what our equation adds. Runs of both alternate; medians.
+Targets: largest to smallest cost per image point <= 1.3, ratio <= 1.5.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+import gtsam
+import numpy as np
+
+from fg_orient.adjustment.graph import GraphBackend, image_key, point_key
+from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.block import Block
+from fg_orient.simulate.block import BlockOptions, grid_block
+
+IMAGE_POINTS_PER_POINT = 3.0  # of a 3 x 3 block, for the first guess
+
+
+def block_of(image_points: int) -> Block:
+    """A 3 x 3 block with close to this many image points."""
+    guess = round(image_points / IMAGE_POINTS_PER_POINT)
+    block, _ = grid_block(BlockOptions(rows=3, columns=3, points=guess))
+    second = round(guess * image_points / len(block.observations))
+    block, _ = grid_block(BlockOptions(rows=3, columns=3, points=second))
+    return replace(block, options=replace(block.options, eop_set=20))
+
+
+def empty_graph(problem: Problem, backend: GraphBackend) -> gtsam.NonlinearFactorGraph:
+    """The same graph with constant Jacobians: callbacks that compute nothing."""
+    _, j_image, j_ground = problem.image_residuals(problem.start, jacobian=True)
+    graph, unit, zero = gtsam.NonlinearFactorGraph(), gtsam.noiseModel.Unit.Create(2), np.zeros(2)
+    j_image_mean, j_ground_mean = np.mean(j_image, axis=0), np.mean(j_ground, axis=0)
+
+    def empty(_this: object, _values: object, jacobians: list | None) -> np.ndarray:
+        if jacobians is not None:
+            jacobians[0], jacobians[1] = j_image_mean, j_ground_mean
+        return zero
+
+    o = problem.observations
+    for row in range(len(o)):
+        keys = [image_key(int(o.image[row])), point_key(int(o.point[row]))]
+        graph.add(gtsam.CustomFactor(unit, keys, empty))
+    for k in range(len(o), backend.graph.size()):
+        graph.add(backend.graph.at(k))
+    # a tight prior on every point keeps the averaged Jacobians solvable
+    for j in np.flatnonzero(problem.active):
+        graph.addPriorPoint3(point_key(int(j)), problem.start.ground[j], gtsam.noiseModel.Isotropic.Sigma(3, 1.0))
+    return graph
+
+
+def iteration_seconds(backend: GraphBackend, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
+    """One iteration: linearise, error, eliminate, retract."""
+    start = time.perf_counter()
+    linear = graph.linearize(values)
+    linear.error(backend.zero)
+    values.retract(linear.optimize(backend.ordering))
+    return time.perf_counter() - start
+
+
+class Case:
+    """One size: the problem, its graph and the empty one, and the seconds measured so far."""
+
+    def __init__(self, image_points: int) -> None:
+        problem = compile_problem(block_of(image_points))
+        self.n = len(problem.observations)
+        self.backend = GraphBackend(problem)
+        self.values = self.backend.initial()
+        self.empty = empty_graph(problem, self.backend)
+        self.seconds: list[tuple[float, float]] = []
+
+    def run(self) -> tuple[float, float]:
+        """Seconds of one iteration of ours and of the empty graph."""
+        ours = iteration_seconds(self.backend, self.backend.graph, self.values)
+        return ours, iteration_seconds(self.backend, self.empty, self.values)
+
+    def row(self) -> dict[str, float]:
+        """Medians in microseconds per image point and iteration; the ratio pair by pair."""
+        pairs = np.array(self.seconds)
+        ours, nothing = np.median(pairs, axis=0) / self.n * 1e6
+        ratio = float(np.median(pairs[:, 0] / pairs[:, 1]))
+        return {"image_points": self.n, "us_per_point": ours, "us_per_point_empty": nothing, "ratio": ratio}
+
+
+def main() -> int:
+    """Print the table; always 0: a benchmark reports, it does not judge."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[1000, 3000, 10000])
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    cases = [Case(size) for size in given.sizes]
+    for case in cases:
+        case.run()  # warms up
+    gc.collect()
+    gc.freeze()
+    for _ in range(given.repeats):  # all sizes in each round: a busy moment of the machine meets all alike
+        for case in cases:
+            case.seconds.append(case.run())
+    rows = [case.row() for case in cases]
+    print(f"{'image points':>12} {'us/point/iteration':>19} {'empty factors':>14} {'ratio':>6}")
+    for row in rows:
+        print(f"{row['image_points']:>12} {row['us_per_point']:>19.1f} {row['us_per_point_empty']:>14.1f} {row['ratio']:>6.2f}")
+    costs = [row["us_per_point"] for row in rows]
+    print(f"largest to smallest cost per image point: {max(costs) / min(costs):.2f}")
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
