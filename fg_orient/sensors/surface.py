@@ -68,8 +68,8 @@ class RasterDem:
         from fg_orient.geodesy import from_geographic
 
         x, y = from_geographic(self._crs, lon_deg, lat_deg)
-        column, row = self._pixel_from_crs * (x, y)
-        column, row = np.asarray(column) - 0.5, np.asarray(row) - 0.5
+        t = self._pixel_from_crs
+        column, row = t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5
         rows, columns = self._heights.shape
         inside = (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
         r = np.clip(np.floor(np.where(inside, row, 0)).astype(int), 0, max(rows - 2, 0))
