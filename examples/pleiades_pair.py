@@ -69,7 +69,9 @@ class Scene:
         is_control = np.isin(np.arange(n), control)
         sigma = np.full((n, 3), point_sigma_m)
         known = Coordinates(
-            np.where(is_control[:, None], self.ecef_m, np.nan), np.where(is_control[:, None], sigma, np.nan), np.zeros(n, bool)
+            np.where(is_control[:, None], self.ecef_m, np.nan),
+            np.where(is_control[:, None], sigma, np.nan),
+            np.zeros(n, bool),
         )
         check = np.flatnonzero(~is_control)
         withheld = WithheldCoordinates(
@@ -159,7 +161,10 @@ def main() -> int:
 
 
 def show(
-    direct: dict[str, float], summary: dict[str, dict[str, object]], runs: dict[int, list[dict[str, object]]], first: str | None
+    direct: dict[str, float],
+    summary: dict[str, dict[str, object]],
+    runs: dict[int, list[dict[str, object]]],
+    first: str | None,
 ) -> None:
     """Print the tables."""
     print("direct geolocation, no control (mean +- scatter, m): " + ", ".join(

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from fg_orient.names import Role
 
 if TYPE_CHECKING:
+    from factors._contract import Equation
     from fg_orient.sensors.pushbroom import PushbroomSensor
 
 Array = npt.NDArray[np.float64]
@@ -130,6 +131,33 @@ class Options:
 
 
 @dataclass(frozen=True)
+class ExtraObservation:
+    """An observation of any registered equation, beyond image and control points.
+
+    Parameters
+    ----------
+    equation : factors._contract.Equation
+        Whitened: a unit of its residual is one sigma.
+    unknowns : tuple of str
+        One per argument of the equation: "image:left" (its coefficients in prior sigmas) or
+        "point:12" (metres relative to the block's local origin, axes parallel to ECEF).
+    record, setup : arrays
+        Constants of the observation, see ``factors._contract``.
+    n_residuals : int
+        Length of the residual.
+    label : str
+        Named in messages.
+    """
+
+    equation: Equation
+    unknowns: tuple[str, ...]
+    record: Array
+    setup: Array
+    n_residuals: int
+    label: str
+
+
+@dataclass(frozen=True)
 class Source:
     """An input file of the block, for the provenance record."""
 
@@ -149,6 +177,7 @@ class Block:
     options: Options = field(default_factory=Options)
     sources: tuple[Source, ...] = ()
     notes: tuple[str, ...] = ()  # remarks of the readers, shown in the report
+    extra: tuple[ExtraObservation, ...] = ()
 
     def image_index(self, image_id: str) -> int:
         """Position of the image with this id."""

@@ -84,7 +84,8 @@ DIMAP: Final = {
         "use the complete metadata file of the product",
     ),
     "dimap.speed_span": (
-        "angular speeds cover {first:.3f} .. {last:.3f} s of the day, too little for the image; at most {hold} s are held",
+        "angular speeds cover {first:.3f} .. {last:.3f} s of the day, too little for the image; "
+        "at most {hold} s are held",
         "use a metadata file whose angular speeds cover the image",
     ),
     "dimap.speed_gap": (
@@ -148,6 +149,7 @@ ADJUST: Final = {
         "use --optimizer gauss-newton, levenberg-marquardt or dogleg (the same linear algebra, driven from Python)",
     ),
     "adjust.rank_deficient": ("not observable without priors", "keep the priors or choose a smaller EOP set"),
+    "adjust.extra_unknown": ("an extra observation names no image or point", 'use "image:ID" or "point:ID" of the block'),
     "adjust.negative_redundancy": (
         "{observations} equations cannot determine {unknowns} unknowns",
         "keep the priors, measure more points or choose a smaller EOP set",
@@ -349,6 +351,7 @@ CLI: Final = {
         "no height to locate at",
         "give --height H (m, ellipsoidal) or --dem FILE, or a column height_m in the points file",
     ),
+    "cli.height_range": ("the height is outside {low:g} .. {high:g} m", "give an ellipsoidal height in m"),
     "cli.two_heights": ("the height is given twice", "give only one of --height, --dem and a column height_m"),
     "cli.two_ways": ("these options exclude each other", "give only one of {options}"),
     "cli.no_ground": ("no ground point is given", "give --lon, --lat and --height, or --points FILE"),

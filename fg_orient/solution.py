@@ -22,7 +22,6 @@ from fg_orient.quality.covariance import Cofactors, NamedMatrix, named_cofactors
 from fg_orient.quality.observability import ImageObservability
 from fg_orient.sensors.pushbroom import Correction
 
-
 Array = npt.NDArray[np.float64]
 
 

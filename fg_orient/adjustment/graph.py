@@ -19,6 +19,7 @@ import numpy.typing as npt
 from factors.graph import factor, image_point_factors
 from factors.pushbroom import LOOK_ANGLE_COLLINEARITY
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.block import ExtraObservation
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -45,6 +46,8 @@ def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
     try:
         _add_image_points(graph, problem)
         _add_priors(graph, problem)
+        for extra in problem.block.extra:
+            graph.add(_extra_factor(extra, problem))
     finally:
         if enabled:
             gc.enable()
@@ -62,6 +65,26 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> No
         else:
             constant = np.ascontiguousarray(problem.start.ground[j])
             graph.add(factor(LOOK_ANGLE_COLLINEARITY, (image, constant), (k, 3), record, setup, label=label))
+
+
+def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFactor:
+    """Factor of an observation given by the user; points that are no unknowns enter as constants."""
+    unknowns: list[int | Array] = []
+    sizes = []
+    for name in extra.unknowns:
+        kind, _, identifier = name.partition(":")
+        if kind == "image" and identifier in [image.id for image in problem.block.images]:
+            unknowns.append(image_key(problem.block.image_index(identifier)))
+            sizes.append(len(problem.parameters))
+        elif kind == "point" and identifier in problem.block.points.ids:
+            j = problem.block.points.ids.index(identifier)
+            unknowns.append(point_key(j) if problem.active[j] else np.ascontiguousarray(problem.start.ground[j]))
+            sizes.append(3)
+        else:
+            raise InputError.of("adjust.extra_unknown", place=extra.label, value=name)
+    return factor(
+        extra.equation, unknowns, sizes, extra.record, extra.setup, label=extra.label, n_residuals=extra.n_residuals
+    )
 
 
 def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:

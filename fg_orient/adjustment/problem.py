@@ -79,9 +79,10 @@ class Problem:
 
     @property
     def n_observations(self) -> int:
-        """Equations: two per image point, three per observed control point, one per prior."""
+        """Equations: two per image point, three per observed control point, one per prior, and the extra ones."""
         priors = self.n_images * len(self.parameters) if self.block.options.priors else 0
-        return 2 * len(self.observations) + 3 * int(self.observed.sum()) + priors
+        extra = sum(e.n_residuals for e in self.block.extra)
+        return 2 * len(self.observations) + 3 * int(self.observed.sum()) + priors + extra
 
     @property
     def redundancy(self) -> int:

@@ -74,7 +74,9 @@ def test_spot5_equals_two_independent_programs(real_data: Path) -> None:
         ("rugged_SPOT5_h0.csv", 0.01, ("line_1based", "col_1based", "lon_deg", "lat_deg")),
         ("geocosicorr3d_h0.csv", 0.05, ("row_1based", "col_1based", "lon", "lat")),
     ):
-        rows = [r for r in read_rows(real_data / "reference-outputs" / name) if r.get("file", "SPOT5.DIM") == "SPOT5.DIM"]
+        rows = [
+            r for r in read_rows(real_data / "reference-outputs" / name) if r.get("file", "SPOT5.DIM") == "SPOT5.DIM"
+        ]
         line, sample, lon, lat = (np.array([float(r[k]) for r in rows]) for k in keys)
         assert len(rows) >= 8
         assert horizontal_m(s.locate(line - 1, sample - 1, height_m=0.0), lon, lat).max() <= limit
@@ -92,7 +94,9 @@ def test_spot6_equals_an_independent_program(real_data: Path) -> None:
 RPC00B = ("1 L P H LP LH PH LL PP HH PLH LLL LPP LHH LLP PPP PHH LLH PPH HHH").split()
 
 
-def rpc_project(path: Path, lon_deg: np.ndarray, lat_deg: np.ndarray, height_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def rpc_project(
+    path: Path, lon_deg: np.ndarray, lat_deg: np.ndarray, height_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Vendor RPC, written out here independently of the package: 1-based line and sample."""
     values = [float(text) for text in path.read_text().split()]
     offsets, scales, coefficients = values[:5], values[5:10], np.array(values[10:90]).reshape(4, 20)
@@ -125,7 +129,7 @@ def test_pleiades_equals_the_vendor_rpc(real_data: Path) -> None:
 def test_attitudes_of_hrs_are_held_with_a_note(real_data: Path) -> None:
     s = sensor(real_data / "asp", "spot5_hrs1_segment.xml")
     assert any("held" in note for note in s.notes)
-    with pytest.raises(InputError, match="samples with look angles from -0.5 to 299.5"):
+    with pytest.raises(InputError, match=r"samples with look angles from -0\.5 to 299\.5"):
         s.locate(100.0, 300.0, height_m=0.0)
     corners = [p for p in s.metadata.frame_points if p.sample == 0.0]
     ground = s.locate([p.line for p in corners], [0.0] * len(corners), height_m=0.0)

@@ -1,0 +1,56 @@
+"""Read a real DIMAP file (SPOT 1-5, SPOT 6/7, Pléiades), look at it, and locate pixels.
+
+    python examples/read_dimap.py METADATA [LINE SAMPLE [HEIGHT_M]]
+
+Prints what the file says about the image, how well degree-2 polynomials describe its
+orientation, how far the file's own frame points are met, and the ground position of a pixel
+((0, 0) = centre of the first pixel; ellipsoidal height).
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+import fg_orient as fg
+from fg_orient.ground import frame_records, ground_records
+from fg_orient.parameters import COMPONENTS, UNITS
+from fg_orient.sensors.eop import fit_eop
+
+
+def main() -> int:
+    """Read, describe, locate."""
+    if len(sys.argv) not in (2, 4, 5):
+        print(__doc__)
+        return 2
+    try:
+        sensor = fg.read_sensor(sys.argv[1])
+    except fg.InputError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    meta = sensor.metadata
+    print(f"{meta.mission} {meta.instrument} ({meta.format}), {meta.epoch}")
+    print(f"{meta.n_lines} lines x {meta.n_samples} samples")
+    for note in sensor.notes:
+        print(f"note: {note}")
+    fit = fit_eop(sensor)
+    print("degree-2 polynomials of the line leave at most:")
+    for name, unit, largest in zip(COMPONENTS, UNITS, fit.largest, strict=True):
+        print(f"  {name:<5} {largest:.2g} {unit}")
+    for row in frame_records(sensor) if meta.frame_points else []:
+        print(f"frame point {row['id']}: missed by {row['misfit_m']:.3f} m")
+    line, sample = (
+        (float(v) for v in sys.argv[2:4]) if len(sys.argv) > 2 else ((meta.n_lines - 1) / 2, sensor.last_sample / 2)
+    )
+    height = float(sys.argv[4]) if len(sys.argv) > 4 else 0.0
+    ground = sensor.locate(line, sample, height_m=height)
+    place = ground_records(["pixel"], np.array([line]), np.array([sample]), ground)[0]
+    print(f"line {line:g}, sample {sample:g} at {height:g} m: {place['lon_deg']:.7f} E, {place['lat_deg']:.7f} N")
+    back_line, back_sample = sensor.project(ground)
+    print(f"and back: line {back_line[0]:.6f}, sample {back_sample[0]:.6f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,55 @@
+"""Every example runs as a user runs it; those on real files where the files are present."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def run(repository: Path, name: str, *arguments: str) -> str:
+    command = [sys.executable, "-W", "error", str(repository / "examples" / name), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_every_example_has_a_test(repository: Path) -> None:
+    text = Path(__file__).read_text() + (repository / "tests/80_claims/test_pleiades_pair.py").read_text()
+    for path in (repository / "examples").glob("*.py"):
+        assert path.name in text or path.stem in text
+
+
+def test_orient_twin(repository: Path, tmp_path: Path) -> None:
+    out = run(repository, "orient_twin.py", str(tmp_path / "twin"))
+    assert out.count("converged") == 3
+    assert "velocity across track acts as yaw" in out
+    assert (tmp_path / "twin" / "project.toml").is_file()
+
+
+def test_own_factor(repository: Path) -> None:
+    out = run(repository, "own_factor.py")
+    assert float(re.search(r"complex step to (\S+)", out).group(1)) < 1e-12
+    assert "redundancy 158 -> 159" in out
+    before, after = (abs(float(v)) for v in re.search(r"distance: (\S+) m -> (\S+) m", out).groups())
+    assert before > 0.05  # without the tape
+    assert after < 0.03  # its sigma is 0.01 m
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    "name", ["geocosicorr3d/SPOT5.DIM", "geocosicorr3d/SPOT6.XML", "geoetrim-pleiades/DIM_PHR1A_derived_img1.XML"]
+)
+def test_read_dimap(repository: Path, real_data: Path, name: str) -> None:
+    out = run(repository, "read_dimap.py", str(real_data / name), "100", "200.5", "300")
+    assert "and back: line 100.000000, sample 200.500000" in out
+
+
+def test_read_dimap_says_what_is_wrong(repository: Path, tmp_path: Path) -> None:
+    missing = tmp_path / "nowhere.DIM"
+    command = [sys.executable, str(repository / "examples" / "read_dimap.py"), str(missing)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert str(missing) in done.stderr
