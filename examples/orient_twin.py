@@ -30,10 +30,9 @@ def main() -> None:
             solution = fg.adjust(block, eop_set=eop_set)
             check = solution.accuracy.check.statistics()
             rmse = " / ".join(f"{check[f'rmse_{axis}_m']:.2f}" for axis in ("east", "north", "up"))
-            print(
-                f"set {eop_set:<5} {solution.status.value}: {solution.iterations} iterations, "
-                f"sigma0 {solution.sigma0:.2f}, check points E/N/U {rmse} m, {len(solution.unobservable)} directions not observable"
-            )
+            print(f"set {eop_set:<5} {solution.status.value}: {solution.iterations} iterations", end=", ")
+            print(f"sigma0 {solution.sigma0:.2f}, check points E/N/U {rmse} m", end=", ")
+            print(f"{len(solution.unobservable)} directions not observable")
         for sentence in solution.unobservable[:3]:
             print(f"  {sentence}")
         covariance = solution.covariance("image:left")

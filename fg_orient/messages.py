@@ -149,7 +149,10 @@ ADJUST: Final = {
         "use --optimizer gauss-newton, levenberg-marquardt or dogleg (the same linear algebra, driven from Python)",
     ),
     "adjust.rank_deficient": ("not observable without priors", "keep the priors or choose a smaller EOP set"),
-    "adjust.extra_unknown": ("an extra observation names no image or point", 'use "image:ID" or "point:ID" of the block'),
+    "adjust.extra_unknown": (
+        "an extra observation names no image or point of the block",
+        'name them as "image:left" or "point:12"',
+    ),
     "adjust.negative_redundancy": (
         "{observations} equations cannot determine {unknowns} unknowns",
         "keep the priors, measure more points or choose a smaller EOP set",
