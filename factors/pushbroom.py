@@ -181,20 +181,17 @@ def example(rng: np.random.Generator) -> Example:
     p *= 7.2e6 / np.linalg.norm(p)
     v = np.cross(p, rng.normal(size=3))
     v = 7400.0 * v / np.linalg.norm(v) + 8.0 * p / np.linalg.norm(p)
-    frame = rotations.orbital_frames(p[None], v[None])[0]
     psi_x, psi_y = rng.uniform(-0.02, 0.02), rng.uniform(-0.4, 0.4)
-    ray = frame @ np.array([-np.tan(psi_y), np.tan(psi_x), -1.0])
-    origin = p + 8.4e5 * ray
+    ray = rotations.orbital_frames(p[None], v[None])[0] @ np.array([-np.tan(psi_y), np.tan(psi_x), -1.0])
     turn = rotations.attitude_matrices(rng.normal(scale=1e-3, size=(1, 3)), False)[0]
     record = np.concatenate([
         p, v, rng.normal(scale=1e-3, size=3), turn.ravel(), rng.uniform(-1, 1, 1), [psi_x, psi_y],
         rng.uniform(-1, 1, 1), rng.normal(scale=5e5, size=4), rng.integers(0, 2, 2).astype(float),
-        np.zeros(3), origin - p,
+        np.zeros(3), 8.4e5 * ray,
     ])  # fmt: skip
     sigma = np.repeat([[10.0, 1.0, 0.1], [1e-2, 1e-3, 1e-4], [5e-5, 1e-5, 2e-6]], 3, axis=0).ravel()
-    codes = np.arange(N_EOP + 6)
-    setup = np.ascontiguousarray(np.stack([codes.astype(float), np.append(sigma, np.full(6, 1e-4))]))
-    return Example(record, setup, (rng.normal(size=len(codes)), rng.normal(scale=100.0, size=3)))
+    setup = np.ascontiguousarray(np.stack([np.arange(N_EOP + 6.0), np.append(sigma, np.full(6, 1e-4))]))
+    return Example(record, setup, (rng.normal(size=N_EOP + 6), rng.normal(scale=100.0, size=3)))
 
 
 LOOK_ANGLE_COLLINEARITY = register(Equation(

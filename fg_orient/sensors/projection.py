@@ -4,7 +4,7 @@ Newton on both pixel coordinates at once (orientation.md 2.7): the conditions F_
 those of the observation equation, so every correction (EOP, look angles) is honoured;
 their derivatives with respect to line and sample come from differences over half a pixel.
 Attitude is piecewise linear in time, hence up to 30 steps, ended when the step is below
-1e-9 px. Lines are evaluated inside the image only: a point outside gets the linear
+1e-9 px, or below 1e-6 px and no longer shrinking (a time of day has 11 digits: 1e-8 px). Lines are evaluated inside the image only: a point outside gets the linear
 continuation from the border, a point that the satellite cannot see gets nan.
 """
 
@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 
 MAX_STEPS = 30
 STEP_PX = 1e-9
+ROUNDING_PX = 1e-6
 
 
 def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
@@ -63,13 +64,16 @@ def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) ->
     visible &= np.einsum("ij,ij->i", np.nan_to_num(ground_m) - centre, np.nan_to_num(ground_m)) < 0.0
     line[~visible], sample[~visible] = np.nan, np.nan
     todo = np.flatnonzero(visible)
+    previous = np.full(len(todo), np.inf)
     for _ in range(MAX_STEPS):
         if not len(todo):
             break
         step = _newton_step(sensor, line[todo], sample[todo], ground_m[todo], correction)
         line[todo] += step[:, 0]
         sample[todo] += step[:, 1]
-        todo = todo[np.abs(step).max(axis=1) > STEP_PX]
+        length = np.abs(step).max(axis=1)
+        going = (length > STEP_PX) & ((length > ROUNDING_PX) | (length < 0.5 * previous))
+        todo, previous = todo[going], length[going]
     return line, sample
 
 
