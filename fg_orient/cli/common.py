@@ -80,7 +80,8 @@ def outcome(as_json: bool, debug: bool = False) -> Iterator[None]:
         if debug:
             traceback.print_exc()
         hint = "" if debug else " (the same command with --debug shows where)"
-        note(f"error of the program: {type(error).__name__}: {error}; please report it{hint}")
+        text = " ".join(str(error).split())
+        note(f"error of the program: {type(error).__name__}: {text[:300]}; please report it{hint}")
         raise typer.Exit(1) from None
 
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
 
+#: Heights beyond these are no ground: a wrong unit or column.
+HEIGHT_RANGE_M = (-12e3, 100e3)
 GROUND = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m")
 FRAME = (*GROUND, "file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m")
 #: Columns of the frame points for people: the others do not fit into 80 characters.
@@ -106,6 +108,11 @@ def _located(
     if dem is not None:
         return ground_records(ids, lines, samples, sensor.locate(lines, samples, dem=dem))
     height_m = heights[0] if heights else np.full(len(ids), height)
+    low, high = HEIGHT_RANGE_M
+    bad = np.flatnonzero(~((height_m >= low) & (height_m <= high)))
+    if len(bad):
+        place, value = f"point {ids[bad[0]]}", f"{height_m[bad[0]]:g}"
+        raise InputError.of("cli.height_range", file=points or image, place=place, value=value, low=low, high=high)
     return ground_records(ids, lines, samples, sensor.locate(lines, samples, height_m=height_m))
 
 

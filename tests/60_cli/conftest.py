@@ -1,0 +1,92 @@
+"""The twin and one result of it, made once; commands run in the process or in a fresh interpreter."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from fg_orient.cli import app
+from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int
+    stdout: str
+    stderr: str
+
+    @property
+    def json(self) -> Any:
+        """Standard output as exactly one JSON object, nan refused."""
+
+        def refuse(word: str) -> float:
+            raise AssertionError(f"{word} in JSON")
+
+        return json.loads(self.stdout, parse_constant=refuse)
+
+
+Run = Callable[..., Ended]
+
+
+@pytest.fixture(scope="session")
+def run() -> Run:
+    """Run a command in this process."""
+
+    def call(*words: object) -> Ended:
+        result = CliRunner().invoke(app, [str(word) for word in words])
+        return Ended(result.exit_code, result.stdout, result.stderr)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def fresh(repository: Path) -> Run:
+    """Run a command in a fresh interpreter."""
+
+    def call(*words: object, cwd: Path | None = None, before: str = "") -> Ended:
+        code = f"import sys; sys.path.insert(0, {str(repository)!r})\n{before}\nfrom fg_orient.cli import main\nmain()"
+        command = [sys.executable, "-c", code, *map(str, words)]
+        done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=120)
+        return Ended(done.returncode, done.stdout, done.stderr)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def twin_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the twin; not to be changed."""
+    folder = tmp_path_factory.mktemp("twin") / "zonguldak"
+    simulate_zonguldak(folder, ZonguldakOptions())
+    return folder
+
+
+@pytest.fixture(scope="session")
+def adjusted(twin_source: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[Path, Ended]:
+    """Result folder of the twin and how ``adjust --json`` ended; not to be changed."""
+    out = tmp_path_factory.mktemp("adjusted") / "result"
+    return out, run("adjust", twin_source / "project.toml", "--out", out, "--json")
+
+
+@pytest.fixture
+def twin(twin_source: Path, tmp_path: Path) -> Path:
+    """Project file of a copy of the twin that a test may spoil."""
+    shutil.copytree(twin_source, tmp_path / "twin")
+    return tmp_path / "twin" / "project.toml"
+
+
+@pytest.fixture
+def result(adjusted: tuple[Path, Ended], tmp_path: Path) -> Path:
+    """Copy of the result folder that a test may spoil."""
+    shutil.copytree(adjusted[0], tmp_path / "result")
+    return tmp_path / "result"

@@ -1,0 +1,169 @@
+"""``adjust``: JSON keys, exit codes, one object on standard output, options, tables for people."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+TOP = {
+    "status", "reason", "warnings", "backend", "optimizer", "eop_set", "eop_set_name", "iterations", "n_image_points",
+    "n_observations", "n_unknowns", "redundancy", "sigma0", "sigma0_interval_99_9", "rank_defect", "unobservable",
+    "accuracy", "seconds", "us_per_observation_iteration", "out",
+}  # fmt: skip
+AXES = ("east", "north", "up", "ecef_x", "ecef_y", "ecef_z")
+FIGURES = {"n", "ce90_m", "le90_m"} | {f"{kind}_{axis}_m" for kind in ("rmse", "mean", "sd") for axis in AXES}
+
+
+def test_keys(adjusted: tuple[Path, Any]) -> None:
+    out, ended = adjusted
+    record = ended.json
+    assert ended.code == 0
+    assert set(record) >= TOP
+    assert {"read", "structure", "jit", "solve", "total"} <= set(record["seconds"])
+    assert record["status"] == "converged"
+    assert record["out"] == str(out)
+    assert set(record["accuracy"]["control"]) >= FIGURES
+    assert set(record["accuracy"]["check"]) >= FIGURES | {"suspicious", "largest"}
+    assert len(record["accuracy"]["check"]["largest"]) == 5
+    assert record["rank_defect"] == {"left": 0, "right": 0}
+    # 94 image points, 37 control points, 2 x 18 priors; unknowns 2 x 18 + 3 x 47
+    assert (record["n_image_points"], record["n_observations"]) == (94, 2 * 94 + 3 * 37 + 36)
+    assert (record["n_unknowns"], record["redundancy"]) == (36 + 141, 2 * 94 + 3 * 37 + 36 - 177)
+
+
+def test_times_add_up(adjusted: tuple[Path, Any]) -> None:
+    record = adjusted[1].json
+    seconds = dict(record["seconds"])
+    total = seconds.pop("total")
+    assert all(value >= 0.0 for value in seconds.values())
+    # between the phases little may be lost: 5 % of the total, the goal of design.md 5
+    assert 0.95 * total <= sum(seconds.values()) <= total
+    per = 1e6 * record["seconds"]["solve"] / record["n_image_points"] / record["iterations"]
+    assert record["us_per_observation_iteration"] == pytest.approx(per, rel=1e-12)
+
+
+def test_total_is_the_time_of_the_work(fresh: Any, twin: Path) -> None:
+    """From the end of the imports to the printed result: within 5 % (design.md 5)."""
+    watch = (
+        "import time, fg_orient.cli.adjust as a\nload, emit = a._load, a.emit\n"
+        "def loaded():\n    load(); a.started = time.perf_counter()\n"
+        "def printed(record):\n    emit(record); print('WORK', time.perf_counter() - a.started, file=sys.stderr)\n"
+        "a._load, a.emit = loaded, printed"
+    )
+    ended = fresh("adjust", twin, "--json", before=watch)
+    assert ended.code == 0, ended.stderr
+    work = float(ended.stderr.split("WORK")[1])
+    assert ended.json["seconds"]["total"] == pytest.approx(work, rel=0.05)
+
+
+def test_one_json_object_and_nothing_else_on_standard_output(fresh: Any, twin: Path) -> None:
+    ended = fresh("adjust", "project.toml", "--json", cwd=twin.parent)
+    assert ended.code == 0
+    assert ended.json["out"] == "result"
+    assert ended.stderr == ""
+    assert (twin.parent / "result" / "report.html").is_file()  # the default folder, beside the project
+
+
+def test_not_trustworthy_is_exit_4_with_result(run: Any, twin: Path) -> None:
+    """Set 5 (velocity) cannot take up a constant offset of position and attitude."""
+    ended = run("adjust", twin, "--eop-set", "V", "--json")
+    record = ended.json
+    assert (ended.code, record["status"], record["eop_set"]) == (4, "not_trustworthy", 5)
+    assert "do not fit the model" in record["warnings"][0]
+    assert record["rank_defect"] == {"left": 6, "right": 6}
+    assert len(record["unobservable"]) == 12
+    assert record["accuracy"]["check"]["suspicious"][0]["ratio"] > 3.0
+    assert json.loads((twin.parent / "result" / "result.json").read_text("utf-8"))["status"] == "not_trustworthy"
+
+
+def test_rank_deficient_is_exit_3_without_result(run: Any, twin: Path) -> None:
+    ended = run("adjust", twin, "--eop-set", 20, "--no-priors", "--json")
+    record = ended.json
+    assert (ended.code, record["status"], record["out"]) == (3, "rank_deficient", None)
+    assert record["rank_defect"] == {"left": 9, "right": 9}
+    assert len(record["unobservable"]) == len(record["errors"]) == 18
+    assert any("acts as yaw" in sentence for sentence in record["unobservable"])
+    assert sorted(p.name for p in twin.parent.iterdir() if p.name.startswith((".", "result"))) == []
+
+
+def test_rank_deficient_for_people(run: Any, twin: Path) -> None:
+    ended = run("adjust", twin, "--eop-set", 20, "--no-priors")
+    assert ended.code == 3
+    assert ended.stdout == ""
+    assert "velocity across track acts as yaw" in ended.stderr
+
+
+def test_not_converged_is_exit_3(run: Any, twin: Path) -> None:
+    ended = run("adjust", twin, "--max-iterations", 1, "--json")
+    record = ended.json
+    assert (ended.code, record["status"], record["iterations"]) == (3, "not_converged", 1)
+    assert record["sigma0_interval_99_9"] == [None, None]
+    assert any(text.startswith("sigma0_interval_99_9 is null") for text in record["warnings"])
+    assert "No solution" in (twin.parent / "result" / "report.html").read_text("utf-8")
+
+
+def test_without_redundancy_sigma0_is_null_with_a_reason(run: Any, twin: Path) -> None:
+    """One control and two check points, two times roll, pitch, yaw: 12 + 3 equations, 6 + 9 unknowns."""
+    folder = twin.parent
+    rows = (folder / "points.csv").read_text("utf-8").splitlines()
+    head = [row for row in rows if row.startswith(("#", "id"))]
+    control = [row for row in rows if ",control," in row][:1]
+    check = [row for row in rows if ",check," in row][:2]
+    (folder / "points.csv").write_text("\n".join([*head, *control, *check]) + "\n", encoding="utf-8")
+    ids = {row.split(",")[0] for row in control + check}
+    rows = (folder / "observations.csv").read_text("utf-8").splitlines()
+    kept = [row for row in rows if row.startswith(("#", "image")) or row.split(",")[1] in ids]
+    (folder / "observations.csv").write_text("\n".join(kept) + "\n", encoding="utf-8")
+    record = run("adjust", twin, "--eop-set", "A0", "--no-priors", "--json").json
+    assert (record["redundancy"], record["sigma0"]) == (0, None)
+    assert any(text.startswith("sigma0 is null") for text in record["warnings"])
+    assert "prior" in (folder / "result" / "points.csv").read_text("utf-8").splitlines()[1].split(",")
+
+
+def test_options_replace_those_of_the_project(run: Any, twin: Path) -> None:
+    words = ("--look-polynomial", 2, "--optimizer", "dogleg", "--check-points", "exclude", "--max-iterations", 30)
+    record = run("adjust", twin, "--eop-set", 16, *words, "--backend", "graph", "--json").json
+    assert (record["eop_set"], record["eop_set_name"], record["look_polynomial"]) == (16, "PUA0", 2)
+    assert (record["optimizer"], record["check_points"], record["backend"]) == ("dogleg", "exclude", "graph")
+    assert record["n_image_points"] == 94 - 20
+    assert record["accuracy"]["check"]["n"] == 10
+    written = json.loads((twin.parent / "result" / "result.json").read_text("utf-8"))
+    assert written["provenance"]["options"]["max_iterations"] == 30
+
+
+@pytest.mark.parametrize(
+    ("words", "seen"),
+    [(("--eop-set", "21"), "21"), (("--optimizer", "newton"), "newton"), (("--check-points", "perhaps"), "perhaps"),
+     (("--backend", "dense"), "dense"), (("--max-iterations", "0"), "0"), (("--look-polynomial", "9"), "9")],
+)  # fmt: skip
+def test_bad_option_is_one_line_and_exit_2(run: Any, twin: Path, words: tuple[str, str], seen: str) -> None:
+    ended = run("adjust", twin, *words, "--json")
+    assert ended.code == 2
+    assert [set(e) for e in ended.json["errors"]] == [{"code", "message", "file", "place", "value", "remedy"}]
+    assert len(ended.stderr.splitlines()) == 1
+    assert seen in ended.stderr
+    assert not (twin.parent / "result").exists()
+
+
+def test_missing_project(run: Any, tmp_path: Path) -> None:
+    ended = run("adjust", tmp_path / "none.toml", "--json")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "project.missing_file")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_for_people_warnings_come_first_and_lines_fit(run: Any, twin: Path) -> None:
+    ended = run("adjust", twin)
+    lines = ended.stdout.splitlines()
+    assert ended.code == 0
+    assert lines[0] == "warning: 10 check points: ASPRS (2023) asks for at least 30"
+    assert max(map(len, lines[:-1])) <= 80  # the last line is the path of the report
+    assert any("check RMSE (10)" in line for line in lines)
+    assert lines[-1].startswith("report: ")
+
+
+def test_quiet_prints_nothing(run: Any, twin: Path) -> None:
+    ended = run("adjust", twin, "--quiet")
+    assert (ended.code, ended.stdout, ended.stderr) == (0, "", "")

@@ -1,0 +1,123 @@
+"""``simulate``, ``validate``, ``doctor``, usage errors and what all commands share."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import fg_orient
+from fg_orient.run.json import dumps
+from fg_orient.run.provenance import provenance, relative
+from fg_orient.selftest import self_test
+
+
+def test_simulate_zonguldak_passes_every_option_on(run: Any, tmp_path: Path) -> None:
+    out = tmp_path / "twin"
+    words = ("--seed", 7, "--point-set", "G-C", "--image-noise", 1.0, "--errors", "prior", "--distortion", "3e-6",
+             "--radial-velocity", -8.5, "--attitude", "-1.6e-4,-7.2e-4,9e-4")  # fmt: skip
+    ended = run("simulate", "zonguldak", *words, "--out", out, "--json")
+    assert ended.code == 0, ended.stderr
+    assert ended.json == {"out": str(out), "project": str(out / "project.toml"), "truth": str(out / "truth")}
+    options = json.loads((out / "truth" / "options.json").read_text("utf-8"))
+    expected = {"seed": 7, "point_set": "G-C", "image_noise_px": 1.0, "errors": "prior", "distortion_rad": 3e-6,
+                "radial_velocity_m_s": -8.5, "attitude_rad": [-1.6e-4, -7.2e-4, 9e-4]}  # fmt: skip
+    assert {key: options[key] for key in expected} == expected
+    again = run("simulate", "zonguldak", "--out", out, "--json")
+    assert (again.code, again.json["errors"][0]["code"]) == (2, "output.exists")
+
+
+def test_simulate_block_can_be_adjusted(run: Any, tmp_path: Path) -> None:
+    out = tmp_path / "block"
+    words = ("--rows", 1, "--columns", 2, "--points", 60, "--control-share", 0.2, "--check-share", 0.3, "--seed", 3)
+    assert run("simulate", "block", *words, "--out", out).code == 0
+    record = run("adjust", out / "project.toml", "--json").json
+    assert (record["status"], record["accuracy"]["control"]["n"], record["accuracy"]["check"]["n"]) == (
+        "converged", 12, 18,
+    )  # fmt: skip
+    ended = run("report", out / "result", "--truth", out / "truth", "--json")
+    assert set(ended.json["truth"]["points"]) == {"control", "check", "tie"}
+
+
+@pytest.mark.parametrize("words", [("--attitude=1,2",), ("--point-set", "H-7"), ("--errors", "many")])
+def test_simulate_refuses(run: Any, tmp_path: Path, words: tuple[str, ...]) -> None:
+    ended = run("simulate", "zonguldak", *words, "--out", tmp_path / "out", "--json")
+    assert (ended.code, len(ended.json["errors"])) == (2, 1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_validate(run: Any, twin: Path) -> None:
+    ended = run("validate", twin, "--json")
+    assert (ended.code, ended.json["errors"]) == (0, [])
+    path = twin.parent / "points.csv"
+    path.write_text(path.read_text("utf-8").replace("\n02,control", "\n01,control"), encoding="utf-8")
+    ended = run("validate", twin, "--json")
+    assert ended.code == 2
+    assert "points.id_twice" in {e["code"] for e in ended.json["errors"]}
+    assert len(ended.stderr.splitlines()) == len(ended.json["errors"])
+
+
+def test_doctor(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PROJ_LIB", "/elsewhere")
+    ended = run("doctor", "--json")
+    assert ended.code == 0, ended.stdout
+    assert {c["name"]: c["good"] for c in ended.json["checks"]} == {
+        "dependencies": True, "PROJ": True, "numba cache": True, "self-test": True,
+    }  # fmt: skip
+    assert ended.json["versions"]["fg_orient"] == fg_orient.__version__
+    assert any("PROJ_LIB" in text for text in ended.json["warnings"])
+
+
+def test_self_test_notices_a_wrong_jacobian(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sensor that projects 0.01 px beside the truth must not pass."""
+    from fg_orient.sensors.pushbroom import PushbroomSensor
+
+    assert self_test()[0]
+    project = PushbroomSensor.project
+
+    def shifted(self: PushbroomSensor, ground_m: Any, correction: Any = None) -> Any:
+        line, sample = project(self, ground_m, correction)
+        return line, sample + 0.01 * line / 1000.0
+
+    monkeypatch.setattr(PushbroomSensor, "project", shifted)
+    assert not self_test()[0]
+
+
+@pytest.mark.parametrize(
+    "words", [("adjust",), ("adjust", "a", "--nonsense"), ("nonsense",), ("locate", "a", "--line", "x"), ("simulate",)]
+)
+def test_usage_error_is_one_line_and_exit_2(fresh: Any, words: tuple[str, ...]) -> None:
+    ended = fresh(*words, "--json")
+    assert ended.code == 2
+    assert len(ended.stderr.splitlines()) == 1
+    assert ended.stderr.startswith("error: fg-orient")
+    assert [e["code"] for e in ended.json["errors"]] == ["cli.usage"]
+
+
+def test_help_and_version(run: Any) -> None:
+    ended = run("--help")
+    assert ended.code == 0
+    for command in ("adjust", "locate", "project", "intersect", "simulate", "validate", "doctor", "report"):
+        assert command in ended.stdout
+        assert run(command, "--help").code == 0
+    assert run().stdout == ended.stdout
+    assert run("--version").stdout == f"fg-orient {fg_orient.__version__}\n"
+
+
+def test_json_has_no_nan() -> None:
+    nan = float("nan")
+    assert json.loads(dumps({"a": nan, "b": [1.0, float("inf")], 3: (True, None, "x")})) == {
+        "a": None, "b": [1.0, None], "3": [True, None, "x"],
+    }  # fmt: skip
+
+
+def test_no_folder_of_this_machine_in_the_provenance(tmp_path: Path) -> None:
+    from fg_orient.selftest import synthetic_block
+
+    command = ("fg-orient", "adjust", str(tmp_path / "a.toml"), f"--out={tmp_path}/x", "--eop-set=3", "-q")
+    found = provenance(synthetic_block()[0], tmp_path, command)
+    assert found["command"] == ["fg-orient", "adjust", "a.toml", "--out=x", "--eop-set=3", "-q"]
+    assert relative(str(tmp_path / "sub" / "f"), tmp_path) == "sub/f"
+    assert relative("/elsewhere/f", tmp_path) == "f"

@@ -1,0 +1,232 @@
+"""``locate``, ``project``, ``intersect``: against the sensor, each other and the real files."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fg_orient.io.sensor import read_sensor
+
+GROUND = ["id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m"]
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """Records of a CSV file."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_locate_one_pixel(run: Any, twin_source: Path) -> None:
+    image = twin_source / "left.DIM"
+    ended = run("locate", image, "--line", 6000, "--sample", "-0.5", "--height", 350, "--json")
+    assert ended.code == 0
+    (point,) = ended.json["points"]
+    assert list(point) == GROUND
+    expected = read_sensor(image).locate(6000.0, -0.5, height_m=350.0)[0]
+    assert [point["x_m"], point["y_m"], point["z_m"]] == expected.tolist()
+    assert point["height_m"] == pytest.approx(350.0, abs=1e-6)  # iterated height, rounding of 6e6 m
+
+
+def test_csv_there_and_back(run: Any, twin_source: Path, tmp_path: Path) -> None:
+    """Pixels to ground and back: the same pixels within 1e-6 px, the bound of the projection."""
+    image, pixels = twin_source / "right.DIM", tmp_path / "pixels.csv"
+    given = [("a", 0.0, 0.0, 0.0), ("b b", 11999.0, 0.25, 900.0), ("c", 6000.5, 11999.0, 1800.0)]
+    text = "id,line,sample,height_m\n" + "".join(",".join(map(str, row)) + "\n" for row in given)
+    pixels.write_text(text, encoding="utf-8")
+    ground, back = tmp_path / "ground.csv", tmp_path / "back.csv"
+    assert run("locate", image, "--points", pixels, "--out", ground).code == 0
+    located = rows(ground)
+    assert list(located[0]) == GROUND
+    table = [[r[k] for k in ("id", "lon_deg", "lat_deg", "height_m")] for r in located]
+    text = "id,lon_deg,lat_deg,height_m\n" + "".join(",".join(r) + "\n" for r in table)
+    (tmp_path / "points.csv").write_text(text, encoding="utf-8")
+    ended = run("project", image, "--points", tmp_path / "points.csv", "--out", back, "--json")
+    assert ended.code == 0
+    assert [p["id"] for p in ended.json["points"]] == ["a", "b b", "c"]
+    assert all(p["inside"] for p in ended.json["points"])
+    found = np.array([[float(r["line"]), float(r["sample"])] for r in rows(back)])
+    assert np.abs(found - [[row[1], row[2]] for row in given]).max() < 1e-6
+    assert [r["inside"] for r in rows(back)] == ["true"] * 3
+    again = run("project", image, "--points", tmp_path / "points.csv", "--out", back, "--json")
+    assert (again.code, again.json["errors"][0]["code"]) == (2, "output.exists")
+
+
+def test_point_far_outside_is_null_and_not_inside(run: Any, twin_source: Path) -> None:
+    ended = run("project", twin_source / "left.DIM", "--lon", "-122", "--lat", 41.3, "--height", 0, "--json")
+    assert ended.code == 0
+    (point,) = ended.json["points"]
+    assert (list(point), point["inside"]) == (["id", "line", "sample", "inside"], False)
+
+
+def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
+    """On a raster of constant height the answer is that of the height."""
+    rasterio = pytest.importorskip("rasterio")
+
+    dem = tmp_path / "dem.tif"
+    with rasterio.open(
+        dem, "w", driver="GTiff", width=40, height=40, count=1, dtype="float32", crs="EPSG:4326",
+        transform=rasterio.Affine(0.05, 0.0, 30.85, 0.0, -0.05, 42.3),
+    ) as raster:  # fmt: skip
+        raster.write(np.full((1, 40, 40), 512.0, np.float32))
+    pixel = ("locate", twin_source / "left.DIM", "--line", 5000, "--sample", 7000, "--json")
+    on_dem, at_height = (run(*pixel, *words).json["points"][0] for words in (("--dem", dem), ("--height", 512)))
+    # the intersection with a DEM ends within 1e-4 m of it (fg_orient.sensors.surface)
+    assert [on_dem[k] for k in ("x_m", "y_m", "z_m")] == pytest.approx(
+        [at_height[k] for k in ("x_m", "y_m", "z_m")], abs=5e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ((), "cli.no_pixel"),
+        (("--line", 1, "--sample", 1), "cli.no_height"),
+        (("--line", 1, "--sample", 1, "--height", 1, "--dem", "x.tif"), "cli.two_heights"),
+        (("--line", 1, "--sample", 1, "--frame"), "cli.two_ways"),
+        (("--line", 12000, "--sample", 1, "--height", 1), "sensor.pixel_outside"),
+        (("--line", "nan", "--sample", 1, "--height", 1), "sensor.pixel_outside"),
+        (("--line", 1, "--sample", 1, "--height", "nan"), "cli.height_range"),
+        (("--line", 1, "--sample", 1, "--height", "9e9"), "cli.height_range"),
+        (("--line", 1, "--sample", 1, "--dem", "none.tif"), "dem.missing"),
+        (("--points", "none.csv"), "table.missing_file"),
+    ],
+)
+def test_locate_refuses(run: Any, twin_source: Path, words: tuple[object, ...], code: str) -> None:
+    ended = run("locate", twin_source / "left.DIM", *words, "--json")
+    assert ended.code == 2, ended.stderr
+    assert [e["code"] for e in ended.json["errors"]] == [code]
+    assert len(ended.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("--lon", 31.8), "cli.no_ground"),
+        (("--lon", 31.8, "--points", "x.csv"), "cli.two_ways"),
+        (("--lon", "nan", "--lat", 41, "--height", 0), "geodesy.outside"),
+        (("--lon", 31.8, "--lat", "inf", "--height", 0), "geodesy.outside"),
+    ],
+)
+def test_project_refuses(run: Any, twin_source: Path, words: tuple[object, ...], code: str) -> None:
+    ended = run("project", twin_source / "left.DIM", *words, "--json")
+    assert ended.code == 2, ended.stdout
+    assert [e["code"] for e in ended.json["errors"]] == [code]
+
+
+def test_height_given_twice_in_a_table(run: Any, twin_source: Path, tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("id,line,sample,height_m\na,1,1,0\n", encoding="utf-8")
+    ended = run("locate", twin_source / "left.DIM", "--points", tmp_path / "p.csv", "--height", 1, "--json")
+    assert [e["code"] for e in ended.json["errors"]] == ["cli.two_heights"]
+
+
+def test_bad_cells_are_listed_together(run: Any, twin_source: Path, tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text('id,line,sample\na,x,1\nb,1,"2,5"\n', encoding="utf-8")
+    ended = run("locate", twin_source / "left.DIM", "--points", tmp_path / "p.csv", "--height", 1, "--json")
+    found = [(e["code"], e["place"]) for e in ended.json["errors"]]
+    assert found == [("table.not_a_number", "line 2, column line"), ("table.decimal_comma", "line 3, column sample")]
+
+
+# --- intersection --------------------------------------------------------------------------------
+
+
+def test_two_rays_miss_by_their_shortest_distance(run: Any, twin_source: Path) -> None:
+    """Against |(P2 - P1) . (u1 x u2)| / |u1 x u2|."""
+    images = [twin_source / "left.DIM", twin_source / "right.DIM"]
+    ended = run("intersect", *images, "--pixel", "6000,6000", "--pixel=5990.5,6010", "--json")
+    assert ended.code == 0
+    (point,) = ended.json["points"]
+    assert list(point)[:9] == GROUND
+    (p1, u1), (p2, u2) = (
+        (a[0] for a in read_sensor(image).rays(*pixel))
+        for image, pixel in zip(images, ((6000.0, 6000.0), (5990.5, 6010.0)), strict=True)
+    )
+    normal = np.cross(u1, u2)
+    miss = abs(float((p2 - p1) @ normal)) / float(np.linalg.norm(normal))
+    assert miss > 1.0  # the planted errors of the metadata leave metres
+    # rounding of positions of 7e6 m, divided by the sine of the angle of the rays
+    assert point["miss_m"] == pytest.approx(miss, abs=1e-6)
+    assert point["pixels"][1] == {"image": "2", "line": 5990.5, "sample": 6010.0}
+
+
+def test_project_file_uses_no_coordinates(run: Any, twin: Path) -> None:
+    before = run("intersect", twin, "--json").json["points"]
+    assert len(before) == 47
+    path = twin.parent / "points.csv"
+    text = path.read_text("utf-8")
+    rows_ = text.splitlines()
+    k = next(k for k, row in enumerate(rows_) if row.startswith("01,"))
+    cells = rows_[k].split(",")
+    cells[4] = repr(float(cells[4]) + 500.0)
+    rows_[k] = ",".join(cells)
+    path.write_text("\n".join(rows_) + "\n", encoding="utf-8")
+    assert run("intersect", twin, "--json").json["points"] == before
+    out = twin.parent / "stereo.csv"
+    assert run("intersect", twin, "--out", out).code == 0
+    assert len(rows(out)) == 47
+
+
+@pytest.mark.parametrize(
+    ("pixels", "code"),
+    [(("1,1",), "cli.pixel_count"), (("1,1", "1"), "cli.pixel"), (("1,1", "1,99999"), "sensor.pixel_outside"),
+     (("a,b", "1,1"), "cli.pixel")],
+)  # fmt: skip
+def test_intersect_refuses(run: Any, twin_source: Path, pixels: tuple[str, ...], code: str) -> None:
+    words = [f"--pixel={pixel}" for pixel in pixels]
+    ended = run("intersect", twin_source / "left.DIM", twin_source / "right.DIM", *words, "--json")
+    assert (ended.code, [e["code"] for e in ended.json["errors"]]) == (2, [code])
+
+
+def test_parallel_rays_have_no_intersection(run: Any, twin_source: Path) -> None:
+    image = twin_source / "left.DIM"
+    ended = run("intersect", image, image, "--pixel", "5,5", "--pixel", "5,5", "--json")
+    assert (ended.code, [e["code"] for e in ended.json["errors"]]) == (2, ["initial.no_intersection"])
+    assert run("intersect", image, "--pixel", "5,5", "--json").json["errors"][0]["code"] == "cli.one_image"
+
+
+# --- the file's own frame points -----------------------------------------------------------------
+
+FRAME = ["file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "note"]
+
+
+def test_frame_of_the_twin(run: Any, twin_source: Path) -> None:
+    ended = run("locate", twin_source / "left.DIM", "--frame", "--json")
+    points = ended.json["points"]
+    assert [p["id"] for p in points] == ["corner 1", "corner 2", "corner 3", "corner 4", "centre"]
+    assert list(points[0]) == GROUND + FRAME
+    # the twin's frame points come from the same model; a file prints at least 1e-6 degrees, 0.11 m
+    assert max(p["misfit_m"] for p in points) < 0.15
+
+
+def test_misfit_is_model_minus_file(run: Any, twin: Path) -> None:
+    """A corner moved by 1e-4 degrees to the East in the file: 8.36 m at its latitude, to the West."""
+    path = twin.parent / "left.DIM"
+    before = run("locate", path, "--frame", "--json").json["points"][0]
+    text = path.read_text("utf-8")
+    tag = text.index("<FRAME_LON>") + len("<FRAME_LON>")
+    end = text.index("<", tag)
+    path.write_text(text[:tag] + repr(float(text[tag:end]) + 1e-4) + text[end:], encoding="utf-8")
+    after = run("locate", path, "--frame", "--json").json["points"][0]
+    metres = np.radians(1e-4) * np.hypot(before["x_m"], before["y_m"])
+    assert after["misfit_east_m"] - before["misfit_east_m"] == pytest.approx(-metres, rel=1e-5)
+    assert after["misfit_north_m"] == pytest.approx(before["misfit_north_m"], abs=1e-4)
+    assert after["misfit_m"] == pytest.approx(np.hypot(after["misfit_east_m"], after["misfit_north_m"]))
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("name", "limit_m", "flagged"),
+    [("SPOT5.DIM", 0.15, False), ("SPOT1.DIM", 9.0, True), ("SPOT2.DIM", 5.0, True), ("SP2_METADATA.DIM", 3.0, True),
+     ("SPOT4.DIM", 26.0, True)],
+)  # fmt: skip
+def test_frame_of_real_scenes(run: Any, real_data: Path, name: str, limit_m: float, flagged: bool) -> None:
+    """Bounds of the issue: the print resolution for SPOT 5, the model of the file for the older ones."""
+    ended = run("locate", real_data / "geocosicorr3d" / name, "--frame", "--json")
+    points = ended.json["points"]
+    assert ended.code == 0
+    assert len(points) == 5
+    assert max(p["misfit_m"] for p in points if p["id"] != "centre" or name == "SPOT5.DIM") <= limit_m
+    assert all((p["note"] is not None) == flagged for p in points)

@@ -1,0 +1,203 @@
+"""The HTML report: one safe file, warnings first, figures of the record; comparison with the truth."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fg_orient.report.html import number, scientific, verdict
+from fg_orient.report.svg import round_down
+
+VOID = {"meta", "br", "img", "link", "input", "hr"}
+SECTIONS = ["verdict", "warnings", "summary", "accuracy", "map", "residuals", "orientation", "observability",
+            "iterations", "provenance"]  # fmt: skip
+
+
+class Structure(HTMLParser):
+    """Collects tags, ids, attributes and text; fails on tags that do not match."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.ids: list[str] = []
+        self.attributes: list[tuple[str, str]] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(name, value or "") for name, value in attrs]
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
+        self.open.pop()
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def structure(path: Path) -> Structure:
+    """Parse a report."""
+    found = Structure()
+    found.feed(path.read_text("utf-8"))
+    found.close()
+    assert found.open == []
+    return found
+
+
+def test_structure_and_order(adjusted: tuple[Path, Any]) -> None:
+    found = structure(adjusted[0] / "report.html")
+    assert [name for name in found.ids if name in SECTIONS] == SECTIONS
+    assert found.tags.count("svg") == 3
+
+
+def test_nothing_from_elsewhere(adjusted: tuple[Path, Any]) -> None:
+    path = adjusted[0] / "report.html"
+    text = path.read_text("utf-8")
+    found = structure(path)
+    assert set(re.findall(r"https?://[^\s\"'<]+", text)) <= {"http://www.w3.org/2000/svg"}
+    assert not {"script", "link", "iframe", "img", "object", "embed"} & set(found.tags)
+    assert not [name for name, _ in found.attributes if name.startswith("on") or name in ("src", "href")]
+    assert "@import" not in text and "url(" not in text
+    assert path.stat().st_size < 2_000_000
+    assert "prefers-color-scheme: dark" in text and "@media print" in text
+
+
+def test_figures_of_the_record(adjusted: tuple[Path, Any]) -> None:
+    out, ended = adjusted
+    text = " ".join(structure(out / "report.html").text)
+    for role in ("control", "check"):
+        for axis in ("east", "north", "up"):
+            assert f"{ended.json['accuracy'][role][f'rmse_{axis}_m']:.3f}" in text
+    assert f"{ended.json['sigma0']:.3f}" in text
+    assert re.search(r"m horizontal error, enlarged [\d,]+ times", text)
+    assert re.search(r"\d km on the ground", text)
+
+
+def test_exaggeration_is_true(adjusted: tuple[Path, Any]) -> None:
+    """Bar of errors and bar on the ground, both in drawing units, give the factor written beside them."""
+    text = (adjusted[0] / "report.html").read_text("utf-8")
+    bars = re.findall(r'd="M[\d.]+ [\d.]+v5h([\d.]+)v-5"/><text[^>]*>([\d.]+) (k?m) ([^<]*)</text>', text)
+    ground, error = bars[0], bars[1]
+    per_km, per_m = float(ground[0]) / float(ground[1]), float(error[0]) / float(error[1])
+    stated = float(re.sub(r"\D", "", error[3].split("enlarged")[1]))
+    assert (ground[2], error[2]) == ("km", "m")
+    assert stated == pytest.approx(per_m / per_km * 1000.0, rel=0.06)  # stated with two digits, drawn to 0.1 unit
+
+
+def test_report_is_made_again_from_the_folder_alone(run: Any, result: Path) -> None:
+    before = (result / "report.html").read_text("utf-8")
+    (result / "report.html").unlink()
+    ended = run("report", result, "--json")
+    assert (ended.code, ended.json) == (0, {"report": str(result / "report.html"), "truth": None})
+    after = (result / "report.html").read_text("utf-8")
+    # only the time of the report itself, and so the total, became known after it was first written
+    assert _without_times(before) == _without_times(after)
+
+
+def _without_times(text: str) -> str:
+    return re.sub(r"<div><b>[\d.]+ s</b>|Seconds: .*", "", text)
+
+
+HOSTILE = ["<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "{{ 7 * 7 }}", "&amp;"]
+
+
+def test_hostile_names_are_escaped(run: Any, twin: Path) -> None:
+    folder = twin.parent
+    points = (folder / "points.csv").read_text("utf-8")
+    observations = (folder / "observations.csv").read_text("utf-8")
+    for k, name in enumerate(HOSTILE):
+        cell = '"' + name.replace('"', '""') + '"'
+        points = points.replace(f"\n{k + 1:02d},", f"\n{cell},")
+        observations = observations.replace(f",{k + 1:02d},", f",{cell},")
+    project = twin.read_text("utf-8").replace('id = "left"', "id = '<b>left</b>'")
+    project = re.sub(r'name = ".*"', "name = '</title><script>x</script>'", project)
+    (folder / "points.csv").write_text(points, encoding="utf-8")
+    (folder / "observations.csv").write_text(observations.replace("\nleft,", "\n<b>left</b>,"), encoding="utf-8")
+    twin.write_text(project, encoding="utf-8")
+    ended = run("adjust", twin, "--json")
+    assert ended.code == 0, ended.stderr
+    found = structure(folder / "result" / "report.html")
+    assert not {"script", "img"} & set(found.tags)
+    assert "b" in found.tags  # our own; the image's name adds none:
+    text = (folder / "result" / "report.html").read_text("utf-8")
+    assert "<b>left" not in text
+    assert not [name for name, _ in found.attributes if name.startswith("on")]
+    shown = " ".join(found.text)
+    for name in [*HOSTILE, "<b>left</b>", "</title><script>x</script>"]:
+        assert name in shown
+    assert "49" not in re.findall(r"(?:check|control) (\d+)(?=:)", shown)  # {{ 7 * 7 }} is not evaluated
+
+
+def test_bad_folders(run: Any, result: Path, tmp_path: Path) -> None:
+    ended = run("report", tmp_path, "--json")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.no_result")
+    ended = run("report", result, "--truth", tmp_path, "--json")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.no_truth")
+    (result / "points.csv").unlink()
+    before = (result / "report.html").read_bytes()
+    ended = run("report", result, "--json")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.damaged")
+    assert (result / "report.html").read_bytes() == before
+
+
+def test_truth_is_compared_in_predicted_sigmas(run: Any, result: Path, twin_source: Path) -> None:
+    ended = run("report", result, "--truth", twin_source / "truth", "--json")
+    assert ended.code == 0
+    found = ended.json["truth"]
+    assert {e["image"] for e in found["eop"]} == {"left", "right"}
+    assert len(found["eop"]) == 36
+    with (twin_source / "truth" / "eop.csv").open(encoding="utf-8") as stream:
+        true = {(r["image"], r["parameter"]): float(r["value_per_tau"]) for r in csv.DictReader(stream)}
+    with (result / "eop.csv").open(encoding="utf-8") as stream:
+        estimated = {(r["image"], r["parameter"]): r for r in csv.DictReader(stream)}
+    sigma0 = json.loads((result / "result.json").read_text("utf-8"))["sigma0"]
+    for e in found["eop"]:
+        row = estimated[e["image"], e["parameter"]]
+        difference = float(row["value_per_tau"]) - true[e["image"], e["parameter"]]
+        assert e["difference"] == pytest.approx(difference, rel=1e-12)
+        assert e["normalised"] == pytest.approx(difference * sigma0 / float(row["sigma"]), rel=1e-12)
+    # 37 control points: RMS of normalised errors is 1 +- 0.12 (one sigma); four sigma are allowed
+    east = next(g for g in found["groups"] if g["name"] == "control points, East")
+    assert east["n"] == 37
+    assert east["rms_normalised"] == pytest.approx(1.0, abs=4 * 0.12)
+    assert "truth" in structure(result / "report.html").ids
+
+
+def test_foreign_truth_is_refused(run: Any, result: Path, twin: Path) -> None:
+    path = twin.parent / "truth" / "eop.csv"
+    path.write_text(path.read_text("utf-8").replace("left,", "west,"), encoding="utf-8")
+    ended = run("report", result, "--truth", twin.parent / "truth", "--json")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.other_truth")
+
+
+def test_verdict_in_words() -> None:
+    base = {"status": "converged", "sigma0": 1.0, "sigma0_interval_99_9": [0.8, 1.2], "warnings": [], "reason": "why"}
+    assert verdict(base)["kind"] == "good"
+    assert verdict({**base, "warnings": ["x"]})["kind"] == "warn"
+    assert "sigmas are too large" in verdict({**base, "sigma0": 0.5})["text"]
+    assert verdict({**base, "sigma0": None})["title"] == "Converged, unchecked"
+    for status, title in (("not_converged", "No solution"), ("not_trustworthy", "Not trustworthy")):
+        assert verdict({**base, "status": status}) == {"kind": "bad", "title": title, "text": "why"}
+
+
+def test_numbers_for_people() -> None:
+    assert number(-0.0004) == "0.000"
+    assert number(-1.5, 1) == "−1.5"
+    assert number(None) == number(float("nan")) == scientific(None) == "–"
+    assert scientific(1.234e-7) == "1.23e−07"
+    assert [round_down(v) for v in (1.0, 4.9, 5.0, 0.03, 99.0)] == [1.0, 2.0, 5.0, 0.02, 50.0]
