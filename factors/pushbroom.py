@@ -105,10 +105,9 @@ def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
 
 @compiled
 def fill(record: Array, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
-    """Write residual (column 0), image Jacobian and ground Jacobian into ``out`` (2, k + 4).
+    """Write residual (column 0), image and ground Jacobian into ``out`` (2, k + 4); no allocation.
 
-    Returns False if the sizes do not fit or a value is not finite. The form used by factors: no
-    allocation per call.
+    Returns False if the sizes do not fit or a value is not finite.
     """
     k = setup.shape[1]
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
