@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy.special import gammaincinv
 
 from fg_orient import initial
 from fg_orient.adjustment.loop import Callback
@@ -122,14 +122,16 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
     """
     if compiled.block.options.priors:
         return
+    defect = {o.image: o.rank_defect for o in observability}
     sentences = [sentence for o in observability for sentence in o.sentences]
     if sentences:
-        raise RankDeficientError(*(problem("adjust.rank_deficient", place=sentence) for sentence in sentences))
+        problems = [problem("adjust.rank_deficient", place=sentence) for sentence in sentences]
+        raise RankDeficientError(*problems, rank_defect=defect)
     if compiled.redundancy < 0:
         raise RankDeficientError(problem(
             "adjust.negative_redundancy", place=compiled.block.name, value=compiled.redundancy,
             observations=compiled.n_observations, unknowns=compiled.n_unknowns,
-        ))  # fmt: skip
+        ), rank_defect=defect)  # fmt: skip
 
 
 def conclude(
@@ -215,7 +217,7 @@ def _judge(compiled: Problem, estimate: Estimate) -> tuple[Status, str, tuple[fl
     if f <= 0:
         return Status.CONVERGED, "no redundancy: nothing was checked", (float("nan"), float("nan"))
     tail = 0.5 * (1.0 - SIGMA0_LEVEL)
-    low, high = (float(np.sqrt(stats.chi2.ppf(p, f) / f)) for p in (tail, 1.0 - tail))
+    low, high = (float(np.sqrt(2.0 * gammaincinv(0.5 * f, p) / f)) for p in (tail, 1.0 - tail))  # chi-square / f
     sigma0 = float(np.sqrt(estimate.chi2 / f))
     if sigma0 > high:
         reason = (

@@ -1,11 +1,11 @@
 """Ground to image for a pushbroom: the zero of the look-angle collinearity in (line, sample).
 
-Newton on both pixel coordinates at once (orientation.md 2.7): the conditions F_y, F_x are
-those of the observation equation, so every correction (EOP, look angles) is honoured;
-their derivatives with respect to line and sample come from differences over half a pixel.
-Attitude is piecewise linear in time, hence up to 30 steps, ended when the step is below
-1e-9 px, or below 1e-6 px and no longer shrinking (a time of day has 11 digits: 1e-8 px). Lines are evaluated inside the image only: a point outside gets the linear
-continuation from the border, a point that the satellite cannot see gets nan.
+Newton on both pixel coordinates at once (orientation.md 2.7): the conditions F_y, F_x are those of
+the observation equation, so every correction (EOP, look angles) is honoured; their derivatives come
+from differences over half a pixel. Attitude is piecewise linear in time, hence up to 30 steps, ended
+below 1e-9 px, or below 1e-6 px when no longer shrinking (a time of day has 11 digits: 1e-8 px).
+Lines are evaluated inside the image only: a point outside gets the linear continuation from the
+border, a point that the satellite cannot see gets nan.
 """
 
 from __future__ import annotations

@@ -110,22 +110,38 @@ class Case:
 
 CASES = {
     "truncated XML": Case(cut("left.DIM"), "left.DIM", "XML"),
-    "DOCTYPE": Case(substitute("left.DIM", r"<Dimap_Document", '<!DOCTYPE a [<!ENTITY b "c">]><Dimap_Document'), "left.DIM", "DOCTYPE"),
+    "DOCTYPE": Case(
+        substitute("left.DIM", r"<Dimap_Document", '<!DOCTYPE a [<!ENTITY b "c">]><Dimap_Document'),
+        "left.DIM",
+        "DOCTYPE",
+    ),
     "missing element": Case(substitute("left.DIM", r"<LINE_PERIOD>.*</LINE_PERIOD>", ""), "left.DIM", "LINE_PERIOD"),
-    "non-numeric text": Case(substitute("left.DIM", r"<LINE_PERIOD>.*</LINE_PERIOD>", "<LINE_PERIOD>soon</LINE_PERIOD>"), "left.DIM", "soon"),
+    "non-numeric text": Case(
+        substitute("left.DIM", r"<LINE_PERIOD>.*</LINE_PERIOD>", "<LINE_PERIOD>soon</LINE_PERIOD>"), "left.DIM", "soon"
+    ),
     "another mission": Case(substitute("left.DIM", r"<MISSION>SPOT", "<MISSION>LANDSAT"), "left.DIM", "LANDSAT"),
     "time outside the ephemeris": Case(late_ephemeris, "left.DIM", "ephemeris"),
-    "pixel outside the image": Case(columns("observations.csv", lambda r: r | {"line": "12000.7"}), "observations.csv", "12000.7"),
+    "pixel outside the image": Case(
+        columns("observations.csv", lambda r: r | {"line": "12000.7"}), "observations.csv", "12000.7"
+    ),
     "nan coordinate": Case(columns("points.csv", control(lon_deg="nan")), "points.csv", "nan"),
     "inf coordinate": Case(columns("points.csv", control(height_m="inf")), "points.csv", "inf"),
     "sigma zero": Case(columns("points.csv", control(sigma_up_m="0")), "points.csv", "sigma_up_m"),
-    "negative sigma": Case(columns("observations.csv", lambda r: r | {"sigma_line_px": "-0.3"}), "observations.csv", "-0.3"),
+    "negative sigma": Case(
+        columns("observations.csv", lambda r: r | {"sigma_line_px": "-0.3"}), "observations.csv", "-0.3"
+    ),
     "swapped latitude and longitude": Case(columns("points.csv", swapped, first_only=False), "points.csv", "swap"),
     "duplicate point id": Case(twice, "points.csv", "twice|duplicate|already|before"),
-    "unknown EPSG": Case(substitute("project.toml", r'crs = "EPSG:4979"', 'crs = "EPSG:99999"'), "project.toml|points.csv", "99999"),
-    "point seen once": Case(columns("observations.csv", lambda r: None if r["id"] == "05" else r), "observations.csv|points.csv", "05"),
-    "no control": Case(columns("points.csv", lambda r: r | {"role": "check"}, first_only=False), "points.csv|project.toml", "control"),
-}  # fmt: skip
+    "unknown EPSG": Case(
+        substitute("project.toml", r'crs = "EPSG:4979"', 'crs = "EPSG:99999"'), "project.toml|points.csv", "99999"
+    ),
+    "point seen once": Case(
+        columns("observations.csv", lambda r: None if r["id"] == "05" else r), "observations.csv|points.csv", "05"
+    ),
+    "no control": Case(
+        columns("points.csv", lambda r: r | {"role": "check"}, first_only=False), "points.csv|project.toml", "control"
+    ),
+}
 
 
 def adjust(project: Path, *words: str) -> tuple[int, str, str]:
