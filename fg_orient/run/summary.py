@@ -1,6 +1,6 @@
 """The record of an adjustment: the keys of ``adjust --json`` and ``result.json``.
 
-The keys are stable (docs/command-line.md); lengths are metres, times seconds. A figure that does not
+The keys are stable (docs/results.md); lengths are metres, times seconds. A figure that does not
 exist is null and a warning says why.
 """
 

@@ -263,3 +263,13 @@ def test_unwritable_place(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught, staged_folder(tmp_path / "file" / "out"):
         pass
     assert caught.value.problems[0].code == "output.unwritable"
+
+
+def test_documented_columns_are_those_written(adjusted: tuple[Path, Any], repository: Path) -> None:
+    text = (repository / "docs" / "results.md").read_text("utf-8")
+    for name in ("eop.csv", "points.csv", "residuals.csv", "accuracy.csv"):
+        for column in rows(adjusted[0] / name)[0]:
+            assert f"`{column}`" in text, (name, column)
+    for key in adjusted[1].json:
+        if key not in ("schema", "name", "chi2", "look_polynomial", "priors", "check_points", "notes", "provenance"):
+            assert f"`{key}`" in text or key in ("images", "observability"), key
