@@ -40,11 +40,13 @@ def geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 @compiled
 def distance_to_height(p: Array, u: Array, h: float) -> float:
-    """Smallest positive s with ``p + s u`` on the ellipsoid (a + h, b + h); nan if the ray misses."""
+    """Smallest positive s with ``p + s u`` on the ellipsoid (a + h, b + h); nan if the ray misses or p lies inside."""
     a2, b2 = (A_M + h) ** 2, (B_M + h) ** 2
     d1 = (u[0] * u[0] + u[1] * u[1]) / a2 + u[2] * u[2] / b2
     d2 = 2.0 * ((p[0] * u[0] + p[1] * u[1]) / a2 + p[2] * u[2] / b2)
     d3 = (p[0] * p[0] + p[1] * p[1]) / a2 + p[2] * p[2] / b2 - 1.0
+    if d3 <= 0.0:
+        return math.nan  # the sensor lies below that surface: nothing to see
     inside = d2 * d2 - 4.0 * d1 * d3
     if inside < 0.0:
         return math.nan

@@ -156,7 +156,7 @@ def conclude(
 
 def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[str, ...]]:
     try:
-        return Cofactors(compiled, estimate.linear, estimate.zero), ()
+        return Cofactors(compiled, estimate.state, estimate.linear, estimate.zero), ()
     except RuntimeError as error:
         return None, (f"covariance withheld: GTSAM finds the normal equations indeterminate ({str(error)[:120]})",)
 

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from fg_orient.simulate.simulation import Simulation, Truth
 
 PROJECT_FILE = "project.toml"
+#: Only a folder that a simulation wrote may be replaced: a real project has no such file.
+MARK_FILE = "truth/options.json"
 
 
 def write_simulation(
@@ -57,7 +59,7 @@ def write_simulation(
     """
     target = Path(out)
     values = {"command": command, **asdict(options)}
-    with staged_folder(target, overwrite=overwrite, mark=PROJECT_FILE) as folder:
+    with staged_folder(target, overwrite=overwrite, mark=MARK_FILE) as folder:
         _write_block(folder, simulation, values)
         (folder / "truth").mkdir()
         _write_truth(folder / "truth", simulation, values)

@@ -125,6 +125,7 @@ def test_intersection_lies_at_the_height_and_is_the_nearest() -> None:
         g = ellipsoid.intersect(p, u, np.array([h]))
         assert ellipsoid.geodetic_array(g)[0, 2] == pytest.approx(h, abs=2e-5)
         assert g[0, 0] > 6.0e6  # the near side
+    assert np.isnan(ellipsoid.intersect(p, u, np.array([1e6]))).all()  # a surface above the sensor
     assert np.isnan(ellipsoid.intersect(p, -u, np.array([0.0]))).all()  # behind the sensor
     assert np.isnan(ellipsoid.intersect(p, np.array([[0.0, 1.0, 0.0]]), np.array([0.0]))).all()  # misses
 

@@ -117,6 +117,9 @@ def test_cofactors_equal_the_dense_inverse(twin: Block) -> None:
     found = solution.cofactors.joint((0, 1), tuple(int(j) for j in points))
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert np.abs((found - expected) / scale).max() < 1e-8
+    for j, c in column.items():  # by back-substitution, all of them
+        block, ours = q[c : c + 3, c : c + 3], solution.cofactors.point(j)
+        assert np.abs((ours - block) / np.sqrt(np.outer(np.diag(block), np.diag(block)))).max() < 1e-8
     named = solution.cofactor_matrix("image:left", f"point:{twin.points.ids[points[0]]}")
     sigma = np.concatenate([problem.parameters.sigma, np.ones(3)])
     index = np.concatenate([np.arange(k), np.arange(column[int(points[0])], column[int(points[0])] + 3)])
@@ -126,6 +129,29 @@ def test_cofactors_equal_the_dense_inverse(twin: Block) -> None:
     assert named.names[0] == "left.x_0"
     posterior = solution.covariance("image:left")
     assert np.allclose(posterior.values, solution.cofactor_matrix("image:left").values * solution.sigma0**2)
+
+
+def test_points_one_by_one_equal_points_at_once(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large blocks ask GTSAM for each point; the answer is the same."""
+    at_once = fg.adjust(twin, eop_set=15).cofactors
+    monkeypatch.setattr("fg_orient.quality.covariance.JOINT_LIMIT", 0)
+    one_by_one = fg.adjust(twin, eop_set=15).cofactors
+    for j in range(len(twin.points.ids)):
+        assert np.allclose(one_by_one.point(j), at_once.point(j), rtol=1e-8, atol=1e-12)
+    assert np.allclose(one_by_one.image(1), at_once.image(1), rtol=1e-8, atol=1e-12)
+
+
+def test_indeterminate_covariance_is_withheld_with_a_reason(twin: Block) -> None:
+    """One control and two check points, no priors: solvable, but GTSAM's Cholesky gives no covariance."""
+    keep = [int(twin.points.where(Role.CONTROL)[0]), *(int(j) for j in twin.points.where(Role.CHECK)[:2])]
+    small = replace(twin, observations=twin.observations.take(np.isin(twin.observations.point, keep)))
+    solution = fg.adjust(small, eop_set=2, priors=False)
+    if solution.cofactors is None:
+        assert "covariance withheld" in solution.withheld[0]
+        with pytest.raises(fg.NoSolutionError, match="no covariance was computed"):
+            solution.covariance("image:left")
+    else:
+        assert np.isfinite(solution.cofactors.image(0)).all()
 
 
 def test_counts_and_redundancy(twin: Block) -> None:
