@@ -20,6 +20,7 @@ S = TypeVar("S")
 STEP_TOLERANCE = 1e-8
 ROUNDING_STEP = 1e-6
 MAX_REJECTED = 20
+SMALL = "the scaled step is below the tolerance"
 
 
 class Step(Protocol):
@@ -102,9 +103,11 @@ class _Log:
         self._callback = callback
         self._start = time.perf_counter()
 
-    def add(self, before: float, after: float, step: Step, damping: float, accepted: bool) -> IterationRecord:
+    def add(self, before: float, after: float, step: Step, damping: float, always: bool = False) -> IterationRecord:
+        """Judge a step: taken if the error falls, or if the predicted decrease is rounding (or always)."""
         predicted = before - step.predicted_error
         ratio = (before - after) / predicted if predicted > 1e-12 * max(before, 1.0) else math.nan
+        accepted = always or (math.isfinite(after) and (math.isnan(ratio) or ratio > 0.0))
         record = IterationRecord(
             len(self.records) + 1, 2.0 * before, 2.0 * after, 2.0 * predicted, ratio, step.length, damping, accepted,
             time.perf_counter() - self._start,
@@ -129,14 +132,14 @@ def gauss_newton(backend: Backend[S], start: S, max_iterations: int, callback: C
         last = _small(step.length, previous)
         following = None if last else backend.linearise(state)
         error = following.error if following else backend.error(state)
-        log.add(system.error, error, step, 0.0, True)
+        log.add(system.error, error, step, 0.0, always=True)
         rising = rising + 1 if error > system.error * (1.0 + 1e-9) + 1e-9 else 0
         if not math.isfinite(error) or rising >= 3:
             return LoopResult(
                 state, error, tuple(log.records), False, "the error rises: try --optimizer levenberg-marquardt"
             )
         if following is None:
-            return LoopResult(state, error, tuple(log.records), rising == 0, "the scaled step is below the tolerance")
+            return LoopResult(state, error, tuple(log.records), rising == 0, SMALL)
         system, previous = following, step.length
     return LoopResult(state, system.error, tuple(log.records), False, f"no convergence in {max_iterations} iterations")
 
@@ -145,58 +148,65 @@ def levenberg_marquardt(
     backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None
 ) -> LoopResult[S]:
     """Damped steps; the damping follows the ratio of actual to predicted decrease (Nielsen 1999)."""
-    log, state, previous, damping, growth, rejected = _Log(callback), start, math.inf, 1e-4, 2.0, 0
-    system = backend.linearise(state)
-    for _ in range(max_iterations):
-        step = system.solve(damping)
-        trial = backend.retract(state, step)
-        error = backend.error(trial)
-        record = log.add(system.error, error, step, damping, accepted=False)
-        accepted = math.isfinite(error) and (math.isnan(record.ratio) or record.ratio > 0.0)
-        log.records[-1] = _accepted(record, accepted)
-        if not accepted:
-            damping, growth, rejected = damping * growth, 2.0 * growth, rejected + 1
-            if rejected >= MAX_REJECTED:
-                return LoopResult(state, system.error, tuple(log.records), False, "no step lowers the error")
-            continue
-        state, rejected = trial, 0
-        if _small(step.length, previous):
-            return LoopResult(state, error, tuple(log.records), True, "the scaled step is below the tolerance")
+    growth = 2.0
+
+    def solve(system: System, damping: float) -> Step:
+        return system.solve(damping)
+
+    def follow(damping: float, record: IterationRecord) -> float:
+        nonlocal growth
+        if not record.accepted:
+            damping, growth = damping * growth, 2.0 * growth
+            return damping
+        growth = 2.0
         ratio = 1.0 if math.isnan(record.ratio) else record.ratio
-        damping, growth = max(damping * max(1e-3, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-14), 2.0
-        system, previous = backend.linearise(state), step.length
-    return LoopResult(state, system.error, tuple(log.records), False, f"no convergence in {max_iterations} iterations")
+        return max(damping * max(1e-3, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-14)
+
+    return _controlled(backend, start, max_iterations, callback, solve, follow, 1e-4)
 
 
 def dogleg(backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None) -> LoopResult[S]:
     """Powell's dogleg in a trust region of the scaled unknowns."""
-    log, state, previous, radius, rejected = _Log(callback), start, math.inf, 1e3, 0
+
+    def solve(system: System, radius: float) -> Step:
+        return system.dogleg(radius)
+
+    def follow(radius: float, record: IterationRecord) -> float:
+        if not record.accepted or record.ratio < 0.25:
+            return 0.25 * radius
+        return max(radius, 3.0 * record.step) if record.ratio > 0.75 else radius
+
+    return _controlled(backend, start, max_iterations, callback, solve, follow, 1e3)
+
+
+def _controlled(
+    backend: Backend[S],
+    start: S,
+    max_iterations: int,
+    callback: Callback | None,
+    solve: Callable[[System, float], Step],
+    follow: Callable[[float, IterationRecord], float],
+    control: float,
+) -> LoopResult[S]:
+    """Take steps that lower the error; ``control`` (damping or radius) follows each record."""
+    log, state, previous, rejected = _Log(callback), start, math.inf, 0
     system = backend.linearise(state)
     for _ in range(max_iterations):
-        step = system.dogleg(radius)
+        step = solve(system, control)
         trial = backend.retract(state, step)
         error = backend.error(trial)
-        record = log.add(system.error, error, step, radius, accepted=False)
-        accepted = math.isfinite(error) and (math.isnan(record.ratio) or record.ratio > 0.0)
-        log.records[-1] = _accepted(record, accepted)
-        if not accepted or record.ratio < 0.25:
-            radius *= 0.25
-        elif record.ratio > 0.75:
-            radius = max(radius, 3.0 * step.length)
-        if not accepted:
+        record = log.add(system.error, error, step, control)
+        control = follow(control, record)
+        if not record.accepted:
             rejected += 1
             if rejected >= MAX_REJECTED:
                 return LoopResult(state, system.error, tuple(log.records), False, "no step lowers the error")
             continue
         state, rejected = trial, 0
         if _small(step.length, previous):
-            return LoopResult(state, error, tuple(log.records), True, "the scaled step is below the tolerance")
+            return LoopResult(state, error, tuple(log.records), True, SMALL)
         system, previous = backend.linearise(state), step.length
     return LoopResult(state, system.error, tuple(log.records), False, f"no convergence in {max_iterations} iterations")
-
-
-def _accepted(record: IterationRecord, accepted: bool) -> IterationRecord:
-    return IterationRecord(**{**record.__dict__, "accepted": accepted})
 
 
 OPTIMIZERS: dict[str, Callable[..., LoopResult[Any]]] = {

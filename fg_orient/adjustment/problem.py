@@ -16,7 +16,7 @@ import numpy.typing as npt
 from factors import control, ellipsoid
 from factors._contract import evaluate
 from factors.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD_SIZE
-from fg_orient import initial
+from fg_orient import geodesy, initial
 from fg_orient.block import Block, ImagePoints
 from fg_orient.errors import InputError
 from fg_orient.names import Role
@@ -186,8 +186,5 @@ def _control_records(sigma_enu_m: Array, ecef_m: Array, origin_m: Array, observe
 
 def enu_from_ecef(ecef_m: Array) -> Array:
     """Rotations (N, 3, 3) from ECEF axes to East, North, Up of each point."""
-    lon, lat, _ = ellipsoid.geodetic_array(np.ascontiguousarray(ecef_m)).T
-    sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
-    zero = np.zeros_like(sl)
-    rows = [[-sl, cl, zero], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]]
-    return np.moveaxis(np.array(rows), 2, 0)
+    lon, lat, _ = np.degrees(ellipsoid.geodetic_array(np.ascontiguousarray(ecef_m))).T
+    return geodesy.enu_from_ecef(lon, lat)
