@@ -29,7 +29,7 @@ XML: Final = {
     "xml.not_plain": ("the element must hold a plain value, no markup", "use the original file"),
     "xml.not_a_number": ("not a number", "write it as 123.456 or 1.23e4"),
     "xml.decimal_comma": ("a decimal comma", "write numbers with a decimal point"),
-    "xml.not_finite": ("not a finite number", "use the original file"),
+    "xml.not_finite": ("not a finite number of possible size", "use the original file"),
     "xml.not_whole": ("not a whole number", "use the original file"),
     "xml.out_of_range": ("outside the possible range {low:g} .. {high:g}{unit}", "check the value and its unit"),
     "xml.wrong_count": ("needs {expected} numbers separated by blanks", "use the original file"),

@@ -25,6 +25,8 @@ from fg_orient.errors import InputError, problem
 
 Array = npt.NDArray[np.float64]
 
+#: No quantity of a metadata file is larger; beyond it squares overflow.
+LARGEST = 1e30
 #: Largest file that is parsed; the largest real product read so far has 2.5 MB.
 MAX_BYTES = 64 * 2**20
 
@@ -235,7 +237,7 @@ class XmlNode:
     def _parse(self, word: str) -> float:
         if _NUMBER.fullmatch(word):
             value = float(word)
-            if math.isfinite(value):
+            if abs(value) <= LARGEST:
                 return value
             raise self.fault("xml.not_finite", word)
         if _NOT_FINITE.fullmatch(word):
