@@ -109,6 +109,10 @@ SENSOR: Final = {
         "at most {hold} s are held",
         "use a metadata file whose attitudes cover the image",
     ),
+    "sensor.no_field": (
+        "first and last sample look in the same direction (less than {least:g} rad apart)",
+        "use the original file",
+    ),
     "sensor.pixel_outside": (
         "pixel outside the image",
         "lines run from -0.5 to {last_line:g}, samples with look angles from {first_sample:g} to {last_sample:g}; "

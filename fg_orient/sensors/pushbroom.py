@@ -30,6 +30,8 @@ Array = npt.NDArray[np.float64]
 
 #: Attitudes are held constant for at most this long beyond their list, with a note.
 HOLD_S = 0.2
+#: The samples of an image cannot all look the same way; the narrowest known field is 0.015 rad.
+MIN_FIELD_RAD = 1e-4
 #: Rounding of printed times: lists of SPOT 6 start and end with the image.
 TIME_PRINT_S = 2e-6
 #: Vendor v2 body axes (x along, y across, z to the Earth) from our body axes.
@@ -91,6 +93,8 @@ class PushbroomSensor:
 
     Raises
     ------
+    InputError
+        All samples look in the same direction.
     OutOfTimeRange
         The ephemeris does not cover the image, or the attitudes leave more than 0.2 s open.
     """
@@ -102,6 +106,7 @@ class PushbroomSensor:
         if isinstance(metadata.look, LookAngleTable):
             self.first_sample, self.last_sample = float(metadata.look.sample[0]), float(metadata.look.sample[-1])
         self.follows_orbit = isinstance(metadata.attitude, AngleAttitude)
+        self._check_field_of_view()
         self.notes: tuple[str, ...] = metadata.notes + self._check_time_range()
 
     @property
@@ -112,6 +117,14 @@ class PushbroomSensor:
     def _line_time(self, line: Array) -> Array:
         timing = self.metadata.timing
         return np.asarray(timing.reference_time_s + timing.line_period_s * (line - timing.reference_line))
+
+    def _check_field_of_view(self) -> None:
+        _, across = self.look_angles([self.first_sample, self.last_sample])
+        if abs(across[1] - across[0]) < MIN_FIELD_RAD:
+            raise InputError(problem(
+                "sensor.no_field", file=self.file, place="look angles", value=f"{abs(across[1] - across[0]):.3g} rad",
+                least=MIN_FIELD_RAD,
+            ))  # fmt: skip
 
     def _check_time_range(self) -> tuple[str, ...]:
         first, last = self._line_time(np.array([0.0, self.n_lines - 1.0]))
