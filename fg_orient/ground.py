@@ -19,7 +19,8 @@ from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 
 if TYPE_CHECKING:
     from fg_orient.block import Image, ImagePoints
-    from fg_orient.sensors.pushbroom import HeightSurface, PushbroomSensor
+    from fg_orient.sensors.correction import HeightSurface
+    from fg_orient.sensors.pushbroom import PushbroomSensor
 
 Array = npt.NDArray[np.float64]
 Records = list[dict[str, Any]]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from fg_orient.block import Image, ImagePoints
 from fg_orient.errors import InputError, Problem, problem
-from fg_orient.sensors.pushbroom import Correction
+from fg_orient.sensors.correction import Correction
 
 Array = npt.NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from fg_orient.names import Role, Status
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.covariance import Cofactors, NamedMatrix, named_cofactors
 from fg_orient.quality.observability import ImageObservability
-from fg_orient.sensors.pushbroom import Correction
+from fg_orient.sensors.correction import Correction
 
 Array = npt.NDArray[np.float64]
 

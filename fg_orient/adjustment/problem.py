@@ -21,8 +21,8 @@ from fg_orient.block import Block, ImagePoints
 from fg_orient.errors import InputError
 from fg_orient.names import Role
 from fg_orient.parameters import ImageParameters
+from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.projection import pixel_derivative
-from fg_orient.sensors.pushbroom import Correction
 
 Array = npt.NDArray[np.float64]
 

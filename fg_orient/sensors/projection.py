@@ -10,15 +10,11 @@ border, a point that the satellite cannot see gets nan.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
 from factors import pushbroom
-
-if TYPE_CHECKING:
-    from fg_orient.sensors.pushbroom import Correction, PushbroomSensor
+from fg_orient.sensors.correction import Correction, PixelModel
 
 Array = npt.NDArray[np.float64]
 
@@ -34,16 +30,14 @@ def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
     return np.ascontiguousarray(setup), np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
 
 
-def conditions(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
+def conditions(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """F_y, F_x (tangents) of N pixels and ground points: (N, 2)."""
     setup, x = physical_unknowns(correction)
     records = sensor.records(line, sample, ground_m, small_angle=correction.small_angle)
     return pushbroom.conditions(records, setup, x, np.ascontiguousarray(ground_m))
 
 
-def pixel_derivative(
-    sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction
-) -> Array:
+def pixel_derivative(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """Local derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
     columns = []
     limits = ((0.0, sensor.n_lines - 1.0), (sensor.first_sample, sensor.last_sample))
@@ -55,11 +49,11 @@ def pixel_derivative(
     return np.stack(columns, axis=2)
 
 
-def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
+def project(sensor: PixelModel, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
     """Line and sample of N ECEF points (N, 3) m; see the module docstring."""
     line = np.full(len(ground_m), (sensor.n_lines - 1) / 2.0)
     sample = np.full(len(ground_m), (sensor.first_sample + sensor.last_sample) / 2.0)
-    centre = sensor.states((sensor.n_lines - 1) / 2.0).position_m
+    centre = sensor.centre_position()
     visible = np.isfinite(ground_m).all(axis=1)
     visible &= np.einsum("ij,ij->i", np.nan_to_num(ground_m) - centre, np.nan_to_num(ground_m)) < 0.0
     line[~visible], sample[~visible] = np.nan, np.nan
@@ -77,7 +71,7 @@ def project(sensor: PushbroomSensor, ground_m: Array, correction: Correction) ->
     return line, sample
 
 
-def _newton_step(sensor: PushbroomSensor, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
+def _newton_step(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """Step (N, 2) from the nearest pixel of the image, relative to the present estimate."""
     l_in = np.clip(line, -0.5, sensor.n_lines - 0.5)
     s_in = np.clip(sample, sensor.first_sample - 0.5, sensor.last_sample + 0.5)

@@ -9,15 +9,16 @@ and aberration are off: the vendor attitudes contain the aberration
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from factors import attitude, ellipsoid, ephemeris, look, polynomials, pushbroom, rotations
 from fg_orient.errors import InputError, OutOfImage, OutOfTimeRange, problem
+from fg_orient.sensors import projection
+from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.metadata import (
     AngleAttitude,
     LookAngleTable,
@@ -25,6 +26,7 @@ from fg_orient.sensors.metadata import (
     QuaternionList,
     QuaternionPolynomial,
 )
+from fg_orient.sensors.surface import on_surface
 
 Array = npt.NDArray[np.float64]
 
@@ -36,40 +38,6 @@ MIN_FIELD_RAD = 1e-4
 TIME_PRINT_S = 2e-6
 #: Vendor v2 body axes (x along, y across, z to the Earth) from our body axes.
 V2_BODY_FROM_BODY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-
-
-class HeightSurface(Protocol):
-    """A surface to locate on: ellipsoidal height (m) at longitude, latitude (degrees), nan outside."""
-
-    path: str
-
-    @property
-    def range_m(self) -> tuple[float, float]:
-        """Lowest and highest height."""
-        ...
-
-    def height_m(self, lon_deg: Array, lat_deg: Array) -> Array:
-        """Ellipsoidal heights of N points."""
-        ...
-
-
-@dataclass(frozen=True)
-class Correction:
-    """Orientation corrections of one image in physical units.
-
-    Parameters
-    ----------
-    eop : (9, 3) array
-        c0, c1, c2 of tau for X, Y, Z (m), VX, VY, VZ (m/s), roll, pitch, yaw (rad).
-    look : (2, k) array
-        Coefficients of s^k added to psi_x and psi_y (rad).
-    small_angle : bool
-        Use the small-angle attitude matrix (faithful mode).
-    """
-
-    eop: Array = field(default_factory=lambda: np.zeros((9, 3)))
-    look: Array = field(default_factory=lambda: np.zeros((2, 0)))
-    small_angle: bool = False
 
 
 @dataclass(frozen=True)
@@ -180,6 +148,10 @@ class PushbroomSensor:
         mount = np.swapaxes(rotations.orbital_frames(p, v), 1, 2) @ ecef_from_body
         return np.zeros((len(t), 3)), mount
 
+    def centre_position(self) -> Array:
+        """Position at the central line, ECEF m (3,)."""
+        return np.asarray(self.states((self.n_lines - 1) / 2.0).position_m[0])
+
     def look_angles(self, sample: npt.ArrayLike) -> tuple[Array, Array]:
         """Look angles psi_x (along), psi_y (across), rad, of N samples."""
         s, source = np.atleast_1d(np.asarray(sample, float)), self.metadata.look
@@ -257,8 +229,6 @@ class PushbroomSensor:
         InputError
             A ray misses the surface, or the DEM does not cover it.
         """
-        from fg_orient.sensors.surface import on_surface
-
         line, sample = (np.atleast_1d(np.asarray(a, float)) for a in (line, sample))
         self.require_inside(line, sample)
         p, u = self.rays(line, sample, correction)
@@ -303,9 +273,7 @@ class PushbroomSensor:
         Iterates on the line until the along-track condition holds, then on the sample
         (orientation.md 2.7); see ``fg_orient.sensors.projection``.
         """
-        from fg_orient.sensors.projection import project
-
-        return project(self, np.atleast_2d(np.asarray(ground_m, float)), correction or Correction())
+        return projection.project(self, np.atleast_2d(np.asarray(ground_m, float)), correction or Correction())
 
     @cached_property
     def centre_m(self) -> Array:

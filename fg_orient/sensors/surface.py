@@ -9,16 +9,13 @@ and bisected, taking the first hit. Heights of the raster are used as they are
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid
 from fg_orient.errors import InputError
-
-if TYPE_CHECKING:
-    from fg_orient.sensors.pushbroom import HeightSurface
+from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
 

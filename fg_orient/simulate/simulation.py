@@ -19,8 +19,8 @@ from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints
 from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.names import Role
+from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.metadata import PushbroomMetadata
-from fg_orient.sensors.pushbroom import Correction
 from fg_orient.simulate.scene import Scene, as_read
 
 Array = npt.NDArray[np.float64]

@@ -11,8 +11,9 @@ import pytest
 from factors import ellipsoid
 from fg_orient.errors import InputError
 from fg_orient.io.dimap import read_dimap
+from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.eop import fit_eop, metadata_eop
-from fg_orient.sensors.pushbroom import Correction, PushbroomSensor
+from fg_orient.sensors.pushbroom import PushbroomSensor
 
 pytestmark = pytest.mark.real_data
 

@@ -19,8 +19,9 @@ from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
 from fg_orient.io.project import read_project
 from fg_orient.names import Role, Status
 from fg_orient.orient import adjust
+from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.projection import pixel_derivative
-from fg_orient.sensors.pushbroom import Correction, PushbroomSensor
+from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.point_sets import N_POINTS
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES
