@@ -130,7 +130,7 @@ def evaluate(
 def check_blocks(name: str, label: str, blocks: tuple[Any, ...], sizes: tuple[int, ...], n_residuals: int) -> None:
     """Refuse a kernel result of wrong shape, type or with values that are not finite.
 
-    GTSAM 4.3.0 accepts all of these silently (ecosystem.md 6.2), so nothing passes unseen.
+    GTSAM 4.3.0 accepts all of these silently (docs/equations.md 9), so nothing passes unseen.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 ``control_point``: residual ``W (G - G_0)`` of a ground point observed with covariance
 ``C = (W^T W)^-1``, W upper triangular; sigmas in East, North, Up are rotated to the axes of
 the unknown by :func:`whitening`. ``observed_parameters``: residual ``(x - x_0) / sigma``;
-with unknowns in prior sigmas this is the prior x = 0 with sigma 1 (orientation.md 4.6,
+with unknowns in prior sigmas this is the prior x = 0 with sigma 1 (docs/equations.md 7,
 stochastic weights: a ridge with physical units).
 """
 
@@ -81,9 +81,9 @@ def _example_parameters(rng: np.random.Generator) -> Example:
 
 CONTROL_POINT = register(Equation(
     "control_point", kernel_point, residual_point, (Argument("ground", "m", is_point=True),), _example_point,
-    "orientation.md 4.6, stochastic weights",
+    "docs/equations.md 7, stochastic weights",
 ))  # fmt: skip
 OBSERVED_PARAMETERS = register(Equation(
     "observed_parameters", kernel_parameters, residual_parameters, (Argument("x", "prior sigma"),),
-    _example_parameters, "orientation.md 4.6, stochastic weights",
+    _example_parameters, "docs/equations.md 7, stochastic weights",
 ))  # fmt: skip

@@ -1,7 +1,7 @@
 """Equations as GTSAM factors: checked shapes, types and values, named in every message.
 
 GTSAM 4.3.0 takes a Jacobian of the wrong width, nan and sigma 0 without a word
-(ecosystem.md 6.2). Every callback here checks what its kernel returned and raises a
+(docs/equations.md 9). Every callback here checks what its kernel returned and raises a
 ValueError that names equation, image and point; GTSAM passes it on unchanged.
 The only module of ``factors`` that imports gtsam.
 """

@@ -1,7 +1,7 @@
 """Look angles of a sample: table or polynomial, and the direction they stand for.
 
 The viewing direction is ``u1 = (-tan psi_y, tan psi_x, -1)`` in the body frame: x right of
-flight, y forward, z outward (orientation.md 2.3; the printed +1 sends the ray into space).
+flight, y forward, z outward (docs/equations.md 2; the printed +1 sends the ray into space).
 Tangents, not angles, are linear between detectors.
 """
 

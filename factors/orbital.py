@@ -6,7 +6,7 @@
     dw2 = y.(dG - dP) + (w1/v2) x.dV - (w3 y + (w1 v3/v2) x).dP/|P|
     dw3 = z.(dG - dP) + (w1 x + w2 y).dP/|P|
 
-V acts only through x.dV, which is a pure yaw. Source: orientation.md 3.3; performance.md 1.
+V acts only through x.dV, which is a pure yaw. Source: docs/equations.md 3.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ Angles (DIMAP v1): a = file + correction, M = I, R_OG follows the corrected P an
 
 Whitening: the residual is ``A F``, A = S^-1 J^-1, J = dF/d(line, sample), S the pixel sigmas: a unit
 is one sigma of a pixel coordinate. V enters through V x P only: ``dF/dV . V = dF/dV . P = 0``; the
-rest is a yaw (orientation.md 3.3). Everything is formed as reference (metadata) plus difference, so
+rest is a yaw (docs/equations.md 3). Everything is formed as reference (metadata) plus difference, so
 that rounding is relative to the correction and not to the orbit radius: 1e-13 instead of 1e-9 sigma.
 """
 

@@ -4,7 +4,7 @@ Frames: *body* (payload), *orbital* of convention B (X = V x Z right of flight, 
 forward, Z radial outward) and *ECEF*. Names read target_from_source. Active elementary
 rotations; roll turns about Y, pitch about X, yaw about Z of the orbital frame.
 
-Source: Terlemezoğlu 2019, eqs. 2.23-2.27 as corrected in orientation.md 2.3 (columns, not
+Source: Terlemezoğlu 2019, eqs. 2.23-2.27 as corrected in docs/equations.md 2 (columns, not
 rows; X = V x Z); quaternions: eq. 2.36.
 """
 

@@ -101,7 +101,7 @@ class Options:
     Parameters
     ----------
     eop_set : int
-        Number 1-20 of the EOP set (orientation.md 3.7).
+        Number 1-20 of the EOP set (docs/concepts.md).
     look_polynomial : int or None
         Degree of the look-angle correction polynomial; None = no such unknowns.
     priors : bool

@@ -156,7 +156,7 @@ def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: n
 def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """Transform (N, 3) ECEF m to WGS84 longitude, latitude (degrees) and ellipsoidal height (m), each (N,).
 
-    Iterates on the latitude (orientation.md 2.5; the error shrinks by e^2 = 0.0067 each
+    Iterates on the latitude (docs/equations.md 5; the error shrinks by e^2 = 0.0067 each
     time). PROJ is not used: it takes a single step, which errs by 1e-6 m at 9 km height and
     7 mm at that of a satellite.
 

@@ -1,7 +1,7 @@
 """Start values: intersection of rays with the metadata orientation.
 
 The point nearest to all rays solves ``sum (I - u u^T) X = sum (I - u u^T) P``
-(orientation.md 2.6, any number of images).
+(docs/equations.md 6, any number of images).
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
     """One factor per image point, control point and image prior."""
     graph = gtsam.NonlinearFactorGraph()
     enabled = gc.isenabled()
-    gc.disable()  # 3 us per factor instead of 10 (performance.md, section 2)
+    gc.disable()  # 3 us per factor instead of 10 (measured)
     try:
         _add_image_points(graph, problem)
         _add_priors(graph, problem)

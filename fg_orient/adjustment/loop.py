@@ -1,7 +1,7 @@
 """Gauss-Newton, Levenberg-Marquardt and Dogleg, one loop over any backend.
 
 The state belongs to Python; a backend only linearises, solves and retracts
-(performance.md, pitfall 1: GTSAM's own optimisers copy all values at every callback of a
+(docs/equations.md 9: GTSAM's own optimisers copy all values at every callback of a
 Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so one step
 length speaks for all. The loop ends when the scaled step is below the tolerance, or below
 1e-6 and no longer shrinking (rounding); never on a relative cost.

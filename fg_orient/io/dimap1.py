@@ -1,8 +1,8 @@
 """Reader of DIMAP 1.1, SPOT 1 to 5, level 1A.
 
-Sources: Riazanoff 2004 (SPOT Geometry Handbook) as specified in orientation.md 2.3;
+Sources: Riazanoff 2004 (SPOT Geometry Handbook) as specified in docs/equations.md 2;
 conventions fixed on a real SPOT-5 file whose frame points are met to 4 cm
-(real-data-findings, section 1).
+(docs/equations.md 2).
 
 Time of a line: ``SCENE_CENTER_TIME + LINE_PERIOD (line - SCENE_CENTER_LINE)``, lines
 counted from 1. Attitude: **roll and pitch are negated, yaw is kept** (sign step), so the

@@ -1,8 +1,8 @@
 """Reader of DIMAP 2.x sensor products: Pléiades 1A/1B and SPOT 6/7.
 
-Source: orientation.md 2.4 (Terlemezoğlu 2019, eqs. 2.35-2.43 as corrected); conventions
-verified on a Pléiades pair against the vendor RPC (0.003 px, real-data-findings,
-section 4). Time of a line: ``START + (line - 1) LINE_PERIOD``, lines counted from 1.
+Source: docs/equations.md 4 (Terlemezoğlu 2019, eqs. 2.35-2.43 as corrected); conventions
+verified on a Pléiades pair against the vendor RPC (0.003 px). Time of a line:
+``START + (line - 1) LINE_PERIOD``, lines counted from 1.
 Quaternions rotate the vendor's body axes (x along, y across track, z to the Earth) to
 ECEF, scalar part ``Q0`` first. Look direction in these axes: ``(YLOS, -XLOS, 1)``; both
 are tangents, polynomials of the column minus ``FIRST_COL``. So ``XLOS`` is our

@@ -4,7 +4,7 @@ Per axis in East, North, Up of the point and in ECEF: root mean square, mean (bi
 standard deviation, maximum; CE90 and LE90 as 90 % quantiles of the horizontal length and
 of |Up|. A check point's difference is compared with ``sqrt(predicted + own variance)``,
 both in prior scale. Source: Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the rest is
-common practice (ecosystem.md 3.6).
+common practice.
 """
 
 from __future__ import annotations

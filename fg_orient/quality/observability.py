@@ -7,7 +7,7 @@ than the data). Fixing the ground points is the optimistic case: what is dead he
 in every adjustment of the image.
 
 Dead directions are named by matching them with physical candidates: velocity enters the
-conditions only through V x P (orientation.md 3.3), so velocity along track and radial act
+conditions only through V x P (docs/equations.md 3), so velocity along track and radial act
 on nothing, and velocity across track turns the orbital frame like a yaw.
 """
 

@@ -41,7 +41,7 @@ class AngleAttitude:
     """Sampled angles, linear in time: ``time_s`` (n,), ``angles_rad`` (n, 3) = roll, pitch, yaw.
 
     The sign step is already done: roll and pitch are the negated DIMAP v1 values, yaw is kept
-    (real-data-findings, section 1).
+    (docs/equations.md 2).
     """
 
     time_s: Array

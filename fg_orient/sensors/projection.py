@@ -1,6 +1,6 @@
 """Ground to image for a pushbroom: the zero of the look-angle collinearity in (line, sample).
 
-Newton on both pixel coordinates at once (orientation.md 2.7): the conditions F_y, F_x are those of
+Newton on both pixel coordinates at once (docs/equations.md 6): the conditions F_y, F_x are those of
 the observation equation, so every correction (EOP, look angles) is honoured; their derivatives come
 from differences over half a pixel. Attitude is piecewise linear in time, hence up to 30 steps, ended
 below 1e-9 px, or below 1e-6 px when no longer shrinking (a time of day has 11 digits: 1e-8 px).

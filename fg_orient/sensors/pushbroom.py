@@ -4,7 +4,7 @@ One class serves DIMAP v1 (angles in the orbital frame) and DIMAP v2 (quaternion
 ECEF). Pixels are (line, sample), (0, 0) = centre of the first pixel; ground points ECEF
 metres; ``Correction`` holds EOP and look-angle corrections in physical units. Light time
 and aberration are off: the vendor attitudes contain the aberration
-(real-data-findings, section 5).
+(docs/equations.md 2).
 """
 
 from __future__ import annotations
@@ -271,7 +271,7 @@ class PushbroomSensor:
         """Line and sample of N ECEF points; points far outside the image give nan.
 
         Iterates on the line until the along-track condition holds, then on the sample
-        (orientation.md 2.7); see ``fg_orient.sensors.projection``.
+        (docs/equations.md 6); see ``fg_orient.sensors.projection``.
         """
         return projection.project(self, np.atleast_2d(np.asarray(ground_m, float)), correction or Correction())
 

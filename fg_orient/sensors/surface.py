@@ -1,7 +1,7 @@
 """Digital elevation models and the intersection of rays with them.
 
 Ray and DEM are intersected by iterating height -> ellipsoid -> DEM height
-(orientation.md 2.5); rays that do not settle are marched from the highest DEM value down
+(docs/equations.md 5); rays that do not settle are marched from the highest DEM value down
 and bisected, taking the first hit. Heights of the raster are used as they are
 (ellipsoidal); a vertical CRS in the file is refused until geoid grids are supported.
 """

@@ -5,7 +5,7 @@ pass of its own, rolled alternately to one side and the other like the fields of
 checkerboard, so that neighbouring scenes (60 km wide, by default 28 km apart) overlap and
 intersect at 24 degrees. Ground points are uniform over the block; a point is kept if at
 least two scenes see it. About 2.7 (2 x 2 scenes) to 4 (10 x 10) image points come per
-ground point. Geometry in the spirit of performance.md, section 1, on the real ellipsoid.
+ground point. Geometry on the real ellipsoid.
 """
 
 from __future__ import annotations

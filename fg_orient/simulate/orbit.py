@@ -8,7 +8,7 @@ time is needed; ``w`` is the Earth's rotation rate::
     r(t) = r_0 + v_r t,   n = sqrt(GM / r_0^3)
     P(t) = Rz(w t) p(t),   V(t) = Rz(w t) (dp/dt - w x p)
 
-with t in seconds from the scene centre and Rz the passive rotation of orientation.md 0.1.
+with t in seconds from the scene centre and Rz the passive rotation [[c, s, 0], [-s, c, 0], [0, 0, 1]].
 ``v_r`` makes an ephemeris with a radial velocity, as real ones have (SPOT 5: 7 to 9 m/s);
 it is consistent in position and velocity but no longer a Kepler motion.
 """
@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 GM_M3_S2 = 3.986004418e14
 EARTH_RATE_RAD_S = 7.2921151467e-5
 MEAN_EARTH_RADIUS_M = 6371e3
-#: SPOT 5 (orientation.md 6.1, 6.5).
+#: SPOT 5 (Terlemezoğlu 2019, chapter 4.2).
 HEIGHT_M = 832e3
 INCLINATION_RAD = math.radians(98.7)
 
@@ -149,7 +149,7 @@ def _start(target_m: Array) -> Array:
 def _pointing(
     x: Array, target_m: Array, psi_y_rad: float, attitude_rad: tuple[float, float, float], radial_velocity_m_s: float
 ) -> Array:
-    """Conditions (2,) of the point at time 0: zero if it is seen at psi_y, psi_x = 0 (orientation.md 3.3)."""
+    """Conditions (2,) of the point at time 0: zero if it is seen at psi_y, psi_x = 0 (docs/equations.md 3)."""
     position, velocity = _pass(x, radial_velocity_m_s).states(0.0)
     ecef_from_orbital = rotations.orbital_frames(position, velocity)[0]
     ecef_from_body = ecef_from_orbital @ rotations.attitude_matrices(np.array([attitude_rad]), False)[0]

@@ -4,7 +4,7 @@ H-n ("homogeneous"): n check points drawn at random, nested, so that the check p
 H-10 are check points of H-20, too. G-A, G-B, G-C ("grouped"): the control points leave a
 part of the image empty: of the scan line (G-A: those of one side by column), of the strip
 (G-B: by line), of the border (G-C: those nearest to the centre of the block).
-Sizes: real-data-findings, section 3; memberships were never published.
+Sizes: Topan & Maktav 2010 and the authors' programs; memberships were never published.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Metadata of a simulated SPOT-5 HRG scene: a pass, a camera, errors of the metadata.
 
-The camera of orientation.md 6.5: 12000 detectors of 6.5 micrometres behind a focal length
+The camera of the twin (SPOT-5 HRG): 12000 detectors of 6.5 micrometres behind a focal length
 of 1.082 m (field 4.13 degrees, pixel 5 m), turned across track by the mirror::
 
     psi_y(sample) = mirror + arctan((sample - 5999.5) 6.5e-6 / 1.082),   psi_x = 0

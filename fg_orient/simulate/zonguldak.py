@@ -3,7 +3,7 @@
 Two descending circular passes (832 km, 98.7 degrees) see 41.3 N 31.85 E at mirror angles
 of -18 and +20 degrees from opposite sides; points lie in the overlap at 0 to 1800 m.
 Source of the geometry: the data set of Topan & Maktav (2010) and Terlemezoğlu (2019) as
-specified in orientation.md 6.5. Truth is a model truth, see
+specified in docs/file-formats.md and in its options. Truth is a model truth, see
 :mod:`fg_orient.simulate.simulation`.
 """
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-LIMIT = {"factors": 200, "fg_orient": 450}  # lines per module, design.md 7
+LIMIT = {"factors": 200, "fg_orient": 450}  # lines per module
 MEDIAN = {"factors": 100, "fg_orient": 200}
 
 

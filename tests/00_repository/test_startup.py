@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-IMPORT_BUDGET_S = 0.7  # design.md 7
+IMPORT_BUDGET_S = 0.7
 HEAVY = ("gtsam", "numba", "scipy", "pandas", "matplotlib", "rasterio", "pyproj", "lxml", "pydantic")
 
 

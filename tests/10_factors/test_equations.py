@@ -104,7 +104,7 @@ def test_two_equations_of_one_name_are_refused() -> None:
 
 
 def reference_conditions(record: np.ndarray, setup: np.ndarray, x: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """F_y, F_x written straight from orientation.md 2.3 and 3.3 with matrices, in extended precision."""
+    """F_y, F_x written straight from docs/equations.md 2 and 3.3 with matrices, in extended precision."""
     ld = np.longdouble
     r = record.astype(ld)
     correction = np.zeros(27, ld)

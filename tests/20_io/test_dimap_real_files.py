@@ -43,7 +43,7 @@ FILES = {
 
 
 def ecef(lon_deg: np.ndarray, lat_deg: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Geodetic to ECEF (orientation.md 2.5), independent of the code under test."""
+    """Geodetic to ECEF (docs/equations.md 5), independent of the code under test."""
     lon, lat = np.radians(lon_deg), np.radians(lat_deg)
     n = ellipsoid.A_M / np.sqrt(1.0 - ellipsoid.E2 * np.sin(lat) ** 2)
     return np.stack([

@@ -21,7 +21,7 @@ heights = st.floats(-500.0, 9000.0)
 
 
 def closed_ecef(lon_deg, lat_deg, height):
-    """Give (N, 3) ECEF by the textbook formula (orientation.md 2.5)."""
+    """Give (N, 3) ECEF by the textbook formula (docs/equations.md 5)."""
     lon, lat, height = np.broadcast_arrays(*np.atleast_1d(np.radians(lon_deg), np.radians(lat_deg), height))
     n = A / np.sqrt(1.0 - E2 * np.sin(lat) ** 2)
     return np.stack(

@@ -69,7 +69,7 @@ def test_round_trip_over_the_whole_scene(real_data: Path, name: str, height_m: f
 
 
 def test_spot5_equals_two_independent_programs(real_data: Path) -> None:
-    """Rugged within 1 cm, geoCosiCorr3D within 5 cm, on the ellipsoid (real-data findings, section 5)."""
+    """Rugged within 1 cm, geoCosiCorr3D within 5 cm, on the ellipsoid (docs/equations.md 2)."""
     s = sensor(real_data / "geocosicorr3d", "SPOT5.DIM")
     for name, limit, keys in (
         ("rugged_SPOT5_h0.csv", 0.01, ("line_1based", "col_1based", "lon_deg", "lat_deg")),
@@ -139,7 +139,7 @@ def test_attitudes_of_hrs_are_held_with_a_note(real_data: Path) -> None:
 
 
 def test_eop_polynomials_and_their_residuals(real_data: Path) -> None:
-    """A parabola describes position to 3 cm and velocity to 3e-5 m/s over 12000 lines (orientation.md, row 15)."""
+    """A parabola describes position to 3 cm and velocity to 3e-5 m/s over 12000 lines."""
     s = sensor(real_data / "geocosicorr3d", "SPOT5.DIM")
     fit = fit_eop(s)
     assert fit.largest[:3].max() < 0.10

@@ -39,14 +39,14 @@ def test_times_add_up(adjusted: tuple[Path, Any]) -> None:
     seconds = dict(record["seconds"])
     total = seconds.pop("total")
     assert all(value >= 0.0 for value in seconds.values())
-    # between the phases little may be lost: 5 % of the total, the goal of design.md 5
+    # between the phases little may be lost: 5 % of the total
     assert 0.95 * total <= sum(seconds.values()) <= total
     per = 1e6 * record["seconds"]["solve"] / record["n_image_points"] / record["iterations"]
     assert record["us_per_observation_iteration"] == pytest.approx(per, rel=1e-12)
 
 
 def test_total_is_the_time_of_the_work(fresh: Any, twin: Path) -> None:
-    """From the end of the imports to the printed result: within 5 % (design.md 5)."""
+    """From the end of the imports to the printed result: within 5 %."""
     watch = (
         "import time, fg_orient.cli.adjust as a\nload, emit = a._load, a.emit\n"
         "def loaded():\n    load(); a.started = time.perf_counter()\n"

@@ -224,7 +224,7 @@ def test_metadata_are_true_minus_error() -> None:
 
 @pytest.mark.parametrize("eop_set", [1, 6, 10, 12, 15, 20])
 def test_without_errors_nothing_is_corrected(eop_set: int) -> None:
-    """Claim C2 of orientation.md 6.6: no noise, no errors, then corrections and residuals are rounding."""
+    """Claim C2: no noise, no errors, then corrections and residuals are rounding."""
     block, truth = zonguldak_block(EXACT)
     solution = adjust(block, eop_set=eop_set)
     assert solution.status is Status.CONVERGED
@@ -334,7 +334,7 @@ def test_the_views_come_from_opposite_sides(default: tuple[Block, Truth]) -> Non
     ("roll_deg", "low_km", "high_km"), [(-19.0, 280, 330), (21.0, 280, 330), (-18.0, 268, 278), (20.0, 300, 311)]
 )
 def test_ground_tracks(roll_deg: float, low_km: float, high_km: float) -> None:
-    """The 280 to 330 km of orientation.md 6.5 belong to 19 and 21 degrees; the twin's 18 and 20 see 273 and 306 km.
+    """The specified 280 to 330 km belong to 19 and 21 degrees; the twin's 18 and 20 see 273 and 306 km.
 
     On a sphere through the point: sin(incidence) = r sin(roll) / R, distance = R (incidence - roll).
     """
