@@ -23,7 +23,7 @@ import numpy as np
 
 import fg_orient as fg
 from fg_orient.block import Coordinates, WithheldCoordinates
-from fg_orient.initial import all_rays, intersect
+from fg_orient.initial import all_rays, nearest_points
 from fg_orient.orient import enu_from_ecef
 
 SETS = (2, 10, 9, 16, 1, 15)
@@ -96,7 +96,7 @@ def farthest_points(ecef_m: np.ndarray, first: int, count: int) -> list[int]:
 def direct_geolocation(scene: Scene) -> dict[str, float]:
     """Intersection with the metadata orientation against all points: mean and scatter, metres."""
     centre, direction = all_rays(tuple(scene.images), scene.observations)
-    found, _ = intersect(centre, direction, scene.observations.point, len(scene.ids))
+    found, _ = nearest_points(centre, direction, scene.observations.point, len(scene.ids))
     d = np.einsum("nij,nj->ni", enu_from_ecef(scene.ecef_m), found - scene.ecef_m)
     out = {f"mean_{axis}_m": float(d[:, k].mean()) for k, axis in enumerate(("east", "north", "up"))}
     out |= {f"sd_{axis}_m": float(d[:, k].std(ddof=1)) for k, axis in enumerate(("east", "north", "up"))}

@@ -25,6 +25,7 @@ if not getattr(factors, "FG_ORIENT_FACTORS", False):
 if TYPE_CHECKING:
     from fg_orient.block import Block, GroundPoints, Image, ImagePoints, Options
     from fg_orient.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
+    from fg_orient.initial import intersect
     from fg_orient.io.project import read_project
     from fg_orient.io.sensor import read_sensor
     from fg_orient.names import Role, Status
@@ -48,6 +49,7 @@ _HOME: Final[dict[str, str]] = {
     "Solution": "fg_orient.solution",
     "Status": "fg_orient.names",
     "adjust": "fg_orient.orient",
+    "intersect": "fg_orient.initial",
     "read_project": "fg_orient.io.project",
     "read_sensor": "fg_orient.io.sensor",
 }
@@ -67,6 +69,7 @@ __all__ = [
     "Status",
     "__version__",
     "adjust",
+    "intersect",
     "read_project",
     "read_sensor",
 ]

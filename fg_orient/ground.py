@@ -129,7 +129,7 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     wanted[count >= 2] = np.nan
     ground = initial.ground_points(images, observations, tuple(ids), wanted)
     centre, direction = initial.all_rays(images, observations)
-    _, convergence = initial.intersect(centre, direction, observations.point, len(ids))
+    _, convergence = initial.nearest_points(centre, direction, observations.point, len(ids))
     along = np.einsum("ni,ni->n", ground[observations.point] - centre, direction)
     feet = centre + along[:, None] * direction
     used = [int(j) for j in np.flatnonzero(count >= 2)]

@@ -6,12 +6,15 @@ The point nearest to all rays solves ``sum (I - u u^T) X = sum (I - u u^T) P``
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import Image, ImagePoints
 from fg_orient.errors import InputError, Problem, problem
 from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.pushbroom import PushbroomSensor
 
 Array = npt.NDArray[np.float64]
 
@@ -39,7 +42,9 @@ def all_rays(
     return centre, direction
 
 
-def intersect(centre_m: Array, direction: Array, point: npt.NDArray[np.intp], n_points: int) -> tuple[Array, Array]:
+def nearest_points(
+    centre_m: Array, direction: Array, point: npt.NDArray[np.intp], n_points: int
+) -> tuple[Array, Array]:
     """Points nearest to their rays.
 
     Parameters
@@ -52,8 +57,8 @@ def intersect(centre_m: Array, direction: Array, point: npt.NDArray[np.intp], n_
     Returns
     -------
     points_m : (n_points, 3) array, nan for points with fewer than two rays or parallel ones
-    convergence_deg : (n_points,) array, the largest angle between two rays' normal planes,
-        from the second eigenvalue of the mean projector (0 = parallel)
+    convergence_deg : (n_points,) array, the angle between two rays (0 = parallel); for more
+        rays the angle of two with the same smallest eigenvalue of the mean projector
     """
     normal = np.eye(3) - direction[:, :, None] * direction[:, None, :]
     n = np.zeros((n_points, 3, 3))
@@ -73,6 +78,46 @@ def intersect(centre_m: Array, direction: Array, point: npt.NDArray[np.intp], n_
         if len(good):
             out[good] = np.linalg.solve(n[good], b[good][:, :, None])[:, :, 0] + reference
     return out, spread
+
+
+def intersect(
+    sensors: Sequence[PushbroomSensor],
+    line: npt.ArrayLike,
+    sample: npt.ArrayLike,
+    corrections: Sequence[Correction | None] | None = None,
+) -> Array:
+    """Ground points seen by every sensor: stereo and multi-ray intersection.
+
+    Parameters
+    ----------
+    sensors : sequence of k PushbroomSensor, at least two
+    line, sample : (k,) or (k, N) arrays
+        Pixels of the same points in each image, (0, 0) = centre of the first pixel.
+    corrections : sequence of k Correction or None, optional
+        Adjusted orientation, for instance ``solution.correction("left")``.
+
+    Returns
+    -------
+    (N, 3) array
+        Points nearest to their rays, ECEF m.
+
+    Raises
+    ------
+    InputError
+        A pixel lies outside its image, or rays are parallel.
+    """
+    lines, samples = (np.asarray(a, float).reshape(len(sensors), -1) for a in (line, sample))
+    rays = []
+    for k, sensor in enumerate(sensors):
+        sensor.require_inside(lines[k], samples[k])
+        rays.append(sensor.rays(lines[k], samples[k], None if corrections is None else corrections[k]))
+    n = lines.shape[1]
+    centre, direction = (np.concatenate([pair[i] for pair in rays]) for i in (0, 1))
+    found, spread = nearest_points(centre, direction, np.tile(np.arange(n), len(sensors)), n)
+    bad = np.flatnonzero(missing_rows(found))
+    if len(bad):
+        raise InputError(*(_complaint(f"number {j + 1}", spread[j], False) for j in bad))
+    return found
 
 
 def ground_points(
@@ -95,7 +140,7 @@ def ground_points(
         return start
     rows = unknown[observations.point]
     centre, direction = all_rays(images, observations.take(rows), corrections)
-    found, spread = intersect(centre, direction, observations.point[rows], len(ids))
+    found, spread = nearest_points(centre, direction, observations.point[rows], len(ids))
     start[unknown] = found[unknown]
     ahead = np.einsum("ni,ni->n", start[observations.point[rows]] - centre, direction) > 0.0
     behind = np.isin(np.arange(len(ids)), observations.point[rows][~ahead & ~np.isnan(ahead)])

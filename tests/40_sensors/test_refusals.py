@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import fg_orient as fg
 from fg_orient.errors import InputError, OutOfImage, OutOfTimeRange
 from fg_orient.sensors.metadata import LineTiming, LookAnglePolynomial, PushbroomMetadata
 from fg_orient.sensors.pushbroom import PushbroomSensor
@@ -69,3 +70,19 @@ def test_points_outside_or_behind(metadata: PushbroomMetadata) -> None:
     assert -80.0 < sample[0] < -40.0
     assert not sensor.is_inside(line, sample).any()
     assert np.isnan([line[1], sample[1]]).all()
+
+
+def test_intersection_of_two_images(metadata: PushbroomMetadata) -> None:
+    """Noise-free pixels of a ground point meet in it: 1e-6 m; a single direction is refused."""
+    block, truth = zonguldak_block(ZonguldakOptions(seed=1))
+    sensors = [image.sensor for image in block.images]
+    pixels = [s.project(truth.ecef_m, c) for s, c in zip(sensors, truth.corrections, strict=True)]
+    line, sample = (np.array([p[k] for p in pixels]) for k in (0, 1))
+    found = fg.intersect(sensors, line, sample, truth.corrections)
+    assert np.abs(found - truth.ecef_m).max() < 1e-6
+    uncorrected = fg.intersect(sensors, line, sample)
+    assert 1.0 < np.linalg.norm(uncorrected - truth.ecef_m, axis=1).max() < 100.0
+    with pytest.raises(InputError, match="parallel"):
+        fg.intersect([sensors[0], sensors[0]], [5.0, 5.0], [5.0, 5.0])
+    with pytest.raises(OutOfImage):
+        fg.intersect(sensors, [5.0, -5.0], [5.0, 5.0])
