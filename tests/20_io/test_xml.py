@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fg_orient.errors import InputError
-from fg_orient.io.xml import DEGREES, METRES, MILLISECONDS, PURE, RADIANS, SECONDS, Quantity, XmlNode, read_xml
+from fg_orient.io.xml import DEGREES, LARGEST, METRES, MILLISECONDS, PURE, RADIANS, SECONDS, Quantity, XmlNode, read_xml
 
 
 def node(tmp_path: Path, inner: str) -> XmlNode:
@@ -41,10 +41,17 @@ def test_numbers_follow_their_unit(tmp_path: Path, text: str, quantity: Quantity
     assert node(tmp_path, text).one("a").number(quantity) == pytest.approx(expected, rel=1e-15)
 
 
-@given(value=st.floats(allow_nan=False, allow_infinity=False))
+@given(value=st.floats(-LARGEST, LARGEST))
 def test_every_printed_float_is_read_exactly(tmp_path_factory: pytest.TempPathFactory, value: float) -> None:
     root = node(tmp_path_factory.mktemp("n"), f"<a>{value!r}</a>")
     assert root.one("a").number() == value
+
+
+@pytest.mark.parametrize("text", ["1.1e30", "-1e31", "1e154", "1e308", "1e400"])
+def test_numbers_of_impossible_size_are_refused(tmp_path: Path, text: str) -> None:
+    """Their squares would overflow in the checks that follow."""
+    with pytest.raises(InputError, match="not a finite number of possible size"):
+        node(tmp_path, f"<a>{text}</a>").one("a").number()
 
 
 @given(text=st.text(st.characters(exclude_characters="<&\r", exclude_categories=("Cs", "Cc")), min_size=1, max_size=12))
