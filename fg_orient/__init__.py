@@ -23,7 +23,7 @@ if not getattr(factors, "FG_ORIENT_FACTORS", False):
     )
 
 if TYPE_CHECKING:
-    from fg_orient.block import Block, GroundPoints, Image, ImagePoints, Options
+    from fg_orient.block import Block, ExtraObservation, GroundPoints, Image, ImagePoints, Options
     from fg_orient.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
     from fg_orient.initial import intersect
     from fg_orient.io.project import read_project
@@ -37,6 +37,7 @@ __version__: Final = "0.1.0"
 #: Public name -> module that defines it.
 _HOME: Final[dict[str, str]] = {
     "Block": "fg_orient.block",
+    "ExtraObservation": "fg_orient.block",
     "FgOrientError": "fg_orient.errors",
     "GroundPoints": "fg_orient.block",
     "Image": "fg_orient.block",
@@ -56,6 +57,7 @@ _HOME: Final[dict[str, str]] = {
 
 __all__ = [
     "Block",
+    "ExtraObservation",
     "FgOrientError",
     "GroundPoints",
     "Image",

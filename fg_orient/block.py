@@ -1,4 +1,4 @@
-"""The data model of an adjustment: images, ground points, image points. Immutable.
+"""The data model of an adjustment: images, ground points, image points. Immutable, arrays included.
 
 A :class:`Block` holds what is known before the adjustment. The coordinates of **check
 points** are not in :class:`GroundPoints` (their rows are nan): they stay sealed in
@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.errors import InputError, Problem, problem
 from fg_orient.names import Role
 
 if TYPE_CHECKING:
@@ -22,6 +23,36 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+CheckPoints = Literal["use", "exclude"]
+
+#: Bounds of options, both ends included; the project file's schema takes them from here.
+EOP_SET_RANGE: Final = (1, 20)
+LOOK_DEGREE_RANGE: Final = (0, 5)
+ITERATION_RANGE: Final = (1, 10_000)
+_THREE: Final = "three numbers above zero: the sigmas of c0, c1, c2"
+#: What each checked option must be, in words.
+EXPECTED: Final = {
+    "eop_set": f"a number from {EOP_SET_RANGE[0]} to {EOP_SET_RANGE[1]}",
+    "look_polynomial": f"a degree from {LOOK_DEGREE_RANGE[0]} to {LOOK_DEGREE_RANGE[1]}; "
+    "leave it out for no look-angle unknowns",
+    "priors": "true or false",
+    "position_sigma_m": f"{_THREE} in m",
+    "velocity_sigma_m_s": f"{_THREE} in m/s",
+    "attitude_sigma_rad": f"{_THREE} in rad",
+    "look_sigma_rad": "a number above zero in rad",
+    "small_angle": "true or false",
+    "max_iterations": f"a whole number from {ITERATION_RANGE[0]} to {ITERATION_RANGE[1]}",
+    "check_points": " or ".join(f'"{word}"' for word in get_args(CheckPoints)),
+}
+
+
+def _read_only(record: object, **kinds: type) -> None:
+    """Replace arrays of a frozen record by read-only copies of the given types."""
+    for name, kind in kinds.items():
+        given = getattr(record, name)
+        array: npt.NDArray[Any] = np.array(given, dtype=kind)
+        array.setflags(write=False)
+        object.__setattr__(record, name, array)
 
 
 @dataclass(frozen=True)
@@ -32,21 +63,41 @@ class Image:
     sensor: PushbroomSensor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Coordinates:
-    """Measured ground coordinates: ``ecef_m`` (n, 3), ``sigma_enu_m`` (n, 3), ``fixed`` (n,) bool.
+    """Measured ground coordinates; the arrays are copied and read-only.
 
-    Sigmas are East, North, Up of the point itself; rows without coordinates are nan.
+    Parameters
+    ----------
+    ecef_m : (n, 3) array
+        WGS84 Earth-centred coordinates; rows without coordinates are nan.
+    sigma_enu_m : (n, 3) array
+        Sigmas East, North, Up at the point itself; nan for fixed points and rows without coordinates.
+    fixed : (n,) bool array
+        Constant in the adjustment: such a point has no residual.
     """
 
     ecef_m: Array
     sigma_enu_m: Array
     fixed: npt.NDArray[np.bool_]
 
+    def __post_init__(self) -> None:
+        _read_only(self, ecef_m=np.float64, sigma_enu_m=np.float64, fixed=np.bool_)
+
 
 @dataclass(frozen=True)
 class GroundPoints:
-    """Ground points in file order; ``known`` holds rows of control points only (others nan)."""
+    """Ground points in file order.
+
+    Parameters
+    ----------
+    ids : tuple of str
+        Unique ids.
+    roles : tuple of Role
+        Control, check or tie, one per id.
+    known : Coordinates
+        One row per id; only rows of control points hold coordinates, the others are nan.
+    """
 
     ids: tuple[str, ...]
     roles: tuple[Role, ...]
@@ -72,9 +123,19 @@ class WithheldCoordinates:
         return self.reader()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImagePoints:
-    """Image observations: index arrays into images and ground points, pixels and their sigmas."""
+    """Image observations, one per row; the arrays are copied and read-only.
+
+    Parameters
+    ----------
+    image, point : (n,) int arrays
+        Positions in the block's images and ground points.
+    line, sample : (n,) arrays
+        Pixels; (0, 0) is the centre of the first pixel.
+    sigma_line_px, sigma_sample_px : (n,) arrays
+        Their standard deviations.
+    """
 
     image: Index
     point: Index
@@ -82,6 +143,10 @@ class ImagePoints:
     sample: Array
     sigma_line_px: Array
     sigma_sample_px: Array
+
+    def __post_init__(self) -> None:
+        _read_only(self, image=np.intp, point=np.intp)
+        _read_only(self, line=np.float64, sample=np.float64, sigma_line_px=np.float64, sigma_sample_px=np.float64)
 
     def __len__(self) -> int:
         return len(self.line)
@@ -103,17 +168,28 @@ class Options:
     eop_set : int
         Number 1-20 of the EOP set (docs/concepts.md).
     look_polynomial : int or None
-        Degree of the look-angle correction polynomial; None = no such unknowns.
+        Degree 0-5 of the look-angle correction polynomial; None = no such unknowns.
     priors : bool
         False leaves the orientation unknowns without prior observations.
     position_sigma_m, velocity_sigma_m_s, attitude_sigma_rad : tuple of 3 floats
         Prior sigmas of c0, c1, c2 of tau.
     look_sigma_rad : float
         Prior sigma of each coefficient of the look polynomial.
+    small_angle : bool
+        True linearises the attitude rotation in its angles, as the publications do; False keeps it exact.
     backend : str
-        "auto" or "graph" in this version.
+        "auto" or "graph" in this version; judged when the block is adjusted.
     optimizer : str
-        "gauss-newton", "levenberg-marquardt", "dogleg" or "native".
+        "gauss-newton", "levenberg-marquardt", "dogleg" or "native"; judged when the block is adjusted.
+    max_iterations : int
+        Give up after so many, 1 to 10000.
+    check_points : str
+        "use": their rays take part; "exclude": left out, intersected afterwards.
+
+    Raises
+    ------
+    InputError
+        One problem per value that is not possible.
     """
 
     eop_set: int = 15
@@ -127,10 +203,47 @@ class Options:
     backend: str = "auto"
     optimizer: str = "gauss-newton"
     max_iterations: int = 50
-    check_points: str = "use"  # "use": their rays take part; "exclude": left out, intersected afterwards
+    check_points: CheckPoints = "use"
+
+    def __post_init__(self) -> None:
+        problems: list[Problem] = []
+        for name, expected in EXPECTED.items():
+            value = getattr(self, name)
+            if not _allowed(name, value):
+                problems.append(problem("options.value", place=name, value=repr(value), expected=expected))
+        if problems:
+            raise InputError(*problems)
 
 
-@dataclass(frozen=True)
+def _allowed(name: str, value: Any) -> bool:
+    """Judge one option; what it must be stands in :data:`EXPECTED`."""
+    match name:
+        case "eop_set":
+            return _whole(value, EOP_SET_RANGE)
+        case "look_polynomial":
+            return value is None or _whole(value, LOOK_DEGREE_RANGE)
+        case "max_iterations":
+            return _whole(value, ITERATION_RANGE)
+        case "priors" | "small_angle":
+            return isinstance(value, bool | np.bool_)
+        case "check_points":
+            return isinstance(value, str) and value in get_args(CheckPoints)
+        case "look_sigma_rad":
+            return _positive(value)
+    return isinstance(value, tuple | list) and len(value) == 3 and all(_positive(v) for v in value)
+
+
+def _whole(value: Any, limits: tuple[int, int]) -> bool:
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return bool(is_whole and limits[0] <= value <= limits[1])
+
+
+def _positive(value: Any) -> bool:
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return bool(is_number and 0.0 < value < np.inf)
+
+
+@dataclass(frozen=True, eq=False)
 class ExtraObservation:
     """An observation of any registered equation, beyond image and control points.
 
@@ -167,7 +280,26 @@ class Source:
 
 @dataclass(frozen=True)
 class Block:
-    """Everything an adjustment starts from."""
+    """Everything an adjustment starts from.
+
+    Parameters
+    ----------
+    name : str
+        Name of the project, for the report.
+    images : tuple of Image
+    points : GroundPoints
+        All ground points; their rows are what ``observations.point`` counts.
+    observations : ImagePoints
+    withheld : WithheldCoordinates
+        Coordinates of the check points, not to be opened before the solution stands.
+    options : Options
+    sources : tuple of Source
+        Files it was read from; empty for a block made in memory.
+    notes : tuple of str
+        Remarks of the readers, shown in the report.
+    extra : tuple of ExtraObservation
+        Further observations of any registered equation.
+    """
 
     name: str
     images: tuple[Image, ...]
@@ -176,7 +308,7 @@ class Block:
     withheld: WithheldCoordinates
     options: Options = field(default_factory=Options)
     sources: tuple[Source, ...] = ()
-    notes: tuple[str, ...] = ()  # remarks of the readers, shown in the report
+    notes: tuple[str, ...] = ()
     extra: tuple[ExtraObservation, ...] = ()
 
     def image_index(self, image_id: str) -> int:

@@ -2,7 +2,8 @@
 
 Each entry maps a stable code to ``(message, remedy)``. Both are format strings; the
 fields are the keyword arguments given to :func:`fg_orient.errors.problem`. The code's
-first part is the domain (``xml``, ``dimap``, ``points``, ...). Tests raise every code.
+first part is the domain (``xml``, ``dimap``, ``points``, ...). Tests hold the catalogue and
+the sources against each other: no code is unknown or unused, no field of a message is missing.
 """
 
 from __future__ import annotations
@@ -139,6 +140,10 @@ PARAMETERS: Final = {
     ),
 }
 
+OPTIONS: Final = {
+    "options.value": ("the value of this option is not allowed", "give {expected}"),
+}
+
 ADJUST: Final = {
     "initial.no_intersection": (
         "no start value: fewer than two rays, or rays less than {least} degrees from parallel",
@@ -153,6 +158,22 @@ ADJUST: Final = {
         "use --optimizer gauss-newton, levenberg-marquardt or dogleg (the same linear algebra, driven from Python)",
     ),
     "adjust.rank_deficient": ("not observable without priors", "keep the priors or choose a smaller EOP set"),
+    "adjust.extra_kind": (
+        "an extra observation wants the other kind of unknown for its argument {argument}",
+        'give a point as "point:12", an image as "image:left", in the order of the equation',
+    ),
+    "adjust.extra_unused": (
+        "an extra observation names a point that takes no part in the adjustment",
+        "measure the point in two images, or let check points take part (--check-points use)",
+    ),
+    "adjust.extra_constant": (
+        "an extra observation between constants only adjusts nothing",
+        "name at least one point or image that is an unknown",
+    ),
+    "adjust.broken_down": (
+        "the normal equations cannot be solved: {why}",
+        "keep the priors, choose a smaller EOP set, measure more control points, or check sigmas and start values",
+    ),
     "adjust.extra_unknown": (
         "an extra observation names no image or point of the block",
         'name them as "image:left" or "point:12"',
@@ -347,7 +368,7 @@ OUTPUT: Final = {
     "output.not_a_folder": ("this is no folder, or a link to one", "give another --out"),
     "output.foreign": (
         "the folder holds other files, so it is not replaced",
-        "give another --out; --overwrite replaces folders with {mark} only",
+        "give another --out, or move them; --overwrite replaces only a folder with {mark} and nothing of others",
     ),
     "output.unwritable": ("the file cannot be written", "check folder, permissions and free space"),
 }
@@ -367,6 +388,8 @@ CLI: Final = {
     "cli.one_image": ("an intersection needs two images", "give several metadata files, or one project file (.toml)"),
     "cli.no_frame": ("the file states no frame points of its own", "locate a pixel with --line and --sample"),
     "cli.three_numbers": ("not three numbers", "write roll,pitch,yaw in rad: --attitude=-1.6e-4,-7.2e-4,9e-4"),
+    "cli.without": ("{option} has no meaning together with {other}", "leave out one of them"),
+    "cli.internal": ("error of the program: {text}", "please report it{hint}"),
     "cli.usage": ("{text}", "see the command's --help"),
 }
 
@@ -387,6 +410,7 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **SENSOR,
     **DEM,
     **PARAMETERS,
+    **OPTIONS,
     **ADJUST,
     **OUTPUT,
     **CLI,

@@ -1,7 +1,8 @@
 """The project file's content as pydantic models: the border where TOML becomes options.
 
 Unknown keys, wrong types, nan and infinity are refused, all at once. ``description`` of a
-field is what an error message tells the user to give.
+field is what an error message tells the user to give. Bounds and defaults of options are
+those of :class:`fg_orient.block.Options`.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 from pydantic.fields import FieldInfo
 
+from fg_orient.block import EXPECTED, ITERATION_RANGE, LOOK_DEGREE_RANGE, CheckPoints, Options
 from fg_orient.errors import Problem, problem
 from fg_orient.io.tables import did_you_mean
 
@@ -18,7 +20,6 @@ Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
 Three = tuple[Positive, Positive, Positive]
 Switch = Annotated[bool, Field(strict=True)]
-_THREE = "three numbers above zero: the sigmas of c0, c1, c2"
 
 
 class _Table(BaseModel):
@@ -49,17 +50,17 @@ class Orientation(_Table):
     """The ``[orientation]`` table: which unknowns an image has and their prior sigmas."""
 
     eop_set: Annotated[int, Field(strict=True)] | Text = Field(
-        default=15, description='a number 1-20 or a name such as "PUA"'
+        default=Options.eop_set, description=EXPECTED["eop_set"] + ' or a name such as "PUA"'
     )
-    look_polynomial: Annotated[int, Field(strict=True, ge=0, le=5)] | None = Field(
-        default=None, description="a degree from 0 to 5; leave it out for no look-angle unknowns"
+    look_polynomial: Annotated[int, Field(strict=True, ge=LOOK_DEGREE_RANGE[0], le=LOOK_DEGREE_RANGE[1])] | None = (
+        Field(default=Options.look_polynomial, description=EXPECTED["look_polynomial"])
     )
-    priors: Switch = Field(default=True, description="true or false")
-    position_sigma_m: Three = Field(default=(10.0, 1.0, 0.1), description=_THREE + " in m")
-    velocity_sigma_m_s: Three = Field(default=(1e-2, 1e-3, 1e-4), description=_THREE + " in m/s")
-    attitude_sigma_rad: Three = Field(default=(50e-6, 10e-6, 2e-6), description=_THREE + " in rad")
-    look_sigma_rad: Positive = Field(default=1e-4, description="a number above zero in rad")
-    small_angle: Switch = Field(default=False, description="true or false")
+    priors: Switch = Field(default=Options.priors, description=EXPECTED["priors"])
+    position_sigma_m: Three = Field(default=Options.position_sigma_m, description=EXPECTED["position_sigma_m"])
+    velocity_sigma_m_s: Three = Field(default=Options.velocity_sigma_m_s, description=EXPECTED["velocity_sigma_m_s"])
+    attitude_sigma_rad: Three = Field(default=Options.attitude_sigma_rad, description=EXPECTED["attitude_sigma_rad"])
+    look_sigma_rad: Positive = Field(default=Options.look_sigma_rad, description=EXPECTED["look_sigma_rad"])
+    small_angle: Switch = Field(default=Options.small_angle, description=EXPECTED["small_angle"])
 
 
 class Adjustment(_Table):
@@ -69,10 +70,10 @@ class Adjustment(_Table):
     optimizer: Literal["gauss-newton", "levenberg-marquardt", "dogleg", "native"] = Field(
         default="gauss-newton", description='"gauss-newton", "levenberg-marquardt", "dogleg" or "native"'
     )
-    max_iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = Field(
-        default=50, description="a whole number from 1 to 10000"
+    max_iterations: Annotated[int, Field(strict=True, ge=ITERATION_RANGE[0], le=ITERATION_RANGE[1])] = Field(
+        default=Options.max_iterations, description=EXPECTED["max_iterations"]
     )
-    check_points: Literal["use", "exclude"] = Field(default="use", description='"use" or "exclude"')
+    check_points: CheckPoints = Field(default=Options.check_points, description=EXPECTED["check_points"])
     points_seen_once: Literal["error", "drop"] = Field(default="error", description='"error" or "drop"')
 
 
