@@ -127,6 +127,10 @@ def evaluate(
     return values, tuple([row[1 + k] for row in rows] for k in range(len(equation.arguments)))
 
 
+class NotFiniteError(ValueError):
+    """A residual or Jacobian is nan or inf: the state is impossible, not the code."""
+
+
 def check_blocks(name: str, label: str, blocks: tuple[Any, ...], sizes: tuple[int, ...], n_residuals: int) -> None:
     """Refuse a kernel result of wrong shape, type or with values that are not finite.
 
@@ -147,4 +151,4 @@ def check_blocks(name: str, label: str, blocks: tuple[Any, ...], sizes: tuple[in
         if block.shape != shape:
             raise ValueError(f"equation {name!r}, {label}: {what} has shape {block.shape}, expected {shape}")
         if not math.isfinite(float(block.sum())):
-            raise ValueError(f"equation {name!r}, {label}: {what} is not finite")
+            raise NotFiniteError(f"equation {name!r}, {label}: {what} is not finite")

@@ -129,8 +129,16 @@ DEM: Final = {
     "dem.no_rasterio": ("reading a DEM needs rasterio", "install the extra: pip install 'fg-orient[geo]'"),
     "dem.missing": ("the DEM file does not exist", "check the path"),
     "dem.no_crs": ("the DEM has no coordinate reference system", "assign one, for instance with gdal_edit -a_srs"),
+    "dem.vertical_crs": (
+        "the DEM's heights refer to a vertical CRS, not to the ellipsoid",
+        "convert them to ellipsoidal heights, for instance with gdalwarp -t_srs EPSG:4979",
+    ),
+    "dem.vertical_unit": ("the DEM's heights are not in metres", "convert them to metres"),
     "dem.unreadable": ("the DEM cannot be read", "give a raster that GDAL reads"),
-    "dem.not_covered": ("a viewing ray leaves the DEM or meets nodata", "use a DEM that covers the image footprint"),
+    "dem.not_covered": (
+        "a viewing ray meets nodata or comes from outside the DEM below its highest point",
+        "use a DEM without holes that covers the image footprint and what lies in front of it",
+    ),
 }
 
 PARAMETERS: Final = {
@@ -148,6 +156,14 @@ ADJUST: Final = {
     "initial.no_intersection": (
         "no start value: fewer than two rays, or rays less than {least} degrees from parallel",
         "measure the point in another image, give it coordinates as control, or remove it",
+    ),
+    "initial.pixel_count": (
+        "lines and samples must have one row for each of the {sensors} sensors, of the same length",
+        "give (k,) or (k, N) arrays, row k for sensor k",
+    ),
+    "initial.correction_count": (
+        "there must be one correction for each of the {sensors} sensors",
+        "give one per sensor, None where the metadata orientation is meant",
     ),
     "initial.behind": ("its rays meet behind a sensor", "check the point's identity in every image"),
     "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
@@ -185,6 +201,10 @@ ADJUST: Final = {
     "covariance.withheld": ("no covariance was computed", "see the warnings of the adjustment"),
     "covariance.no_such": ("no such image or point", 'name them as "image:left" or "point:12"'),
     "covariance.not_unknown": ("not an unknown of the adjustment: no covariance", "ask for adjusted points only"),
+    "block.not_finite": (
+        "pixels, coordinates or sigmas are not finite, or sigmas not positive",
+        "correct them or leave the point out",
+    ),
     "block.no_control": (
         "no control point is measured in any image: the block has no datum",
         "give at least one point of role control, better six or more well spread",

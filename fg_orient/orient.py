@@ -12,26 +12,24 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv
 
 from fg_orient import initial
+from fg_orient.adjustment.located import LocatedPoint, locate_point
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.problem import Problem, State, compile_problem, enu_from_ecef
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.errors import RankDeficientError, problem
-from fg_orient.names import Role, Status
+from fg_orient.names import Role
 from fg_orient.parameters import eop_set_number
-from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy, PointDifferences, differences
-from fg_orient.quality.covariance import Cofactors, propagated_point
-from fg_orient.quality.observability import ImageObservability, analyse
+from fg_orient.quality import verdict
+from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
+from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.observability import BlockObservability, ImageObservability, analyse, analyse_block
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.solution import Seconds, Solution
 
 Array = npt.NDArray[np.float64]
-
-#: Probability of the two-sided interval of sigma0 beyond which a solution is not trusted.
-SIGMA0_LEVEL = 0.999
 
 
 def adjust(
@@ -82,10 +80,10 @@ def adjust(
     start = time.perf_counter()
     compiled = compile_problem(replace(block, options=options))
     observability = judge_observability(compiled)
-    refuse_deficient(compiled, observability)
+    block_view = refuse_deficient(compiled, observability)
     structure = time.perf_counter() - start
     estimate = solve(compiled, callback)
-    return conclude(compiled, observability, estimate, structure)
+    return conclude(compiled, observability, block_view, estimate, structure)
 
 
 def judge_observability(compiled: Problem, state: State | None = None) -> tuple[ImageObservability, ...]:
@@ -112,18 +110,22 @@ def _central_frame(sensor: PushbroomSensor) -> tuple[Array, float]:
     return frame, float(state.velocity_m_s[0] @ frame[:, 1])
 
 
-def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability, ...]) -> None:
-    """Refuse a block whose unknowns nothing determines.
+def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability, ...]) -> BlockObservability | None:
+    """Refuse a block whose unknowns nothing determines; without priors, give the view of the whole block.
 
     Raises
     ------
     RankDeficientError
-        One problem per dead direction.
+        One problem per direction that no image shows, or that no control point fixes.
     """
     if compiled.block.options.priors:
-        return
+        return None
     defect = {o.image: o.rank_defect for o in observability}
     sentences = [sentence for o in observability for sentence in o.sentences]
+    view = None
+    if not sentences and compiled.redundancy >= 0:
+        view = analyse_block(compiled)
+        sentences = list(view.sentences)
     if sentences:
         problems = [problem("adjust.rank_deficient", place=sentence) for sentence in sentences]
         raise RankDeficientError(*problems, rank_defect=defect)
@@ -132,23 +134,32 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
             "adjust.negative_redundancy", place=compiled.block.name, value=compiled.redundancy,
             observations=compiled.n_observations, unknowns=compiled.n_unknowns,
         ), rank_defect=defect)  # fmt: skip
+    return view
 
 
 def conclude(
-    compiled: Problem, observability: tuple[ImageObservability, ...], estimate: Estimate, structure_s: float
+    compiled: Problem,
+    observability: tuple[ImageObservability, ...],
+    block_view: BlockObservability | None,
+    estimate: Estimate,
+    structure_s: float,
 ) -> Solution:
     """Statistics after convergence; the check points' coordinates are opened here and nowhere before."""
     start = time.perf_counter()
     cofactors, withheld = _cofactors(compiled, estimate)
-    ground = _all_ground_points(compiled, estimate.state)
-    accuracy = _assess(compiled, estimate.state, ground, cofactors)
-    status, reason, interval = _judge(compiled, estimate)
-    warnings = _warnings(compiled, observability, accuracy, status, reason)
+    located = _located_afterwards(compiled, estimate.state)
+    ground = estimate.state.ground + compiled.origin_m
+    for j, point in located.items():
+        ground[j] = point.ground_m
+    accuracy = _assess(compiled, ground, located, cofactors)
+    found = verdict.judge(compiled, estimate, withheld)
+    warnings = verdict.warnings(compiled, estimate, found, observability, block_view, accuracy)
     return Solution(
-        problem=compiled, status=status, reason=reason, backend="graph", optimizer=compiled.block.options.optimizer,
-        state=estimate.state, ground_m=ground, chi2=estimate.chi2, sigma0_interval=interval, log=estimate.log,
-        iterations=estimate.iterations, residuals_px=compiled.pixel_residuals(estimate.state),
-        observability=observability, accuracy=accuracy, cofactors=cofactors, withheld=withheld, warnings=warnings,
+        problem=compiled, status=found.status, reason=found.reason, ended=estimate.reason, backend="graph",
+        optimizer=compiled.block.options.optimizer, state=estimate.state, ground_m=ground, chi2=estimate.chi2,
+        sigma0_interval=found.interval, log=estimate.log, iterations=estimate.iterations,
+        residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, accuracy=accuracy,
+        cofactors=cofactors, withheld=withheld, warnings=warnings,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, estimate.jit_s, estimate.solve_s,
                         time.perf_counter() - start),
     )  # fmt: skip
@@ -157,97 +168,60 @@ def conclude(
 def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[str, ...]]:
     try:
         return Cofactors(compiled, estimate.state, estimate.linear, estimate.zero), ()
-    except RuntimeError as error:
-        return None, (f"covariance withheld: GTSAM finds the normal equations indeterminate ({str(error)[:120]})",)
+    except RuntimeError:
+        text = "covariance withheld: GTSAM finds the normal equations indeterminate"
+        return None, (f"{text}; measure more control points or keep the priors",)
 
 
-def _all_ground_points(compiled: Problem, state: State) -> Array:
-    """ECEF coordinates of all points; excluded check points intersected with the adjusted orientation."""
-    ground = state.ground + compiled.origin_m
-    missing = initial.missing_rows(ground)
+def _located_afterwards(compiled: Problem, state: State) -> dict[int, LocatedPoint]:
+    """Excluded check points, located with the adjusted orientation: index to point."""
+    missing = initial.missing_rows(state.ground)
     o = compiled.block.observations
     rows = missing[o.point]
-    if rows.any():
-        seen = np.unique(o.point[rows])
-        wanted = np.zeros_like(ground)
-        wanted[seen] = np.nan
-        found = initial.ground_points(
-            compiled.block.images, o.take(rows), compiled.block.points.ids, wanted, compiled.corrections(state)
-        )
-        ground[seen] = found[seen]
-    return ground
+    if not rows.any():
+        return {}
+    seen = np.unique(o.point[rows])
+    wanted = np.zeros_like(state.ground)
+    wanted[seen] = np.nan
+    start = initial.ground_points(
+        compiled.block.images, o.take(rows), compiled.block.points.ids, wanted, compiled.corrections(state)
+    )
+    return {int(j): locate_point(compiled, state, start[j], int(j)) for j in seen}
 
 
-def _assess(compiled: Problem, state: State, ground: Array, cofactors: Cofactors | None) -> Accuracy:
+def _assess(
+    compiled: Problem, ground: Array, located: dict[int, LocatedPoint], cofactors: Cofactors | None
+) -> Accuracy:
     """Differences at control points and, after opening their coordinates, at check points."""
     points = compiled.block.points
     used = ~initial.missing_rows(ground)
     control = np.array([j for j in points.where(Role.CONTROL) if used[j]], dtype=np.intp)
+    adjusted = control[compiled.active[control]]  # a fixed point is a constant: it has no difference
     check = np.array([j for j in points.where(Role.CHECK) if used[j]], dtype=np.intp)
     opened = compiled.block.withheld.open() if len(check) else None
     order = [compiled.block.withheld.ids.index(points.ids[j]) for j in check]
+    at_control = _differences(compiled, ground, adjusted, points.known, adjusted, located, cofactors)
     return Accuracy(
-        _differences(compiled, state, ground, control, points.known, control, cofactors),
-        _differences(compiled, state, ground, check, opened or points.known, np.array(order, np.intp), cofactors),
+        replace(at_control, n_fixed=len(control) - len(adjusted)),
+        _differences(compiled, ground, check, opened or points.known, np.array(order, np.intp), located, cofactors),
     )
 
 
 def _differences(
-    compiled: Problem, state: State, ground: Array, index: npt.NDArray[np.intp], measured: Coordinates,
-    rows: npt.NDArray[np.intp], cofactors: Cofactors | None,
-) -> PointDifferences:  # fmt: skip
+    compiled: Problem,
+    ground: Array,
+    index: npt.NDArray[np.intp],
+    measured: Coordinates,
+    rows: npt.NDArray[np.intp],
+    located: dict[int, LocatedPoint],
+    cofactors: Cofactors | None,
+) -> PointDifferences:
     ids = tuple(compiled.block.points.ids[j] for j in index)
     measured_m = measured.ecef_m[rows].reshape(-1, 3)
     q = np.full((len(index), 3, 3), np.nan)
     if cofactors is not None:
-        for k, j in enumerate(index):
-            excluded = not compiled.active[j] and compiled.block.points.roles[j] is Role.CHECK
-            q[k] = (
-                propagated_point(compiled, state, ground[j], int(j), cofactors) if excluded else cofactors.point(int(j))
-            )
-    sigma = np.where(measured.fixed[rows][:, None], 0.0, measured.sigma_enu_m[rows]).reshape(-1, 3)
+        for k, j in enumerate(index.tolist()):
+            point = located.get(j)
+            q[k] = cofactors.point(j) if point is None else point.cofactors(cofactors.joint(point.images, ()))
+    sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
     return differences(ids, index, ground[index], measured_m, sigma, q, enu_from_ecef(measured_m))
-
-
-def _judge(compiled: Problem, estimate: Estimate) -> tuple[Status, str, tuple[float, float]]:
-    """Status from convergence and the global test of sigma0."""
-    f = compiled.redundancy
-    if not estimate.converged or not np.isfinite(estimate.chi2):
-        return Status.NOT_CONVERGED, estimate.reason, (float("nan"), float("nan"))
-    if f <= 0:
-        return Status.CONVERGED, "no redundancy: nothing was checked", (float("nan"), float("nan"))
-    tail = 0.5 * (1.0 - SIGMA0_LEVEL)
-    low, high = (float(np.sqrt(2.0 * gammaincinv(0.5 * f, p) / f)) for p in (tail, 1.0 - tail))  # chi-square / f
-    sigma0 = float(np.sqrt(estimate.chi2 / f))
-    if sigma0 > high:
-        reason = (
-            f"sigma0 = {sigma0:.2f} lies above {high:.2f}, the upper end of its 99.9 % interval: the observations do "
-            "not fit the model within their sigmas. The unknowns cannot take up the errors present, or the sigmas "
-            "are too small, or there are gross errors; standard deviations and coordinates must not be trusted"
-        )
-        return Status.NOT_TRUSTWORTHY, reason, (low, high)
-    return Status.CONVERGED, estimate.reason, (low, high)
-
-
-def _warnings(
-    compiled: Problem, observability: tuple[ImageObservability, ...], accuracy: Accuracy, status: Status, reason: str
-) -> tuple[str, ...]:
-    """Problems first, in the order a reader should meet them."""
-    out = [] if status is Status.CONVERGED and compiled.redundancy > 0 else [reason]
-    if any(o.rank_defect for o in observability):
-        count = sum(o.rank_defect for o in observability)
-        out.append(f"{count} direction(s) of the orientation are not observable and are held by their priors alone")
-    if compiled.parameters.n_eop < len(compiled.parameters):
-        out.append(
-            "the constant and linear look-angle terms nearly duplicate roll, pitch and yaw: judge their sum, "
-            "not each alone"
-        )
-    suspicious = accuracy.check.suspicious()
-    if suspicious:
-        names = ", ".join(dict.fromkeys(row[0] for row in suspicious))
-        out.append(f"check points beyond 3 standard deviations of the difference: {names}")
-    if 0 < len(accuracy.check) < ASPRS_MINIMUM:
-        out.append(f"{len(accuracy.check)} check points: ASPRS (2023) asks for at least {ASPRS_MINIMUM}")
-    if not len(accuracy.check):
-        out.append("no check points: the accuracy is not verified independently")
-    return tuple(out)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.block import Block
-from fg_orient.errors import NoSolutionError
+from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Role, Status
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.covariance import Cofactors, NamedMatrix, named_cofactors
@@ -51,7 +51,9 @@ class Solution:
         What was solved (block, parameters, weights, start).
     status : Status
     reason : str
-        Why it ended so, in words.
+        The verdict in words.
+    ended : str
+        Why the iteration ended.
     state : State
         Unknowns: prior sigmas and local metres.
     ground_m : (N, 3) array
@@ -73,6 +75,7 @@ class Solution:
     problem: Problem
     status: Status
     reason: str
+    ended: str
     backend: str
     optimizer: str
     state: State
@@ -115,7 +118,15 @@ class Solution:
         return tuple(sentence for o in self.observability for sentence in o.sentences)
 
     def correction(self, image: str) -> Correction:
-        """Orientation correction of an image in physical units, for its sensor."""
+        """Orientation correction of an image in physical units, for its sensor.
+
+        Raises
+        ------
+        InputError
+            There is no such image.
+        """
+        if image not in [i.id for i in self.block.images]:
+            raise InputError.of("covariance.no_such", place="correction", value=image)
         return self.problem.corrections(self.state)[self.block.image_index(image)]
 
     def cofactor_matrix(self, *names: str) -> NamedMatrix:

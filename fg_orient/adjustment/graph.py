@@ -64,17 +64,23 @@ def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFact
     """Factor of an observation given by the user; points that are no unknowns enter as constants."""
     unknowns: list[int | Array] = []
     sizes = []
-    for name in extra.unknowns:
+    for name, argument in zip(extra.unknowns, extra.equation.arguments, strict=True):
         kind, _, identifier = name.partition(":")
+        if argument.is_point != (kind == "point"):
+            raise InputError.of("adjust.extra_kind", place=extra.label, value=name, argument=argument.name)
         if kind == "image" and identifier in [image.id for image in problem.block.images]:
             unknowns.append(image_key(problem.block.image_index(identifier)))
             sizes.append(len(problem.parameters))
         elif kind == "point" and identifier in problem.block.points.ids:
             j = problem.block.points.ids.index(identifier)
+            if np.isnan(problem.start.ground[j]).any():
+                raise InputError.of("adjust.extra_unused", place=extra.label, value=name)
             unknowns.append(point_key(j) if problem.active[j] else np.ascontiguousarray(problem.start.ground[j]))
             sizes.append(3)
         else:
             raise InputError.of("adjust.extra_unknown", place=extra.label, value=name)
+    if not any(isinstance(u, int) for u in unknowns):
+        raise InputError.of("adjust.extra_constant", place=extra.label, value=", ".join(extra.unknowns))
     return factor(
         extra.equation, unknowns, sizes, extra.record, extra.setup, label=extra.label, n_residuals=extra.n_residuals
     )
@@ -115,11 +121,12 @@ class GraphSystem:
             linear = gtsam.GaussianFactorGraph()
             linear.push_back(self.linear)
             linear.push_back(self._backend.damping_factors(damping))
-        if self._backend.use_qr:
-            delta = linear.optimize(self._backend.ordering, gtsam.EliminateQR)
-        else:
-            delta = linear.optimize(self._backend.ordering)
-        return self._step(delta)
+        if not self._backend.use_qr:
+            try:
+                return self._step(linear.optimize(self._backend.ordering))
+            except RuntimeError:  # GTSAM's Cholesky gives up on well-posed but badly scaled systems
+                self._backend.use_qr = True
+        return self._step(linear.optimize(self._backend.ordering, gtsam.EliminateQR))
 
     def dogleg(self, radius: float) -> GraphStep:
         """Blend of the steepest-descent and the Gauss-Newton step."""

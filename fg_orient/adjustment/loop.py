@@ -118,6 +118,10 @@ class _Log:
         return record
 
 
+def _exhausted(max_iterations: int) -> str:
+    return f"no convergence within {max_iterations} iteration(s): raise --max-iterations, or look at the start values"
+
+
 def _small(step: float, previous: float) -> bool:
     return step < STEP_TOLERANCE or (step < ROUNDING_STEP and step > 0.5 * previous)
 
@@ -139,9 +143,10 @@ def gauss_newton(backend: Backend[S], start: S, max_iterations: int, callback: C
                 state, error, tuple(log.records), False, "the error rises: try --optimizer levenberg-marquardt"
             )
         if following is None:
-            return LoopResult(state, error, tuple(log.records), rising == 0, SMALL)
+            reason = SMALL if rising == 0 else "the last step raised the error: try --optimizer levenberg-marquardt"
+            return LoopResult(state, error, tuple(log.records), rising == 0, reason)
         system, previous = following, step.length
-    return LoopResult(state, system.error, tuple(log.records), False, f"no convergence in {max_iterations} iterations")
+    return LoopResult(state, system.error, tuple(log.records), False, _exhausted(max_iterations))
 
 
 def levenberg_marquardt(
@@ -203,10 +208,11 @@ def _controlled(
                 return LoopResult(state, system.error, tuple(log.records), False, "no step lowers the error")
             continue
         state, rejected = trial, 0
-        if _small(step.length, previous):
+        # a damped step may be small because of the damping: the undamped one decides
+        if _small(step.length, previous) and system.solve(0.0).length < ROUNDING_STEP:
             return LoopResult(state, error, tuple(log.records), True, SMALL)
         system, previous = backend.linearise(state), step.length
-    return LoopResult(state, system.error, tuple(log.records), False, f"no convergence in {max_iterations} iterations")
+    return LoopResult(state, system.error, tuple(log.records), False, _exhausted(max_iterations))
 
 
 OPTIMIZERS: dict[str, Callable[..., LoopResult[Any]]] = {

@@ -128,6 +128,7 @@ def compile_problem(block: Block) -> Problem:
     if not np.isin(control_rows, seen).any():
         raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control_rows)} measured")
     observations = _participating(block)
+    _require_finite(block, observations, control_rows)
     parameters = ImageParameters.from_options(options)
     origin = np.asarray(np.mean([image.sensor.centre_m for image in block.images], axis=0))
     known = block.points.known
@@ -146,6 +147,28 @@ def compile_problem(block: Block) -> Problem:
         State(np.zeros((len(block.images), len(parameters))), np.where(part[:, None], start_ecef - origin, np.nan)),
         active, observed, _control_records(known.sigma_enu_m, start_ecef, origin, observed),
     )  # fmt: skip
+
+
+def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArray[np.intp]) -> None:
+    """Refuse values that no reader lets through, for blocks made by hand.
+
+    Raises
+    ------
+    InputError
+        Names the first point whose pixels, coordinates or sigmas are not usable.
+    """
+    pixels = np.stack([observations.line, observations.sample], axis=1)
+    sigmas = np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)
+    bad = observations.point[~(np.isfinite(pixels) & np.isfinite(sigmas) & (sigmas > 0.0)).all(axis=1)]
+    known = block.points.known
+    sigma_m = known.sigma_enu_m[control]
+    with np.errstate(invalid="ignore"):
+        weighted = (np.isfinite(sigma_m) & (sigma_m > 0.0)).all(axis=1)
+    usable = (known.fixed[control] | weighted) & np.isfinite(known.ecef_m[control]).all(axis=1)
+    bad = np.concatenate([bad, control[~usable]])
+    if len(bad):
+        point = block.points.ids[int(bad[0])]
+        raise InputError.of("block.not_finite", file=block.name, place=f"point {point}", value=f"{len(bad)} value(s)")
 
 
 def _participating(block: Block) -> ImagePoints:

@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from factors._contract import NotFiniteError
 from fg_orient.adjustment.loop import OPTIMIZERS, ROUNDING_STEP, Callback, IterationRecord
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, NoSolutionError
 
 if TYPE_CHECKING:
     import gtsam
@@ -56,6 +57,8 @@ def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
     ------
     InputError
         Unknown backend or optimiser; a native optimiser on too large a block.
+    NoSolutionError
+        The equations become singular or not finite on the way.
     """
     options = problem.block.options
     if options.backend not in BACKENDS:
@@ -64,8 +67,16 @@ def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
         raise InputError.of(
             "adjust.optimizer", place="optimizer", value=options.optimizer, known=", ".join(OPTIMIZER_NAMES)
         )
-    with _garbage_collection_off():
-        return _run(problem, callback)
+    try:
+        with _garbage_collection_off():
+            return _run(problem, callback)
+    except (NotFiniteError, RuntimeError) as error:
+        raise NoSolutionError.of("adjust.broken_down", place=problem.block.name, why=first_sentence(error)) from error
+
+
+def first_sentence(error: Exception) -> str:
+    """One line of an exception's text: GTSAM's own run over many."""
+    return " ".join(str(error).split())[:160]
 
 
 @contextmanager

@@ -37,6 +37,8 @@ class PointDifferences:
         From the adjustment, prior scale; nan where withheld.
     own_sigma_enu_m : (n, 3) array
         Of the measured coordinates.
+    n_fixed : int
+        Fixed control points: constants of the adjustment, without differences, not among the n.
     """
 
     ids: tuple[str, ...]
@@ -45,6 +47,7 @@ class PointDifferences:
     ecef_m: Array
     predicted_sigma_enu_m: Array
     own_sigma_enu_m: Array
+    n_fixed: int = 0
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -56,11 +59,11 @@ class PointDifferences:
             return np.asarray(np.abs(self.enu_m) / np.hypot(self.predicted_sigma_enu_m, self.own_sigma_enu_m))
 
     def statistics(self) -> dict[str, float | int]:
-        """Figures under the keys of ``--json``: n, rmse_*, mean_*, sd_*, max_*, ce90_m, le90_m.
+        """Figures under the keys of ``--json``: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90_m, le90_m.
 
-        Figures that the number of points does not support (none, or sd of one) are absent.
+        Figures that the number of points does not support (none; sd, CE90 and LE90 of one) are absent.
         """
-        out: dict[str, float | int] = {"n": len(self)}
+        out: dict[str, float | int] = {"n": len(self), "n_fixed": self.n_fixed}
         if not len(self):
             return out
         values = np.hstack([self.enu_m, self.ecef_m])
@@ -72,6 +75,8 @@ class PointDifferences:
                 out[f"sd_{axis}_m"] = float(d.std(ddof=1))
             out[f"max_{axis}_m"] = float(np.abs(d).max())
         out["rmse_3d_m"] = float(np.sqrt(np.mean((self.enu_m**2).sum(axis=1))))
+        if len(self) < 2:
+            return out
         out["ce90_m"] = float(np.quantile(np.hypot(self.enu_m[:, 0], self.enu_m[:, 1]), 0.9))
         out["le90_m"] = float(np.quantile(np.abs(self.enu_m[:, 2]), 0.9))
         return out

@@ -2,7 +2,7 @@
 
 GTSAM eliminates the graph once and gives the joint marginal of the variables asked for.
 Unknowns are prior sigmas (images) and metres (points); :func:`named_cofactors` turns them
-into physical units. Excluded check points are propagated from the images that see them.
+into physical units. Points located after the adjustment: ``fg_orient.adjustment.located``.
 """
 
 from __future__ import annotations
@@ -149,31 +149,3 @@ def named_cofactors(problem: Problem, cofactors: Cofactors, names: tuple[str, ..
     labels += [f"{block.points.ids[j]}.{axis}" for j in points for axis in "xyz"]
     units = [u for _ in images for u in parameters.units] + ["m"] * (3 * len(points))
     return NamedMatrix(tuple(labels), tuple(units), 0.5 * (q + q.T))
-
-
-def propagated_point(problem: Problem, state: State, ground_m: Array, j: int, cofactors: Cofactors) -> Array:
-    """Cofactors (3, 3) m^2 of a point intersected after the adjustment, not an unknown of it.
-
-    Image noise and orientation cofactors are propagated through the least-squares
-    intersection: ``G = (A^T A)^-1 A^T``, ``Q = G (I + B Q_ee B^T) G^T`` with A, B the whitened
-    Jacobians with respect to the point and to the images that see it.
-    """
-    from factors.pushbroom import kernel
-    from fg_orient.adjustment.problem import whitened_records
-
-    block = problem.block
-    rows = np.flatnonzero(block.observations.point == j)
-    seen = block.observations.take(rows)
-    images = tuple(dict.fromkeys(int(k) for k in seen.image))
-    width = len(problem.parameters)
-    records = whitened_records(block, seen, np.repeat(ground_m[None], len(block.points.ids), axis=0), problem.origin_m)
-    a, b = np.zeros((2 * len(rows), 3)), np.zeros((2 * len(rows), width * len(images)))
-    for r, k in enumerate(seen.image):
-        x = np.ascontiguousarray(state.image[k])
-        _, j_image, j_ground = kernel(records[r], problem.parameters.setup, x, ground_m - problem.origin_m, True)
-        a[2 * r : 2 * r + 2] = j_ground
-        at = images.index(int(k)) * width
-        b[2 * r : 2 * r + 2, at : at + width] = j_image
-    gain = np.linalg.pinv(a)
-    q_e = cofactors.joint(images, ())
-    return np.asarray(gain @ (np.eye(len(a)) + b @ q_e @ b.T) @ gain.T)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.problem import Problem
 from fg_orient.parameters import ATTITUDE, N_EOP, POSITION, UNITS, VELOCITY, ImageParameters, parameter_name
 
 Array = npt.NDArray[np.float64]
@@ -135,6 +136,62 @@ def _by_components(direction: Array, parameters: ImageParameters) -> str:
     order = np.argsort(-np.abs(direction))[:3]
     parts = [f"{direction[j]:+.2f} {describe(parameters.codes[j])}" for j in order if abs(direction[j]) > 0.05]
     return "this combination is not observable (in prior sigmas): " + " ".join(parts)
+
+
+@dataclass(frozen=True)
+class BlockObservability:
+    """What all observations together say about all images, ground points free, no priors.
+
+    Parameters
+    ----------
+    singular_values : (M k,) array, descending
+    sentences : tuple of str
+        One per direction below the dead limit, by its largest components.
+    weak : int
+        Directions determined 100 times worse than their prior sigma, dead ones not counted.
+    """
+
+    singular_values: Array
+    sentences: tuple[str, ...]
+    weak: int
+
+
+#: Without priors, directions below this singular value are pointed out.
+WEAK_WITHOUT_PRIORS = 1e-2
+
+
+def analyse_block(problem: Problem) -> BlockObservability:
+    """Judge the block without priors: unknown ground points are eliminated point by point (QR)."""
+    parameters, width, m = problem.parameters, len(problem.parameters), problem.n_images
+    _, j_image, j_ground = problem.image_residuals(problem.start, jacobian=True)
+    order = np.argsort(problem.observations.point, kind="stable")
+    points, starts = np.unique(problem.observations.point[order], return_index=True)
+    rest = np.zeros((0, m * width))
+    for j, rows in zip(points, np.split(order, starts[1:]), strict=True):
+        b = np.zeros((2 * len(rows), m * width))
+        for r, row in enumerate(rows):
+            at = width * int(problem.observations.image[row])
+            b[2 * r : 2 * r + 2, at : at + width] = j_image[row]
+        if problem.active[j]:
+            a = np.vstack([j_ground[row] for row in rows])
+            if problem.observed[j]:
+                a = np.vstack([a, problem.control_records[j, :9].reshape(3, 3)])
+                b = np.vstack([b, np.zeros((3, m * width))])
+            b = np.linalg.qr(a, mode="complete")[0][:, 3:].T @ b
+        rest = np.vstack([rest, b])
+        if len(rest) > 4 * m * width + 100:
+            rest = np.linalg.qr(rest, mode="r")
+    full = np.vstack([rest, np.zeros((max(0, m * width - len(rest)), m * width))])
+    _, s, vt = np.linalg.svd(full, full_matrices=False)
+    names = [(image.id, code) for image in problem.block.images for code in parameters.codes]
+    sentences = tuple(_block_sentence(vt[k], names) for k in np.flatnonzero(s < DEAD))
+    return BlockObservability(s, sentences, int(((s < WEAK_WITHOUT_PRIORS) & (s >= DEAD)).sum()))
+
+
+def _block_sentence(direction: Array, names: list[tuple[str, int]]) -> str:
+    order = np.argsort(-np.abs(direction))[:4]
+    parts = [f"{direction[j]:+.2f} {names[j][0]} {describe(names[j][1])}" for j in order if abs(direction[j]) > 0.1]
+    return "block: the control points do not fix this combination (in prior sigmas): " + " ".join(parts)
 
 
 def describe(code: int) -> str:

@@ -1,0 +1,102 @@
+"""The verdict on a solution: status, reason, and what a reader must know first.
+
+``sigma0`` above the upper end of its two-sided 99.9 % interval makes a solution not
+trustworthy: model and weights contradict the observations. Below the lower end the sigmas
+are too large, which is said but spoils nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.solve import Estimate
+from fg_orient.names import Status
+from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
+from fg_orient.quality.observability import BlockObservability, ImageObservability
+
+#: Probability of the two-sided interval of sigma0.
+SIGMA0_LEVEL = 0.999
+NO_INTERVAL = (float("nan"), float("nan"))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Status, the reason in words, and the 99.9 % interval of sigma0 (nan where there is none)."""
+
+    status: Status
+    reason: str
+    interval: tuple[float, float]
+
+
+def judge(problem: Problem, estimate: Estimate, withheld: tuple[str, ...]) -> Verdict:
+    """Status from convergence, covariance and the global test of sigma0."""
+    f = problem.redundancy
+    if not estimate.converged or not np.isfinite(estimate.chi2):
+        return Verdict(Status.NOT_CONVERGED, estimate.reason, NO_INTERVAL)
+    interval = sigma0_interval(f) if f > 0 else NO_INTERVAL
+    if withheld and not problem.block.options.priors:
+        reason = "without priors the control points determine some directions too weakly for a covariance"
+        return Verdict(Status.NOT_TRUSTWORTHY, f"{reason}: coordinates must not be trusted", interval)
+    if f <= 0:
+        return Verdict(Status.CONVERGED, "no redundancy: nothing was checked", interval)
+    sigma0 = float(np.sqrt(estimate.chi2 / f))
+    if sigma0 > interval[1]:
+        reason = (
+            f"sigma0 = {sigma0:.2f} lies above {interval[1]:.2f}, the upper end of its 99.9 % interval: the "
+            "observations do not fit the model within their sigmas. The unknowns cannot take up the errors present, "
+            "or the sigmas are too small, or there are gross errors; standard deviations and coordinates must not "
+            "be trusted"
+        )
+        return Verdict(Status.NOT_TRUSTWORTHY, reason, interval)
+    return Verdict(Status.CONVERGED, estimate.reason, interval)
+
+
+def sigma0_interval(redundancy: int) -> tuple[float, float]:
+    """Two-sided 99.9 % interval of sigma0: ``sqrt(chi2_p(f) / f)``."""
+    tail = 0.5 * (1.0 - SIGMA0_LEVEL)
+    low, high = (2.0 * gammaincinv(0.5 * redundancy, p) for p in (tail, 1.0 - tail))
+    return float(np.sqrt(low / redundancy)), float(np.sqrt(high / redundancy))
+
+
+def warnings(
+    problem: Problem,
+    estimate: Estimate,
+    verdict: Verdict,
+    observability: tuple[ImageObservability, ...],
+    block: BlockObservability | None,
+    accuracy: Accuracy,
+) -> tuple[str, ...]:
+    """Problems first, in the order a reader should meet them."""
+    f = problem.redundancy
+    out = [] if verdict.status is Status.CONVERGED and f > 0 else [verdict.reason]
+    if f > 0 and np.sqrt(estimate.chi2 / f) < verdict.interval[0]:
+        out.append(
+            f"sigma0 lies below {verdict.interval[0]:.2f}, the lower end of its 99.9 % interval: the sigmas are too "
+            "large, so the standard deviations in prior scale are too"
+        )
+    if block is not None and block.weak:
+        out.append(
+            f"without priors {block.weak} direction(s) of the block are determined 100 times worse than their prior "
+            "sigma: results along them are not reliable"
+        )
+    dead = sum(o.rank_defect for o in observability)
+    if dead:
+        out.append(f"{dead} direction(s) of the orientation are not observable and are held by their priors alone")
+    if problem.parameters.n_eop < len(problem.parameters):
+        out.append(
+            "the constant and linear look-angle terms nearly duplicate roll, pitch and yaw: judge their sum, "
+            "not each alone"
+        )
+    suspicious = dict.fromkeys(row[0] for row in accuracy.check.suspicious())
+    if suspicious:
+        out.append(f"check points beyond 3 standard deviations of the difference: {', '.join(suspicious)}")
+    n = len(accuracy.check)
+    if not n:
+        out.append("no check points: the accuracy is not verified independently")
+    elif n < ASPRS_MINIMUM:
+        out.append(f"{n} check point{'s' if n > 1 else ''}: ASPRS (2023) asks for at least {ASPRS_MINIMUM}")
+    return tuple(out)
