@@ -408,8 +408,6 @@ CLI: Final = {
     "cli.one_image": ("an intersection needs two images", "give several metadata files, or one project file (.toml)"),
     "cli.no_frame": ("the file states no frame points of its own", "locate a pixel with --line and --sample"),
     "cli.three_numbers": ("not three numbers", "write roll,pitch,yaw in rad: --attitude=-1.6e-4,-7.2e-4,9e-4"),
-    "cli.without": ("{option} has no meaning together with {other}", "leave out one of them"),
-    "cli.internal": ("error of the program: {text}", "please report it{hint}"),
     "cli.usage": ("{text}", "see the command's --help"),
 }
 

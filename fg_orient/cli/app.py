@@ -74,7 +74,7 @@ def _usage_error(error: Exception) -> int:
         "cli.usage", place=context.command_path if context else "fg-orient", text=explain().rstrip(".")
     )
     if "--json" in sys.argv:
-        emit_errors(found)
+        emit_errors(*found.problems)
     note(f"error: {found}")
     return found.exit_code
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.errors import FgOrientError
+from fg_orient.errors import FgOrientError, Problem
 
 #: Widest table for people.
 WIDTH = 80
@@ -46,9 +46,9 @@ def emit(record: object) -> None:
     typer.echo(dumps(record, indent=1))
 
 
-def emit_errors(error: FgOrientError) -> None:
+def emit_errors(*problems: Problem) -> None:
     """Print the errors as JSON."""
-    emit({"errors": [p.as_dict() for p in error.problems]})
+    emit({"errors": [p.as_dict() for p in problems]})
 
 
 @contextlib.contextmanager
@@ -66,7 +66,7 @@ def outcome(as_json: bool, debug: bool = False) -> Iterator[None]:
         raise
     except FgOrientError as error:
         if as_json:
-            emit_errors(error)
+            emit_errors(*error.problems)
         for found in error.problems:
             note(f"error: {found}")
         raise typer.Exit(error.exit_code) from None
@@ -79,10 +79,18 @@ def outcome(as_json: bool, debug: bool = False) -> Iterator[None]:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        hint = "" if debug else " (the same command with --debug shows where)"
-        text = " ".join(str(error).split())
-        note(f"error of the program: {type(error).__name__}: {text[:300]}; please report it{hint}")
+        found = internal(error, debug)
+        if as_json:
+            emit_errors(found)
+        note(found)
         raise typer.Exit(1) from None
+
+
+def internal(error: Exception, debug: bool) -> Problem:
+    """Describe an exception that should not have happened: a fault of the program, not of the input."""
+    hint = "" if debug else " (the same command with --debug shows where)"
+    text = f"error of the program: {type(error).__name__}: {' '.join(str(error).split())[:300]}"
+    return Problem("internal", text, remedy=f"please report it{hint}")
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, left: int = 1) -> None:

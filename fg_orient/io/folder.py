@@ -1,8 +1,8 @@
 """Folders written whole or not at all: a hidden sibling is filled, then renamed.
 
-An existing folder is kept until the new one is complete, and only a folder that holds a
-result of ours may be replaced: ``--out`` pointing at a home directory by mistake must not
-cost anything.
+An existing folder is kept until the new one is complete, and only a folder that holds an
+output of ours and nothing else may be replaced: ``--out`` pointing at a home directory by
+mistake, or a result kept inside a simulated project, must not cost anything.
 """
 
 from __future__ import annotations
@@ -11,12 +11,48 @@ import contextlib
 import secrets
 import shutil
 from collections.abc import Iterator
-from pathlib import Path
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import Final
 
 from fg_orient.errors import InputError
 
 
-def require_free(out: Path, *, overwrite: bool, mark: str) -> None:
+@dataclass(frozen=True)
+class Contents:
+    """What a kind of output folder holds.
+
+    Parameters
+    ----------
+    mark : str
+        A file that only our own output has.
+    names : tuple of str
+        Every file we write, relative to the folder, with ``*`` for any name.
+    """
+
+    mark: str
+    names: tuple[str, ...]
+
+    def first_foreign(self, folder: Path) -> str:
+        """Name the first file or folder that is not ours; "" if there is none."""
+        for path in sorted(folder.rglob("*")):
+            name = path.relative_to(folder)
+            is_folder = path.is_dir() and not path.is_symlink()
+            wanted = [p for pattern in self.names for p in (PurePath(pattern).parents if is_folder else [pattern])]
+            if not any(len(PurePath(w).parts) == len(name.parts) and name.match(str(w)) for w in wanted):
+                return name.as_posix()
+        return ""
+
+
+#: Result folder of ``adjust``.
+RESULT: Final = Contents(
+    "result.json",
+    ("result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "iterations.jsonl", "arrays.npz",
+     "report.html"),
+)  # fmt: skip
+
+
+def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> None:
     """Refuse an output folder that may not be written; ask before computing anything.
 
     Parameters
@@ -24,14 +60,14 @@ def require_free(out: Path, *, overwrite: bool, mark: str) -> None:
     out : Path
         The folder to come.
     overwrite : bool
-        Allow an existing folder that holds the file ``mark``, or nothing at all.
-    mark : str
-        Name of a file that only our own output has.
+        Allow an existing folder that is empty, or holds the mark and nothing of others.
+    contents : Contents
+        What our output holds.
 
     Raises
     ------
     InputError
-        It exists and may not be replaced.
+        It exists and may not be replaced; the first file that is not ours is named.
     """
     if not (out.exists() or out.is_symlink()):
         return
@@ -39,12 +75,24 @@ def require_free(out: Path, *, overwrite: bool, mark: str) -> None:
         raise InputError.of("output.not_a_folder", file=out, place="--out")
     if not overwrite:
         raise InputError.of("output.exists", file=out, place="--out")
-    if not (out / mark).is_file() and any(out.iterdir()):
-        raise InputError.of("output.foreign", file=out, place="--out", value=f"no {mark}", mark=mark)
+    foreign = contents.first_foreign(out)
+    unmarked = any(out.iterdir()) and not (out / contents.mark).is_file()
+    if foreign or unmarked:
+        value = foreign or f"no {contents.mark}"
+        raise InputError.of("output.foreign", file=out, place="--out", value=value, mark=contents.mark)
 
 
 @contextlib.contextmanager
-def staged_folder(out: str | Path, *, overwrite: bool = False, mark: str = "result.json") -> Iterator[Path]:
+def writing(out: str | Path) -> Iterator[None]:
+    """Turn an OSError of writing into an InputError that names the output; for short blocks that only write."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError.of("output.unwritable", file=out, place="--out", value=error.strerror or error) from error
+
+
+@contextlib.contextmanager
+def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Contents = RESULT) -> Iterator[Path]:
     """Give a temporary folder that becomes ``out`` if the block ends well, else vanishes.
 
     Parameters
@@ -53,8 +101,8 @@ def staged_folder(out: str | Path, *, overwrite: bool = False, mark: str = "resu
         The folder to come; missing parents are made.
     overwrite : bool
         Replace an existing folder of ours once the new one is complete.
-    mark : str
-        Name of a file that only our own output has.
+    contents : Contents
+        What our output holds.
 
     Yields
     ------
@@ -64,21 +112,22 @@ def staged_folder(out: str | Path, *, overwrite: bool = False, mark: str = "resu
     Raises
     ------
     InputError
-        ``out`` exists and may not be replaced, or cannot be written.
+        ``out`` exists and may not be replaced, or cannot be written. Exceptions of the block
+        pass unchanged.
     """
     target = Path(out).absolute()
-    require_free(target, overwrite=overwrite, mark=mark)
+    require_free(target, overwrite=overwrite, contents=contents)
     made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
     staging = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.tmp")
     done = False
     try:
-        staging.mkdir(parents=True)
+        with writing(out):
+            staging.mkdir(parents=True)
         yield staging
-        require_free(target, overwrite=overwrite, mark=mark)  # somebody else may have been faster
-        _replace(target, staging)
+        require_free(target, overwrite=overwrite, contents=contents)  # somebody else may have been faster
+        with writing(out):
+            _replace(target, staging)
         done = True
-    except OSError as error:
-        raise InputError.of("output.unwritable", file=out, place="--out", value=error.strerror or error) from error
     finally:
         if not done:
             shutil.rmtree(staging, ignore_errors=True)

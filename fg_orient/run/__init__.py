@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.errors import RankDeficientError
-from fg_orient.io.folder import require_free, staged_folder
+from fg_orient.io.folder import RESULT, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
 from fg_orient.orient import adjust
 from fg_orient.parameters import COMPONENTS, UNITS
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION: Final = 1
 #: The file by which a result folder is known.
-RESULT_FILE: Final = "result.json"
+RESULT_FILE: Final = RESULT.mark
 
 
 def run_project(
@@ -72,28 +72,30 @@ def run_project(
         The project or the output folder is unusable.
     """
     start = time.perf_counter()
-    require_free(Path(out), overwrite=overwrite, mark=RESULT_FILE)
+    require_free(Path(out), overwrite=overwrite)
     block = read_project(project, **dict(options or {}))
     read_s = time.perf_counter() - start
     try:
-        with staged_folder(out, overwrite=overwrite, mark=RESULT_FILE) as folder:
-            solution = _adjust_and_log(block, folder, callback)
+        with staged_folder(out, overwrite=overwrite) as folder:
+            solution = _adjust_and_log(block, folder, callback, Path(out))
             record = _record(solution, Path(project), Path(out), command)
             phases = asdict(solution.seconds) | {"read": read_s}
-            _write(folder, solution, record, phases, start)
+            with writing(out):
+                _write(folder, solution, record, phases, start)
     except RankDeficientError as error:
         seconds = {"read": read_s, "total": time.perf_counter() - start}
         return deficient_summary(error, block) | {"seconds": seconds}
     return {**record, "out": str(out)}
 
 
-def _adjust_and_log(block: Block, folder: Path, callback: Callback | None) -> Solution:
+def _adjust_and_log(block: Block, folder: Path, callback: Callback | None, out: Path) -> Solution:
     """Adjust; each iteration is on disk as soon as it is done."""
     with (folder / "iterations.jsonl").open("w", encoding="utf-8") as stream:
 
         def note(record: IterationRecord) -> None:
-            stream.write(dumps(asdict(record)) + "\n")
-            stream.flush()
+            with writing(out):
+                stream.write(dumps(asdict(record)) + "\n")
+                stream.flush()
             if callback is not None:
                 callback(record)
 

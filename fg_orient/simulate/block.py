@@ -19,10 +19,9 @@ import numpy.typing as npt
 
 from fg_orient.block import Block
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.io.folder import require_free
 from fg_orient.names import Role
 from fg_orient.sensors.pushbroom import PushbroomSensor
-from fg_orient.simulate.files import MARK_FILE, write_simulation
+from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
@@ -136,8 +135,7 @@ def simulate_block(out: str | Path, options: BlockOptions | None = None, *, over
         The folder exists (without ``overwrite``) or cannot be written.
     """
     chosen = options or BlockOptions()
-    require_free(Path(out), overwrite=overwrite, mark=MARK_FILE)
-    return write_simulation(out, simulate(chosen), chosen, "simulate block", overwrite=overwrite)
+    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate block", overwrite=overwrite)
 
 
 def grid_block(options: BlockOptions | None = None) -> tuple[Block, Truth]:

@@ -8,15 +8,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fg_orient.io.atomic import write_text
 from fg_orient.io.dimap_write import write_dimap1
-from fg_orient.io.folder import staged_folder
+from fg_orient.io.folder import Contents, require_free, staged_folder, writing
 from fg_orient.io.points_write import write_observations, write_points, write_project
 from fg_orient.parameters import COMPONENTS, UNITS, parameter_name
 
@@ -26,8 +27,12 @@ if TYPE_CHECKING:
     from fg_orient.simulate.simulation import Simulation, Truth
 
 PROJECT_FILE = "project.toml"
-#: Only a folder that a simulation wrote may be replaced: a real project has no such file.
-MARK_FILE = "truth/options.json"
+#: Only a folder that a simulation wrote may be replaced: a real project has no ``truth/options.json``.
+CONTENTS: Final = Contents(
+    "truth/options.json",
+    (PROJECT_FILE, "points.csv", "observations.csv", "*.DIM", "truth/points.csv", "truth/eop.csv",
+     "truth/options.json"),
+)  # fmt: skip
 
 
 def write_simulation(
@@ -45,7 +50,8 @@ def write_simulation(
     command : str
         Command that makes it, for the headers.
     overwrite : bool
-        Replace a folder that holds a project file.
+        Replace a folder that an earlier simulation wrote (``truth/options.json``) and that holds
+        nothing else.
 
     Returns
     -------
@@ -59,11 +65,20 @@ def write_simulation(
     """
     target = Path(out)
     values = {"command": command, **asdict(options)}
-    with staged_folder(target, overwrite=overwrite, mark=MARK_FILE) as folder:
+    with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder:
         _write_block(folder, simulation, values)
-        (folder / "truth").mkdir()
+        with writing(target):
+            (folder / "truth").mkdir()
         _write_truth(folder / "truth", simulation, values)
     return target / PROJECT_FILE
+
+
+def simulate_to(
+    out: str | Path, draw: Callable[[], Simulation], options: DataclassInstance, command: str, *, overwrite: bool
+) -> Path:
+    """Do :func:`write_simulation` of what ``draw`` gives; an unusable folder is refused before anything is drawn."""
+    require_free(Path(out), overwrite=overwrite, contents=CONTENTS)
+    return write_simulation(out, draw(), options, command, overwrite=overwrite)
 
 
 def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any]) -> None:

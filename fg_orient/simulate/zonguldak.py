@@ -18,8 +18,7 @@ import numpy.typing as npt
 
 from fg_orient.block import Block
 from fg_orient.geodesy import geodetic_to_ecef
-from fg_orient.io.folder import require_free
-from fg_orient.simulate.files import MARK_FILE, write_simulation
+from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.point_sets import CHECK_COUNT, N_POINTS, roles_of
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
@@ -126,8 +125,7 @@ def simulate_zonguldak(out: str | Path, options: ZonguldakOptions | None = None,
         The folder exists (without ``overwrite``) or cannot be written.
     """
     chosen = options or ZonguldakOptions()
-    require_free(Path(out), overwrite=overwrite, mark=MARK_FILE)
-    return write_simulation(out, simulate(chosen), chosen, "simulate zonguldak", overwrite=overwrite)
+    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate zonguldak", overwrite=overwrite)
 
 
 def zonguldak_block(options: ZonguldakOptions | None = None) -> tuple[Block, Truth]:

@@ -182,8 +182,9 @@ def test_existing_folder_is_refused_before_anything_is_read(run: Any, result: Pa
 def test_overwrite_replaces_a_result(run: Any, twin: Path) -> None:
     folder = twin.parent / "result"
     assert run("adjust", twin, "--quiet").code == 0
-    (folder / "old").write_text("of an earlier run", encoding="utf-8")
+    (folder / "report.html").write_text("of an earlier run", encoding="utf-8")
     assert run("adjust", twin, "--quiet", "--overwrite", "--eop-set", 10).code == 0
+    assert "of an earlier run" not in (folder / "report.html").read_text("utf-8")
     assert {p.name for p in folder.iterdir()} == FILES
     assert record(folder)["eop_set"] == 10
     assert [p.name for p in twin.parent.iterdir() if p.name.startswith(".")] == []
@@ -195,6 +196,20 @@ def test_overwrite_spares_a_folder_that_is_no_result(run: Any, twin: Path) -> No
     ended = run("adjust", twin, "--out", twin.parent, "--overwrite", "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "output.foreign")
     assert content(twin.parent) == before
+
+
+@pytest.mark.parametrize("foreign", ["notes.txt", "points.csv/mine.txt", "copy/result.json"])
+def test_overwrite_spares_foreign_files_in_a_result(run: Any, twin: Path, result: Path, foreign: str) -> None:
+    if foreign.startswith("points.csv"):
+        (result / "points.csv").unlink()
+    (result / foreign).parent.mkdir(exist_ok=True)
+    (result / foreign).write_text("mine", encoding="utf-8")
+    before = content(result)
+    ended = run("adjust", twin, "--out", result, "--overwrite", "--json")
+    (error,) = ended.json["errors"]
+    assert (ended.code, error["code"]) == (2, "output.foreign")
+    assert error["value"] in (foreign, foreign.split("/")[0]), "the first foreign entry is named"
+    assert content(result) == before
 
 
 def test_file_or_link_is_no_output_folder(run: Any, twin: Path, result: Path, tmp_path: Path) -> None:
@@ -241,6 +256,11 @@ def test_failure_of_the_program_is_short_and_leaves_nothing(
     assert "ZeroDivisionError: planted" in ended.stderr
     assert not (twin.parent / "a").exists()
     assert "Traceback" in run("adjust", twin, "--debug").stderr
+    told = run("adjust", twin, "--json")
+    (error,) = told.json["errors"]
+    assert (told.code, error["code"], set(error)) == (1, "internal", {*"code message file place value remedy".split()})
+    assert "ZeroDivisionError: planted" in error["message"] and "report" in error["remedy"]
+    assert len(told.stderr.splitlines()) == 1
 
 
 def test_staged_folder_appears_whole_with_its_parents(tmp_path: Path) -> None:
@@ -263,6 +283,29 @@ def test_unwritable_place(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught, staged_folder(tmp_path / "file" / "out"):
         pass
     assert caught.value.problems[0].code == "output.unwritable"
+
+
+def test_error_of_the_computation_is_not_blamed_on_the_folder(tmp_path: Path) -> None:
+    """An OSError inside, of a missing raster say, passes unchanged; the folder is cleaned up."""
+    with pytest.raises(FileNotFoundError), staged_folder(tmp_path / "out"):
+        raise FileNotFoundError("planted")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("step", ["write_tables", "adjust"])
+def test_only_writing_makes_an_unwritable_output(
+    run: Any, twin: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(runs, step, fail)
+    ended = run("adjust", twin, "--json")
+    (error,) = ended.json["errors"]
+    expected = (2, "output.unwritable") if step == "write_tables" else (1, "internal")
+    assert (ended.code, error["code"]) == expected
+    assert "No space left" in error["value"] + error["message"]
+    assert not (twin.parent / "result").exists()
 
 
 def test_documented_columns_are_those_written(adjusted: tuple[Path, Any], repository: Path) -> None:

@@ -160,6 +160,12 @@ def test_an_existing_folder_is_kept(written: Path, tmp_path: Path) -> None:
     assert contents(target) == before
     simulate_zonguldak(target, ZonguldakOptions(seed=9), overwrite=True)
     assert json.loads((target / "truth" / "options.json").read_text())["seed"] == 9
+    (target / "result").mkdir()
+    (target / "result" / "result.json").write_text("{}")
+    with pytest.raises(InputError) as caught:
+        simulate_zonguldak(target, overwrite=True)
+    assert (caught.value.problems[0].code, caught.value.problems[0].value) == ("output.foreign", "result")
+    assert (target / "result" / "result.json").read_text() == "{}"
     foreign = tmp_path / "mine"
     foreign.mkdir()
     (foreign / "thesis.txt").write_text("years of work")
