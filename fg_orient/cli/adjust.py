@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -62,7 +63,7 @@ def adjust(
         from fg_orient.run import run_project
 
         target = out or project.parent / "result"
-        with _progress(quiet or as_json) as callback:
+        with _named_as_typed(options), _progress(quiet or as_json) as callback:
             record = run_project(
                 project, target, overwrite=overwrite, options=options, callback=callback,
                 command=["fg-orient", *sys.argv[1:]],
@@ -74,6 +75,19 @@ def adjust(
         elif not quiet and record["out"]:
             show(record)
         raise typer.Exit(EXIT_CODE[Status(record["status"])])
+
+
+@contextlib.contextmanager
+def _named_as_typed(options: Mapping[str, object]) -> Iterator[None]:
+    """Name a wrong option as it is written on the command line."""
+    try:
+        yield
+    except InputError as error:
+        names = {name for name, value in options.items() if value is not None}
+        raise InputError(
+            *(replace(p, place=f"--{p.place.replace('_', '-')}") if not p.file and p.place in names else p
+              for p in error.problems)
+        ) from None  # fmt: skip
 
 
 def _load() -> None:

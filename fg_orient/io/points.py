@@ -60,7 +60,8 @@ class PointFile:
 
     def withheld(self, ids: Sequence[str]) -> WithheldCoordinates:
         """Seal the coordinates of these check points until they are opened."""
-        wanted, path, crs, sha256 = tuple(ids), self.path, self.crs, self.sha256
+        # absolute: the working directory may change before they are opened
+        wanted, path, crs, sha256 = tuple(ids), self.path.absolute(), self.crs, self.sha256
 
         def reader() -> Coordinates:
             faults = Faults(str(path))

@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.block import Block, Image, Options, Source
 from fg_orient.errors import InputError, Problem, problem
@@ -28,6 +28,8 @@ from fg_orient.parameters import eop_set_number
 if TYPE_CHECKING:
     from fg_orient.io.schema import ProjectFile
 
+#: A remark of ``validate`` only: the adjustment warns of the same, about the points it could use.
+FEW_CHECK_CODE: Final = "remark.few_check"
 #: Where an option of :func:`read_project` stands in the project file.
 _TABLE_OF = {
     "eop_set": "orientation", "look_polynomial": "orientation", "priors": "orientation",
@@ -74,7 +76,8 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     """Do :func:`read_project` and give the remarks as records, too."""
     path = Path(path)
     project = _read_toml(path, overrides)
-    options, problems = _options(project, str(path))
+    options, found = _options(project, str(path))
+    problems = [_blame(p, overrides) for p in found]
     folder = path.parent
     images, sources, image_problems = _images(project, folder, str(path))
     tables = _tables(project, folder, str(path), images)
@@ -97,7 +100,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         withheld=ready.withheld,
         options=options,
         sources=(_source(path), *sources, *_table_sources(project, folder, points, observations)),
-        notes=_notes(known, points, remarks),
+        notes=_notes(known, points, [p for p in remarks if p.code != FEW_CHECK_CODE]),
     )
     return block, remarks
 
@@ -119,7 +122,16 @@ def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
                 table[name] = value
     found = validate(content, str(path))
     if isinstance(found, tuple):
-        raise InputError(*found)
+        raise InputError(*(_blame(p, overrides) for p in found))
+    return found
+
+
+def _blame(found: Problem, overrides: Mapping[str, object]) -> Problem:
+    """Put a fault of an overriding option on the option: the file is not to blame."""
+    for name, value in overrides.items():
+        place = f"{_TABLE_OF[name]}.{name}"
+        if value is not None and (found.place == place or found.place.startswith(f"{place}[")):
+            found = dataclasses.replace(found, file="", place=found.place.removeprefix(f"{_TABLE_OF[name]}."))
     return found
 
 

@@ -145,6 +145,8 @@ def test_bad_option_is_one_line_and_exit_2(run: Any, twin: Path, words: tuple[st
     assert [set(e) for e in ended.json["errors"]] == [{"code", "message", "file", "place", "value", "remedy"}]
     assert len(ended.stderr.splitlines()) == 1
     assert seen in ended.stderr
+    assert ended.json["errors"][0]["file"] == "", "the project file is not to blame"
+    assert ended.json["errors"][0]["place"] == words[0]
     assert not (twin.parent / "result").exists()
 
 
@@ -158,6 +160,7 @@ def test_for_people_warnings_come_first_and_lines_fit(run: Any, twin: Path) -> N
     ended = run("adjust", twin)
     lines = ended.stdout.splitlines()
     assert ended.code == 0
+    assert sum("check points:" in line for line in (ended.stdout + ended.stderr).splitlines()) == 1
     assert lines[0] == "warning: 10 check points: ASPRS (2023) asks for at least 30"
     assert max(map(len, lines[:-1])) <= 80  # the last line is the path of the report
     assert any("check RMSE (10)" in line for line in lines)
