@@ -55,7 +55,7 @@ def locate(
     Points of a CSV file: columns id,line,sample and, without --height or --dem, height_m.
     """
     with outcome(as_json, debug):
-        _exclude({"--line": line is not None, "--points": points is not None, "--frame": frame})
+        _exclude({"--line": line, "--sample": sample}, {"--points": points}, {"--frame": frame or None})
         if height is not None and dem is not None:
             raise InputError.of("cli.two_heights", file=image, place="--height, --dem")
         from fg_orient.ground import frame_records
@@ -70,11 +70,13 @@ def locate(
         _publish(sensor, records, FRAME if frame else GROUND, out, overwrite, as_json)
 
 
-def _exclude(given: dict[str, bool]) -> None:
-    """Refuse options that exclude each other."""
-    names = [name for name, is_given in given.items() if is_given]
+def _exclude(*ways: dict[str, object]) -> None:
+    """Refuse options of more than one way to say what is wanted; None is an option that is not given."""
+    given = [[name for name, value in way.items() if value is not None] for way in ways]
+    names = [way[0] for way in given if way]
     if len(names) > 1:
-        raise InputError.of("cli.two_ways", place=", ".join(names), options=", ".join(given))
+        options = ", ".join(" with ".join(way) for way in ways)
+        raise InputError.of("cli.two_ways", place=", ".join(names), options=options)
 
 
 def _dem(path: Path | None) -> RasterDem | None:
@@ -132,7 +134,7 @@ def project(
     Points of a CSV file: columns id,lon_deg,lat_deg,height_m.
     """
     with outcome(as_json, debug):
-        _exclude({"--lon": lon is not None, "--points": points is not None})
+        _exclude({"--lon": lon, "--lat": lat, "--height": height}, {"--points": points})
         import numpy as np
 
         from fg_orient.geodesy import geodetic_to_ecef
@@ -173,7 +175,7 @@ def intersect(
         if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
             from fg_orient.io.project import read_project
 
-            _exclude({"PROJECT.toml": True, "--pixel": bool(pixel)})
+            _exclude({"PROJECT.toml": sources[0]}, {"--pixel": pixel or None})
             block = read_project(sources[0])
             images, observations, ids = block.images, block.observations, block.points.ids
         else:

@@ -87,6 +87,9 @@ def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
         (("--line", 1, "--sample", 1), "cli.no_height"),
         (("--line", 1, "--sample", 1, "--height", 1, "--dem", "x.tif"), "cli.two_heights"),
         (("--line", 1, "--sample", 1, "--frame"), "cli.two_ways"),
+        (("--sample", 5, "--frame"), "cli.two_ways"),
+        (("--sample", 5, "--points", "x.csv"), "cli.two_ways"),
+        (("--frame", "--points", "x.csv"), "cli.two_ways"),
         (("--line", 12000, "--sample", 1, "--height", 1), "sensor.pixel_outside"),
         (("--line", "nan", "--sample", 1, "--height", 1), "sensor.pixel_outside"),
         (("--line", 1, "--sample", 1, "--height", "nan"), "cli.height_range"),
@@ -107,6 +110,8 @@ def test_locate_refuses(run: Any, twin_source: Path, words: tuple[object, ...], 
     [
         (("--lon", 31.8), "cli.no_ground"),
         (("--lon", 31.8, "--points", "x.csv"), "cli.two_ways"),
+        (("--lat", 41.3, "--points", "x.csv"), "cli.two_ways"),
+        (("--height", 0, "--points", "x.csv"), "cli.two_ways"),
         (("--lon", "nan", "--lat", 41, "--height", 0), "geodesy.outside"),
         (("--lon", 31.8, "--lat", "inf", "--height", 0), "geodesy.outside"),
     ],
@@ -115,6 +120,15 @@ def test_project_refuses(run: Any, twin_source: Path, words: tuple[object, ...],
     ended = run("project", twin_source / "left.DIM", *words, "--json")
     assert ended.code == 2, ended.stdout
     assert [e["code"] for e in ended.json["errors"]] == [code]
+
+
+def test_conflict_names_both_options(run: Any, twin_source: Path) -> None:
+    for command, words, place in (
+        ("locate", ("--sample", 5, "--frame"), "--sample, --frame"),
+        ("project", ("--height", 0, "--points", "x.csv"), "--height, --points"),
+    ):
+        ended = run(command, twin_source / "left.DIM", *words, "--json")
+        assert [e["place"] for e in ended.json["errors"]] == [place]
 
 
 def test_height_given_twice_in_a_table(run: Any, twin_source: Path, tmp_path: Path) -> None:
