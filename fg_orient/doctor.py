@@ -56,15 +56,15 @@ def _proj() -> tuple[bool, str]:
 
 
 def _numba_cache() -> tuple[bool, str]:
-    """Tell where compiled kernels are kept; without a writable place every start compiles anew."""
-    import factors
+    """Ask numba where it keeps compiled kernels; without a writable place every start compiles anew."""
+    from factors import ellipsoid
 
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen) if chosen else Path(factors.__file__).parent / "__pycache__"
-    there = folder if folder.exists() else folder.parent
+    kernel: Any = ellipsoid.geodetic_array
+    folder = Path(kernel.stats.cache_path)
+    there = next(p for p in (folder, *folder.parents) if p.exists())
     if os.access(there, os.W_OK):
         return True, f"{folder} is writable"
-    return True, f"{folder} is not writable: numba falls back to the user's cache folder"
+    return False, f"{folder} is not writable: every start compiles anew; set NUMBA_CACHE_DIR to a folder of yours"
 
 
 def _self_test() -> tuple[bool, str]:

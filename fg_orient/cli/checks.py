@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from fg_orient.cli.common import Debug, Json, emit, note, outcome, say, table
-from fg_orient.errors import InputError
-from fg_orient.names import EXIT_CODE, Status
+from fg_orient.errors import FgOrientError, InputError
 
 
 def validate(
@@ -38,7 +37,10 @@ def validate(
 
 
 def doctor(as_json: Json = False, debug: Debug = False) -> None:
-    """Show versions, look for traps of the installation and adjust a small block of its own."""
+    """Show versions, look for traps of the installation and adjust a small block of its own.
+
+    Exit code 1 if the installation is broken.
+    """
     with outcome(as_json, debug):
         from fg_orient.doctor import examine
 
@@ -52,4 +54,4 @@ def doctor(as_json: Json = False, debug: Debug = False) -> None:
             for text in found["warnings"]:
                 say(f"warning: {text}")
         if not found["good"]:
-            raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+            raise typer.Exit(FgOrientError.exit_code)
