@@ -86,6 +86,9 @@ def write_dimap1(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, d
 def write_dimap2(path: str | os.PathLike[str], metadata: PushbroomMetadata, *, dataset_name: str = "SIMULATED") -> None:
     """Write a DIMAP 2.0 sensor product file (Pléiades, SPOT 6/7), atomically.
 
+    No command calls it: it is for tests and for users who make test data of these missions,
+    as ``examples/pleiades_pair.py`` does.
+
     Parameters
     ----------
     path : path

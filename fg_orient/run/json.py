@@ -1,4 +1,4 @@
-"""Strict JSON: nan and infinity become null, and every such place is named."""
+"""Strict JSON: nan and infinity become null, the record's warnings say why (run/summary)."""
 
 from __future__ import annotations
 

@@ -39,6 +39,7 @@ def summary(solution: Solution) -> dict[str, Any]:
     return {
         "status": str(solution.status),
         "reason": solution.reason,
+        "ended": solution.ended,
         "warnings": [*solution.warnings, *solution.withheld, *_missing(solution)],
         "backend": solution.backend,
         **_choices(options),

@@ -5,7 +5,11 @@ RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.c
 
     chi2 = sum (v/sigma)^2                    residuals.csv, both coordinates
          + sum (difference/own sigma)^2       points.csv, East, North, Up of control points not fixed
-         + sum (value_per_tau/prior sigma)^2  eop.csv
+         + sum (value_per_tau/prior sigma)^2  eop.csv, unless without priors
+         + sum of extra observations          in no table: squared whitened residuals of Block.extra
+
+Control points that are ``fixed`` are constants: they have no residual (their own sigma is 0)
+and count neither as observation nor as unknown.
 
 Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy; else in
 prior scale. The column ``sigma_scale`` says which.

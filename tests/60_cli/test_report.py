@@ -185,11 +185,29 @@ def test_foreign_truth_is_refused(run: Any, result: Path, twin: Path) -> None:
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.other_truth")
 
 
+def test_fixed_control_and_the_end_of_the_iterations_are_told(run: Any, result: Path) -> None:
+    def text(**control: Any) -> str:
+        path = result / "result.json"
+        record = json.loads(path.read_text("utf-8"))
+        record["accuracy"]["control"] |= control
+        record |= {"ended": "planted end", "reason": "planted verdict"}
+        path.write_text(json.dumps(record), encoding="utf-8")
+        assert run("report", result).code == 0
+        return (result / "report.html").read_text("utf-8")
+
+    plain = text(n_fixed=0)
+    assert "fixed" not in plain[plain.index('id="accuracy"') : plain.index('id="map"')]
+    assert "Ended: planted end." in plain and "planted verdict" not in plain
+    assert "; 3 fixed left out)" in text(n_fixed=3)
+    assert "All 3 control points are fixed" in text(n=0)
+
+
 def test_verdict_in_words() -> None:
     base = {"status": "converged", "sigma0": 1.0, "sigma0_interval_99_9": [0.8, 1.2], "warnings": [], "reason": "why"}
     assert verdict(base)["kind"] == "good"
     assert verdict({**base, "warnings": ["x"]})["kind"] == "warn"
-    assert "sigmas are too large" in verdict({**base, "sigma0": 0.5})["text"]
+    low = verdict({**base, "sigma0": 0.5, "warnings": ["sigma0 = 0.50 lies below 0.80"]})
+    assert (low["kind"], "0.80" in low["text"], "see the warnings" in low["text"]) == ("warn", False, True)
     assert verdict({**base, "sigma0": None})["title"] == "Converged, unchecked"
     for status, title in (("not_converged", "No solution"), ("not_trustworthy", "Not trustworthy")):
         assert verdict({**base, "status": status}) == {"kind": "bad", "title": title, "text": "why"}
