@@ -101,12 +101,16 @@ def image_point_factors(
     return make
 
 
+def _require_size(name: str, label: str, x: Array, size: int) -> None:
+    if x.shape != (size,):
+        raise ValueError(f"equation {name!r}, {label}: {size} unknowns expected, the values hold {x.size}")
+
+
 def _complain(
     equation: Equation, size: int, record: Array, setup: Array, x: Array, ground: Array, label: str, m: int
 ) -> None:
     """Raise the error that says why ``fill`` refused."""
-    if x.shape != (size,):
-        raise ValueError(f"equation {equation.name!r}, {label}: {size} unknowns expected, the values hold {x.size}")
+    _require_size(equation.name, label, x, size)
     check_blocks(equation.name, label, equation.kernel(record, setup, x, ground, True), (size, 3), m)
     raise ValueError(f"equation {equation.name!r}, {label}: the setup does not fit {size} unknowns")
 
@@ -129,6 +133,8 @@ def _general(
             u if isinstance(u, np.ndarray) else values.atPoint3(u) if argument.is_point else values.atVector(u)
             for u, argument in zip(unknowns, equation.arguments, strict=True)
         ]
+        for vector, size in zip(x, widths, strict=True):
+            _require_size(name, label, vector, size)
         want = jacobians is not None
         blocks = kernel(record, setup, *x, want)
         check_blocks(name, label, blocks if want else blocks[:1], widths if want else (), m)

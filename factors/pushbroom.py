@@ -167,7 +167,7 @@ def _line_derivatives(record: Array, e: Array, frame: Any, w: Any, f: Any) -> Ar
 def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
     """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
     k = setup.shape[1]
-    out = np.empty((2, k + 4))
+    out = np.full((2, k + 4), np.nan)  # stays nan if sizes do not fit: never uninitialised memory
     fill(record, setup, x, ground, out, want)
     if not want:
         return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from factors import pushbroom
-from factors._contract import Argument, Equation, check_blocks
+from factors._contract import Argument, Equation, check_blocks, evaluate
 from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS, kernel_point, whitening
 from factors.graph import factor
 
@@ -91,6 +91,29 @@ def test_faulty_kernels_are_named(fault: str) -> None:
     graph.add(image_point(e, broken))
     with pytest.raises(ValueError, match=f"'my_broken_equation', {LABEL}"):
         graph.linearize(values)
+
+
+@pytest.mark.parametrize("size", [5, 32, 34])
+def test_wrong_sizes_are_named_with_a_constant_ground_point(size: int) -> None:
+    """In the words of the fast path; the kernel itself gives nan, not what the memory held."""
+    e, _ = example()
+    values = gtsam.Values()
+    values.insert(E0, np.zeros(size))
+    f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY, ground=e.unknowns[1])
+    for call in (f.error, f.linearize):
+        with pytest.raises(ValueError, match=f"{LABEL}: 33 unknowns expected, the values hold {size}"):
+            call(values)
+    value, j_image, j_ground = pushbroom.kernel(e.record, e.setup, np.zeros(size), e.unknowns[1], True)
+    assert all(np.isnan(block).all() for block in (value, j_image, j_ground))
+
+
+def test_evaluate_gives_nan_for_a_vector_of_the_wrong_size() -> None:
+    e, _ = example()
+    batch = (e.record[None], [e.setup], [e.unknowns[0][:-1]], [e.unknowns[1]])
+    for jacobian in (True, False):
+        values, (j_image, j_ground) = evaluate(pushbroom.LOOK_ANGLE_COLLINEARITY, *batch, jacobian=jacobian)
+        assert np.isnan(values).all()
+        assert all(np.isnan(block).all() for block in (*j_image, *j_ground))
 
 
 def test_nan_and_wrong_sizes_are_named_on_the_fast_path() -> None:
