@@ -27,8 +27,11 @@ def sign_aligned(quaternion: Array) -> Array:
 
 
 def quaternion_linear(sample_time_s: Array, quaternion: Array, time_s: Array) -> Array:
-    """Normalised linear interpolation of sampled quaternions: (n, 4), (N,) -> (N, 4)."""
-    q = linear(sample_time_s, sign_aligned(quaternion), time_s)
+    """Normalised linear interpolation of sampled quaternions: (n, 4), (N,) -> (N, 4).
+
+    The samples must be those of :func:`sign_aligned`: between q and a neighbour near -q lies nothing of use.
+    """
+    q = linear(sample_time_s, quaternion, time_s)
     return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 

@@ -21,16 +21,6 @@ Vector = Any  # a tuple of 3 scalars
 
 
 @compiled
-def multiply(a: Matrix, x: Any, y: Any, z: Any) -> Vector:
-    """Matrix times vector."""
-    return (
-        a[0] * x + a[1] * y + a[2] * z,
-        a[3] * x + a[4] * y + a[5] * z,
-        a[6] * x + a[7] * y + a[8] * z,
-    )
-
-
-@compiled
 def multiply_transposed(a: Matrix, x: Any, y: Any, z: Any) -> Vector:
     """Transposed matrix times vector."""
     return (

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Records = list[dict[str, Any]]
 
-#: Notes of a reader that speak of the file's own frame points.
-FRAME_NOTE_MARK = "frame points"
-
 
 def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array) -> Records:
     """Give one record per point: id, line, sample, geodetic and ECEF coordinates.
@@ -82,7 +79,7 @@ def frame_records(sensor: PushbroomSensor, height_m: float | None = None, dem: H
     lon, lat = (np.array([getattr(p, axis) for p in points]) for axis in ("lon_deg", "lat_deg"))
     stated = geodetic_to_ecef(lon, lat, np.array([r["height_m"] for r in records]))
     east, north, _ = np.einsum("nij,nj->ni", enu_from_ecef(lon, lat), ecef - stated).T
-    note = next((text for text in sensor.notes if FRAME_NOTE_MARK in text), None)
+    note = sensor.metadata.frame_note or None
     for k, record in enumerate(records):
         record |= {
             "file_lon_deg": float(lon[k]), "file_lat_deg": float(lat[k]),
@@ -93,7 +90,11 @@ def frame_records(sensor: PushbroomSensor, height_m: float | None = None, dem: H
 
 
 def pixel_records(sensor: PushbroomSensor, ids: Sequence[str], ecef_m: Array) -> Records:
-    """Project ground points (n, 3) ECEF m: id, line, sample (nan if far outside) and ``inside``."""
+    """Project ground points (n, 3) ECEF m: id, line, sample and ``inside``.
+
+    Outside the image line and sample are the linear continuation from its border; nan where the
+    satellite cannot see the point or the iteration does not converge.
+    """
     line, sample = sensor.project(ecef_m)
     inside = sensor.is_inside(line, sample)
     return [

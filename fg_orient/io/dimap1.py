@@ -87,6 +87,7 @@ def read_dimap1(root: XmlNode) -> PushbroomMetadata:
     ends = timing.reference_time_s + timing.line_period_s * (np.array([0.0, n_lines - 1.0]) - timing.reference_line)
     attitude, attitude_notes = _attitude(root, epoch, index, ends)
     look, look_notes = _look_angles(root, n_samples)
+    frame_note = "" if index == 5 else _FRAME_NOTE
     return PushbroomMetadata(
         file=root.file,
         mission=f"SPOT {index}",
@@ -100,7 +101,8 @@ def read_dimap1(root: XmlNode) -> PushbroomMetadata:
         attitude=attitude,
         look=look,
         frame_points=_frame_points(root),
-        notes=attitude_notes + look_notes + (() if index == 5 else (_FRAME_NOTE,)),
+        notes=attitude_notes + look_notes + ((frame_note,) if frame_note else ()),
+        frame_note=frame_note,
     )
 
 

@@ -17,6 +17,7 @@ import re
 import numpy as np
 import numpy.typing as npt
 
+from factors.attitude import sign_aligned
 from fg_orient.io import dimap_checks as checks
 from fg_orient.io.dimap_checks import DIMAP_FIRST_PIXEL
 from fg_orient.io.xml import METRES, METRES_PER_SECOND, MILLISECONDS, RADIANS, SECONDS, XmlNode
@@ -138,13 +139,10 @@ def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionL
     time_s = checks.times([n.one("TIME") for n in nodes], epoch)
     quaternion = np.array([[n.one(f"Q{j}").number() for j in range(4)] for n in nodes])
     checks.require_unit_quaternions(nodes, quaternion)
-    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    flips = np.where(np.einsum("ij,ij->i", unit[1:], unit[:-1]) < 0.0, -1.0, 1.0)
-    aligned = unit * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
     flags = [node.maybe("Q_STATUS") for node in nodes]
     count = sum(flag is not None and flag.text() != "NOMINAL" for flag in flags)
     notes = (f"{count} of {len(nodes)} quaternions are not flagged NOMINAL and used all the same",) if count else ()
-    return QuaternionList(time_s, aligned), notes
+    return QuaternionList(time_s, sign_aligned(quaternion)), notes
 
 
 def _quaternion_polynomial(node: XmlNode, span_s: Array) -> QuaternionPolynomial:

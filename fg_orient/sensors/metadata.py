@@ -50,7 +50,10 @@ class AngleAttitude:
 
 @dataclass(frozen=True)
 class QuaternionList:
-    """Sampled quaternions body to ECEF, scalar part first: ``time_s`` (n,), ``quaternion`` (n, 4)."""
+    """Sampled quaternions body to ECEF, scalar part first: ``time_s`` (n,), ``quaternion`` (n, 4).
+
+    Signs are aligned (``factors.attitude.sign_aligned``): neighbours have a positive product.
+    """
 
     time_s: Array
     quaternion: Array
@@ -118,3 +121,4 @@ class PushbroomMetadata:
     look: LookAngleTable | LookAnglePolynomial
     frame_points: tuple[FramePoint, ...] = ()
     notes: tuple[str, ...] = field(default=())
+    frame_note: str = ""  # why the frame points need not agree with the model; among the notes, too

@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from factors import attitude, differences, ellipsoid, ephemeris, look, polynomials, rotations
 
-RNG = np.random.default_rng(11)
-
 
 def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     p = rng.normal(size=3)
@@ -19,10 +17,10 @@ def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return p, 7400.0 * v / np.linalg.norm(v) + 10.0 * p / 7.2e6
 
 
-def test_orbital_frame_is_convention_b() -> None:
+def test_orbital_frame_is_convention_b(rng: np.random.Generator) -> None:
     """X = V x Z right of flight, Y forward, Z outward, as columns, determinant +1."""
     for _ in range(20):
-        p, v = state(RNG)
+        p, v = state(rng)
         r = rotations.orbital_frames(p[None], v[None])[0]
         assert np.abs(r.T @ r - np.eye(3)).max() < 1e-15
         assert np.linalg.det(r) == pytest.approx(1.0, abs=1e-15)
@@ -32,9 +30,9 @@ def test_orbital_frame_is_convention_b() -> None:
         assert r[:, 1] @ v > 7000.0
 
 
-def test_attitude_equals_scipy() -> None:
+def test_attitude_equals_scipy(rng: np.random.Generator) -> None:
     """Active Rx(pitch) Ry(roll) Rz(yaw): scipy's intrinsic XYZ sequence."""
-    for roll, pitch, yaw in RNG.uniform(-1.0, 1.0, (20, 3)):
+    for roll, pitch, yaw in rng.uniform(-1.0, 1.0, (20, 3)):
         ours = rotations.attitude_matrices(np.array([[roll, pitch, yaw]]), False)[0]
         theirs = Rotation.from_euler("XYZ", [pitch, roll, yaw]).as_matrix()
         assert np.abs(ours - theirs).max() < 1e-15
@@ -48,8 +46,8 @@ def test_small_angle_form_agrees_to_first_order() -> None:
 
 
 @pytest.mark.parametrize("small", [False, True])
-def test_attitude_derivatives(small: bool) -> None:
-    for angles in RNG.uniform(-0.5, 0.5, (10, 3)):
+def test_attitude_derivatives(small: bool, rng: np.random.Generator) -> None:
+    for angles in rng.uniform(-0.5, 0.5, (10, 3)):
         if small:
             blocks, form = rotations.d_orbital_from_body_small(), rotations.orbital_from_body_small
         else:
@@ -61,8 +59,8 @@ def test_attitude_derivatives(small: bool) -> None:
             assert np.abs(np.array(blocks[k]) - numeric).max() < 1e-15
 
 
-def test_quaternions_equal_scipy_and_ignore_the_sign() -> None:
-    q = RNG.normal(size=(20, 4))
+def test_quaternions_equal_scipy_and_ignore_the_sign(rng: np.random.Generator) -> None:
+    q = rng.normal(size=(20, 4))
     ours = rotations.quaternion_matrices(q)
     theirs = Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix()
     assert np.abs(ours - theirs).max() < 2e-15
@@ -74,15 +72,18 @@ def test_sign_flips_are_aligned_before_interpolation() -> None:
     q = Rotation.from_euler("XYZ", np.stack([0.1 * t, 0.2 * t, 0.3 * t], axis=1)).as_quat()[:, [3, 0, 1, 2]]
     flipped = q * np.array([1, -1, -1, 1, -1])[:, None]
     times = np.linspace(0.0, 1.0, 33)
-    a = rotations.quaternion_matrices(attitude.quaternion_linear(t, q, times))
-    b = rotations.quaternion_matrices(attitude.quaternion_linear(t, flipped, times))
+    a, b, raw = (
+        rotations.quaternion_matrices(attitude.quaternion_linear(t, samples, times))
+        for samples in (q, attitude.sign_aligned(flipped), flipped)
+    )
     assert np.abs(a - b).max() < 1e-15
+    assert np.abs(a - raw).max() > 0.1  # without it the interpolation goes through anything
 
 
-def test_lagrange_is_exact_for_degree_seven() -> None:
+def test_lagrange_is_exact_for_degree_seven(rng: np.random.Generator) -> None:
     t = np.linspace(-120.0, 120.0, 9)
-    c = RNG.normal(size=(8, 3))
-    at = RNG.uniform(-120.0, 120.0, 200)
+    c = rng.normal(size=(8, 3))
+    at = rng.uniform(-120.0, 120.0, 200)
     poly = np.polynomial.polynomial.polyval
     found = ephemeris.lagrange(t, poly(t / 120.0, c).T.copy(), at)
     assert np.abs(found - poly(at / 120.0, c).T).max() < 1e-12
@@ -90,13 +91,13 @@ def test_lagrange_is_exact_for_degree_seven() -> None:
     assert np.abs(nodes - poly(t / 120.0, c).T).max() < 1e-14
 
 
-def test_polynomials_fit_and_transformation_to_lines() -> None:
+def test_polynomials_fit_and_transformation_to_lines(rng: np.random.Generator) -> None:
     n_lines = 12000
     line = np.linspace(0, n_lines - 1, 50)
     tau = polynomials.normalised(line, n_lines)
     assert tau[0] == -1.0
     assert tau[-1] == 1.0
-    c = RNG.normal(size=(9, 3))
+    c = rng.normal(size=(9, 3))
     fitted, residual = polynomials.fit(tau, polynomials.evaluate(c, tau), 2)
     assert np.abs(fitted - c).max() < 1e-13
     assert np.abs(residual).max() < 1e-13
@@ -105,9 +106,9 @@ def test_polynomials_fit_and_transformation_to_lines() -> None:
     assert np.abs(polynomials.evaluate(per_line, distance) - polynomials.evaluate(c, tau)).max() < 1e-12
 
 
-def test_geodetic_equals_proj() -> None:
+def test_geodetic_equals_proj(rng: np.random.Generator) -> None:
     to_geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
-    lon, lat, h = RNG.uniform(-180, 180, 200), RNG.uniform(-89, 89, 200), RNG.uniform(-400, 9000, 200)
+    lon, lat, h = rng.uniform(-180, 180, 200), rng.uniform(-89, 89, 200), rng.uniform(-400, 9000, 200)
     to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
     xyz = np.stack(to_ecef.transform(lon, lat, h), axis=1)
     ours = ellipsoid.geodetic_array(xyz)
@@ -130,10 +131,19 @@ def test_intersection_lies_at_the_height_and_is_the_nearest() -> None:
     assert np.isnan(ellipsoid.intersect(p, np.array([[0.0, 1.0, 0.0]]), np.array([0.0]))).all()  # misses
 
 
-def test_look_direction_points_to_the_earth() -> None:
+def test_look_direction_points_to_the_earth(rng: np.random.Generator) -> None:
     """Third component -1 (erratum of both sources): with +1 both roots of the ellipsoid are negative."""
     d = look.direction(np.array([0.01]), np.array([0.3]))
-    assert np.allclose(d, [[-np.tan(0.3), np.tan(0.01), -1.0]])
+    assert np.allclose(d, [[-np.tan(0.3), np.tan(0.01), -1.0]], rtol=1e-15, atol=0.0)
+    p, v = state(rng)
+    frame = rotations.orbital_frames(p[None], v[None])[0]
+    sea_level = np.zeros(1)
+    down = np.ascontiguousarray(d @ frame.T)
+    ground = ellipsoid.intersect(p[None], down, sea_level)
+    assert ellipsoid.geodetic_array(ground)[0, 2] == pytest.approx(0.0, abs=2e-5)  # the loop ends below 1e-5 m
+    up = np.ascontiguousarray((d * [1.0, 1.0, -1.0]) @ frame.T)
+    assert np.isnan(ellipsoid.intersect(p[None], up, sea_level)).all()
+    assert np.isfinite(ellipsoid.intersect(p[None], -up, sea_level)).all()  # it meets the Earth, but behind
 
 
 def test_look_table_is_linear_in_the_tangent() -> None:
@@ -143,10 +153,10 @@ def test_look_table_is_linear_in_the_tangent() -> None:
     assert psi_y[[0, 2]] == pytest.approx(psi, abs=1e-15)
 
 
-def test_frame_difference_equals_the_plain_one_and_keeps_digits() -> None:
+def test_frame_difference_equals_the_plain_one_and_keeps_digits(rng: np.random.Generator) -> None:
     for size in (10.0, 1e-6):
-        p, v = state(RNG)
-        d = np.concatenate([RNG.normal(size=3) * size, RNG.normal(size=3) * 1e-3 * size])
+        p, v = state(rng)
+        d = np.concatenate([rng.normal(size=3) * size, rng.normal(size=3) * 1e-3 * size])
         frame = rotations.ecef_from_orbital(*p, *v)
         ours = np.array(differences.d_ecef_from_orbital(frame, np.concatenate([p, v]), d))
         # directional derivative by complex step, plus the second-order remainder
@@ -155,13 +165,13 @@ def test_frame_difference_equals_the_plain_one_and_keeps_digits() -> None:
         assert np.abs(ours - linear).max() <= 2.0 * (size / 1e6) ** 2 + 1e-15 * np.abs(linear).max()
 
 
-def test_pair_rotation_sums_to_the_plain_product() -> None:
+def test_pair_rotation_sums_to_the_plain_product(rng: np.random.Generator) -> None:
     for form, pair in (
         (rotations.orbital_from_body, differences.body_from_orbital_pair),
         (rotations.orbital_from_body_small, differences.body_from_orbital_small_pair),
     ):
-        angles, d = RNG.normal(scale=0.1, size=3), RNG.normal(scale=1e-3, size=3)
-        w, dw = RNG.normal(size=3), RNG.normal(scale=1e-3, size=3)
+        angles, d = rng.normal(scale=0.1, size=3), rng.normal(scale=1e-3, size=3)
+        w, dw = rng.normal(size=3), rng.normal(scale=1e-3, size=3)
         reference, difference = pair(angles, d, tuple(w), tuple(dw))
         plain = np.array(form(*(angles + d))).reshape(3, 3).T @ (w + dw)
         base = np.array(form(*angles)).reshape(3, 3).T @ w
