@@ -205,6 +205,35 @@ def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) ->
     return np.where(inside, x, np.nan), np.where(inside, y, np.nan)
 
 
+def vertical_reference(crs: str) -> tuple[str, str]:
+    """Name of the vertical CRS that heights given in ``crs`` refer to, and the unit of its height axis.
+
+    Parameters
+    ----------
+    crs : str
+        WKT or EPSG code.
+
+    Returns
+    -------
+    tuple of str
+        ``""`` as name if there is none: the heights are ellipsoidal; ``""`` as unit if the CRS has
+        no height axis.
+
+    Raises
+    ------
+    InputError
+        The CRS is unknown.
+    """
+    proj = _pyproj()
+    try:
+        found = proj.CRS.from_user_input(crs)
+    except proj.exceptions.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
+    names = [part.name for part in (found, *found.sub_crs_list) if part.is_vertical and not part.is_compound]
+    units = [axis.unit_name for axis in found.axis_info if axis.direction in ("up", "down")]
+    return (names[0] if names else ""), (units[0] if units else "")
+
+
 def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
     """Rotations (N, 3, 3) that turn an ECEF vector into East, North, Up at N places.
 

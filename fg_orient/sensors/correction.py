@@ -24,6 +24,10 @@ class HeightSurface(Protocol):
         """Lowest and highest height."""
         ...
 
+    def cell(self, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array]:
+        """Row and column of N points in the surface's grid; the unit is what a ray may step over."""
+        ...
+
     def height_m(self, lon_deg: Array, lat_deg: Array) -> Array:
         """Ellipsoidal heights of N points."""
         ...

@@ -1,9 +1,11 @@
 """Digital elevation models and the intersection of rays with them.
 
-Ray and DEM are intersected by iterating height -> ellipsoid -> DEM height
-(docs/equations.md 5); rays that do not settle are marched from the highest DEM value down
-and bisected, taking the first hit. Heights of the raster are used as they are
-(ellipsoidal); a vertical CRS in the file is refused until geoid grids are supported.
+A ray meets a DEM where it first comes down to it (docs/equations.md 5). Iterating height ->
+ellipsoid -> DEM height would settle behind a ridge as readily as on it, so every ray is marched
+from the highest DEM value down, from one line between cell centres to the next, as a bilinear
+surface has its edges there; the first change of sign is bisected.
+Heights of the raster are used as they are (ellipsoidal); a vertical CRS in the file, or
+another unit than the metre, is refused until geoid grids are supported.
 """
 
 from __future__ import annotations
@@ -19,9 +21,11 @@ from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
 
+#: Height by which a hit may miss the DEM.
 TOLERANCE_M = 1e-4
-MAX_ITERATIONS = 25
-MARCH_STEPS = 400
+#: The march starts and ends this far above and below all DEM values (10 times the tolerance).
+MARGIN_M = 1e-3
+METRES = ("", "m", "metre", "metres", "meter", "meters")
 
 
 class RasterDem:
@@ -34,7 +38,7 @@ class RasterDem:
     Raises
     ------
     InputError
-        The file cannot be read or has no CRS.
+        The file cannot be read, has no CRS, or its heights refer to a vertical CRS or are not in metres.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -51,22 +55,38 @@ class RasterDem:
                 self._heights = source.read(1, masked=True).astype(float).filled(np.nan)
                 self._pixel_from_crs = ~source.transform
                 self._crs = source.crs.to_wkt()
+                unit = source.units[0] or ""
         except rasterio.RasterioIOError as error:
             raise InputError.of("dem.unreadable", file=path, value=error) from error
         self.path = str(path)
+        self._require_ellipsoidal(unit)
+
+    def _require_ellipsoidal(self, unit: str) -> None:
+        from fg_orient.geodesy import vertical_reference
+
+        vertical, axis_unit = vertical_reference(self._crs)
+        if vertical:
+            raise InputError.of("dem.vertical_crs", file=self.path, value=vertical)
+        wrong = [u for u in (axis_unit, unit) if u.strip().lower() not in METRES]
+        if wrong:
+            raise InputError.of("dem.vertical_unit", file=self.path, value=wrong[0])
 
     @property
     def range_m(self) -> tuple[float, float]:
         """Lowest and highest height of the raster."""
         return float(np.nanmin(self._heights)), float(np.nanmax(self._heights))
 
-    def height_m(self, lon_deg: Array, lat_deg: Array) -> Array:
-        """Heights of N points, bilinear; nan outside the raster or at nodata."""
+    def cell(self, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array]:
+        """Row and column of N points, whole at the centres of cells; nan outside the domain of the CRS."""
         from fg_orient.geodesy import from_geographic
 
         x, y = from_geographic(self._crs, lon_deg, lat_deg)
         t = self._pixel_from_crs
-        column, row = t.a * x + t.b * y + t.c - 0.5, t.d * x + t.e * y + t.f - 0.5
+        return np.asarray(t.d * x + t.e * y + t.f - 0.5), np.asarray(t.a * x + t.b * y + t.c - 0.5)
+
+    def height_m(self, lon_deg: Array, lat_deg: Array) -> Array:
+        """Heights of N points, bilinear; nan outside the raster or at nodata."""
+        row, column = self.cell(lon_deg, lat_deg)
         rows, columns = self._heights.shape
         inside = (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
         r = np.clip(np.floor(np.where(inside, row, 0)).astype(int), 0, max(rows - 2, 0))
@@ -79,54 +99,105 @@ class RasterDem:
         return np.asarray(np.where(inside, top * (1 - fr) + bottom * fr, np.nan))
 
 
-def _surface_error(p: Array, u: Array, aim: Array, dem: HeightSurface) -> tuple[Array, Array]:
-    """Points of the rays at heights ``aim`` and DEM height minus aim there."""
-    ground = ellipsoid.intersect(p, u, np.ascontiguousarray(aim))
+def _lon_lat(p: Array, u: Array, level_m: Array) -> tuple[Array, Array, Array]:
+    """Points (N, 3) of the rays at heights ``level_m``, their longitudes and latitudes in degrees."""
+    ground = ellipsoid.intersect(p, u, np.ascontiguousarray(level_m))
     lon, lat, _ = ellipsoid.geodetic_array(ground).T
-    return ground, dem.height_m(np.degrees(lon), np.degrees(lat)) - aim
+    return ground, np.degrees(lon), np.degrees(lat)
+
+
+def _depth(p: Array, u: Array, level_m: Array, dem: HeightSurface) -> tuple[Array, Array]:
+    """Points of the rays at heights ``level_m``, and how far below the DEM they are (nan: no DEM)."""
+    ground, lon, lat = _lon_lat(p, u, level_m)
+    return ground, dem.height_m(lon, lat) - level_m
 
 
 def on_surface(position_m: Array, direction: Array, dem: HeightSurface, file: str) -> Array:
     """First hits of N rays with a DEM: (N, 3) ECEF m.
 
+    A ray that meets nodata, or comes from outside the DEM, before its first hit and below the highest
+    DEM value is refused: unseen ground there could hide what lies behind. Two crossings within half
+    a cell, between edges of the surface, are not told apart.
+
+    Parameters
+    ----------
+    position_m, direction : (N, 3) arrays
+        Rays, ECEF, from above the DEM.
+    dem : HeightSurface
+    file : str
+        Metadata file of the rays, for messages.
+
     Raises
     ------
     InputError
-        A ray leaves the DEM or meets nodata.
+        A ray meets nodata or leaves the DEM before it hits the surface.
     """
-    low, high = dem.range_m
-    aim = np.full(len(position_m), 0.5 * (low + high))
-    ground = np.full_like(position_m, np.nan)
-    settled = np.zeros(len(position_m), bool)
-    for _ in range(MAX_ITERATIONS):
-        ground, error = _surface_error(position_m, direction, aim, dem)
-        settled = np.abs(error) < TOLERANCE_M
-        if settled.all():
-            return ground
-        aim = np.where(np.isfinite(error) & ~settled, aim + error, aim)
-    rest = np.flatnonzero(~settled)
-    ground[rest] = [_march(position_m[i : i + 1], direction[i : i + 1], dem, low, high) for i in rest]
-    if not np.isfinite(ground).all():
-        bad = int(np.flatnonzero(~np.isfinite(ground).all(axis=1))[0])
-        raise InputError.of("dem.not_covered", file=dem.path, place=f"ray {bad + 1} of {file}")
+    above, below = _bracket(position_m, direction, dem)
+    ground, depth = _bisect(position_m, direction, above, below, dem)
+    bad = np.flatnonzero(~np.isfinite(depth))
+    if len(bad):
+        raise InputError.of("dem.not_covered", file=dem.path, place=f"ray {bad[0] + 1} of {file}",
+                            value=f"{len(bad)} of {len(depth)} rays")  # fmt: skip
     return ground
 
 
-def _march(p: Array, u: Array, dem: HeightSurface, low: float, high: float) -> Array:
-    """First crossing of one ray from above, by marching and bisection; nan if there is none."""
-    levels = np.linspace(high + 1.0, low - 1.0, MARCH_STEPS)
-    _, errors = _surface_error(np.repeat(p, MARCH_STEPS, 0), np.repeat(u, MARCH_STEPS, 0), levels, dem)
-    hits = np.flatnonzero((errors[:-1] < 0.0) & (errors[1:] >= 0.0))
-    if not len(hits):
-        return np.full(3, np.nan)
-    above, below = levels[hits[0]], levels[hits[0] + 1]
-    for _ in range(60):
+def _bracket(p: Array, u: Array, dem: HeightSurface) -> tuple[Array, Array]:
+    """Heights just above and below the first hit of each ray: the march; nan where there is none."""
+    top, bottom = dem.range_m[1] + MARGIN_M, dem.range_m[0] - MARGIN_M
+    lines = _GridLines(*(_cells(p, u, level, dem) for level in (top, bottom)))
+    above, below = np.full(len(p), np.nan), np.full(len(p), np.nan)
+    going, last, t = np.arange(len(p)), np.full(len(p), top), np.zeros(len(p))  # nothing rises to the top
+    while len(going):
+        ahead = lines.after(going)
+        # along a ray the surface of one cell is a parabola: its middle is looked at, too
+        for part in (0.5, 1.0):
+            level = top + (bottom - top) * (t[going] + part * (ahead - t[going]))
+            depth = _depth(p[going], u[going], level, dem)[1]
+            hit, free = depth >= 0.0, depth < 0.0  # neither: nodata
+            above[going[hit]], below[going[hit]] = last[going[hit]], level[hit]
+            last[going] = level
+            going, ahead = going[free], ahead[free]
+        t[going] = ahead
+        going = going[ahead < 1.0]
+    return above, below
+
+
+def _cells(p: Array, u: Array, level_m: float, dem: HeightSurface) -> Array:
+    """Row and column of N rays at one height: (N, 2)."""
+    _, lon, lat = _lon_lat(p, u, np.full(len(p), level_m))
+    return np.stack(dem.cell(lon, lat), axis=1)
+
+
+class _GridLines:
+    """Crossings of N straight paths with the lines between cell centres, one after the other.
+
+    Paths run from ``start`` to ``end`` (N, 2) rows and columns, t = 0 to 1 (Amanatides & Woo 1987).
+    A ray bends by centimetres against its path over some kilometres.
+    """
+
+    def __init__(self, start: Array, end: Array) -> None:
+        self._start, self._travel = start, end - start
+        sign = np.sign(self._travel)
+        self._line = np.where(sign > 0.0, np.floor(start) + 1.0, np.ceil(start) - 1.0)
+        self._sign = sign
+
+    def after(self, path: npt.NDArray[np.intp]) -> Array:
+        """Give t of the next crossing of these paths, 1 where none is left or the path is nan."""
+        travel = self._travel[path]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (self._line[path] - self._start[path]) / travel
+        t = np.where(travel == 0.0, np.inf, np.nan_to_num(t, nan=np.inf))
+        nearest = t.min(axis=1)
+        self._line[path] += np.where(t == nearest[:, None], self._sign[path], 0.0)
+        return np.asarray(np.minimum(nearest, 1.0))
+
+
+def _bisect(p: Array, u: Array, above: Array, below: Array, dem: HeightSurface) -> tuple[Array, Array]:
+    """Points of the rays between the two heights on the DEM, and what is left; nan where a height is."""
+    widest = float(np.nan_to_num(above - below).max(initial=TOLERANCE_M))
+    for _ in range(int(np.ceil(np.log2(widest / TOLERANCE_M)))):
         middle = 0.5 * (above + below)
-        ground, error = _surface_error(p, u, np.array([middle]), dem)
-        if error[0] < 0.0:
-            above = middle
-        else:
-            below = middle
-        if above - below < TOLERANCE_M:
-            break
-    return np.asarray(ground[0])
+        depth = _depth(p, u, middle, dem)[1]
+        above = np.where(np.isnan(depth), np.nan, np.where(depth < 0.0, middle, above))
+        below = np.where(depth < 0.0, below, middle)
+    return _depth(p, u, 0.5 * (above + below), dem)
