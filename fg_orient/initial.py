@@ -57,8 +57,8 @@ def nearest_points(
     Returns
     -------
     points_m : (n_points, 3) array, nan for points with fewer than two rays or parallel ones
-    convergence_deg : (n_points,) array, the angle between two rays (0 = parallel); for more
-        rays the angle of two with the same smallest eigenvalue of the mean projector
+    convergence_deg : (n_points,) array, the largest angle between any two rays of the point
+        (0 = parallel, or fewer than two rays)
     """
     normal = np.eye(3) - direction[:, :, None] * direction[:, None, :]
     n = np.zeros((n_points, 3, 3))
@@ -68,16 +68,34 @@ def nearest_points(
     np.add.at(n, point, normal)
     np.add.at(b, point, np.einsum("nij,nj->ni", normal, centre_m - reference))
     out = np.full((n_points, 3), np.nan)
-    spread = np.zeros(n_points)
-    use = np.flatnonzero(count >= 2)
-    if len(use):
-        # the smallest eigenvalue of sum(I - u u^T) is k sin^2(half angle) for two rays
-        smallest = np.linalg.eigvalsh(n[use])[:, 0] / count[use]
-        spread[use] = np.degrees(2.0 * np.arcsin(np.sqrt(np.clip(smallest, 0.0, 1.0))))
-        good = use[spread[use] > MIN_CONVERGENCE_DEG]
-        if len(good):
-            out[good] = np.linalg.solve(n[good], b[good][:, :, None])[:, :, 0] + reference
+    spread = _largest_angles_deg(direction, point, count)
+    good = np.flatnonzero(spread > MIN_CONVERGENCE_DEG)
+    if len(good):
+        out[good] = np.linalg.solve(n[good], b[good][:, :, None])[:, :, 0] + reference
     return out, spread
+
+
+def _largest_angles_deg(direction: Array, point: npt.NDArray[np.intp], count: npt.NDArray[np.intp]) -> Array:
+    """Largest angle between any two rays of each point; points with the same number of rays at once."""
+    out = np.zeros(len(count))
+    order, first = np.argsort(point, kind="stable"), np.cumsum(count) - count
+    for rays in np.unique(count[count >= 2]):
+        which = np.flatnonzero(count == rays)
+        u = direction[order[first[which, None] + np.arange(rays)]]
+        chord = np.zeros(len(which))
+        for k in range(1, rays):
+            apart = np.linalg.norm(u[:, k:] - u[:, :-k], axis=2)
+            chord = np.maximum(chord, apart.max(axis=1))
+        out[which] = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+    return out
+
+
+def _behind(points_m: Array, centre_m: Array, direction: Array, point: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    """Tell which points lie behind the sensor of one of their rays: (n_points,); nan ones do not."""
+    along = np.einsum("ni,ni->n", points_m[point] - centre_m, direction)
+    out = np.zeros(len(points_m), bool)
+    out[point[along <= 0.0]] = True
+    return out
 
 
 def intersect(
@@ -104,19 +122,29 @@ def intersect(
     Raises
     ------
     InputError
-        A pixel lies outside its image, or rays are parallel.
+        A pixel lies outside its image, rays are parallel or meet behind a sensor, or there is not
+        one row of pixels, or not one correction, per sensor.
     """
-    lines, samples = (np.asarray(a, float).reshape(len(sensors), -1) for a in (line, sample))
+    lines, samples = (np.asarray(a, float) for a in (line, sample))
+    if lines.shape != samples.shape or lines.ndim not in (1, 2) or len(lines) != len(sensors):
+        raise InputError.of("initial.pixel_count", place="line, sample", sensors=len(sensors),
+                            value=f"shapes {lines.shape} and {samples.shape}")  # fmt: skip
+    if corrections is not None and len(corrections) != len(sensors):
+        raise InputError.of("initial.correction_count", place="corrections", value=len(corrections),
+                            sensors=len(sensors))  # fmt: skip
+    lines, samples = (a.reshape(len(sensors), -1) for a in (lines, samples))
     rays = []
     for k, sensor in enumerate(sensors):
         sensor.require_inside(lines[k], samples[k])
         rays.append(sensor.rays(lines[k], samples[k], None if corrections is None else corrections[k]))
     n = lines.shape[1]
     centre, direction = (np.concatenate([pair[i] for pair in rays]) for i in (0, 1))
-    found, spread = nearest_points(centre, direction, np.tile(np.arange(n), len(sensors)), n)
-    bad = np.flatnonzero(missing_rows(found))
+    point = np.tile(np.arange(n), len(sensors))
+    found, spread = nearest_points(centre, direction, point, n)
+    behind = _behind(found, centre, direction, point)
+    bad = np.flatnonzero(missing_rows(found) | behind)
     if len(bad):
-        raise InputError(*(_complaint(f"number {j + 1}", spread[j], False) for j in bad))
+        raise InputError(*(_complaint(f"number {j + 1}", spread[j], bool(behind[j])) for j in bad))
     return found
 
 
@@ -142,8 +170,7 @@ def ground_points(
     centre, direction = all_rays(images, observations.take(rows), corrections)
     found, spread = nearest_points(centre, direction, observations.point[rows], len(ids))
     start[unknown] = found[unknown]
-    ahead = np.einsum("ni,ni->n", start[observations.point[rows]] - centre, direction) > 0.0
-    behind = np.isin(np.arange(len(ids)), observations.point[rows][~ahead & ~np.isnan(ahead)])
+    behind = _behind(start, centre, direction, observations.point[rows])
     problems = [_complaint(ids[k], spread[k], bool(behind[k])) for k in np.flatnonzero(unknown)
                 if np.isnan(start[k]).any() or behind[k]]  # fmt: skip
     if problems:

@@ -5,7 +5,7 @@ the observation equation, so every correction (EOP, look angles) is honoured; th
 from differences over half a pixel. Attitude is piecewise linear in time, hence up to 30 steps, ended
 below 1e-9 px, or below 1e-6 px when no longer shrinking (a time of day has 11 digits: 1e-8 px).
 Lines are evaluated inside the image only: a point outside gets the linear continuation from the
-border, a point that the satellite cannot see gets nan.
+border; a point that the satellite cannot see, or for which the steps do not end, gets nan.
 """
 
 from __future__ import annotations
@@ -68,6 +68,7 @@ def project(sensor: PixelModel, ground_m: Array, correction: Correction) -> tupl
         length = np.abs(step).max(axis=1)
         going = (length > STEP_PX) & ((length > ROUNDING_PX) | (length < 0.5 * previous))
         todo, previous = todo[going], length[going]
+    line[todo], sample[todo] = np.nan, np.nan
     return line, sample
 
 

@@ -105,34 +105,49 @@ class PushbroomSensor:
         source = self.metadata.attitude
         if isinstance(source, QuaternionPolynomial):
             return ()
-        gap = max(source.time_s[0] - min(first, last), max(first, last) - source.time_s[-1])
+        late, early = source.time_s[0] - min(first, last), max(first, last) - source.time_s[-1]
+        gap = max(late, early)
         if gap > HOLD_S:
             raise OutOfTimeRange(problem(
                 "sensor.attitude_span", file=self.file, place="attitudes", value=f"image {first:.6f} .. {last:.6f} s",
                 first=source.time_s[0], last=source.time_s[-1], hold=HOLD_S, gap=gap,
             ))  # fmt: skip
-        if gap > TIME_PRINT_S:
-            return (f"attitudes end {gap:.3f} s before the image does: the last one is held",)
-        return ()
+        notes = (
+            (late, f"attitudes start {late:.3f} s after the image does: the first one is held"),
+            (early, f"attitudes end {early:.3f} s before the image does: the last one is held"),
+        )
+        return tuple(note for open_s, note in notes if open_s > TIME_PRINT_S)
 
     # --- constants of the equation -----------------------------------------------------------
 
     def states(self, line: npt.ArrayLike) -> LineStates:
-        """Metadata state at N lines (0-based, fractions allowed)."""
+        """Metadata state at N lines (0-based, fractions allowed).
+
+        Raises
+        ------
+        OutOfTimeRange
+            A line outside the image for which ephemeris or attitudes, held for 0.2 s, do not suffice.
+        """
         line = np.atleast_1d(np.asarray(line, float))
         t = self._line_time(line)
-        orbit = self.metadata.ephemeris
-        inside = np.clip(t, orbit.time_s[0] - TIME_PRINT_S, orbit.time_s[-1] + TIME_PRINT_S)
-        beyond = np.abs(t - inside) > 0.51 * abs(self.metadata.timing.line_period_s)
-        if beyond.any():
-            raise OutOfTimeRange(problem(
-                "sensor.ephemeris_span", file=self.file, place=f"line {line[beyond][0]:.2f}",
-                value=f"{t[beyond][0]:.6f} s", first=orbit.time_s[0], last=orbit.time_s[-1],
-            ))  # fmt: skip
+        orbit, source = self.metadata.ephemeris, self.metadata.attitude
+        self._require_covered("sensor.ephemeris_span", line, t, orbit.time_s, TIME_PRINT_S)
+        if not isinstance(source, QuaternionPolynomial):
+            self._require_covered("sensor.attitude_span", line, t, source.time_s, HOLD_S)
         state = ephemeris.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
         p, v = np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
         angles, mount = self._attitude(t, p, v)
         return LineStates(polynomials.normalised(line, self.n_lines), p, v, angles, mount)
+
+    def _require_covered(self, code: str, line: Array, t: Array, time_s: Array, hold_s: float) -> None:
+        """Refuse times more than ``hold_s`` beyond a list; half a line, the border of a pixel, is free."""
+        gap = np.maximum(time_s[0] - t, t - time_s[-1])
+        beyond = gap > hold_s + 0.51 * abs(self.metadata.timing.line_period_s)
+        if beyond.any():
+            raise OutOfTimeRange(problem(
+                code, file=self.file, place=f"line {line[beyond][0]:.2f}", value=f"{t[beyond][0]:.6f} s",
+                first=time_s[0], last=time_s[-1], gap=gap[beyond][0], hold=hold_s,
+            ))  # fmt: skip
 
     def _attitude(self, t: Array, p: Array, v: Array) -> tuple[Array, Array]:
         """Angles (N, 3) and mounting (N, 3, 3) of the observation equation."""
@@ -192,7 +207,16 @@ class PushbroomSensor:
     def rays(
         self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Correction | None = None
     ) -> tuple[Array, Array]:
-        """Projection centres (N, 3) m and unit viewing directions (N, 3) in ECEF."""
+        """Projection centres (N, 3) m and unit viewing directions (N, 3) in ECEF.
+
+        The inverse of the observation equation (``factors.pushbroom``) and written apart from it, as a
+        direction has no ground point; tests/40_sensors hold the two together to 1e-6 px.
+
+        Raises
+        ------
+        OutOfTimeRange
+            See :meth:`states`.
+        """
         c = correction or Correction()
         states = self.states(line)
         s = np.atleast_1d(np.asarray(sample, float))
@@ -268,10 +292,11 @@ class PushbroomSensor:
     # --- ground to image ---------------------------------------------------------------------
 
     def project(self, ground_m: npt.ArrayLike, correction: Correction | None = None) -> tuple[Array, Array]:
-        """Line and sample of N ECEF points; points far outside the image give nan.
+        """Line and sample of N ECEF points (N, 3) m, by Newton on both at once (docs/equations.md 6).
 
-        Iterates on the line until the along-track condition holds, then on the sample
-        (docs/equations.md 6); see ``fg_orient.sensors.projection``.
+        Points outside the image get the linear continuation from its border (:meth:`is_inside` tells
+        them); nan only where the satellite cannot see the point or the iteration does not converge.
+        See ``fg_orient.sensors.projection``.
         """
         return projection.project(self, np.atleast_2d(np.asarray(ground_m, float)), correction or Correction())
 

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from fg_orient import initial
 from fg_orient.errors import InputError, OutOfImage, OutOfTimeRange
+from fg_orient.sensors import projection
+from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.metadata import LineTiming, LookAnglePolynomial, PushbroomMetadata
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
@@ -41,6 +44,40 @@ def test_attitudes_are_held_for_a_fifth_of_a_second_only(metadata: PushbroomMeta
     held.locate([0.0, 11999.0], [0.0, 11999.0], height_m=0.0)
     with pytest.raises(OutOfTimeRange, match=r"at most 0\.2 s are held"):
         PushbroomSensor(shifted(metadata, to_end + 0.25))
+
+
+def test_attitudes_that_start_late_are_noted_as_such(metadata: PushbroomMetadata) -> None:
+    timing = metadata.timing
+    first_line_s = timing.reference_time_s - timing.line_period_s * timing.reference_line
+    to_start = metadata.attitude.time_s[0] - first_line_s
+    late = PushbroomSensor(shifted(metadata, to_start - 0.055))
+    assert late.notes[-1] == "attitudes start 0.055 s after the image does: the first one is held"
+
+
+def test_attitudes_are_not_held_for_lines_far_outside(metadata: PushbroomMetadata) -> None:
+    """0.2 s and half a line beyond the list, for rays as for the image; the projection stays inside."""
+    timing, last = metadata.timing, metadata.attitude.time_s[-1]
+    sensor = PushbroomSensor(metadata)
+    line = timing.reference_line + (last - timing.reference_time_s) / timing.line_period_s
+    hold = 0.2 / timing.line_period_s
+    assert np.isfinite(sensor.rays(line + hold, 5.0)[1]).all()
+    for call in (sensor.states, lambda number: sensor.rays(number, 5.0)):
+        with pytest.raises(OutOfTimeRange, match=r"attitudes cover .* at most 0\.2 s are held"):
+            call(line + hold + 1.0)
+    to_end = last - (timing.reference_time_s + timing.line_period_s * (metadata.n_lines - 1 - timing.reference_line))
+    held = PushbroomSensor(shifted(metadata, to_end + 0.2 - 1e-9))  # the border of the last line is still inside
+    inside = held.locate([11999.5, 11000.0], [5.0, 5.0], height_m=0.0)
+    beyond = inside[0] + 5.0 * (inside[0] - inside[1])
+    found, _ = held.project(beyond[None])
+    assert found[0] == pytest.approx(11999.5 + 5.0 * 499.75 * 2.0, abs=60.0)  # linear to 1 %
+
+
+def test_a_projection_that_does_not_end_is_nan(metadata: PushbroomMetadata, monkeypatch: pytest.MonkeyPatch) -> None:
+    sensor = PushbroomSensor(metadata)
+    ground = sensor.locate([10.0, 9000.0], [10.0, 9000.0], height_m=0.0)
+    assert np.isfinite(sensor.project(ground)).all()
+    monkeypatch.setattr(projection, "MAX_STEPS", 1)
+    assert np.isnan(sensor.project(ground)).all()
 
 
 def test_samples_that_all_look_the_same_way(metadata: PushbroomMetadata) -> None:
@@ -86,3 +123,39 @@ def test_intersection_of_two_images(metadata: PushbroomMetadata) -> None:
         fg.intersect([sensors[0], sensors[0]], [5.0, 5.0], [5.0, 5.0])
     with pytest.raises(OutOfImage):
         fg.intersect(sensors, [5.0, -5.0], [5.0, 5.0])
+    with pytest.raises(InputError, match="one correction for each of the 2 sensors"):
+        fg.intersect(sensors, line, sample, truth.corrections[:1])
+    with pytest.raises(InputError, match="one row for each of the 2 sensors"):
+        fg.intersect(sensors, line.T, sample.T)
+
+
+def test_rays_that_meet_behind_a_sensor(metadata: PushbroomMetadata) -> None:
+    """Both images rolled outwards by 60 degrees diverge: the lines through the rays meet in space."""
+    block, _ = zonguldak_block(ZonguldakOptions(seed=1))
+    sensors = [image.sensor for image in block.images]
+    apart = [Correction(), Correction()]
+    east = [np.degrees(np.arctan2(*s.centre_position()[[1, 0]])) for s in sensors]
+    for correction, other in zip(apart, east[::-1], strict=True):
+        sign = 1.0 if other == min(east) else -1.0
+        correction.eop[6, 0] = sign * np.radians(60.0)
+    pixel = [[6000.0], [6000.0]]
+    (p, u), (q, v) = (s.rays(6000.0, 6000.0, c) for s, c in zip(sensors, apart, strict=True))
+    found, angle = initial.nearest_points(np.concatenate([p, q]), np.concatenate([u, v]), np.zeros(2, np.intp), 1)
+    assert angle[0] > 10.0
+    assert ((found - p) * u).sum() < 0.0
+    with pytest.raises(InputError, match="meet behind a sensor"):
+        fg.intersect(sensors, pixel, pixel, apart)
+
+
+def test_convergence_is_the_largest_angle_of_any_two_rays() -> None:
+    """Points with 4, 2, 3, 1 and no rays at known angles in one plane, in mixed order."""
+    degrees = {0: [0.0, 1.0, 7.0, 3.0], 1: [0.0, 0.05], 2: [10.0, -20.0, 0.0], 3: [5.0]}
+    point = np.array([k for k, angles in degrees.items() for _ in angles])
+    angle = np.radians([a for angles in degrees.values() for a in angles])
+    order = np.random.default_rng(2).permutation(len(point))
+    u = np.stack([np.sin(angle), np.zeros(len(angle)), -np.cos(angle)], axis=1)
+    target = np.array([7.0e6, 1.0e5, 2.0e5])
+    found, spread = initial.nearest_points((target - 8e5 * u)[order], u[order], point[order], 5)
+    assert spread == pytest.approx([7.0, 0.05, 30.0, 0.0, 0.0], abs=1e-12)
+    assert np.isnan(found[[1, 3, 4]]).all()  # closer to parallel than 0.1 degrees, one ray, none
+    assert np.abs(found[[0, 2]] - target).max() < 1e-6
