@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factors import control, ellipsoid
+from factors import ellipsoid
 from factors._contract import evaluate
 from factors.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD_SIZE
 from fg_orient import geodesy, initial
@@ -201,8 +201,8 @@ def _control_records(sigma_enu_m: Array, ecef_m: Array, origin_m: Array, observe
     rows = np.flatnonzero(observed)
     enu = enu_from_ecef(ecef_m[rows])
     for k, row in enumerate(rows):
-        covariance = enu[k].T @ np.diag(sigma_enu_m[row] ** 2) @ enu[k]
-        out[row, :9] = control.whitening(0.5 * (covariance + covariance.T)).ravel()
+        # W^T W = C^-1 by QR of the scaled axes: no covariance is formed, so any ratio of sigmas is exact
+        out[row, :9] = np.linalg.qr(enu[k] / sigma_enu_m[row][:, None]).R.ravel()
         out[row, 9:] = ecef_m[row] - origin_m
     return out
 

@@ -33,8 +33,8 @@ class Estimate:
     chi2 : float
         Weighted sum of squares.
     linear, zero : GTSAM linear graph at the state and zero values of its unknowns
-    structure_s, jit_s, solve_s : float
-        Wall-clock seconds: building the graph, compiling kernels, optimising.
+    structure_s, solve_s : float
+        Wall-clock seconds: building the graph, optimising.
     """
 
     state: State
@@ -46,7 +46,6 @@ class Estimate:
     linear: gtsam.GaussianFactorGraph
     zero: gtsam.VectorValues
     structure_s: float
-    jit_s: float
     solve_s: float
 
 
@@ -97,8 +96,6 @@ def _run(problem: Problem, callback: Callback | None) -> Estimate:
     from fg_orient.adjustment.graph import GraphBackend, run_native
 
     marks = [time.perf_counter()]
-    _warm_up(problem)
-    marks.append(time.perf_counter())
     backend = GraphBackend(problem)
     marks.append(time.perf_counter())
     log: tuple[IterationRecord, ...] = ()
@@ -118,14 +115,5 @@ def _run(problem: Problem, callback: Callback | None) -> Estimate:
     linear = backend.linearise(values).linear
     return Estimate(
         backend.state(values), 2.0 * error, converged, reason, log, iterations, linear, backend.zero,
-        marks[2] - marks[1], marks[1] - marks[0], marks[3] - marks[2],
+        marks[1] - marks[0], marks[2] - marks[1],
     )  # fmt: skip
-
-
-def _warm_up(problem: Problem) -> None:
-    """Compile the kernels (or load them from the cache) so that the solve time is the solver's."""
-    from factors.pushbroom import kernel
-
-    x, ground = problem.start.image[problem.observations.image[0]], problem.start.ground[problem.observations.point[0]]
-    for want in (False, True):
-        kernel(problem.records[0], problem.parameters.setup, x, ground.copy(), want)

@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 
 #: Above this many image unknowns their joint cofactors are not formed at once; points are asked one by one.
-JOINT_LIMIT = 600
+JOINT_LIMIT = 3000
 
 
 class Cofactors:

@@ -180,7 +180,7 @@ def analyse_block(problem: Problem) -> BlockObservability:
             b = np.linalg.qr(a, mode="complete")[0][:, 3:].T @ b
         rest = np.vstack([rest, b])
         if len(rest) > 4 * m * width + 100:
-            rest = np.linalg.qr(rest, mode="r")
+            rest = np.linalg.qr(rest).R
     full = np.vstack([rest, np.zeros((max(0, m * width - len(rest)), m * width))])
     _, s, vt = np.linalg.svd(full, full_matrices=False)
     names = [(image.id, code) for image in problem.block.images for code in parameters.codes]

@@ -218,8 +218,8 @@ class PushbroomSensor:
             See :meth:`states`.
         """
         c = correction or Correction()
-        states = self.states(line)
-        s = np.atleast_1d(np.asarray(sample, float))
+        lines, s = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (line, sample)))
+        states = self.states(lines)
         psi_x, psi_y = self.look_angles(s)
         delta = polynomials.evaluate(c.eop, states.tau)
         if c.look.shape[1]:
@@ -253,7 +253,7 @@ class PushbroomSensor:
         InputError
             A ray misses the surface, or the DEM does not cover it.
         """
-        line, sample = (np.atleast_1d(np.asarray(a, float)) for a in (line, sample))
+        line, sample = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (line, sample)))
         self.require_inside(line, sample)
         p, u = self.rays(line, sample, correction)
         if dem is not None:

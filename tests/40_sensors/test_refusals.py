@@ -159,3 +159,11 @@ def test_convergence_is_the_largest_angle_of_any_two_rays() -> None:
     assert spread == pytest.approx([7.0, 0.05, 30.0, 0.0, 0.0], abs=1e-12)
     assert np.isnan(found[[1, 3, 4]]).all()  # closer to parallel than 0.1 degrees, one ray, none
     assert np.abs(found[[0, 2]] - target).max() < 1e-6
+
+
+def test_one_line_and_many_samples(metadata: PushbroomMetadata) -> None:
+    sensor = PushbroomSensor(metadata)
+    row = sensor.locate(100.0, [5.0, 6.0, 7.0], height_m=0.0)
+    assert np.array_equal(row[1], sensor.locate(100.0, 6.0, height_m=0.0)[0])
+    centre, direction = sensor.rays(100.0, [5.0, 6.0, 7.0])
+    assert centre.shape == direction.shape == (3, 3)

@@ -28,7 +28,20 @@ def test_moving_every_check_coordinate_changes_no_estimate(twin: Block) -> None:
     assert np.array_equal(a.residuals_px, b.residuals_px)
     assert a.chi2 == b.chi2
     assert np.array_equal(a.accuracy.control.enu_m, b.accuracy.control.enu_m)
+    assert np.array_equal(a.accuracy.check.predicted_sigma_enu_m, b.accuracy.check.predicted_sigma_enu_m)
     assert np.abs(b.accuracy.check.ecef_m - a.accuracy.check.ecef_m + 1000.0).max() < 1e-6
+
+
+def test_extreme_ratios_of_sigmas_are_exact(twin: Block) -> None:
+    """0.06 m horizontally and 1e5 m in height: the weights are formed from the sigmas, not from a covariance."""
+    sigma = twin.points.known.sigma_enu_m.copy()
+    first = int(twin.points.where(fg.Role.CONTROL)[0])
+    sigma[first] = 0.06, 0.06, 1e5
+    loose = replace(twin, points=replace(twin.points, known=replace(twin.points.known, sigma_enu_m=sigma)))
+    solution = fg.adjust(loose, eop_set=10)
+    assert solution.status is fg.Status.CONVERGED
+    w = solution.problem.control_records[first, :9].reshape(3, 3)
+    assert np.allclose(np.linalg.svd(w, compute_uv=False), [1 / 0.06, 1 / 0.06, 1e-5], rtol=1e-9)
 
 
 def test_withheld_coordinates_are_opened_once_and_last(twin: Block, monkeypatch) -> None:
