@@ -101,9 +101,13 @@ class NoSolutionError(FgOrientError):
 class RankDeficientError(NoSolutionError):
     """The normal equations are singular; the problems name the directions.
 
-    ``rank_defect`` counts the dead directions of each image.
+    ``rank_defect`` counts the dead directions of each image, ``counts`` holds n_observations,
+    n_unknowns and redundancy.
     """
 
-    def __init__(self, *problems: Problem, rank_defect: Mapping[str, int] | None = None) -> None:
+    def __init__(
+        self, *problems: Problem, rank_defect: Mapping[str, int] | None = None, counts: Mapping[str, int] | None = None
+    ) -> None:
         super().__init__(*problems)
         self.rank_defect = dict(rank_defect or {})
+        self.counts = dict(counts or {})

@@ -124,6 +124,11 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
     if compiled.block.options.priors:
         return None
     defect = {o.image: o.rank_defect for o in observability}
+    counts = {
+        "n_observations": compiled.n_observations,
+        "n_unknowns": compiled.n_unknowns,
+        "redundancy": compiled.redundancy,
+    }
     sentences = [sentence for o in observability for sentence in o.sentences]
     view = None
     if not sentences and compiled.redundancy >= 0:
@@ -131,12 +136,12 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
         sentences = list(view.sentences)
     if sentences:
         problems = [problem("adjust.rank_deficient", place=sentence) for sentence in sentences]
-        raise RankDeficientError(*problems, rank_defect=defect)
+        raise RankDeficientError(*problems, rank_defect=defect, counts=counts)
     if compiled.redundancy < 0:
         raise RankDeficientError(problem(
             "adjust.negative_redundancy", place=compiled.block.name, value=compiled.redundancy,
             observations=compiled.n_observations, unknowns=compiled.n_unknowns,
-        ), rank_defect=defect)  # fmt: skip
+        ), rank_defect=defect, counts=counts)  # fmt: skip
     return view
 
 

@@ -202,7 +202,8 @@ def _control_records(sigma_enu_m: Array, ecef_m: Array, origin_m: Array, observe
     enu = enu_from_ecef(ecef_m[rows])
     for k, row in enumerate(rows):
         # W^T W = C^-1 by QR of the scaled axes: no covariance is formed, so any ratio of sigmas is exact
-        out[row, :9] = np.linalg.qr(enu[k] / sigma_enu_m[row][:, None]).R.ravel()
+        w = np.linalg.qr(enu[k] / sigma_enu_m[row][:, None]).R
+        out[row, :9] = (w * np.where(np.diag(w) < 0.0, -1.0, 1.0)[:, None]).ravel()
         out[row, 9:] = ecef_m[row] - origin_m
     return out
 

@@ -43,7 +43,12 @@ def adjust(
         Path | None, typer.Option("--out", help="Result folder; default: result, beside the project file.")
     ] = None,
     overwrite: Overwrite = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no tables.")] = False,
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "--quiet", "-q", help="No progress and no tables; an untrustworthy or missing solution is still said."
+        ),
+    ] = False,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -74,6 +79,8 @@ def adjust(
             emit(record)
         elif not quiet and record["out"]:
             show(record)
+        elif quiet and record["status"] != Status.CONVERGED:
+            note(f"{record['status'].replace('_', ' ')}: {record['reason']}")
         raise typer.Exit(EXIT_CODE[Status(record["status"])])
 
 

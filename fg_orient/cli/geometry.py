@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: Heights beyond these are no ground: a wrong unit or column.
 HEIGHT_RANGE_M = (-12e3, 100e3)
+#: Rays of one point with metadata orientation miss each other by tens of metres.
+MAX_MISS_M = 500.0
 GROUND = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m")
 FRAME = (*GROUND, "file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m")
 #: Columns of the frame points for people: the others do not fit into 80 characters.
@@ -182,15 +184,27 @@ def intersect(
             images, observations = _pixels_of(sources, pixel or [])
             ids = ("1",)
         records = intersection_records(images, observations, ids)
+        notes = [text for record in records if (text := _doubt(record))]
+        for text in notes:
+            note(f"warning: {text}")
         if out is not None:
             write_records(out, (*GROUND, "miss_m"), records, overwrite)
         if as_json:
-            emit(
-                {"points": records, "images": [image.id for image in images], "out": None if out is None else str(out)}
-            )
+            named = {"images": [image.id for image in images], "notes": notes}
+            emit({"points": records, **named, "out": None if out is None else str(out)})
         else:
             columns = ("id", "lon_deg", "lat_deg", "height_m", "miss_m")
             table("", columns, [_for_people(r, columns) for r in records])
+
+
+def _doubt(record: dict[str, Any]) -> str | None:
+    """Say why an intersection is hardly the same point in every image."""
+    if record["miss_m"] <= MAX_MISS_M and -1e3 <= record["height_m"] <= 10e3:
+        return None
+    return (
+        f"point {record['id']}: the rays miss each other by {record['miss_m']:.0f} m at a height of "
+        f"{record['height_m']:.0f} m: probably not the same point in every image"
+    )
 
 
 def _pixels_of(sources: list[Path], pixels: list[str]) -> tuple[tuple[Image, ...], ImagePoints]:

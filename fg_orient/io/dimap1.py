@@ -204,7 +204,9 @@ def _attitude(root: XmlNode, epoch: np.datetime64, index: int, ends_s: Array) ->
 def _rows(nodes: list[XmlNode], epoch: np.datetime64, quantity: Quantity) -> tuple[Array, Array]:
     """Give times (n,) and ROLL, PITCH, YAW (n, 3) as in the file."""
     time_s = checks.times([n.one("TIME") for n in nodes], epoch)
-    return time_s, np.array([[n.one(tag).number(quantity) for tag in ("ROLL", "PITCH", "YAW")] for n in nodes])
+    limit = checks.MAX_ATTITUDE_RAD  # rad, and rad/s for angular speeds
+    tags = ("ROLL", "PITCH", "YAW")
+    return time_s, np.array([[n.one(tag).number(quantity, -limit, limit) for tag in tags] for n in nodes])
 
 
 def _flagged(nodes: list[XmlNode]) -> tuple[str, ...]:

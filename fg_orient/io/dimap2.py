@@ -44,6 +44,13 @@ MAX_DEGREE = 10
 _FRAME_TAGS = ("ROW", "COL", "LON", "LAT")
 
 
+#: Said when frame points are compared with the model.
+FRAME_NOTE = (
+    "the file states no heights for its frame points: they lie on the terrain, so that they are missed at height 0; "
+    "give --height or --dem"
+)
+
+
 def read_dimap2(root: XmlNode) -> PushbroomMetadata:
     """Read a DIMAP 2.x document of a Pléiades 1A/1B or SPOT 6/7 sensor product.
 
@@ -66,6 +73,7 @@ def read_dimap2(root: XmlNode) -> PushbroomMetadata:
     span_s = timing.reference_time_s + timing.line_period_s * np.linspace(0.0, n_lines - 1.0, 5)
     attitude, attitude_notes = _attitude(model.one("Attitudes"), epoch, span_s)
     look, look_notes = _look_angles(model, n_samples)
+    frame_points = _frame_points(root)
     return PushbroomMetadata(
         file=root.file,
         mission=mission,
@@ -78,8 +86,9 @@ def read_dimap2(root: XmlNode) -> PushbroomMetadata:
         ephemeris=_ephemeris(model, epoch),
         attitude=attitude,
         look=look,
-        frame_points=_frame_points(root),
+        frame_points=frame_points,
         notes=attitude_notes + look_notes + _bias_note(model),
+        frame_note=FRAME_NOTE if frame_points else "",
     )
 
 

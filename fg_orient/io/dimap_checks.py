@@ -23,6 +23,8 @@ RADIUS_M = (6.5e6, 8.0e6)
 SPEED_M_S = (6e3, 9e3)
 LINE_PERIOD_S = (1e-5, 1e-2)
 MAX_LOOK_ANGLE_RAD = math.pi / 4
+#: Attitude angles stay below the yaw steering of 0.07 rad; larger ones are degrees typed as radians.
+MAX_ATTITUDE_RAD = 0.2
 MAX_IMAGE_SIZE = 10**7
 #: Quaternions are delivered normalised; beyond this they are no rotation.
 QUATERNION_NORM_TOLERANCE = 1e-3

@@ -111,10 +111,12 @@ def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]
         "backend": block.options.backend,
         "iterations": 0,
         "n_image_points": len(block.observations),
+        **error.counts,
         "sigma0": None,
         "rank_defect": dict(error.rank_defect),
         "unobservable": sentences or [p.message for p in error.problems],
-        "accuracy": None,
+        "accuracy": {"control": None, "check": None},
+        "us_per_observation_iteration": None,
         "errors": [p.as_dict() for p in error.problems],
         "out": None,
     }

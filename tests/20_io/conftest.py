@@ -11,6 +11,7 @@ import pytest
 
 from fg_orient.errors import InputError, Problem
 from fg_orient.io.dimap import read_dimap
+from fg_orient.io.dimap2 import FRAME_NOTE
 from fg_orient.io.dimap_write import write_dimap1, write_dimap2
 from fg_orient.sensors.metadata import (
     AngleAttitude,
@@ -73,6 +74,7 @@ def pleiades(spot5: PushbroomMetadata) -> PushbroomMetadata:
         attitude=QuaternionPolynomial(T0_S, 1.6875, half),
         look=LookAnglePolynomial(0.0, np.array([8e-5]), np.array([-0.014222, 7.113e-7])),
         frame_points=tuple(corners),
+        frame_note=FRAME_NOTE,
     )  # fmt: skip
 
 
