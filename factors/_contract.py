@@ -69,9 +69,9 @@ class Equation:
     source : str
         Author year, equation number.
     fill : callable, optional
-        ``fill(record, setup, x_1, ..., out, want) -> bool`` writes the value into column 0 of ``out`` and
-        the Jacobians into the following ones, and returns False if sizes do not fit or a value is not
-        finite: the same numbers without allocation, used by factors when given.
+        ``fill(records, row, setup, x_1, ..., out, want) -> bool`` writes the value of one row of (N, d)
+        records into column 0 of ``out`` and the Jacobians into the following ones; False if sizes do not
+        fit or a value is not finite. The same numbers without allocation, used by factors when given.
     """
 
     name: str

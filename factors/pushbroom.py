@@ -104,12 +104,12 @@ def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
 
 
 @compiled
-def fill(record: Array, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
-    """Write residual (column 0), image and ground Jacobian into ``out`` (2, k + 4); no allocation.
+def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
+    """Write residual, image and ground Jacobian of one row into ``out`` (2, 1 + k + 3); no allocation.
 
     Returns False if the sizes do not fit or a value is not finite.
     """
-    k = setup.shape[1]
+    k, record = setup.shape[1], records[row]
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
     e = corrections(record, setup, x)
@@ -168,7 +168,7 @@ def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> 
     """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
     k = setup.shape[1]
     out = np.full((2, k + 4), np.nan)  # stays nan if sizes do not fit: never uninitialised memory
-    fill(record, setup, x, ground, out, want)
+    fill(record.reshape((1, -1)), 0, setup, x, ground, out, want)
     if not want:
         return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))
     return out[:, 0].copy(), out[:, 1 : k + 1].copy(), out[:, k + 1 :].copy()

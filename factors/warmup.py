@@ -21,7 +21,7 @@ def compile_kernels() -> float:
     for want in (False, True):
         pushbroom.kernel(e.record, e.setup, x, point, want)
     records = np.stack([e.record, e.record])
-    pushbroom.fill(records[0], e.setup, x, point, np.empty((2, len(x) + 4)), True)
+    pushbroom.fill(records, 0, e.setup, x, point, np.empty((2, len(x) + 4)), True)
     pushbroom.conditions(records, e.setup, x, np.stack([point, point]))
     p, v = records[:, 0:3].copy(), records[:, 3:6].copy()
     rotations.orbital_frames(p, v)

@@ -48,16 +48,27 @@ def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
 
 
 def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
+    """Add one factor per image point, point by point: neighbours in the graph share a ground point.
+
+    Values, records and linear factors of one point then lie together in memory.
+    """
     setup, k, o = problem.parameters.setup, len(problem.parameters), problem.observations
-    make = image_point_factors(LOOK_ANGLE_COLLINEARITY, k, setup)
-    for row in range(len(o)):
-        image, j = image_key(int(o.image[row])), int(o.point[row])
-        record, label = problem.records[row], problem.label(row)
+    order = np.argsort(o.point, kind="stable")
+    records = np.ascontiguousarray(problem.records[order])
+    rows = order.tolist()
+    make = image_point_factors(LOOK_ANGLE_COLLINEARITY, k, records, setup, lambda n: problem.label(rows[n]))
+    image_keys = [image_key(i) for i in range(problem.n_images)]
+    key, last = 0, -1
+    for n, row in enumerate(rows):
+        image, j = image_keys[int(o.image[row])], int(o.point[row])
         if problem.active[j]:
-            graph.add(make(image, point_key(j), record, label))
+            if j != last:
+                key, last = point_key(j), j
+            graph.add(make(image, key, n))
         else:
             constant = np.ascontiguousarray(problem.start.ground[j])
-            graph.add(factor(LOOK_ANGLE_COLLINEARITY, (image, constant), (k, 3), record, setup, label=label))
+            label = problem.label(row)
+            graph.add(factor(LOOK_ANGLE_COLLINEARITY, (image, constant), (k, 3), records[n], setup, label=label))
 
 
 def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFactor:

@@ -75,13 +75,13 @@ def test_fill_gives_the_same_numbers_and_refuses_wrong_sizes(equation: Equation)
     e = equation.example(rng)
     value, *jacobians = equation.kernel(e.record, e.setup, *e.unknowns, True)
     out = np.full((len(value), 1 + sum(len(u) for u in e.unknowns)), 7.0)
-    assert equation.fill(e.record, e.setup, *e.unknowns, out, True)
+    assert equation.fill(e.record[None].copy(), 0, e.setup, *e.unknowns, out, True)
     assert np.array_equal(out, np.hstack([value[:, None], *jacobians]))
-    assert not equation.fill(e.record, e.setup, e.unknowns[0][:-1], *e.unknowns[1:], out, True)
-    assert not equation.fill(e.record, e.setup, *e.unknowns, out[:, 1:], True)
+    assert not equation.fill(e.record[None].copy(), 0, e.setup, e.unknowns[0][:-1], *e.unknowns[1:], out, True)
+    assert not equation.fill(e.record[None].copy(), 0, e.setup, *e.unknowns, out[:, 1:], True)
     broken = [u.copy() for u in e.unknowns]
     broken[-1][0] = np.nan
-    assert not equation.fill(e.record, e.setup, *broken, out, False)
+    assert not equation.fill(e.record[None].copy(), 0, e.setup, *broken, out, False)
 
 
 @pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
