@@ -94,6 +94,12 @@ class Problem:
         image = self.block.images[self.observations.image[row]].id
         return f"image {image}, point {self.block.points.ids[self.observations.point[row]]}"
 
+    def rows_by_point(self) -> list[tuple[int, npt.NDArray[np.intp]]]:
+        """Ground points with the rows of ``observations`` that see them, by point number."""
+        order = np.argsort(self.observations.point, kind="stable")
+        points, starts = np.unique(self.observations.point[order], return_index=True)
+        return list(zip(points.tolist(), np.split(order, starts[1:]), strict=True))
+
     def corrections(self, state: State) -> list[Correction]:
         """Physical corrections of all images."""
         small = self.block.options.small_angle

@@ -91,10 +91,8 @@ class Cofactors:
         """Cofactors of all unknown points from those of all images."""
         problem, width = self._problem, self._width
         _, j_image, j_ground = problem.image_residuals(self._state, jacobian=True)
-        order = np.argsort(problem.observations.point, kind="stable")
-        points, starts = np.unique(problem.observations.point[order], return_index=True)
         out = {}
-        for j, rows in zip(points, np.split(order, starts[1:]), strict=True):
+        for j, rows in problem.rows_by_point():
             if not problem.active[j]:
                 continue
             a = np.vstack([j_ground[r] for r in rows])
@@ -105,7 +103,7 @@ class Cofactors:
             inverse = np.linalg.inv(n)
             columns = np.concatenate([np.arange(width) + width * problem.observations.image[r] for r in rows])
             g = inverse @ np.hstack([j_ground[r].T @ j_image[r] for r in rows])
-            out[int(j)] = inverse + g @ q_images[np.ix_(columns, columns)] @ g.T
+            out[j] = inverse + g @ q_images[np.ix_(columns, columns)] @ g.T
         return out
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:

@@ -164,10 +164,8 @@ def analyse_block(problem: Problem) -> BlockObservability:
     """Judge the block without priors: unknown ground points are eliminated point by point (QR)."""
     parameters, width, m = problem.parameters, len(problem.parameters), problem.n_images
     _, j_image, j_ground = problem.image_residuals(problem.start, jacobian=True)
-    order = np.argsort(problem.observations.point, kind="stable")
-    points, starts = np.unique(problem.observations.point[order], return_index=True)
     rest = np.zeros((0, m * width))
-    for j, rows in zip(points, np.split(order, starts[1:]), strict=True):
+    for j, rows in problem.rows_by_point():
         b = np.zeros((2 * len(rows), m * width))
         for r, row in enumerate(rows):
             at = width * int(problem.observations.image[row])
