@@ -314,3 +314,9 @@ class Block:
     def image_index(self, image_id: str) -> int:
         """Position of the image with this id."""
         return [image.id for image in self.images].index(image_id)
+
+    def find(self, name: str) -> tuple[str, int] | None:
+        """Kind ("image", "point") and position of a name such as "image:left" or "point:12"; None if there is none."""
+        kind, _, identifier = name.partition(":")
+        ids = {"image": tuple(image.id for image in self.images), "point": self.points.ids}.get(kind, ())
+        return (kind, ids.index(identifier)) if identifier in ids else None

@@ -76,20 +76,20 @@ def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFact
     unknowns: list[int | Array] = []
     sizes = []
     for name, argument in zip(extra.unknowns, extra.equation.arguments, strict=True):
-        kind, _, identifier = name.partition(":")
-        if argument.is_point != (kind == "point"):
+        if argument.is_point != name.startswith("point:"):
             raise InputError.of("adjust.extra_kind", place=extra.label, value=name, argument=argument.name)
-        if kind == "image" and identifier in [image.id for image in problem.block.images]:
-            unknowns.append(image_key(problem.block.image_index(identifier)))
+        found = problem.block.find(name)
+        if found is None:
+            raise InputError.of("adjust.extra_unknown", place=extra.label, value=name)
+        kind, j = found
+        if kind == "image":
+            unknowns.append(image_key(j))
             sizes.append(len(problem.parameters))
-        elif kind == "point" and identifier in problem.block.points.ids:
-            j = problem.block.points.ids.index(identifier)
+        else:
             if np.isnan(problem.start.ground[j]).any():
                 raise InputError.of("adjust.extra_unused", place=extra.label, value=name)
             unknowns.append(point_key(j) if problem.active[j] else np.ascontiguousarray(problem.start.ground[j]))
             sizes.append(3)
-        else:
-            raise InputError.of("adjust.extra_unknown", place=extra.label, value=name)
     if not any(isinstance(u, int) for u in unknowns):
         raise InputError.of("adjust.extra_constant", place=extra.label, value=", ".join(extra.unknowns))
     return factor(

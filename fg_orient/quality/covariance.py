@@ -129,15 +129,14 @@ class NamedMatrix:
 def named_cofactors(problem: Problem, cofactors: Cofactors, names: tuple[str, ...]) -> NamedMatrix:
     """Joint cofactors of named images and points in physical units; see ``Solution.cofactor_matrix``."""
     block, parameters = problem.block, problem.parameters
-    images, points = [], []
+    images: list[int] = []
+    points: list[int] = []
     for name in names or tuple(f"image:{image.id}" for image in block.images):
-        kind, _, identifier = name.partition(":")
-        if kind == "image" and identifier in [image.id for image in block.images]:
-            images.append(block.image_index(identifier))
-        elif kind == "point" and identifier in block.points.ids:
-            points.append(block.points.ids.index(identifier))
-        else:
+        found = block.find(name)
+        if found is None:
             raise InputError.of("covariance.no_such", place="covariance", value=name)
+        kind, k = found
+        (images if kind == "image" else points).append(k)
     fixed = [block.points.ids[j] for j in points if not problem.active[j]]
     if fixed:
         raise InputError.of("covariance.not_unknown", place="covariance", value=", ".join(fixed))
