@@ -20,7 +20,7 @@ CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$")
 
 def sources(repository: Path) -> list[Path]:
     """Modules of fg_orient but the catalogue itself."""
-    return [p for p in sorted((repository / "fg_orient").rglob("*.py")) if p.name != "messages.py"]
+    return [p for p in sorted((repository / "fg_orient").rglob("*.py")) if p.parent.name != "messages"]
 
 
 def literal_codes(expression: ast.expr) -> list[str]:

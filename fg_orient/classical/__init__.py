@@ -1,0 +1,1 @@
+"""The published procedures: Gauss-Markov and Gauss-Helmert adjustment, the two-stage orientation of stereo pairs."""

@@ -1,0 +1,148 @@
+"""A linear system ``N x = b`` as every solver gets it, its solution, and the reported failure.
+
+``N = A^T A`` and ``b = A^T l`` where the design matrix is known: A (r, u) and l (r,) are whitened, so a
+Gauss-Helmert adjustment gives ``A = M^-1/2 A'`` and ``l = -M^-1/2 w``. Methods that work on A (QR, SVD)
+need it, the published ones use N and b alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.errors import InputError, NoSolutionError
+
+Array = npt.NDArray[np.float64]
+
+#: Dense matrices beyond this many unknowns are refused: the graph backend is made for them.
+MAX_UNKNOWNS = 2000
+#: |N - N^T| beyond this share of the largest element is no rounding.
+SYMMETRY_TOLERANCE = 1e-10
+
+
+class Breakdown(NoSolutionError):
+    """A solver cannot go on (pivot 0, radicand not positive ...); ``problems[0]`` says where and why."""
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """Normal equations, checked.
+
+    Parameters
+    ----------
+    normal : (u, u) array
+        Symmetric N.
+    rhs : (u,) array
+        b.
+    design : (r, u) array, optional
+        Whitened A with ``N = A^T A``.
+    observed : (r,) array, optional
+        Whitened l with ``b = A^T l``.
+
+    Raises
+    ------
+    InputError
+        Not square, not symmetric, not finite, sizes that do not fit, or more than 2000 unknowns.
+    """
+
+    normal: Array
+    rhs: Array
+    design: Array | None = None
+    observed: Array | None = None
+
+    def __post_init__(self) -> None:
+        check_normal(self.normal)
+        u = len(self.normal)
+        if self.rhs.shape != (u,) or not np.isfinite(self.rhs).all():
+            raise InputError.of("linear.rhs", place="b", value=f"shape {self.rhs.shape}", unknowns=u)
+        if self.design is not None:
+            observed = self.observed
+            fits = self.design.ndim == 2 and self.design.shape[1] == u
+            fits = fits and observed is not None and observed.shape == (len(self.design),)
+            if not fits or not np.isfinite(self.design).all() or not np.isfinite(np.asarray(observed)).all():
+                raise InputError.of("linear.design", place="A, l", value=f"shape {self.design.shape}", unknowns=u)
+
+    @classmethod
+    def from_design(cls, design: Array, observed: Array) -> LinearSystem:
+        """Normal equations of ``A x = l`` with unit weights."""
+        if design.ndim == 2 and design.shape[1] > MAX_UNKNOWNS:  # refused before N is formed
+            raise InputError.of("linear.too_large", place="N", value=design.shape[1], limit=MAX_UNKNOWNS)
+        return cls(design.T @ design, design.T @ observed, design, observed)
+
+    def __len__(self) -> int:
+        return len(self.rhs)
+
+    @property
+    def redundancy(self) -> int:
+        """Observations minus unknowns.
+
+        Raises
+        ------
+        InputError
+            The design matrix is not known.
+        """
+        design, _ = self.require_design("redundancy")
+        return len(design) - len(self)
+
+    def require_design(self, what: str) -> tuple[Array, Array]:
+        """Give A and l for a method that needs them.
+
+        Raises
+        ------
+        InputError
+            Only N and b are known.
+        """
+        if self.design is None or self.observed is None:
+            raise InputError.of("linear.no_design", place=what)
+        return self.design, self.observed
+
+
+def check_normal(normal: Array) -> None:
+    """Refuse a matrix that no solver of this package may get.
+
+    Raises
+    ------
+    InputError
+        Not square, empty, too large, not finite, not symmetric.
+    """
+    if normal.ndim != 2 or normal.shape[0] != normal.shape[1] or not len(normal):
+        raise InputError.of("linear.not_square", place="N", value=f"shape {normal.shape}")
+    if len(normal) > MAX_UNKNOWNS:
+        raise InputError.of("linear.too_large", place="N", value=len(normal), limit=MAX_UNKNOWNS)
+    if not np.isfinite(normal).all():
+        row, column = np.argwhere(~np.isfinite(normal))[0]
+        raise InputError.of("linear.not_finite", place=f"N[{row}, {column}]", value=normal[row, column])
+    skew = np.abs(normal - normal.T)
+    if skew.max() > SYMMETRY_TOLERANCE * np.abs(normal).max():
+        row, column = np.unravel_index(int(skew.argmax()), skew.shape)
+        raise InputError.of("linear.not_symmetric", place=f"N[{row}, {column}]", value=f"{skew.max():.3g}")
+
+
+@dataclass(frozen=True)
+class LinearSolution:
+    """What a solver gives.
+
+    Parameters
+    ----------
+    x : (u,) array
+        Unknowns; nan where the solver broke down (then ``failure`` says why).
+    inverse : (u, u) array, optional
+        The inverse, for solvers that form one.
+    rank : int, optional
+        Number of singular values used, for solvers that count.
+    kappa : float, optional
+        Regularisation parameter, for Tikhonov solvers.
+    notes : tuple of str
+        Remarks: negative radicands, check sums that do not hold, clamped parameters.
+    failure : str
+        Why there is no solution; "" if there is one.
+    """
+
+    x: Array
+    inverse: Array | None = None
+    rank: int | None = None
+    kappa: float | None = None
+    notes: tuple[str, ...] = ()
+    failure: str = ""

@@ -1,0 +1,36 @@
+"""The message catalogue: every error and warning a user can meet, in one place.
+
+Each entry maps a stable code to ``(message, remedy)``. Both are format strings; the
+fields are the keyword arguments given to :func:`fg_orient.errors.problem`. The code's
+first part is the domain (``xml``, ``dimap``, ``points``, ...). Tests hold the catalogue and
+the sources against each other: no code is unknown or unused, no field of a message is missing.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fg_orient.messages.dense import LINEAR
+from fg_orient.messages.files import DEM, DIMAP, GEODESY, OBSERVATIONS, POINTS, PROJECT, SENSOR, TABLE, XML
+from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPORT, SIMULATE
+
+CATALOGUE: Final[dict[str, tuple[str, str]]] = {
+    **XML,
+    **DIMAP,
+    **SENSOR,
+    **DEM,
+    **GEODESY,
+    **TABLE,
+    **POINTS,
+    **OBSERVATIONS,
+    **PROJECT,
+    **PARAMETERS,
+    **OPTIONS,
+    **ADJUST,
+    **REMARKS,
+    **OUTPUT,
+    **CLI,
+    **REPORT,
+    **SIMULATE,
+    **LINEAR,
+}

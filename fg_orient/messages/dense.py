@@ -1,0 +1,29 @@
+"""Messages of the dense path: linear solvers, published procedures, comparison and reproduction."""
+
+from __future__ import annotations
+
+from typing import Final
+
+LINEAR: Final = {
+    "linear.not_square": ("the normal matrix must be square and not empty", "give N as a (u, u) array"),
+    "linear.not_symmetric": (
+        "the normal matrix is not symmetric",
+        "form it as A^T W A; (N + N^T)/2 if only rounding differs",
+    ),
+    "linear.not_finite": (
+        "the normal matrix holds a value that is not finite",
+        "look for the observation behind it",
+    ),
+    "linear.too_large": (
+        "more than {limit} unknowns are too many for dense matrices",
+        "use the graph backend: its cost grows with the observations only",
+    ),
+    "linear.rhs": ("the right-hand side must hold {unknowns} finite numbers", "give b as a (u,) array"),
+    "linear.design": (
+        "the design matrix must be finite with {unknowns} columns and one observation per row",
+        "give A as an (r, u) and l as an (r,) array",
+    ),
+    "linear.no_design": ("this needs the design matrix, and only the normal equations are known", "give A and l"),
+    "linear.solver": ("no solver of this name", "known: {known}"),
+    "linear.result_not_finite": ("the solver gives values that are not finite", "the system is singular for it"),
+}

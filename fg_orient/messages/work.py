@@ -1,0 +1,157 @@
+"""Messages about the work itself: parameters, options, adjustment, outputs, commands; remarks."""
+
+from __future__ import annotations
+
+from typing import Final
+
+PARAMETERS: Final = {
+    "parameters.eop_set": (
+        "no such EOP set",
+        "give a number from 1 to 20 or a name: {names}",
+    ),
+}
+
+OPTIONS: Final = {
+    "options.value": ("the value of this option is not allowed", "give {expected}"),
+}
+
+ADJUST: Final = {
+    "initial.no_intersection": (
+        "no start value: fewer than two rays, or rays less than {least} degrees from parallel",
+        "measure the point in another image, give it coordinates as control, or remove it",
+    ),
+    "initial.pixel_count": (
+        "lines and samples must have one row for each of the {sensors} sensors, of the same length",
+        "give (k,) or (k, N) arrays, row k for sensor k",
+    ),
+    "initial.correction_count": (
+        "there must be one correction for each of the {sensors} sensors",
+        "give one per sensor, None where the metadata orientation is meant",
+    ),
+    "initial.behind": ("its rays meet behind a sensor", "check the point's identity in every image"),
+    "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
+    "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
+    "adjust.native_limit": (
+        "GTSAM's own optimisers copy all values at each callback of a Python factor and are refused above "
+        "{limit} image points; the block has {count}",
+        "use --optimizer gauss-newton, levenberg-marquardt or dogleg (the same linear algebra, driven from Python)",
+    ),
+    "adjust.rank_deficient": ("not observable without priors", "keep the priors or choose a smaller EOP set"),
+    "adjust.extra_kind": (
+        "an extra observation wants the other kind of unknown for its argument {argument}",
+        'give a point as "point:12", an image as "image:left", in the order of the equation',
+    ),
+    "adjust.extra_unused": (
+        "an extra observation names a point that takes no part in the adjustment",
+        "measure the point in two images, or let check points take part (--check-points use)",
+    ),
+    "adjust.extra_constant": (
+        "an extra observation between constants only adjusts nothing",
+        "name at least one point or image that is an unknown",
+    ),
+    "adjust.broken_down": (
+        "the normal equations cannot be solved: {why}",
+        "keep the priors, choose a smaller EOP set, measure more control points, or check sigmas and start values",
+    ),
+    "adjust.extra_unknown": (
+        "an extra observation names no image or point of the block",
+        'name them as "image:left" or "point:12"',
+    ),
+    "adjust.negative_redundancy": (
+        "{observations} equations cannot determine {unknowns} unknowns",
+        "keep the priors, measure more points or choose a smaller EOP set",
+    ),
+    "covariance.withheld": ("no covariance was computed", "see the warnings of the adjustment"),
+    "covariance.no_such": ("no such image or point", 'name them as "image:left" or "point:12"'),
+    "covariance.not_unknown": ("not an unknown of the adjustment: no covariance", "ask for adjusted points only"),
+    "block.not_finite": (
+        "pixels, coordinates or sigmas are not finite, or sigmas not positive",
+        "correct them or leave the point out",
+    ),
+    "block.no_control": (
+        "no control point is measured in any image: the block has no datum",
+        "give at least one point of role control, better six or more well spread",
+    ),
+}
+
+REMARKS: Final = {
+    "remark.sigma_ground": (
+        "standard deviations outside {low:g} .. {high:g} m at {count} point(s)",
+        "check that they are in metres",
+    ),
+    "remark.sigma_image": (
+        "standard deviations outside {low:g} .. {high:g} pixels in {count} record(s)",
+        "check that they are in pixels",
+    ),
+    "remark.not_measured": (
+        "{count} point(s) are measured in no image and left out",
+        "measure them, if they should count",
+    ),
+    "remark.seen_once": (
+        "{count} check or tie point(s) with a single ray are left out",
+        "measure them in a second image",
+    ),
+    "remark.grid_missing": (
+        "a more accurate coordinate operation exists; the one used is good to {accuracy}",
+        "install {grids} (projsync) if that matters",
+    ),
+    "remark.few_control": (
+        "only {count} control point(s) measured",
+        "use six or more, well spread: errors of control are found only if there is a surplus",
+    ),
+    "remark.control_line": (
+        "the control points lie close to a line: {across_m:.0f} m wide, {along_m:.0f} m long",
+        "add control beside the line: roll and pitch lean on the priors",
+    ),
+    "remark.control_clustered": (
+        "the control points of image {image} cover only {lines:.0%} of its lines and {samples:.0%} of its samples",
+        "add control in the rest of the image",
+    ),
+    "remark.control_one_image": (
+        "control points are measured in image {image} only",
+        "measure control in the other images, too",
+    ),
+    "remark.few_check": (
+        "{count} check points: fewer than the 30 of ASPRS 2023, the accuracy figures are uncertain",
+        "add check points if you can",
+    ),
+}
+
+OUTPUT: Final = {
+    "output.exists": ("the output exists already", "give another --out or add --overwrite"),
+    "output.not_a_folder": ("this is no folder, or a link to one", "give another --out"),
+    "output.foreign": (
+        "the folder holds other files, so it is not replaced",
+        "give another --out, or move them; --overwrite replaces only a folder with {mark} and nothing of others",
+    ),
+    "output.unwritable": ("the file cannot be written", "check folder, permissions and free space"),
+}
+
+CLI: Final = {
+    "cli.no_pixel": ("no pixel is given", "give --line L --sample S, or --points FILE, or --frame"),
+    "cli.no_height": (
+        "no height to locate at",
+        "give --height H (m, ellipsoidal) or --dem FILE, or a column height_m in the points file",
+    ),
+    "cli.height_range": ("the height is outside {low:g} .. {high:g} m", "give an ellipsoidal height in m"),
+    "cli.two_heights": ("the height is given twice", "give only one of --height, --dem and a column height_m"),
+    "cli.two_ways": ("these options exclude each other", "give only one of {options}"),
+    "cli.no_ground": ("no ground point is given", "give --lon, --lat and --height, or --points FILE"),
+    "cli.pixel": ("not a pixel", "write --pixel LINE,SAMPLE, for instance --pixel 5999.5,120"),
+    "cli.pixel_count": ("{pixels} pixel(s) for {images} image(s)", "give one --pixel per image, in order"),
+    "cli.one_image": ("an intersection needs two images", "give several metadata files, or one project file (.toml)"),
+    "cli.no_frame": ("the file states no frame points of its own", "locate a pixel with --line and --sample"),
+    "cli.three_numbers": ("not three numbers", "write roll,pitch,yaw in rad: --attitude=-1.6e-4,-7.2e-4,9e-4"),
+    "cli.usage": ("{text}", "see the command's --help"),
+}
+
+REPORT: Final = {
+    "report.no_result": ("the folder holds no result of an adjustment", "give a folder that fg-orient adjust wrote"),
+    "report.damaged": ("the result cannot be read", "run fg-orient adjust again"),
+    "report.no_truth": ("the folder holds no truth of a simulation", "give the folder truth of fg-orient simulate"),
+    "report.other_truth": ("the truth belongs to another project", "give the truth of these images and points"),
+}
+
+SIMULATE: Final = {
+    "simulate.option": ("the value of this option is not possible", "give {expected}"),
+}

@@ -1,0 +1,1 @@
+"""Published beside reproduced: the only package that sees both."""
