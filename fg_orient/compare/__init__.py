@@ -1,1 +1,0 @@
-"""Dense against sparse on any block: EOP sets x solvers x backends, as table, plots and report."""

@@ -1,0 +1,1 @@
+"""Dense against sparse on any block: EOP sets, solvers and backends side by side."""
