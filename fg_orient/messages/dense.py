@@ -27,3 +27,11 @@ LINEAR: Final = {
     "linear.solver": ("no solver of this name", "known: {known}"),
     "linear.result_not_finite": ("the solver gives values that are not finite", "the system is singular for it"),
 }
+
+CLASSICAL: Final = {
+    "classical.one_image": ("the published procedure needs at least two images", "use fg-orient adjust for a single one"),
+    "classical.few_control": (
+        "the look-angle polynomial needs control points in at least {least} different columns",
+        "measure more control points in this image, or use fg-orient adjust",
+    ),
+}
