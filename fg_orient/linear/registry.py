@@ -22,7 +22,7 @@ Family = Literal["inverse", "elimination", "tikhonov", "modern"]
 Function = Callable[[LinearSystem, bool], LinearSolution]
 
 #: Modules of this package that register solvers when imported.
-_MODULES = ("inverses", "elimination", "modern", "tikhonov")
+_MODULES = ("inverses", "elimination")
 
 
 @dataclass(frozen=True)

@@ -25,11 +25,23 @@ LINEAR: Final = {
     ),
     "linear.no_design": ("this needs the design matrix, and only the normal equations are known", "give A and l"),
     "linear.solver": ("no solver of this name", "known: {known}"),
+    "linear.zero_pivot": (
+        "the pivot is zero or not finite",
+        "the matrix is singular for this method; take one with pivoting, or a pseudo-inverse",
+    ),
+    "linear.zero_determinant": ("the determinant is zero", "the matrix is singular; take a pseudo-inverse"),
+    "linear.radicand": (
+        "the radicand of the Cholesky root is not positive",
+        "the matrix is not positive definite, or singular within rounding",
+    ),
     "linear.result_not_finite": ("the solver gives values that are not finite", "the system is singular for it"),
 }
 
 CLASSICAL: Final = {
-    "classical.one_image": ("the published procedure needs at least two images", "use fg-orient adjust for a single one"),
+    "classical.one_image": (
+        "the published procedure needs at least two images",
+        "use fg-orient adjust for a single one",
+    ),
     "classical.few_control": (
         "the look-angle polynomial needs control points in at least {least} different columns",
         "measure more control points in this image, or use fg-orient adjust",
