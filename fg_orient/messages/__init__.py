@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from fg_orient.messages.dense import CLASSICAL, LINEAR
+from fg_orient.messages.dense import CLASSICAL, LINEAR, PUBLISHED
 from fg_orient.messages.files import DEM, DIMAP, GEODESY, OBSERVATIONS, POINTS, PROJECT, SENSOR, TABLE, XML
 from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPORT, SIMULATE
 
@@ -33,5 +33,6 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **REPORT,
     **SIMULATE,
     **LINEAR,
+    **PUBLISHED,
     **CLASSICAL,
 }

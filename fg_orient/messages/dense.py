@@ -34,6 +34,12 @@ LINEAR: Final = {
         "the radicand of the Cholesky root is not positive",
         "the matrix is not positive definite, or singular within rounding",
     ),
+    "linear.dependent_column": (
+        "the column of A depends on those before it within rounding",
+        "the unknown is not determined; take SVD, a prior or fewer unknowns",
+    ),
+    "linear.library": ("the linear algebra library cannot go on", "the system is singular for this solver"),
+    "linear.result_shape": ("the solver must give {unknowns} real numbers", "mend the solver's function"),
     "linear.result_not_finite": ("the solver gives values that are not finite", "the system is singular for it"),
 }
 
@@ -46,4 +52,16 @@ CLASSICAL: Final = {
         "the look-angle polynomial needs control points in at least {least} different columns",
         "measure more control points in this image, or use fg-orient adjust",
     ),
+}
+
+PUBLISHED: Final = {
+    "published.source": ("no such publication", "known: {known}"),
+    "published.folder": ("this is no folder", "give a copy of the folder of the published tables"),
+    "published.unreadable": ("the table of published values cannot be read", "copy the original file again"),
+    "published.column": ("columns of the published table are missing", "copy the original file again"),
+    "published.row": ("the record must have {count} cells", "copy the original file again"),
+    "published.not_a_number": ("not a number", "write it as 123.4, 1.2e-3 or nan; nothing where nothing is printed"),
+    "published.table": ("no such table in this file", "known: {known}"),
+    "published.twice": ("the cell stands twice; first in {first}", "remove the wrong one"),
+    "published.count": ("the table must hold {count} cells", "copy the original file again"),
 }
