@@ -15,14 +15,14 @@ from typing import Literal
 
 import numpy as np
 
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import InputError
 from fg_orient.linear.system import Breakdown, LinearSolution, LinearSystem
 
 Family = Literal["inverse", "elimination", "tikhonov", "modern"]
 Function = Callable[[LinearSystem, bool], LinearSolution]
 
 #: Modules of this package that register solvers when imported.
-_MODULES = ("inverses", "elimination")
+_MODULES = ("inverses", "elimination", "modern")
 
 
 @dataclass(frozen=True)
@@ -107,11 +107,18 @@ def solve(name: str, system: LinearSystem, *, as_run: bool = False) -> LinearSol
     ------
     Breakdown
         The solver cannot go on, or its result is not finite.
+    InputError
+        No solver of this name; it needs A and only N is known; its function gives no (u,) real array.
     """
     with np.errstate(all="ignore"):  # what is not finite is refused below, with the solver's name
-        found = solver(name).function(system, as_run)
+        try:
+            found = solver(name).function(system, as_run)
+        except np.linalg.LinAlgError as error:
+            raise Breakdown.of("linear.library", place=name, value=error) from error
+    if found.x.shape != system.rhs.shape or not np.isrealobj(found.x):
+        raise InputError.of("linear.result_shape", place=name, value=f"shape {found.x.shape}", unknowns=len(system))
     if not np.isfinite(found.x).all():
-        raise Breakdown(problem("linear.result_not_finite", place=name))
+        raise Breakdown.of("linear.result_not_finite", place=name)
     return found
 
 
