@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from fg_orient.messages.dense import CLASSICAL, LINEAR, PUBLISHED
+from fg_orient.messages.dense import CLASSICAL, COMPARE, LINEAR, PUBLISHED
 from fg_orient.messages.files import DEM, DIMAP, GEODESY, OBSERVATIONS, POINTS, PROJECT, SENSOR, TABLE, XML
 from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPORT, SIMULATE
 
@@ -35,4 +35,5 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **LINEAR,
     **PUBLISHED,
     **CLASSICAL,
+    **COMPARE,
 }

@@ -65,3 +65,14 @@ PUBLISHED: Final = {
     "published.twice": ("the cell stands twice; first in {first}", "remove the wrong one"),
     "published.count": ("the table must hold {count} cells", "copy the original file again"),
 }
+
+COMPARE: Final = {
+    "compare.type": ("no such type of pre-adjustment", "give 1 (look angles), 2 (look angles and EOPs) or both"),
+    "compare.nothing": ("nothing is selected", "see the command's --help"),
+    "compare.target": ("the target must be a length above zero", "give it in m, or leave it out for one pixel"),
+    "compare.slow": (
+        "left out: this solver takes u^2 determinants, minutes beyond {limit} unknowns",
+        "any other solver gives the same answer where this one would",
+    ),
+    "compare.no_solution": ("none of the {count} adjustments has a solution; the first says: {why}", "see each row"),
+}

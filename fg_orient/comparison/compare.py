@@ -1,0 +1,157 @@
+"""The comparison: every EOP set with every backend and solver, set by set."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from factors.warmup import compile_kernels
+from fg_orient.block import Block
+from fg_orient.comparison import selection
+from fg_orient.comparison.engines import Adjustments, Published
+from fg_orient.comparison.model import BACKENDS, GRAPH_SOLVER, TYPES, Comparison, Row, Spectrum
+from fg_orient.errors import InputError
+from fg_orient.linear.registry import solvers as known_solvers
+from fg_orient.names import Role
+from fg_orient.parameters import EOP_SETS
+
+#: Called after each adjustment: how many are done, of how many, and which one.
+Progress = Callable[[int, int, str], None]
+
+
+def compare(
+    block: Block,
+    *,
+    eop_sets: str | int | Iterable[int | str] = range(1, 21),
+    solvers: str | Iterable[str] = "all",
+    backends: str | Iterable[str] = BACKENDS,
+    types: str | int | Iterable[int | str] = TYPES,
+    as_run: bool = False,
+    look_polynomial: int | None = None,
+    target_m: float | None = None,
+    callback: Progress | None = None,
+) -> Comparison:
+    """Compare the published procedure, dense matrices and the graph on one block.
+
+    Parameters
+    ----------
+    block : Block
+        Needs control points; check points tell most.
+    eop_sets : str or iterable
+        "1-20", "5,13,PUA", or numbers and names.
+    solvers : str or iterable
+        "all", "published", or names in the registry of ``fg_orient.linear``. The graph has its own.
+    backends : str or iterable
+        Any of "faithful" (the published two-stage procedure, one iteration), "dense"
+        (``adjust(backend="dense")``: scaled, iterated, with priors) and "graph".
+    types : str or iterable
+        Pre-adjustments of the published procedure: 1 look angles, 2 look angles and EOPs.
+    as_run : bool
+        The published procedure as the authors' program works.
+    look_polynomial : int, optional
+        Degree of the look-angle polynomial of "dense" and "graph"; default: the block's.
+    target_m : float, optional
+        RMSE to reach; default: the ground sampling distance, see :func:`ground_sampling_m`.
+    callback : callable, optional
+        Called with (done, of, text) after each adjustment.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        Unknown set, solver, backend or type; a target that is not positive; no control point; a block
+        that cannot be adjusted at all. Adjustments that fail are rows with a ``failure``.
+    """
+    start = time.perf_counter()
+    numbers, names = selection.eop_sets(eop_sets), selection.solver_names(solvers)
+    engines, kinds = selection.backend_names(backends), selection.types(types)
+    _require_control(block)
+    target = ground_sampling_m(block) if target_m is None else target_m
+    if not (math.isfinite(target) and target > 0.0):
+        raise InputError.of("compare.target", place="target", value=target)
+    compile_kernels()
+    count = {"faithful": len(kinds) * len(names), "dense": len(names), "graph": 1}
+    run = _Run(len(numbers) * sum(count[e] for e in engines), target, callback)
+    published = Published(block, as_run) if "faithful" in engines else None
+    for number in numbers:
+        if published:
+            run.take_published(published, number, kinds, names)
+        if set(engines) & {"dense", "graph"}:
+            run.take_adjustments(Adjustments(block, number, look_polynomial), engines, names)
+    degree = block.options.look_polynomial if look_polynomial is None else look_polynomial
+    return Comparison(
+        block=replace(block, options=replace(block.options, look_polynomial=degree)), rows=tuple(run.rows),
+        spectra=tuple(run.spectra), target_m=target, eop_sets=numbers, solvers=names, backends=engines, types=kinds,
+        as_run=as_run, seconds=time.perf_counter() - start,
+        labels={GRAPH_SOLVER: "GTSAM"} | {name: known_solvers()[name].label for name in names},
+    )  # fmt: skip
+
+
+class _Run:
+    """Collects rows and spectra, judges them against the target, and tells how far it is."""
+
+    def __init__(self, total: int, target_m: float, callback: Progress | None) -> None:
+        self.rows: list[Row] = []
+        self.spectra: list[Spectrum] = []
+        self._total, self._target, self._callback = total, target_m, callback
+
+    def take_published(self, engine: Published, number: int, kinds: tuple[int, ...], names: tuple[str, ...]) -> None:
+        """Run the published procedure with one set."""
+        for kind in kinds:
+            for name in names:
+                self._add(engine.run(number, kind, name))
+            self.spectra += engine.spectra.get((number, kind), ())
+
+    def take_adjustments(self, engine: Adjustments, engines: tuple[str, ...], names: tuple[str, ...]) -> None:
+        """Run graph and dense adjustment with one set; the graph goes first, as the reference."""
+        graph = engine.graph() if "graph" in engines else None
+        for name in names if "dense" in engines else ():
+            self._add(engine.dense(name, graph.solution if graph else None))
+        if graph:
+            self._add(graph.row)
+        self.spectra += engine.spectra
+
+    def _add(self, row: Row) -> None:
+        self.rows.append(replace(row, reached=reached(row, self._target)))
+        if self._callback:
+            kind = f" type {row.type}" if row.type else ""
+            what = f"set {row.eop_set} {EOP_SETS[row.eop_set][0]}, {row.backend}{kind}, {row.solver}"
+            self._callback(len(self.rows), self._total, what)
+
+
+def reached(row: Row, target_m: float) -> bool:
+    """Tell whether control and check points are at the target; a role without points does not count."""
+    values = [v for v in (row.control_rmse_m, row.check_rmse_m) if not math.isnan(v)]
+    return not row.failure and bool(values) and all(v <= target_m for v in values)
+
+
+def ground_sampling_m(block: Block) -> float:
+    """Smallest distance on the ellipsoid between neighbouring pixels at the centres of the images, m."""
+    found = []
+    for image in block.images:
+        sensor = image.sensor
+        line, sample = (sensor.n_lines - 1) / 2.0, (sensor.n_samples - 1) / 2.0
+        lines, samples = np.array([line, line + 1.0, line]), np.array([sample, sample, sample + 1.0])
+        ground = sensor.locate(lines, samples, height_m=0.0)
+        found += np.linalg.norm(ground[1:] - ground[0], axis=1).tolist()
+    return float(min(found))
+
+
+def _require_control(block: Block) -> None:
+    """Refuse a block without datum.
+
+    Raises
+    ------
+    InputError
+        No control point is measured.
+    """
+    control = block.points.where(Role.CONTROL)
+    if not np.isin(control, block.observations.point).any():
+        raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control)} measured")
