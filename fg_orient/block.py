@@ -41,6 +41,7 @@ EXPECTED: Final = {
     "attitude_sigma_rad": f"{_THREE} in rad",
     "look_sigma_rad": "a number above zero in rad",
     "small_angle": "true or false",
+    "solver": "the name of a linear solver in quotes; leave it out for the default",
     "max_iterations": f"a whole number from {ITERATION_RANGE[0]} to {ITERATION_RANGE[1]}",
     "check_points": " or ".join(f'"{word}"' for word in get_args(CheckPoints)),
 }
@@ -178,7 +179,10 @@ class Options:
     small_angle : bool
         True linearises the attitude rotation in its angles, as the publications do; False keeps it exact.
     backend : str
-        "auto" or "graph" in this version; judged when the block is adjusted.
+        "auto", "graph" or "dense" in this version; judged when the block is adjusted.
+    solver : str or None
+        Linear solver of the dense backend by its name in the registry; None = its default, "qr". Judged
+        when the block is adjusted.
     optimizer : str
         "gauss-newton", "levenberg-marquardt", "dogleg" or "native"; judged when the block is adjusted.
     max_iterations : int
@@ -201,6 +205,7 @@ class Options:
     look_sigma_rad: float = 1e-4
     small_angle: bool = False
     backend: str = "auto"
+    solver: str | None = None
     optimizer: str = "gauss-newton"
     max_iterations: int = 50
     check_points: CheckPoints = "use"
@@ -222,6 +227,8 @@ def _allowed(name: str, value: Any) -> bool:
             return _whole(value, EOP_SET_RANGE)
         case "look_polynomial":
             return value is None or _whole(value, LOOK_DEGREE_RANGE)
+        case "solver":
+            return value is None or (isinstance(value, str) and bool(value))
         case "max_iterations":
             return _whole(value, ITERATION_RANGE)
         case "priors" | "small_angle":

@@ -25,7 +25,7 @@ from fg_orient.names import Role
 from fg_orient.parameters import eop_set_number
 from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
-from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.observability import BlockObservability, ImageObservability, analyse, analyse_block
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.solution import Seconds, Solution
@@ -40,6 +40,7 @@ def adjust(
     look_polynomial: int | None = None,
     priors: bool | None = None,
     backend: str | None = None,
+    solver: str | None = None,
     optimizer: str | None = None,
     max_iterations: int | None = None,
     check_points: str | None = None,
@@ -56,8 +57,9 @@ def adjust(
         Degree of the look-angle correction polynomial.
     priors : bool, optional
         False leaves the image unknowns without prior observations.
-    backend, optimizer, max_iterations, check_points : optional
-        See :class:`fg_orient.block.Options`.
+    backend, solver, optimizer, max_iterations, check_points : optional
+        See :class:`fg_orient.block.Options`; ``backend="dense", solver="cholesky_elimination"`` solves the
+        same equations as full matrices with a linear solver of the registry.
     callback : callable, optional
         Called with an ``IterationRecord`` after each iteration.
 
@@ -74,8 +76,8 @@ def adjust(
     """
     given: dict[str, Any] = {
         "eop_set": None if eop_set is None else eop_set_number(eop_set),
-        "look_polynomial": look_polynomial, "priors": priors, "backend": backend, "optimizer": optimizer,
-        "max_iterations": max_iterations, "check_points": check_points,
+        "look_polynomial": look_polynomial, "priors": priors, "backend": backend, "solver": solver,
+        "optimizer": optimizer, "max_iterations": max_iterations, "check_points": check_points,
     }  # fmt: skip
     options = replace(block.options, **{k: v for k, v in given.items() if v is not None})
     jit_s = compile_kernels()
@@ -163,8 +165,9 @@ def conclude(
     found = verdict.judge(compiled, estimate, withheld)
     warnings = verdict.warnings(compiled, estimate, found, observability, block_view, accuracy)
     return Solution(
-        problem=compiled, status=found.status, reason=found.reason, ended=estimate.reason, backend="graph",
-        optimizer=compiled.block.options.optimizer, state=estimate.state, ground_m=ground, chi2=estimate.chi2,
+        problem=compiled, status=found.status, reason=found.reason, ended=estimate.reason,
+        backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
+        state=estimate.state, ground_m=ground, chi2=estimate.chi2,
         sigma0_interval=found.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, accuracy=accuracy,
         cofactors=cofactors, withheld=withheld, warnings=warnings,
@@ -174,10 +177,9 @@ def conclude(
 
 def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[str, ...]]:
     try:
-        return Cofactors(compiled, estimate.state, estimate.linear, estimate.zero), ()
-    except RuntimeError:
-        text = "covariance withheld: GTSAM finds the normal equations indeterminate"
-        return None, (f"{text}; measure more control points or keep the priors",)
+        return cofactors_of(compiled, estimate), ()
+    except Indeterminate as reason:
+        return None, (f"covariance withheld: {reason}; measure more control points or keep the priors",)
 
 
 def _located_afterwards(compiled: Problem, state: State) -> dict[int, LocatedPoint]:

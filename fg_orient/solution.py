@@ -68,6 +68,8 @@ class Solution:
     observability : tuple of ImageObservability
     accuracy : Accuracy
         Control and check points against their measured coordinates.
+    backend, solver : str
+        Which backend solved; the linear solver of the dense one, "" otherwise.
     cofactors : Cofactors or None
         None where the covariance cannot be computed; ``withheld`` says why.
     """
@@ -77,6 +79,7 @@ class Solution:
     reason: str
     ended: str
     backend: str
+    solver: str
     optimizer: str
     state: State
     ground_m: Array

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from factors.graph import factor, image_point_factors
 from factors.pushbroom import LOOK_ANGLE_COLLINEARITY
+from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.block import ExtraObservation
 from fg_orient.errors import InputError
@@ -72,29 +73,18 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> No
 
 
 def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFactor:
-    """Factor of an observation given by the user; points that are no unknowns enter as constants."""
+    """Factor of an observation given by the user."""
     unknowns: list[int | Array] = []
-    sizes = []
-    for name, argument in zip(extra.unknowns, extra.equation.arguments, strict=True):
-        if argument.is_point != name.startswith("point:"):
-            raise InputError.of("adjust.extra_kind", place=extra.label, value=name, argument=argument.name)
-        found = problem.block.find(name)
-        if found is None:
-            raise InputError.of("adjust.extra_unknown", place=extra.label, value=name)
-        kind, j = found
-        if kind == "image":
-            unknowns.append(image_key(j))
-            sizes.append(len(problem.parameters))
+    arguments = problem.extra_arguments(extra)
+    for argument in arguments:
+        if argument.constant is not None:
+            unknowns.append(argument.constant)
         else:
-            if np.isnan(problem.start.ground[j]).any():
-                raise InputError.of("adjust.extra_unused", place=extra.label, value=name)
-            unknowns.append(point_key(j) if problem.active[j] else np.ascontiguousarray(problem.start.ground[j]))
-            sizes.append(3)
-    if not any(isinstance(u, int) for u in unknowns):
-        raise InputError.of("adjust.extra_constant", place=extra.label, value=", ".join(extra.unknowns))
+            unknowns.append(image_key(argument.index) if argument.is_image else point_key(argument.index))
     return factor(
-        extra.equation, unknowns, sizes, extra.record, extra.setup, label=extra.label, n_residuals=extra.n_residuals
-    )
+        extra.equation, unknowns, [a.size for a in arguments], extra.record, extra.setup,
+        label=extra.label, n_residuals=extra.n_residuals,
+    )  # fmt: skip
 
 
 def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
@@ -125,6 +115,11 @@ class GraphSystem:
         self.linear: gtsam.GaussianFactorGraph = backend.graph.linearize(values)
         self.error = float(self.linear.error(backend.zero))
 
+    @property
+    def zero(self) -> gtsam.VectorValues:
+        """Zero values of all unknowns."""
+        return self._backend.zero
+
     def solve(self, damping: float) -> GraphStep:
         """Eliminate points first, then images; damped by ``damping`` times the identity."""
         linear = self.linear
@@ -149,8 +144,7 @@ class GraphSystem:
         if length >= radius:
             return self._step(steepest.scale(radius / length))
         across = newton.data.subtract(steepest)
-        a, b, c = across.squaredNorm(), steepest.dot(across), length**2 - radius**2
-        share = (-b + np.sqrt(b * b - a * c)) / a
+        share = share_at_radius(across.squaredNorm(), steepest.dot(across), length, radius)
         return self._step(steepest.add(across.scale(share)))
 
     def _step(self, delta: gtsam.VectorValues) -> GraphStep:

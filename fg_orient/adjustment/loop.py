@@ -4,7 +4,7 @@ The state belongs to Python; a backend only linearises, solves and retracts
 (docs/equations.md 9: GTSAM's own optimisers copy all values at every callback of a
 Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so one step
 length speaks for all. The loop ends when the scaled step is below the tolerance, or below
-1e-6 and no longer shrinking (rounding); never on a relative cost.
+1e-6 and no longer shrinking (rounding); never on a relative cost. ``tolerance`` replaces the default one.
 """
 
 from __future__ import annotations
@@ -122,18 +122,30 @@ def _exhausted(max_iterations: int) -> str:
     return f"no convergence within {max_iterations} iteration(s): raise --max-iterations, or look at the start values"
 
 
-def _small(step: float, previous: float) -> bool:
-    return step < STEP_TOLERANCE or (step < ROUNDING_STEP and step > 0.5 * previous)
+def share_at_radius(across_squared: float, steepest_dot_across: float, length: float, radius: float) -> float:
+    """Share of the way from the steepest-descent step (of this length) to Gauss-Newton's that ends at the radius."""
+    b, c = steepest_dot_across, length**2 - radius**2
+    return (-b + math.sqrt(b * b - across_squared * c)) / across_squared
 
 
-def gauss_newton(backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None) -> LoopResult[S]:
+def _small(step: float, previous: float, tolerance: float) -> bool:
+    return step < tolerance or (step < ROUNDING_STEP and step > 0.5 * previous)
+
+
+def gauss_newton(
+    backend: Backend[S],
+    start: S,
+    max_iterations: int,
+    callback: Callback | None = None,
+    tolerance: float = STEP_TOLERANCE,
+) -> LoopResult[S]:
     """Full steps; ends unconverged when the error rises three times running or is not finite."""
     log, state, previous, rising = _Log(callback), start, math.inf, 0
     system = backend.linearise(state)
     for _ in range(max_iterations):
         step = system.solve(0.0)
         state = backend.retract(state, step)
-        last = _small(step.length, previous)
+        last = _small(step.length, previous, tolerance)
         following = None if last else backend.linearise(state)
         error = following.error if following else backend.error(state)
         log.add(system.error, error, step, 0.0, always=True)
@@ -150,7 +162,11 @@ def gauss_newton(backend: Backend[S], start: S, max_iterations: int, callback: C
 
 
 def levenberg_marquardt(
-    backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None
+    backend: Backend[S],
+    start: S,
+    max_iterations: int,
+    callback: Callback | None = None,
+    tolerance: float = STEP_TOLERANCE,
 ) -> LoopResult[S]:
     """Damped steps; the damping follows the ratio of actual to predicted decrease (Nielsen 1999)."""
     growth = 2.0
@@ -167,10 +183,16 @@ def levenberg_marquardt(
         ratio = 1.0 if math.isnan(record.ratio) else record.ratio
         return max(damping * max(1e-3, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-14)
 
-    return _controlled(backend, start, max_iterations, callback, solve, follow, 1e-4)
+    return _controlled(backend, start, max_iterations, callback, tolerance, solve, follow, 1e-4)
 
 
-def dogleg(backend: Backend[S], start: S, max_iterations: int, callback: Callback | None = None) -> LoopResult[S]:
+def dogleg(
+    backend: Backend[S],
+    start: S,
+    max_iterations: int,
+    callback: Callback | None = None,
+    tolerance: float = STEP_TOLERANCE,
+) -> LoopResult[S]:
     """Powell's dogleg in a trust region of the scaled unknowns."""
 
     def solve(system: System, radius: float) -> Step:
@@ -181,7 +203,7 @@ def dogleg(backend: Backend[S], start: S, max_iterations: int, callback: Callbac
             return 0.25 * radius
         return max(radius, 3.0 * record.step) if record.ratio > 0.75 else radius
 
-    return _controlled(backend, start, max_iterations, callback, solve, follow, 1e3)
+    return _controlled(backend, start, max_iterations, callback, tolerance, solve, follow, 1e3)
 
 
 def _controlled(
@@ -189,6 +211,7 @@ def _controlled(
     start: S,
     max_iterations: int,
     callback: Callback | None,
+    tolerance: float,
     solve: Callable[[System, float], Step],
     follow: Callable[[float, IterationRecord], float],
     control: float,
@@ -209,7 +232,7 @@ def _controlled(
             continue
         state, rejected = trial, 0
         # a damped step may be small because of the damping: the undamped one decides
-        if _small(step.length, previous) and system.solve(0.0).length < ROUNDING_STEP:
+        if _small(step.length, previous, tolerance) and system.solve(0.0).length < ROUNDING_STEP:
             return LoopResult(state, error, tuple(log.records), True, SMALL)
         system, previous = backend.linearise(state), step.length
     return LoopResult(state, system.error, tuple(log.records), False, _exhausted(max_iterations))

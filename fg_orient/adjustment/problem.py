@@ -17,7 +17,7 @@ from factors import ellipsoid
 from factors._contract import evaluate
 from factors.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD_SIZE
 from fg_orient import geodesy, initial
-from fg_orient.block import Block, ImagePoints
+from fg_orient.block import Block, ExtraObservation, ImagePoints
 from fg_orient.errors import InputError
 from fg_orient.names import Role
 from fg_orient.parameters import ImageParameters
@@ -33,6 +33,20 @@ class State:
 
     image: Array
     ground: Array
+
+
+@dataclass(frozen=True)
+class ExtraArgument:
+    """One argument of an own observation: an image, a ground point, or a point that is constant here.
+
+    ``index`` counts images or ground points; ``constant`` holds the (3,) local coordinates of a point that
+    is no unknown; ``size`` is the argument's length.
+    """
+
+    is_image: bool
+    index: int
+    size: int
+    constant: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -99,6 +113,33 @@ class Problem:
         order = np.argsort(self.observations.point, kind="stable")
         points, starts = np.unique(self.observations.point[order], return_index=True)
         return list(zip(points.tolist(), np.split(order, starts[1:]), strict=True))
+
+    def extra_arguments(self, extra: ExtraObservation) -> list[ExtraArgument]:
+        """Find what an own observation names; points that are no unknowns are constants.
+
+        Raises
+        ------
+        InputError
+            A name that does not exist, is of the wrong kind or takes no part; nothing unknown.
+        """
+        found: list[ExtraArgument] = []
+        for name, argument in zip(extra.unknowns, extra.equation.arguments, strict=True):
+            if argument.is_point != name.startswith("point:"):
+                raise InputError.of("adjust.extra_kind", place=extra.label, value=name, argument=argument.name)
+            place = self.block.find(name)
+            if place is None:
+                raise InputError.of("adjust.extra_unknown", place=extra.label, value=name)
+            kind, j = place
+            if kind == "image":
+                found.append(ExtraArgument(True, j, len(self.parameters)))
+                continue
+            constant = np.ascontiguousarray(self.start.ground[j])
+            if np.isnan(constant).any():
+                raise InputError.of("adjust.extra_unused", place=extra.label, value=name)
+            found.append(ExtraArgument(False, j, 3, None if self.active[j] else constant))
+        if all(argument.constant is not None for argument in found):
+            raise InputError.of("adjust.extra_constant", place=extra.label, value=", ".join(extra.unknowns))
+        return found
 
     def corrections(self, state: State) -> list[Correction]:
         """Physical corrections of all images."""

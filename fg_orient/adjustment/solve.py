@@ -12,15 +12,18 @@ from typing import TYPE_CHECKING
 from factors._contract import NotFiniteError
 from fg_orient.adjustment.loop import OPTIMIZERS, ROUNDING_STEP, Callback, IterationRecord
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.block import Options
 from fg_orient.errors import InputError, NoSolutionError
 
 if TYPE_CHECKING:
-    import gtsam
+    from fg_orient.adjustment.dense import DenseSystem
+    from fg_orient.adjustment.graph import GraphSystem
 
 #: Names of ``--optimizer``; the native ones are GTSAM's own, for equality tests on small blocks.
 NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
 OPTIMIZER_NAMES = (*OPTIMIZERS, *NATIVE)
-BACKENDS = ("auto", "graph")
+#: "auto" is the graph: dense matrices are for comparison and are asked for by name.
+BACKENDS = ("auto", "graph", "dense")
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,12 @@ class Estimate:
     state : State
     chi2 : float
         Weighted sum of squares.
-    linear, zero : GTSAM linear graph at the state and zero values of its unknowns
+    backend : str
+        "graph" or "dense".
+    solver : str
+        Linear solver of the dense backend; "" for the graph.
+    linear : GraphSystem or DenseSystem
+        The undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
         Wall-clock seconds: building the graph, optimising.
     """
@@ -43,34 +51,44 @@ class Estimate:
     reason: str
     log: tuple[IterationRecord, ...]
     iterations: int
-    linear: gtsam.GaussianFactorGraph
-    zero: gtsam.VectorValues
+    backend: str
+    solver: str
+    linear: GraphSystem | DenseSystem
     structure_s: float
     solve_s: float
 
 
 def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
-    """Adjust through the graph backend.
+    """Adjust through the backend of the block's options.
 
     Raises
     ------
     InputError
-        Unknown backend or optimiser; a native optimiser on too large a block.
+        Unknown backend, optimiser or solver; a native optimiser on too large a block; a dense
+        adjustment of too many unknowns.
     NoSolutionError
         The equations become singular or not finite on the way.
     """
-    options = problem.block.options
-    if options.backend not in BACKENDS:
-        raise InputError.of("adjust.backend", place="backend", value=options.backend, known=", ".join(BACKENDS))
-    if options.optimizer not in OPTIMIZER_NAMES:
-        raise InputError.of(
-            "adjust.optimizer", place="optimizer", value=options.optimizer, known=", ".join(OPTIMIZER_NAMES)
-        )
+    _judge(problem.block.options)
+    run = _run_dense if problem.block.options.backend == "dense" else _run_graph
     try:
         with _garbage_collection_off():
-            return _run(problem, callback)
+            return run(problem, callback)
     except (NotFiniteError, RuntimeError) as error:
         raise NoSolutionError.of("adjust.broken_down", place=problem.block.name, why=first_sentence(error)) from error
+
+
+def _judge(options: Options) -> None:
+    """Refuse names that do not exist and choices that do not go together."""
+    if options.backend not in BACKENDS:
+        raise InputError.of("adjust.backend", place="backend", value=options.backend, known=", ".join(BACKENDS))
+    names = tuple(OPTIMIZERS) if options.backend == "dense" else OPTIMIZER_NAMES
+    if options.optimizer in NATIVE and options.backend == "dense":
+        raise InputError.of("adjust.native_dense", place="optimizer", value=options.optimizer, known=", ".join(names))
+    if options.optimizer not in names:
+        raise InputError.of("adjust.optimizer", place="optimizer", value=options.optimizer, known=", ".join(names))
+    if options.solver is not None and options.backend != "dense":
+        raise InputError.of("adjust.solver_dense", place="solver", value=options.solver, backend=options.backend)
 
 
 def first_sentence(error: Exception) -> str:
@@ -90,7 +108,7 @@ def _garbage_collection_off() -> Iterator[None]:
             gc.enable()
 
 
-def _run(problem: Problem, callback: Callback | None) -> Estimate:
+def _run_graph(problem: Problem, callback: Callback | None) -> Estimate:
     """Build the graph, optimise, linearise at the end."""
     options = problem.block.options
     from fg_orient.adjustment.graph import GraphBackend, run_native
@@ -112,8 +130,23 @@ def _run(problem: Problem, callback: Callback | None) -> Estimate:
         values, iterations, error = result.state, len(result.log), result.error
         converged, reason, log = result.converged, result.reason, result.log
     marks.append(time.perf_counter())
-    linear = backend.linearise(values).linear
     return Estimate(
-        backend.state(values), 2.0 * error, converged, reason, log, iterations, linear, backend.zero,
-        marks[1] - marks[0], marks[2] - marks[1],
+        backend.state(values), 2.0 * error, converged, reason, log, iterations, backend.name, "",
+        backend.linearise(values), marks[1] - marks[0], marks[2] - marks[1],
+    )  # fmt: skip
+
+
+def _run_dense(problem: Problem, callback: Callback | None) -> Estimate:
+    """Optimise on full matrices, linearise at the end."""
+    options = problem.block.options
+    from fg_orient.adjustment.dense import DEFAULT_SOLVER, DenseBackend
+
+    marks = [time.perf_counter()]
+    backend = DenseBackend(problem, options.solver or DEFAULT_SOLVER)
+    marks.append(time.perf_counter())
+    result = OPTIMIZERS[options.optimizer](backend, backend.initial(), options.max_iterations, callback)
+    marks.append(time.perf_counter())
+    return Estimate(
+        result.state, 2.0 * result.error, result.converged, result.reason, result.log, len(result.log), backend.name,
+        backend.solver, backend.linearise(result.state), marks[1] - marks[0], marks[2] - marks[1],
     )  # fmt: skip

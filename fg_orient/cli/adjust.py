@@ -20,13 +20,18 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.loop import IterationRecord
 
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
-WORKING = ("gtsam", "fg_orient.run", "fg_orient.adjustment.graph", "fg_orient.quality.covariance", "fg_orient.report",
-           "fg_orient.io.schema", "fg_orient.io.dimap", "fg_orient.sensors.projection", "pyproj", "jinja2")  # fmt: skip
+WORKING = ("gtsam", "fg_orient.run", "fg_orient.adjustment.graph", "fg_orient.adjustment.dense",
+           "fg_orient.quality.covariance", "fg_orient.report", "fg_orient.io.schema", "fg_orient.io.dimap",
+           "fg_orient.sensors.projection", "pyproj", "jinja2")  # fmt: skip
 
 
 def adjust(
     project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
-    backend: Annotated[str | None, typer.Option(help="auto or graph.")] = None,
+    backend: Annotated[str | None, typer.Option(help="auto, graph or dense (full matrices).")] = None,
+    solver: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Linear solver of the dense backend, such as qr or cramer_inverse."),
+    ] = None,
     eop_set: Annotated[str | None, typer.Option(metavar="N|NAME", help="EOP set, 1-20 or a name such as PUA.")] = None,
     look_polynomial: Annotated[
         int | None, typer.Option(metavar="DEGREE", help="Degree of the look-angle correction polynomial, 0-5.")
@@ -57,7 +62,7 @@ def adjust(
     Options replace those of the project file.
     """
     options = {
-        "backend": backend, "eop_set": eop_set, "look_polynomial": look_polynomial,
+        "backend": backend, "solver": solver, "eop_set": eop_set, "look_polynomial": look_polynomial,
         "priors": False if no_priors else None, "optimizer": optimizer, "max_iterations": max_iterations,
         "check_points": check_points,
     }  # fmt: skip

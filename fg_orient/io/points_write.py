@@ -23,7 +23,7 @@ from fg_orient.names import Role
 
 Array = npt.NDArray[np.float64]
 
-_ADJUSTMENT: Final = ("backend", "optimizer", "max_iterations", "check_points")
+_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "max_iterations", "check_points")
 
 
 def write_points(
@@ -160,7 +160,7 @@ def write_project(
     lines += ["", "[points]", f"file = {_toml(points)}", f"crs = {_toml(crs)}"]
     lines += ["", "[observations]", f"file = {_toml(observations)}", "", "[orientation]"]
     lines += [f"{k} = {_toml(v)}" for k, v in values.items() if k not in _ADJUSTMENT and v is not None]
-    lines += ["", "[adjustment]", *(f"{k} = {_toml(values[k])}" for k in _ADJUSTMENT)]
+    lines += ["", "[adjustment]", *(f"{k} = {_toml(values[k])}" for k in _ADJUSTMENT if values[k] is not None)]
     lines += [f"points_seen_once = {_toml(points_seen_once)}", ""]
     write_text(path, "\n".join(lines))
 

@@ -66,7 +66,10 @@ class Orientation(_Table):
 class Adjustment(_Table):
     """The ``[adjustment]`` table: how the block is solved."""
 
-    backend: Literal["auto", "graph", "schur", "dense"] = Field(default="auto", description='"auto" or "graph"')
+    backend: Literal["auto", "graph", "schur", "dense"] = Field(
+        default="auto", description='"auto", "graph" or "dense"'
+    )
+    solver: Text | None = Field(default=Options.solver, description=EXPECTED["solver"])
     optimizer: Literal["gauss-newton", "levenberg-marquardt", "dogleg", "native"] = Field(
         default="gauss-newton", description='"gauss-newton", "levenberg-marquardt", "dogleg" or "native"'
     )

@@ -31,6 +31,14 @@ ADJUST: Final = {
     "initial.behind": ("its rays meet behind a sensor", "check the point's identity in every image"),
     "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
     "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
+    "adjust.native_dense": (
+        "GTSAM's own optimisers work on the graph only",
+        "choose one of {known}, or the graph backend",
+    ),
+    "adjust.solver_dense": (
+        "a linear solver can be chosen for the dense backend only; the backend is {backend}",
+        "add --backend dense, or leave the solver out",
+    ),
     "adjust.native_limit": (
         "GTSAM's own optimisers copy all values at each callback of a Python factor and are refused above "
         "{limit} image points; the block has {count}",

@@ -1,33 +1,128 @@
-"""Cofactors of images and points by GTSAM Marginals, in prior scale.
+"""Cofactors of images and points, in prior scale, from the linearisation at the solution.
 
-GTSAM eliminates the graph once and gives the joint marginal of the variables asked for.
-Unknowns are prior sigmas (images) and metres (points); :func:`named_cofactors` turns them
-into physical units. Points located after the adjustment: ``fg_orient.adjustment.located``.
+Two computations that share nothing but the Jacobians: GTSAM Marginals with back-substitution for the
+points (graph backend), and the triangular factor of the full Jacobian (dense backend). Unknowns are
+prior sigmas (images) and metres (points); :func:`named_cofactors` turns them into physical units.
+Points located after the adjustment: ``fg_orient.adjustment.located``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.solve import Estimate
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
     import gtsam
-
 
 Array = npt.NDArray[np.float64]
 
 
 #: Above this many image unknowns their joint cofactors are not formed at once; points are asked one by one.
 JOINT_LIMIT = 3000
+#: Condition of the column-scaled Jacobian beyond which its normal matrix has no Cholesky factor in double
+#: precision: the dense backend withholds the covariance where GTSAM does, so that no verdict depends on it.
+CONDITION_LIMIT = 1e8
 
 
-class Cofactors:
+class Indeterminate(Exception):
+    """There is no covariance; the text says why."""
+
+
+class Cofactors(Protocol):
+    """Joint cofactors at the solution, in prior scale; images in prior sigmas, points in m, ECEF axes."""
+
+    def image(self, k: int) -> Array:
+        """Cofactors (u, u) of an image's unknowns."""
+        ...
+
+    def point(self, j: int) -> Array:
+        """Cofactors (3, 3) of a ground point; zero for a fixed one."""
+        ...
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """Joint cofactors of images, then unknown points, in the order given."""
+        ...
+
+
+def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
+    """Cofactors by the means of the backend that solved.
+
+    Raises
+    ------
+    Indeterminate
+        The normal equations are too close to singular.
+    """
+    from fg_orient.adjustment.dense import DenseSystem
+
+    if isinstance(estimate.linear, DenseSystem):
+        return DenseCofactors(problem, estimate.linear.design)
+    try:
+        return GraphCofactors(problem, estimate.state, estimate.linear.linear, estimate.linear.zero)
+    except RuntimeError as error:
+        raise Indeterminate("GTSAM finds the normal equations indeterminate") from error
+
+
+class DenseCofactors:
+    """Cofactors ``D R^-1 R^-T D`` of the full Jacobian ``J = Q R D^-1``, columns scaled to length 1 by D.
+
+    N is never formed, so the error grows with cond(J), not with its square.
+
+    Parameters
+    ----------
+    problem : Problem
+    design : (n, u) array
+        Whitened Jacobian at the solution, columns as in ``fg_orient.adjustment.dense.Columns``.
+
+    Raises
+    ------
+    Indeterminate
+        The condition of the scaled Jacobian, estimated by LAPACK from R, is beyond 1e8.
+    """
+
+    def __init__(self, problem: Problem, design: Array) -> None:
+        from scipy.linalg import lapack, qr, solve_triangular
+
+        from fg_orient.adjustment.dense import Columns
+
+        self._problem, self._columns = problem, Columns.of(problem)
+        length = np.linalg.norm(design, axis=0)
+        if not length.all() or len(design) < design.shape[1]:
+            raise Indeterminate("some unknowns are in no observation")
+        r = qr(design / length, mode="r", check_finite=False)[0][: len(length)]
+        reciprocal, _ = lapack.dtrcon(r)
+        if reciprocal * CONDITION_LIMIT < 1.0:
+            raise Indeterminate(f"the condition of the scaled Jacobian is above {CONDITION_LIMIT:.0e}")
+        half = solve_triangular(r, np.eye(len(r)), check_finite=False) / length[:, None]
+        self._q: Array = half @ half.T
+
+    def image(self, k: int) -> Array:
+        """See :class:`Cofactors`."""
+        part = self._columns.image(k)
+        return self._q[part, part]
+
+    def point(self, j: int) -> Array:
+        """See :class:`Cofactors`."""
+        if not self._problem.active[j]:
+            return np.zeros((3, 3))
+        part = self._columns.point(j)
+        return self._q[part, part]
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """See :class:`Cofactors`."""
+        parts = [self._columns.image(k) for k in images]
+        parts += [self._columns.point(j) for j in points if self._problem.active[j]]
+        index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+        return self._q[np.ix_(index, index)]
+
+
+class GraphCofactors:
     """Joint marginal cofactors of the linearised graph at the solution.
 
     Images come from GTSAM Marginals. Points follow from the images they are seen in,
@@ -66,7 +161,7 @@ class Cofactors:
         self._points: dict[int, Array] = {}
 
     def image(self, k: int) -> Array:
-        """Cofactors (u, u) of an image's unknowns, in prior sigmas."""
+        """See :class:`Cofactors`."""
         from fg_orient.adjustment.graph import image_key
 
         if k not in self._images:
@@ -76,7 +171,7 @@ class Cofactors:
         return self._images[k]
 
     def point(self, j: int) -> Array:
-        """Cofactors (3, 3) of an unknown ground point, m^2, ECEF axes; zero for a fixed one."""
+        """See :class:`Cofactors`."""
         from fg_orient.adjustment.graph import point_key
 
         if not self._problem.active[j]:
@@ -107,7 +202,7 @@ class Cofactors:
         return out
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
-        """Joint cofactors of images, then points, in the order given."""
+        """See :class:`Cofactors`."""
         from fg_orient.adjustment.graph import image_key, point_key
 
         keys = [image_key(k) for k in images] + [point_key(j) for j in points if self._problem.active[j]]

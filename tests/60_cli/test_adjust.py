@@ -137,7 +137,8 @@ def test_options_replace_those_of_the_project(run: Any, twin: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "seen"),
     [(("--eop-set", "21"), "21"), (("--optimizer", "newton"), "newton"), (("--check-points", "perhaps"), "perhaps"),
-     (("--backend", "dense"), "dense"), (("--max-iterations", "0"), "0"), (("--look-polynomial", "9"), "9")],
+     (("--backend", "schur"), "schur"), (("--solver", "qr"), "qr"),
+     (("--max-iterations", "0"), "0"), (("--look-polynomial", "9"), "9")],
 )  # fmt: skip
 def test_bad_option_is_one_line_and_exit_2(run: Any, twin: Path, words: tuple[str, str], seen: str) -> None:
     ended = run("adjust", twin, *words, "--json")

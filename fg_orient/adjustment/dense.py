@@ -1,0 +1,251 @@
+"""The dense backend: the same rows as the graph, as full matrices, for any registered linear solver.
+
+Rows are whitened (a unit is one sigma): image points, control points, priors, own observations;
+columns are image unknowns (prior sigmas), then unknown ground points (m). The kernels are those
+of the factors, so a difference from the graph backend is the solver's. GTSAM is not used.
+
+Each step solves ``J x = -r``; Levenberg-Marquardt adds rows ``sqrt(damping) I``. Cost and memory grow
+with the square and cube of the unknowns: more than :data:`MAX_UNKNOWNS` are refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import NotFiniteError, check_blocks
+from fg_orient.adjustment.loop import share_at_radius
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.block import ExtraObservation
+from fg_orient.errors import InputError
+from fg_orient.linear.registry import solve
+from fg_orient.linear.registry import solver as find_solver
+from fg_orient.linear.system import MAX_UNKNOWNS, LinearSystem
+
+Array = npt.NDArray[np.float64]
+
+#: Orthogonal, on J itself: its error grows with cond(J), that of methods on J^T J with the square.
+DEFAULT_SOLVER = "qr"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Where the unknowns of a problem stand: images, then unknown ground points.
+
+    Parameters
+    ----------
+    n_images, width : int
+        Images and unknowns of each.
+    ground : (p,) int array
+        Ground points that are unknowns, in order.
+    first : (N,) int array
+        First column of each ground point; -1 for those that are none.
+    """
+
+    n_images: int
+    width: int
+    ground: npt.NDArray[np.intp]
+    first: npt.NDArray[np.intp]
+
+    @classmethod
+    def of(cls, problem: Problem) -> Columns:
+        """Columns of a problem."""
+        m, k, ground = problem.n_images, len(problem.parameters), np.flatnonzero(problem.active)
+        first = np.full(len(problem.active), -1, dtype=np.intp)
+        first[ground] = m * k + 3 * np.arange(len(ground))
+        return cls(m, k, ground, first)
+
+    def __len__(self) -> int:
+        return self.n_images * self.width + 3 * len(self.ground)
+
+    def image(self, k: int) -> slice:
+        """Columns of an image."""
+        return slice(k * self.width, (k + 1) * self.width)
+
+    def point(self, j: int) -> slice:
+        """Columns of an unknown ground point."""
+        return slice(int(self.first[j]), int(self.first[j]) + 3)
+
+    def vector(self, state: State) -> Array:
+        """Unknowns of a state as one vector (u,)."""
+        return np.concatenate([state.image.ravel(), state.ground[self.ground].ravel()])
+
+    def moved(self, state: State, step: Array) -> State:
+        """State after a step (u,)."""
+        n, ground = self.n_images * self.width, state.ground.copy()
+        ground[self.ground] += step[n:].reshape(-1, 3)
+        return State(state.image + step[:n].reshape(state.image.shape), ground)
+
+
+def assemble(problem: Problem, state: State, *, jacobian: bool = True) -> tuple[Array, Array]:
+    """Residuals (n,) and Jacobian (n, u) of all observations; the Jacobian is (0, u) if not asked for.
+
+    Raises
+    ------
+    NotFiniteError
+        A residual or Jacobian is nan or inf; names the observation.
+    """
+    columns = Columns.of(problem)
+    parts = [_image_rows(problem, state, columns, jacobian), _control_rows(problem, state, columns, jacobian)]
+    if problem.block.options.priors:
+        k = state.image.size
+        parts.append((state.image.ravel(), np.eye(k if jacobian else 0, len(columns))))
+    parts += [_extra_rows(problem, extra, state, columns, jacobian) for extra in problem.block.extra]
+    return np.concatenate([r for r, _ in parts]), np.vstack([j for _, j in parts])
+
+
+def _image_rows(problem: Problem, state: State, columns: Columns, jacobian: bool) -> tuple[Array, Array]:
+    """Two rows per image point."""
+    residual, j_image, j_ground = problem.image_residuals(state, jacobian=jacobian)
+    n, o = len(residual), problem.observations
+    _require_finite(problem, residual)
+    if not jacobian:
+        return residual.ravel(), np.zeros((0, len(columns)))
+    d_image, d_ground = np.array(j_image), np.array(j_ground)
+    _require_finite(problem, d_image)
+    _require_finite(problem, d_ground)
+    out = np.zeros((n, 2, len(columns)))
+    rows = np.arange(n)[:, None, None], np.arange(2)[None, :, None]
+    out[*rows, (o.image[:, None] * columns.width + np.arange(columns.width))[:, None, :]] = d_image
+    free = np.flatnonzero(problem.active[o.point])
+    at = columns.first[o.point[free], None] + np.arange(3)
+    out[free[:, None, None], rows[1], at[:, None, :]] = d_ground[free]
+    return residual.ravel(), out.reshape(2 * n, -1)
+
+
+def _require_finite(problem: Problem, values: Array) -> None:
+    """Refuse what no solver may get; GTSAM factors do the same in their callbacks."""
+    bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    if bad.any():
+        raise NotFiniteError(f"{problem.label(int(np.argmax(bad)))}: residual or Jacobian is not finite")
+
+
+def _control_rows(problem: Problem, state: State, columns: Columns, jacobian: bool) -> tuple[Array, Array]:
+    """Three rows ``W (G - G_0)`` per observed control point."""
+    observed = np.flatnonzero(problem.observed)
+    whitening = problem.control_records[observed, :9].reshape(-1, 3, 3)
+    difference = state.ground[observed] - problem.control_records[observed, 9:]
+    residual = np.einsum("nij,nj->ni", whitening, difference).ravel()
+    out = np.zeros((len(observed) if jacobian else 0, 3, len(columns)))
+    for row, j in enumerate(observed if jacobian else ()):
+        out[row, :, columns.point(int(j))] = whitening[row]
+    return residual, out.reshape(-1, len(columns))
+
+
+def _extra_rows(
+    problem: Problem, extra: ExtraObservation, state: State, columns: Columns, jacobian: bool
+) -> tuple[Array, Array]:
+    """Rows of an own observation: its equation's kernel, checked as in a factor."""
+    arguments = problem.extra_arguments(extra)
+    x = [np.ascontiguousarray((state.image if a.is_image else state.ground)[a.index]) for a in arguments]
+    blocks = extra.equation.kernel(extra.record, extra.setup, *x, jacobian)
+    sizes = tuple(a.size for a in arguments) if jacobian else ()
+    check_blocks(extra.equation.name, extra.label, blocks if jacobian else blocks[:1], sizes, extra.n_residuals)
+    out = np.zeros((extra.n_residuals if jacobian else 0, len(columns)))
+    for a, block in zip(arguments, blocks[1:], strict=True):
+        if jacobian and a.constant is None:
+            out[:, columns.image(a.index) if a.is_image else columns.point(a.index)] += block
+    return blocks[0], out
+
+
+@dataclass(frozen=True)
+class DenseStep:
+    """A step (u,); see ``loop.Step``."""
+
+    data: Array
+    length: float
+    predicted_error: float
+
+
+class DenseSystem:
+    """One linearisation ``J x = -r``; see ``loop.System``.
+
+    Parameters
+    ----------
+    residual : (n,) array
+    design : (n, u) array
+        J.
+    solver : str
+        Name in the registry of linear solvers.
+    """
+
+    def __init__(self, residual: Array, design: Array, solver: str) -> None:
+        self.residual, self.design, self._solver = residual, design, solver
+        self.error = 0.5 * float(residual @ residual)
+
+    def solve(self, damping: float) -> DenseStep:
+        """Solve with ``damping`` times the identity added to the normal equations.
+
+        Raises
+        ------
+        Breakdown
+            The solver cannot go on.
+        """
+        design, observed = self.design, -self.residual
+        if damping > 0.0:
+            u = design.shape[1]
+            design = np.vstack([design, np.sqrt(damping) * np.eye(u)])
+            observed = np.concatenate([observed, np.zeros(u)])
+        return self._step(solve(self._solver, LinearSystem.from_design(design, observed)).x)
+
+    def dogleg(self, radius: float) -> DenseStep:
+        """Blend of the steepest-descent and the Gauss-Newton step."""
+        newton = self.solve(0.0)
+        if np.linalg.norm(newton.data) <= radius:
+            return newton
+        gradient = self.design.T @ self.residual
+        along = self.design @ gradient
+        steepest = -gradient * (gradient @ gradient) / (along @ along)
+        length = float(np.linalg.norm(steepest))
+        if length >= radius:
+            return self._step(steepest * (radius / length))
+        across = newton.data - steepest
+        share = share_at_radius(float(across @ across), float(steepest @ across), length, radius)
+        return self._step(steepest + share * across)
+
+    def _step(self, x: Array) -> DenseStep:
+        after = self.residual + self.design @ x
+        return DenseStep(x, float(np.abs(x).max()), 0.5 * float(after @ after))
+
+
+class DenseBackend:
+    """The problem as full matrices, driven by ``fg_orient.adjustment.loop``.
+
+    Parameters
+    ----------
+    problem : Problem
+    solver : str
+        Name in the registry of linear solvers; a regularised one gives the x of each step.
+
+    Raises
+    ------
+    InputError
+        More than 2000 unknowns, judged before any matrix is made; no such solver.
+    """
+
+    name = "dense"
+
+    def __init__(self, problem: Problem, solver: str = DEFAULT_SOLVER) -> None:
+        if problem.n_unknowns > MAX_UNKNOWNS:
+            raise InputError.of("linear.too_large", place="backend", value=problem.n_unknowns, limit=MAX_UNKNOWNS)
+        self.problem, self.solver = problem, find_solver(solver).name
+        self.columns = Columns.of(problem)
+
+    def initial(self) -> State:
+        """Start values."""
+        return self.problem.start
+
+    def linearise(self, state: State) -> DenseSystem:
+        """Linearise at a state."""
+        return DenseSystem(*assemble(self.problem, state), self.solver)
+
+    def error(self, state: State) -> float:
+        """Half the weighted sum of squares."""
+        residual, _ = assemble(self.problem, state, jacobian=False)
+        return 0.5 * float(residual @ residual)
+
+    def retract(self, state: State, step: DenseStep) -> State:
+        """State after a step."""
+        return self.columns.moved(state, step.data)
