@@ -22,7 +22,8 @@ Family = Literal["inverse", "elimination", "tikhonov", "modern"]
 Function = Callable[[LinearSystem, bool], LinearSolution]
 
 #: Modules of this package that register solvers when imported.
-_MODULES = ("inverses", "elimination", "modern")
+_MODULES = ("inverses", "elimination", "tikhonov", "modern")
+_FAMILIES: tuple[Family, ...] = ("inverse", "elimination", "tikhonov", "modern")
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,8 @@ def solvers() -> dict[str, Solver]:
     """All solvers by name: the published ones in the order of the publication, then the others."""
     for module in _MODULES:
         import_module(f"fg_orient.linear.{module}")
-    return dict(_REGISTRY)
+    entries = sorted(_REGISTRY.values(), key=lambda s: (not s.published, _FAMILIES.index(s.family)))
+    return {entry.name: entry for entry in entries}
 
 
 def solver(name: str) -> Solver:

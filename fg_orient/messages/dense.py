@@ -38,6 +38,22 @@ LINEAR: Final = {
         "the column of A depends on those before it within rounding",
         "the unknown is not determined; take SVD, a prior or fewer unknowns",
     ),
+    "linear.redundancy": (
+        "there must be more observations than unknowns",
+        "without redundancy residuals say nothing; add observations or take fewer unknowns",
+    ),
+    "linear.kappa_rule": ("no kappa rule of this name", "known: {known}"),
+    "linear.kappa_needs": ("this rule needs {needed}", "give it in Given({needed}=...)"),
+    "linear.kappa_value": ("kappa must be finite and not negative", "0 gives least squares"),
+    "linear.no_kappa": ("the rule finds no usable kappa", "take another rule"),
+    "linear.penalty": (
+        "the penalty must be identity, first_difference, second_difference or a finite matrix of {unknowns} columns",
+        "differences need more unknowns than their order",
+    ),
+    "linear.prior": (
+        "the prior needs a mean of {unknowns} numbers, a positive definite covariance and a positive sigma",
+        "leave out unknowns that are fixed",
+    ),
     "linear.library": ("the linear algebra library cannot go on", "the system is singular for this solver"),
     "linear.result_shape": ("the solver must give {unknowns} real numbers", "mend the solver's function"),
     "linear.result_not_finite": ("the solver gives values that are not finite", "the system is singular for it"),
