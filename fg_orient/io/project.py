@@ -34,8 +34,8 @@ FEW_CHECK_CODE: Final = "remark.few_check"
 _TABLE_OF = {
     "eop_set": "orientation", "look_polynomial": "orientation", "priors": "orientation",
     "position_sigma_m": "orientation", "velocity_sigma_m_s": "orientation", "attitude_sigma_rad": "orientation",
-    "look_sigma_rad": "orientation", "small_angle": "orientation", "backend": "adjustment", "optimizer": "adjustment",
-    "max_iterations": "adjustment", "check_points": "adjustment", "points_seen_once": "adjustment",
+    "look_sigma_rad": "orientation", "small_angle": "orientation", "backend": "adjustment", "solver": "adjustment",
+    "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment", "points_seen_once": "adjustment",
 }  # fmt: skip
 
 
@@ -48,8 +48,8 @@ def read_project(path: str | Path, **overrides: object) -> Block:
         The TOML file.
     **overrides
         Options that replace those of the file: ``eop_set``, ``look_polynomial``,
-        ``priors``, ``backend``, ``optimizer``, ``max_iterations``, ``check_points``,
-        ``points_seen_once``, ``small_angle`` and the prior sigmas. None keeps the file's.
+        ``priors``, ``backend``, ``solver``, ``optimizer``, ``max_iterations``,
+        ``check_points``, ``points_seen_once``, ``small_angle`` and the prior sigmas. None keeps the file's.
 
     Returns
     -------

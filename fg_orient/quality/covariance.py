@@ -119,7 +119,7 @@ class DenseCofactors:
         parts = [self._columns.image(k) for k in images]
         parts += [self._columns.point(j) for j in points if self._problem.active[j]]
         index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
-        return self._q[np.ix_(index, index)]
+        return np.asarray(self._q[np.ix_(index, index)])
 
 
 class GraphCofactors:
