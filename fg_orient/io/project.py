@@ -35,7 +35,8 @@ _TABLE_OF = {
     "eop_set": "orientation", "look_polynomial": "orientation", "priors": "orientation",
     "position_sigma_m": "orientation", "velocity_sigma_m_s": "orientation", "attitude_sigma_rad": "orientation",
     "look_sigma_rad": "orientation", "small_angle": "orientation", "backend": "adjustment", "solver": "adjustment",
-    "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment", "points_seen_once": "adjustment",
+    "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment",
+    "points_seen_once": "adjustment",
 }  # fmt: skip
 
 
