@@ -54,6 +54,8 @@ LINEAR: Final = {
         "the prior needs a mean of {unknowns} numbers, a positive definite covariance and a positive sigma",
         "leave out unknowns that are fixed",
     ),
+    "linear.noise": ("the noise must be a standard deviation", "0 if the observations are exact"),
+    "linear.reference": ("the reference solver has no solution to compare with", "name another reference"),
     "linear.library": ("the linear algebra library cannot go on", "the system is singular for this solver"),
     "linear.result_shape": ("the solver must give {unknowns} real numbers", "mend the solver's function"),
     "linear.result_not_finite": ("the solver gives values that are not finite", "the system is singular for it"),
