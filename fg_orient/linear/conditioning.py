@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from fg_orient.errors import InputError
 from fg_orient.linear.scaling import scaled
@@ -25,13 +24,18 @@ SPECTRAL_LIMIT: Final = 1e3
 HADAMARD_LIMIT: Final = 1e-2
 
 
-def numerical_rank(singular_values: npt.NDArray[np.floating[Any]], size: int) -> int:
+def singular_values(matrix: Array) -> Array:
+    """Singular values (p,), descending."""
+    return np.asarray(np.linalg.svd(matrix, compute_uv=False), dtype=np.float64)
+
+
+def numerical_rank(values: Array, size: int) -> int:
     """Number of singular values above size * eps(largest), eps(x) the spacing of doubles at x (MATLAB's rank).
 
     Parameters
     ----------
-    singular_values : (p,) array
-        Descending.
+    values : (p,) array
+        Singular values, descending.
     size : int
         Larger side of the matrix.
 
@@ -39,7 +43,7 @@ def numerical_rank(singular_values: npt.NDArray[np.floating[Any]], size: int) ->
     -------
     int
     """
-    return int(np.count_nonzero(singular_values > size * np.spacing(singular_values[0])))
+    return int(np.count_nonzero(values > size * np.spacing(values[0])))
 
 
 def condition_text(value: float) -> str:
@@ -152,12 +156,27 @@ def diagnose(subject: LinearSystem | Array) -> Conditioning:
     """
     system = subject if isinstance(subject, LinearSystem) else _from_design(subject)
     unit, _ = scaled(system)
-    rank, *raw, values = _numbers(system)
-    _, *same, values_scaled = _numbers(unit)
-    size = len(system) if system.design is None else max(system.design.shape)
-    # without A the scaled values are roots: the tolerance is applied to their squares
-    known = values_scaled if system.design is not None else values_scaled**2
-    return Conditioning(len(system), rank, *raw, values, numerical_rank(known, size), *same, values_scaled)
+    raw, same = _Numbers.of(system), _Numbers.of(unit)
+    rank_scaled = same.rank  # of N where A is not known
+    if unit.design is not None:
+        rank_scaled = numerical_rank(same.values, max(unit.design.shape))
+    return Conditioning(
+        order=len(system),
+        rank=raw.rank,
+        det_sign=raw.sign,
+        log10_det=raw.log10_det,
+        cond_norm=raw.norm,
+        cond_spectral=raw.spectral,
+        log10_hadamard=raw.log10_hadamard,
+        singular_values=raw.values,
+        rank_scaled=rank_scaled,
+        det_sign_scaled=same.sign,
+        log10_det_scaled=same.log10_det,
+        cond_norm_scaled=same.norm,
+        cond_spectral_scaled=same.spectral,
+        log10_hadamard_scaled=same.log10_hadamard,
+        singular_values_scaled=same.values,
+    )
 
 
 def _from_design(design: Array) -> LinearSystem:
@@ -168,19 +187,31 @@ def _from_design(design: Array) -> LinearSystem:
     return LinearSystem.from_design(matrix, np.zeros(len(matrix)))
 
 
-def _numbers(system: LinearSystem) -> tuple[int, float, float, float, float, float, Array]:
-    """Rank, sign and log10 of det, norm, spectral, log10 Hadamard; singular values of A."""
-    normal, u = system.normal, len(system)
-    values = np.linalg.svd(normal, compute_uv=False)
-    sign, log_det = np.linalg.slogdet(normal)
-    eigenvalues = np.linalg.eigvalsh(normal)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        hadamard = log_det - np.log(np.linalg.norm(normal, axis=1)).sum() if sign else -np.inf
-        spectral = float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] else np.inf
-    of_design = np.sqrt(values) if system.design is None else np.linalg.svd(system.design, compute_uv=False)
-    ten = np.log(10.0)
-    rank = numerical_rank(values, u)
-    return rank, float(sign), float(log_det / ten), _ratio(values), spectral, float(hadamard / ten), of_design
+@dataclass(frozen=True)
+class _Numbers:
+    """Diagnostics in one system of units; ``values`` are the singular values of A, or roots of those of N."""
+
+    rank: int
+    sign: float
+    log10_det: float
+    norm: float
+    spectral: float
+    log10_hadamard: float
+    values: Array
+
+    @classmethod
+    def of(cls, system: LinearSystem) -> _Numbers:
+        normal, ten = system.normal, np.log(10.0)
+        values = singular_values(normal)
+        sign, log_det = np.linalg.slogdet(normal)
+        eigenvalues = np.linalg.eigvalsh(normal)
+        with np.errstate(divide="ignore", over="ignore"):
+            rows = np.log(np.linalg.norm(normal, axis=1)).sum()
+            spectral = float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] else float("inf")
+        hadamard = float(log_det - rows) / ten if sign else -float("inf")
+        of_design = np.sqrt(values) if system.design is None else singular_values(system.design)
+        rank = numerical_rank(values, len(system))
+        return cls(rank, float(sign), float(log_det / ten), _ratio(values), spectral, float(hadamard), of_design)
 
 
 def _ratio(values: Array) -> float:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from fg_orient.errors import InputError
-from fg_orient.linear.conditioning import numerical_rank
+from fg_orient.linear.conditioning import numerical_rank, singular_values
 from fg_orient.linear.scaling import scaled
 from fg_orient.linear.system import Array, LinearSystem
 
@@ -91,7 +91,7 @@ def ls_conditions(system: LinearSystem, x: Array, residuals: Array | None = None
     shown = v if residuals is None else residuals
     misfit = np.abs(system.normal @ x - system.rhs)
     unit, lengths = scaled(system)
-    values = np.linalg.svd(unit.require_design("rank")[0], compute_uv=False)
+    values = singular_values(unit.require_design("rank")[0])
     return LsConditions(
         n_observations=len(design),
         n_unknowns=u,
@@ -99,7 +99,7 @@ def ls_conditions(system: LinearSystem, x: Array, residuals: Array | None = None
         sum_vv=float(shown @ shown),
         normal_min=float(misfit.min()),
         normal_max=float(misfit.max()),
-        rank=numerical_rank(np.linalg.svd(system.normal, compute_uv=False), u),
+        rank=numerical_rank(singular_values(system.normal), u),
         orthogonality=_orthogonality(unit, x * lengths),
         normal_residual=_normal_residual(unit, x * lengths),
         rank_scaled=numerical_rank(values, len(design)),
