@@ -14,7 +14,8 @@ from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.block import Block
 from fg_orient.classical.two_stage import Bundle, Kind, TwoStage
 from fg_orient.comparison.model import AXES, GRAPH_SOLVER, Row, Spectrum
-from fg_orient.errors import FgOrientError, NoSolutionError
+from fg_orient.errors import FgOrientError, problem
+from fg_orient.linear import registry
 from fg_orient.linear.system import MAX_UNKNOWNS
 from fg_orient.names import Status
 from fg_orient.orient import adjust
@@ -38,13 +39,18 @@ def one_line(error: FgOrientError) -> str:
     return " | ".join(str(found) for found in error.problems)
 
 
+def singular_values(matrix: Array) -> Array:
+    """Singular values in descending order."""
+    return np.asarray(np.linalg.svd(matrix, compute_uv=False), dtype=np.float64)
+
+
 def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spectrum]:
     """Singular values of a design matrix, raw and with columns of unit length (a zero column stays zero)."""
     length = np.linalg.norm(design, axis=0)
     scaled = design / np.where(length > 0.0, length, 1.0)
     return (
-        Spectrum(eop_set, system, "raw", np.linalg.svd(design, compute_uv=False)),
-        Spectrum(eop_set, system, "columns", np.linalg.svd(scaled, compute_uv=False)),
+        Spectrum(eop_set, system, "raw", singular_values(design)),
+        Spectrum(eop_set, system, "columns", singular_values(scaled)),
     )
 
 
@@ -58,18 +64,15 @@ def _conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, An
     }  # fmt: skip
 
 
-def _refuse_slow(solver: str, order: int) -> None:
-    """Refuse what no dense solver, or not this one, can do.
-
-    Raises
-    ------
-    NoSolutionError
-        Too many unknowns.
-    """
+def _reason_to_leave_out(solver: str, order: int, *, iterated: bool) -> str:
+    """Say why an adjustment is not tried; "" if it is."""
     if order > MAX_UNKNOWNS:
-        raise NoSolutionError.of("linear.too_large", place=solver, value=order, limit=MAX_UNKNOWNS)
+        return str(problem("linear.too_large", place=solver, value=order, limit=MAX_UNKNOWNS))
     if solver == "cramer_inverse" and order > CRAMER_LIMIT:
-        raise NoSolutionError.of("compare.slow", place=solver, value=order, limit=CRAMER_LIMIT)
+        return str(problem("compare.slow", place=solver, value=order, limit=CRAMER_LIMIT))
+    if iterated and registry.solver(solver).family == "tikhonov":
+        return str(problem("compare.damped", place=solver))
+    return ""
 
 
 class Published:
@@ -93,13 +96,15 @@ class Published:
 
     def run(self, eop_set: int, kind: int, solver: str) -> Row:
         """Adjust with one set, type and solver."""
-        make = {"eop_set": eop_set, "solver": solver, "backend": "faithful", "kind": kind}
+        make: dict[str, Any] = {"eop_set": eop_set, "solver": solver, "backend": "faithful", "kind": kind}
+        if self.failure:
+            return row(**make, failure=self.failure)
+        order = self.n_images * len(eop_codes(eop_set)) + 3 * self.n_check
+        reason = _reason_to_leave_out(solver, order, iterated=False)
+        if reason:
+            return row(**make, failure=reason, left_out=True, order=order)
         start = time.perf_counter()
         try:
-            if self.failure:
-                return row(**make, failure=self.failure)
-            order = self.n_images * len(eop_codes(eop_set)) + 3 * self.n_check
-            _refuse_slow(solver, order)
             with np.errstate(all="ignore"):  # wild corrections overflow; the result is then reported as failed
                 bundle = self.stage.bundle(eop_set, cast(Kind, kind), solver)
         except FgOrientError as error:
@@ -169,12 +174,12 @@ class Adjustments:
         design = assemble(self.problem, self.problem.start)[1]
         physical = _per_physical_unit(self.problem, design)
         raw, columns = spectra_of(physical, self.eop_set, "adjustment")
-        found = [raw, columns, Spectrum(self.eop_set, "adjustment", "priors", np.linalg.svd(design, compute_uv=False))]
+        found = [raw, columns, Spectrum(self.eop_set, "adjustment", "priors", singular_values(design))]
         self.matrix |= _conditioning(raw, columns, len(design))
         if self.block.options.priors:
             free = _without_priors(self.problem, design)
             found += spectra_of(_per_physical_unit(self.problem, free), self.eop_set, "no priors")
-            found.append(Spectrum(self.eop_set, "no priors", "priors", np.linalg.svd(free, compute_uv=False)))
+            found.append(Spectrum(self.eop_set, "no priors", "priors", singular_values(free)))
         self.spectra = tuple(found)
 
     def graph(self) -> Adjusted:
@@ -183,10 +188,9 @@ class Adjustments:
 
     def dense(self, solver: str, reference: Solution | None) -> Row:
         """Adjust with dense matrices and one solver; ``reference`` is the graph's solution."""
-        try:
-            _refuse_slow(solver, self.problem.n_unknowns)
-        except FgOrientError as error:
-            return row(self.eop_set, solver, "dense", failure=one_line(error), order=self.problem.n_unknowns)
+        reason = _reason_to_leave_out(solver, self.problem.n_unknowns, iterated=True)
+        if reason:
+            return row(self.eop_set, solver, "dense", failure=reason, left_out=True, **self.matrix)
         found = self._run(solver, "dense", {"backend": "dense", "solver": solver})
         if found.solution is None or reference is None:
             return found.row
@@ -209,7 +213,7 @@ class Adjustments:
                 seconds=_seconds(found), **self.matrix,
             )  # fmt: skip
             return Adjusted(None, failed)
-        values = _accuracy("control", found.accuracy.control) | _accuracy("check", found.accuracy.check)
+        values: dict[str, Any] = _accuracy("control", found.accuracy.control) | _accuracy("check", found.accuracy.check)
         notes = (found.reason,) if found.status is Status.NOT_TRUSTWORTHY else ()
         done = row(
             self.eop_set, solver, backend, sigma0=found.sigma0, iterations=found.iterations, seconds=_seconds(found),

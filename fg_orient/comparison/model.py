@@ -19,6 +19,8 @@ TYPES: Final = (1, 2)
 #: Name of the graph backend's solver in the tables.
 GRAPH_SOLVER: Final = "gtsam"
 AXES: Final = ("x", "y", "z")
+#: A singular value below eps times the largest is rounding: this condition number of N means "so much or more".
+LARGEST_CONDITION: Final = float(np.finfo(float).eps ** -2)
 _NAN: Final = float("nan")
 
 
@@ -40,7 +42,7 @@ class Row:
         The axes.
     cond_raw, cond_scaled : float
         Condition number of ``N = A^T A`` as the square of A's: unknowns in m, m/s, rad; columns of A of
-        unit length. inf where A has a singular value 0.
+        unit length. At most :data:`LARGEST_CONDITION`.
     rank, order : int or None
         Numerical rank of A in raw units, and the number of unknowns.
     kappa : float
@@ -59,6 +61,8 @@ class Row:
         coordinate of a ground point; nan where one of the two is missing.
     failure : str
         Why there is no solution; "" if there is one.
+    left_out : bool
+        It was not tried; ``failure`` says why.
     notes : tuple of str
         Remarks of the solver.
     """
@@ -89,6 +93,7 @@ class Row:
     difference_sigmas: float = _NAN
     difference_m: float = _NAN
     failure: str = ""
+    left_out: bool = False
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -121,9 +126,9 @@ class Spectrum:
 
     @property
     def condition(self) -> float:
-        """Condition number of ``N = A^T A``: the square of A's; inf for a singular value 0."""
-        smallest = float(self.values[-1]) if len(self.values) else _NAN
-        return float((self.values[0] / smallest) ** 2) if smallest > 0.0 else float("inf")
+        """Condition number of ``N = A^T A``: the square of A's, at most :data:`LARGEST_CONDITION`."""
+        smallest = max(float(self.values[-1]), float(self.values[0]) * np.finfo(float).eps)
+        return min(float((self.values[0] / smallest) ** 2), LARGEST_CONDITION)
 
 
 @dataclass(frozen=True)

@@ -92,5 +92,9 @@ COMPARE: Final = {
         "left out: this solver takes u^2 determinants, minutes beyond {limit} unknowns",
         "any other solver gives the same answer where this one would",
     ),
+    "compare.damped": (
+        "left out: regularised steps only slow the iteration on its way to the same minimum",
+        "the priors regularise here; the published procedure takes a single step",
+    ),
     "compare.no_solution": ("none of the {count} adjustments has a solution; the first says: {why}", "see each row"),
 }
