@@ -10,7 +10,8 @@ whitening is the identity, prior sigmas are one.
 renormalised (then ``Y = Z x X`` is short, too) and attitudes are small-angle matrices; both rotations
 are inverted by transposing. With ``D = diag(s, s, 1)``, s the shortening, and U the attitude matrix the
 ray is ``R D U u1`` and the conditions use ``U^T D R^T``. The kernel's constant mounting ``M = U^-1 D U``
-gives both, as ``U M = D U``.
+gives both, as ``U M = D U``. M stays at the metadata, also where corrections are unknowns: what is
+left out is the change of s itself, cos(V, Z) = 1e-3 of the effect of a change of direction.
 """
 
 from __future__ import annotations
