@@ -193,11 +193,11 @@ def test_moving_the_reference_changes_no_condition(block: Block, as_run: bool, r
     assert np.allclose(a.eop, b.eop, rtol=1e-12, atol=0.0)
     back = moved.with_ground(at.approximate_m).linearise(ALL, nothing(block)).value
     assert np.abs(back - at.linearise(ALL, nothing(block)).value).max() < 1e-14
-    look = at.look_rad + [1e-3, 2e-3]
+    look = at.look_rad + np.array([1e-3, 2e-3])
     turned = at.with_look(look)
     assert np.array_equal(turned.look_rad, look)
-    assert np.abs(turned.linearise((), nothing(block, ())).value
-                  - oracle.conditions(oracle.all_eop(block), look, ground[at.point], as_run)).max() < ROUNDING  # fmt: skip
+    found = turned.linearise((), nothing(block, ())).value
+    expected = oracle.conditions(oracle.all_eop(block), look, ground[at.point], as_run)
+    assert np.abs(found - expected).max() < ROUNDING
     rows = np.array([3, 60, 7])
-    assert np.array_equal(turned.take(rows).linearise((), nothing(block, ())).value,
-                          turned.linearise((), nothing(block, ())).value[rows])  # fmt: skip
+    assert np.array_equal(turned.take(rows).linearise((), nothing(block, ())).value, found[rows])

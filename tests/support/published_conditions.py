@@ -74,7 +74,7 @@ def ray(eop: np.ndarray, look: np.ndarray, as_run: bool, third: float = -1.0) ->
 def derivatives(
     eop: np.ndarray, look: np.ndarray, ground: np.ndarray, as_run: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """By complex step: with respect to the nine EOPs (n, 2, 9), ground (n, 2, 3), look angles psi_y, psi_x (n, 2, 2)."""
+    """By complex step: to the nine EOPs (n, 2, 9), the ground (n, 2, 3), psi_y and psi_x (n, 2, 2)."""
     out = []
     for which, width in ((0, 9), (2, 3), (1, 2)):
         columns = []
