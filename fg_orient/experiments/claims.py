@@ -87,7 +87,7 @@ def wilson(passed: int, of: int) -> tuple[float, float]:
     p, z2 = passed / of, Z_95**2
     centre = (p + z2 / (2 * of)) / (1.0 + z2 / of)
     half = Z_95 / (1.0 + z2 / of) * math.sqrt(p * (1.0 - p) / of + z2 / (4.0 * of * of))
-    return max(0.0, centre - half), min(1.0, centre + half)
+    return (0.0 if passed == 0 else centre - half), (1.0 if passed == of else centre + half)
 
 
 def all_claims() -> tuple[Claim, ...]:
