@@ -24,6 +24,7 @@ if not getattr(factors, "FG_ORIENT_FACTORS", False):
 
 if TYPE_CHECKING:
     from fg_orient.block import Block, ExtraObservation, GroundPoints, Image, ImagePoints, Options
+    from fg_orient.comparison.compare import compare
     from fg_orient.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
     from fg_orient.initial import intersect
     from fg_orient.io.project import read_project
@@ -50,6 +51,7 @@ _HOME: Final[dict[str, str]] = {
     "Solution": "fg_orient.solution",
     "Status": "fg_orient.names",
     "adjust": "fg_orient.orient",
+    "compare": "fg_orient.comparison.compare",
     "intersect": "fg_orient.initial",
     "read_project": "fg_orient.io.project",
     "read_sensor": "fg_orient.io.sensor",
@@ -71,6 +73,7 @@ __all__ = [
     "Status",
     "__version__",
     "adjust",
+    "compare",
     "intersect",
     "read_project",
     "read_sensor",

@@ -11,7 +11,7 @@ from typing import Annotated, NoReturn
 import typer
 
 import fg_orient
-from fg_orient.cli import adjust, checks, geometry, reports, simulate
+from fg_orient.cli import adjust, checks, compare, geometry, reports, simulate
 from fg_orient.cli.common import INTERRUPTED, emit_errors, note
 from fg_orient.errors import InputError
 
@@ -23,6 +23,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("adjust")(adjust.adjust)
+app.command("compare")(compare.compare)
 app.command("locate")(geometry.locate)
 app.command("project")(geometry.project)
 app.command("intersect")(geometry.intersect)

@@ -1,0 +1,132 @@
+"""Command ``compare``: dense against sparse, set by set, solver by solver, backend by backend."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, say, table
+from fg_orient.errors import InputError
+
+#: Places of the library in the words of the command line.
+_TYPED = {
+    "eop_set": "--eop-sets", "eop_sets": "--eop-sets", "solvers": "--solvers", "backends": "--backends",
+    "types": "--types", "target": "--target", "look_polynomial": "--look-polynomial",
+}  # fmt: skip
+
+
+def compare(
+    project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    eop_sets: Annotated[
+        str, typer.Option(metavar="SETS", help="EOP sets: 1-20, or numbers and names such as 5,13,PUA.")
+    ] = "1-20",
+    solvers: Annotated[
+        str, typer.Option(metavar="NAMES", help="all, published, or names of solvers: qr,cholesky_inverse.")
+    ] = "published",
+    backends: Annotated[
+        str, typer.Option(metavar="NAMES", help="Any of faithful (as published), dense, graph.")
+    ] = "faithful,dense,graph",
+    types: Annotated[
+        str, typer.Option(metavar="1,2", help="Pre-adjustments as published: 1 look angles, 2 look angles and EOPs.")
+    ] = "1,2",
+    as_run: Annotated[
+        bool, typer.Option("--as-run", help="The published procedure as the authors' program works.")
+    ] = False,
+    look_polynomial: Annotated[
+        int | None, typer.Option(metavar="DEGREE", help="Look-angle polynomial of dense and graph, 0-5.")
+    ] = None,
+    target: Annotated[
+        float | None, typer.Option(metavar="M", help="RMSE to reach, m; default: the distance of the pixels.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the results; default: comparison, beside the project file.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Compare EOP sets, solvers and backends on a block: tables, figures and an HTML report.
+
+    Without matplotlib (extra "report") the tables come without figures.
+    """
+    options: dict[str, Any] = {
+        "eop_sets": eop_sets, "solvers": solvers, "backends": backends, "types": types, "as_run": as_run,
+        "look_polynomial": look_polynomial, "target_m": target,
+    }  # fmt: skip
+    with outcome(as_json, debug):
+        if not project.is_file():
+            raise InputError.of("project.missing_file", file=project, folder="the current folder")
+        from fg_orient.comparison.folder import compare_project
+
+        with _named_as_typed(), _progress(as_json) as callback:
+            record = compare_project(
+                project, out or project.parent / "comparison", overwrite=overwrite, options=options,
+                callback=callback, command=["fg-orient", *sys.argv[1:]],
+            )  # fmt: skip
+        if as_json:
+            emit(record)
+        else:
+            show(record)
+
+
+@contextlib.contextmanager
+def _named_as_typed() -> Iterator[None]:
+    """Name a wrong option as it is written on the command line."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(
+            *(p if p.file or p.place not in _TYPED else replace(p, place=_TYPED[p.place]) for p in error.problems)
+        ) from None
+
+
+@contextlib.contextmanager
+def _progress(silent: bool) -> Iterator[Callable[[int, int, str], None] | None]:
+    """Show a bar on the terminal, if standard error is one."""
+    if silent or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False)
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading the project", total=None)
+
+        def update(done: int, total: int, text: str) -> None:
+            bar.update(task, completed=done, total=total, description=text)
+
+        yield update
+
+
+def show(record: dict[str, Any]) -> None:
+    """Print warnings, the verdict, one line per solver and where the result lies."""
+    for text in record["warnings"]:
+        say(f"warning: {text}")
+    say(record["verdict"]["title"])
+    for text in record["verdict"]["text"]:
+        say(f"- {text}")
+    rows = []
+    for line in record["summary"]:
+        name = f"published {line['type']}" if line["backend"] == "faithful" else line["backend"]
+        reached = f"{line['reached']}/{line['tried']}" if line["tried"] else "not tried"
+        rows.append((name, line["label"], reached, _metres(line["worst_control_m"]), _metres(line["worst_check_m"])))
+    say()
+    title = f"EOP sets at the target of {record['target_m']:.3g} m"
+    table(title, ("backend", "solver", "sets", "control m", "check m"), rows, left=2)
+    say("control, check: the worst set with a solution, worst ECEF axis")
+    say(f"report: {Path(record['out']) / 'report.html'}")
+
+
+def _metres(value: float | None) -> str:
+    """Write a length that may be wild."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.2f}" if value < 1e4 else f"{value:.0e}"

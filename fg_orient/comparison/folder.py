@@ -1,0 +1,139 @@
+"""From a project to a comparison folder: tables, figures, record and report, whole or not at all."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from factors.warmup import compile_kernels
+from fg_orient.comparison import plots
+from fg_orient.comparison.compare import Progress, compare
+from fg_orient.comparison.model import COLUMNS, Comparison
+from fg_orient.comparison.report import render
+from fg_orient.comparison.words import summaries, verdict
+from fg_orient.errors import NoSolutionError
+from fg_orient.io.folder import Contents, require_free, staged_folder, writing
+from fg_orient.io.project import read_project
+from fg_orient.run.json import dumps, plain
+from fg_orient.run.provenance import provenance
+from fg_orient.run.tables import write_csv
+
+SCHEMA_VERSION: Final = 1
+#: What a comparison folder holds.
+COMPARISON: Final = Contents("compare.csv", ("compare.csv", "spectra.csv", "result.json", "*.svg", "report.html"))
+SPECTRUM_COLUMNS: Final = ("eop_set", "system", "scaling", "index", "singular_value")
+NO_FIGURES: Final = 'no figures: matplotlib is missing (pip install "fg-orient[report]")'
+
+
+def compare_project(
+    project: str | Path,
+    out: str | Path,
+    *,
+    overwrite: bool = False,
+    options: Mapping[str, Any] | None = None,
+    callback: Progress | None = None,
+    command: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Read a project, compare and write the folder.
+
+    Parameters
+    ----------
+    project : path
+        The TOML file.
+    out : path
+        Folder to come.
+    overwrite : bool
+        Replace an existing comparison folder, once the new one is complete.
+    options : mapping, optional
+        Arguments of :func:`fg_orient.compare`.
+    callback : callable, optional
+        Called with (done, of, text) after each adjustment.
+    command : sequence of str
+        The command line, for the record.
+
+    Returns
+    -------
+    dict
+        The record of ``compare --json``.
+
+    Raises
+    ------
+    InputError
+        The project, an option or the output folder is unusable.
+    NoSolutionError
+        Not one adjustment has a solution; nothing is written.
+    """
+    start = time.perf_counter()
+    require_free(Path(out), overwrite=overwrite, contents=COMPARISON)
+    compile_kernels()
+    block = read_project(project)
+    read_s = time.perf_counter() - start
+    found = compare(block, callback=callback, **dict(options or {}))
+    if all(row.failure for row in found.rows):
+        raise NoSolutionError.of("compare.no_solution", file=project, count=len(found.rows), why=found.rows[0].failure)
+    record = _record(found, Path(project), Path(out), command)
+    with staged_folder(out, overwrite=overwrite, contents=COMPARISON) as folder:
+        mark = time.perf_counter()
+        drawn = plots.figures(found)
+        end = time.perf_counter()
+        record["seconds"] = {"read": read_s, "compare": found.seconds, "figures": end - mark, "total": end - start}
+        with writing(out):
+            write_folder(folder, found, record, drawn)
+    return {**record, "out": str(out)}
+
+
+def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> None:
+    """Write every file of a comparison into an existing folder.
+
+    Parameters
+    ----------
+    folder : Path
+    comparison : Comparison
+    record : mapping
+        For ``result.json``.
+    figures : mapping
+        File name to SVG text.
+    """
+    rows = [[_cell(row.as_dict()[name]) for name in COLUMNS] for row in comparison.rows]
+    write_csv(folder / "compare.csv", COLUMNS, rows)
+    write_csv(folder / "spectra.csv", SPECTRUM_COLUMNS, (
+        (s.eop_set, s.system, s.scaling, index, float(value))
+        for s in comparison.spectra for index, value in enumerate(s.values)
+    ))  # fmt: skip
+    for name, text in figures.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
+    (folder / "report.html").write_text(render(comparison, record, figures), encoding="utf-8")
+
+
+def _cell(value: object) -> object:
+    """Nothing for None, words of JSON for truth values."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value is None else value
+
+
+def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:
+    """Everything of ``result.json`` but the times."""
+    record: dict[str, Any] = plain({
+        "schema": SCHEMA_VERSION,
+        "kind": "compare",
+        "name": comparison.block.name,
+        "verdict": verdict(comparison),
+        "target_m": comparison.target_m,
+        "eop_sets": comparison.eop_sets,
+        "solvers": comparison.solvers,
+        "backends": comparison.backends,
+        "types": comparison.types,
+        "as_run": comparison.as_run,
+        "look_polynomial": comparison.block.options.look_polynomial,
+        "summary": [asdict(line) for line in summaries(comparison)],
+        "warnings": [] if plots.available() else [NO_FIGURES],
+        "rows": [row.as_dict() for row in comparison.rows],
+        "out": out.name,
+        "provenance": provenance(comparison.block, project.parent, command),
+    })  # fmt: skip
+    return record

@@ -1,0 +1,117 @@
+"""Renders the report of a comparison: one HTML file without scripts or anything from elsewhere."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from fg_orient.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison
+from fg_orient.comparison.plots import INK, PAPER, row_name
+from fg_orient.comparison.words import summaries, verdict
+from fg_orient.report.html import number, printable, scientific
+
+#: Heading and explanation of each figure.
+CAPTIONS: Final = {
+    "heatmap_control.svg": (
+        "Control points",
+        "RMSE of the worst ECEF axis. Blue is better than the target, orange worse, hatched without solution. The "
+        "published procedure holds control points fixed and intersects them again with its own orientation and look "
+        "angles; dense and graph adjust them with their standard deviations.",
+    ),
+    "heatmap_check.svg": (
+        "Check points",
+        "The same at check points. In the published procedure they absorb what the orientation gets wrong.",
+    ),
+    "conditions.svg": (
+        "Condition numbers",
+        "Of N = A\u1d40A, as the square of A's. At the upper line the smallest singular value of A is rounding.",
+    ),
+    "spectra.svg": (
+        "Singular values",
+        "Of the design matrix A, beside the largest. A drop to 1e−15 is a direction that the data do not show.",
+    ),
+    "seconds.svg": ("Run times", "Wall clock of one adjustment, statistics left out."),
+}
+
+
+def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> str:
+    """Give the HTML text of a comparison."""
+    import jinja2
+    from markupsafe import Markup
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("fg_orient.report"), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters |= {"number": number, "short": short, "scientific": scientific, "printable": printable}
+    drawn = [
+        (name, *CAPTIONS[name], Markup(inline(figures[name], name.partition(".")[0]))) for name in CAPTIONS
+        if name in figures
+    ]  # fmt: skip
+    sets = {number: (name, _lines(comparison, number)) for number, name in _names(comparison).items()}
+    return environment.get_template("compare.html.j2").render(
+        r=record, verdict=verdict(comparison), figures=drawn, summaries=summaries(comparison), sets=sets,
+        conditions=_conditions(comparison), failures=_failures(comparison),
+    )  # fmt: skip
+
+
+def short(value: float | None) -> str:
+    """Write a length or a wild number in three digits; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    text = f"{value:.2f}" if 0.01 <= abs(value) < 1000.0 or value == 0.0 else f"{value:.0e}"
+    return text.replace("e+0", "e").replace("e+", "e").replace("e-0", "e-").replace("-", "−")
+
+
+def inline(svg: str, name: str) -> str:
+    """Make an SVG file part of a page: no header, its own ids, ink and paper of the page."""
+    text = svg[svg.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
+    text = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', text)
+    text = re.sub(r'(<svg[^>]*?) width="[^"]*" height="[^"]*"', r"\1", text, count=1)
+    return text.replace(f"fill: {PAPER}", "fill: none").replace(INK, "currentColor")
+
+
+def _names(comparison: Comparison) -> dict[int, str]:
+    return {row.eop_set: row.eop_set_name for row in comparison.rows}
+
+
+def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
+    """Rows of one set with their name for people."""
+    return [
+        row.as_dict() | {"name": row_name(comparison, row.backend, row.type, row.solver)}
+        for row in comparison.select(eop_set=eop_set)
+    ]
+
+
+def _conditions(comparison: Comparison) -> list[dict[str, Any]]:
+    """Condition numbers by set: one column per system and scaling."""
+    columns = dict.fromkeys((s.system, s.scaling) for s in comparison.spectra)
+    found = {(s.eop_set, s.system, s.scaling): s.condition for s in comparison.spectra}
+    return [
+        {"system": system, "scaling": scaling, "values": [_condition(found.get((n, system, scaling))) for n in
+                                                         comparison.eop_sets]}
+        for system, scaling in columns
+    ]  # fmt: skip
+
+
+def _condition(value: float | None) -> str:
+    if value is None:
+        return "–"
+    return f"≥ {value:.0e}" if value >= LARGEST_CONDITION else f"{value:.0e}"
+
+
+def _failures(comparison: Comparison) -> list[tuple[str, int, list[int]]]:
+    """What went wrong, how often, and with which sets; numbers in the texts do not tell failures apart."""
+    found: dict[str, tuple[str, list[int]]] = {}
+    for row in comparison.rows:
+        if row.failure:
+            label = comparison.labels.get(row.solver, GRAPH_SOLVER)
+            text = f"{row.backend}, {label}: {row.failure}"
+            key = re.sub(r"[0-9.e+-]+", "#", text)
+            found.setdefault(key, (text, []))[1].append(row.eop_set)
+    return [(text, len(sets), sorted(set(sets))) for text, sets in found.values()]

@@ -1,0 +1,142 @@
+"""What a comparison says, in words and in one line per backend, type and solver."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from fg_orient.comparison.model import Comparison, Row, groups
+
+_BACKEND = {
+    "faithful": "The published procedure, type",
+    "dense": "Dense matrices (scaled, iterated)",
+    "graph": "The graph",
+}
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How one solver of one backend and type did over the EOP sets.
+
+    Parameters
+    ----------
+    backend, type, solver, label : str, int or None, str, str
+    tried, solved, reached : int
+        Numbers of EOP sets.
+    missed : tuple of int
+        Sets that were tried and do not reach the target.
+    worst_control_m, worst_check_m : float
+        Largest RMSE of the sets with a solution; nan without any.
+    """
+
+    backend: str
+    type: int | None
+    solver: str
+    label: str
+    tried: int
+    solved: int
+    reached: int
+    missed: tuple[int, ...]
+    worst_control_m: float
+    worst_check_m: float
+
+
+def summaries(comparison: Comparison) -> list[Summary]:
+    """One line per backend, type and solver."""
+    return [_summary(key, rows, comparison.labels.get(key[2], key[2])) for key, rows in groups(comparison.rows).items()]
+
+
+def _summary(key: tuple[str, int | None, str], rows: Sequence[Row], label: str) -> Summary:
+    tried = [r for r in rows if not r.left_out]
+    solved = [r for r in tried if not r.failure]
+    return Summary(
+        *key, label, len(tried), len(solved), sum(r.reached for r in tried),
+        tuple(r.eop_set for r in tried if not r.reached),
+        _largest(r.control_rmse_m for r in solved), _largest(r.check_rmse_m for r in solved),
+    )  # fmt: skip
+
+
+def _largest(values: Iterable[float]) -> float:
+    return max((v for v in values if math.isfinite(v)), default=math.nan)
+
+
+def verdict(comparison: Comparison) -> dict[str, Any]:
+    """Say how it ended: ``kind`` (good, warn, bad), ``title`` and ``text``, a list of sentences."""
+    found = summaries(comparison)
+    published = (_published(comparison, found, kind) for kind in comparison.types)
+    said = (_graph(comparison, found), _dense(comparison, found), *published, _differences(comparison),
+            _left_out(comparison))  # fmt: skip
+    sentences = [sentence for sentence in said if sentence]
+    solved = any(s.solved for s in found)
+    best = max(found, key=lambda s: (s.backend == "graph", s.reached)) if found else None
+    if best is None or not solved:
+        return {"kind": "bad", "title": "No adjustment has a solution", "text": sentences}
+    all_sets = len(comparison.eop_sets)
+    kind = "good" if best.reached == all_sets else "warn"
+    name = {"graph": "the graph", "dense": "dense matrices", "faithful": "the published procedure"}[best.backend]
+    title = f"With {name}, {_of(best.reached, all_sets)} EOP sets reach {comparison.target_m:.3g} m"
+    return {"kind": kind, "title": title, "text": sentences}
+
+
+def _of(count: int, total: int) -> str:
+    return f"all {total}" if count == total else f"{count} of {total}"
+
+
+def _graph(comparison: Comparison, found: list[Summary]) -> str:
+    lines = [s for s in found if s.backend == "graph"]
+    if not lines:
+        return ""
+    line = lines[0]
+    return f"{_BACKEND['graph']} (GTSAM): {_reached(line, len(comparison.eop_sets))}."
+
+
+def _reached(line: Summary, total: int) -> str:
+    text = f"{_of(line.reached, total)} sets at the target"
+    return text if not line.missed else f"{text}, not {_numbers(line.missed)}"
+
+
+def _numbers(values: Iterable[int]) -> str:
+    return ", ".join(str(v) for v in values)
+
+
+def _dense(comparison: Comparison, found: list[Summary]) -> str:
+    return _many(_BACKEND["dense"], comparison, [s for s in found if s.backend == "dense" and s.tried])
+
+
+def _published(comparison: Comparison, found: list[Summary], kind: int) -> str:
+    lines = [s for s in found if s.backend == "faithful" and s.type == kind and s.tried]
+    return _many(f"{_BACKEND['faithful']} {kind}", comparison, lines)
+
+
+def _many(name: str, comparison: Comparison, lines: list[Summary]) -> str:
+    """Say which sets every solver brings to the target, which some do and which none."""
+    if not lines:
+        return ""
+    total = len(comparison.eop_sets)
+    if len({(s.reached, s.missed) for s in lines}) == 1:
+        return f"{name}: {_reached(lines[0], total)}, with each of {len(lines)} solver(s)."
+    always = [n for n in comparison.eop_sets if all(n not in s.missed for s in lines)]
+    never = [n for n in comparison.eop_sets if all(n in s.missed for s in lines)]
+    best = max(s.reached for s in lines)
+    names = ", ".join(s.label for s in lines if s.reached == best)
+    text = f"{name}: {_of(len(always), total)} sets at the target with every solver"
+    text += f"; the others depend on the solver, most with {names} ({_of(best, total)})"
+    return f"{text}; with none: {_numbers(never)}." if never else f"{text}."
+
+
+def _differences(comparison: Comparison) -> str:
+    sigmas = _largest(r.difference_sigmas for r in comparison.rows)
+    if math.isnan(sigmas):
+        return ""
+    metres = _largest(r.difference_m for r in comparison.rows)
+    return f"Dense and graph differ by at most {sigmas:.1e} prior sigmas and {metres:.1e} m."
+
+
+def _left_out(comparison: Comparison) -> str:
+    rows = [r for r in comparison.rows if r.left_out]
+    if not rows:
+        return ""
+    names = dict.fromkeys(f"{r.backend} {comparison.labels.get(r.solver, r.solver)}" for r in rows)
+    return f"Not tried ({len(rows)} rows; each says why): {', '.join(names)}."
