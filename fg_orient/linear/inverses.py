@@ -10,10 +10,7 @@ import numpy as np
 
 from fg_orient.linear.registry import register_solver
 from fg_orient.linear.system import Array, Breakdown, LinearSolution, LinearSystem
-from fg_orient.linear.triangular import Numbers, check_pivot, cholesky_rows, lu_factors, upper_inverse
-
-#: diag(N N^-1) further from 1 than this has fewer than four right digits; the diagonal carries no units.
-IDENTITY_TOLERANCE = 1e-4
+from fg_orient.linear.triangular import LOST, Numbers, check_pivot, cholesky_rows, lu_factors, upper_inverse
 
 
 def invert_cramer(normal: Array) -> Array:
@@ -177,10 +174,14 @@ def _finite(inverse: Array, method: str) -> Array:
 
 
 def _multiplied(system: LinearSystem, inverse: Array, notes: tuple[str, ...] = ()) -> LinearSolution:
-    """Solution N^-1 b, with a remark where N N^-1 is no identity."""
-    off = float(np.abs((system.normal * inverse.T).sum(axis=1) - 1.0).max())
-    if off > IDENTITY_TOLERANCE:
-        notes = (*notes, f"the diagonal of N times its inverse is off 1 by {off:.1e}: the matrix is near singular")
+    """Solution N^-1 b, with a remark where digits are lost.
+
+    n_ii (N^-1)_ii carries no units and is the share of n_ii that is left when all other unknowns are eliminated,
+    inverted: the same measure as a lost pivot. (N N^-1 is close to the identity even for a singular N.)
+    """
+    inflation = float(np.abs(system.normal.diagonal() * inverse.diagonal()).max())
+    if inflation > 1.0 / LOST and not notes:
+        notes = (f"an element n_ii times its inverse's is {inflation:.1e}: the matrix is near singular",)
     return LinearSolution(inverse @ system.rhs, inverse=inverse, notes=notes)
 
 

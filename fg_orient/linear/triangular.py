@@ -33,7 +33,10 @@ def check_pivot(pivot: Any, method: str, step: int, of: int) -> None:
 
 
 def lost_digits(pivots: Numbers, elements: Numbers) -> tuple[str, ...]:
-    """Remark on the worst pivot that cancelled almost fully against its matrix element."""
+    """Remark on the worst pivot that cancelled almost fully against its matrix element.
+
+    A hint: where several pivots are small, rounding can lift the one that should vanish above the limit.
+    """
     with np.errstate(divide="ignore"):  # an element 0 cannot lose digits
         share = np.abs(pivots) / np.abs(elements)
     worst = int(share.argmin())
