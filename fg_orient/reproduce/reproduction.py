@@ -1,0 +1,169 @@
+"""Published beside reproduced, cell by cell, with the claims: the work behind ``fg-orient reproduce``."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.cells import CellKey
+from fg_orient.errors import InputError
+from fg_orient.experiments.claims import ClaimResult, all_claims, run_claims
+from fg_orient.published.tables import PublishedTables, load
+from fg_orient.reproduce import terlemezoglu2019, topan2010
+from fg_orient.reproduce.sources import Progress, Source
+from fg_orient.reproduce.verdict import KINDS, judge
+
+Array = npt.NDArray[np.float64]
+
+SOURCES: Final = {source.name: source for source in (terlemezoglu2019.SOURCE, topan2010.SOURCE)}
+#: Runs when nothing is said: about a minute.
+DEFAULT_SEEDS: Final = 10
+MAX_SEEDS: Final = 1000
+
+
+@dataclass(frozen=True)
+class Row:
+    """One published number, what the runs give, and the verdict.
+
+    Parameters
+    ----------
+    table, cell : str
+        Table, and the address in it.
+    published, reproduced : float
+        nan where nothing is printed, or the runs broke down. ``reproduced`` is the median.
+    low, high : float
+        Smallest and largest run.
+    verdict, reason : str
+        One of ``KINDS``, and why.
+    printed, unit, note : str
+        Digits as printed, unit, doubts about the number.
+    """
+
+    table: str
+    cell: str
+    published: float
+    reproduced: float
+    low: float
+    high: float
+    verdict: str
+    reason: str
+    printed: str
+    unit: str
+    note: str
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """All rows and claims of a publication.
+
+    Parameters
+    ----------
+    source : Source
+    titles : dict
+        Of the tables, in order.
+    rows : tuple of Row
+    claims : tuple of ClaimResult
+    options : dict
+        ``tables``, ``seeds``, ``as_run``.
+    sha256 : dict
+        Of the files of published values.
+    """
+
+    source: Source
+    titles: dict[str, str]
+    rows: tuple[Row, ...]
+    claims: tuple[ClaimResult, ...]
+    options: dict[str, Any]
+    sha256: dict[str, str]
+
+    def counts(self, table: str | None = None) -> dict[str, int]:
+        """Number of rows with each verdict, of one table or of all."""
+        found = Counter(row.verdict for row in self.rows if table in (None, row.table))
+        return {kind: found[kind] for kind in KINDS}
+
+
+def reproduce(
+    name: str, *, tables: str = "", n_seeds: int = DEFAULT_SEEDS, as_run: bool = False, published: Path | None = None,
+    progress: Progress | None = None,
+) -> Reproduction:  # fmt: skip
+    """Run the experiments of a publication on the twin and compare with what was printed.
+
+    Parameters
+    ----------
+    name : str
+        "terlemezoglu2019" or "topan2010".
+    tables : str
+        Tables and ranges of tables ("4.3-4.9,4.28"); "" for all.
+    n_seeds : int
+        Twins, with the seeds 1 to n.
+    as_run : bool
+        As the authors' program works, on a twin with radial velocity and attitude.
+    published : Path, optional
+        Other folder of published tables.
+    progress : callable, optional
+        Called with runs done and runs in all, for the tables and again for the claims.
+
+    Raises
+    ------
+    InputError
+        Unknown publication or table, number of seeds out of range, damaged tables.
+    """
+    if not 1 <= n_seeds <= MAX_SEEDS:
+        raise InputError.of("options.value", place="--seeds", value=n_seeds, expected=f"1 to {MAX_SEEDS}")
+    printed = load(name, published)
+    source, chosen = SOURCES[name], select(tables, tuple(printed.titles))
+    seeds = range(1, n_seeds + 1)
+    computed = source.compute(chosen, seeds, as_run=as_run, progress=progress)
+    claims = run_claims(seeds, progress, [claim for claim in all_claims() if claim.id in source.claims])
+    options = {"tables": list(chosen), "seeds": list(seeds), "as_run": as_run}
+    titles = {table: printed.titles[table] for table in chosen}
+    return Reproduction(source, titles, pair(printed, computed, source, chosen), tuple(claims), options, printed.sha256)
+
+
+def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
+    """Choose tables by name and range.
+
+    Raises
+    ------
+    InputError
+        No such table, or a range that runs backwards.
+    """
+    if not text.strip():
+        return tuple(tables)
+    chosen: set[str] = set()
+    for part in filter(None, (word.strip() for word in text.split(","))):
+        first, dash, last = (word.strip() for word in part.partition("-"))
+        ends = (first, last if dash else first)
+        unknown = [name for name in ends if name not in tables]
+        if unknown or tables.index(ends[0]) > tables.index(ends[1]):
+            value = unknown[0] if unknown else part
+            raise InputError.of("reproduce.table", place="--tables", value=value, known=", ".join(tables))
+        chosen |= set(tables[tables.index(ends[0]) : tables.index(ends[1]) + 1])
+    return tuple(name for name in tables if name in chosen)
+
+
+def pair(
+    printed: PublishedTables, computed: dict[CellKey, Array], source: Source, tables: Sequence[str]
+) -> tuple[Row, ...]:
+    """Put each published cell of some tables beside its runs."""
+    rows = []
+    for cell in printed.cells:
+        key = cell.key
+        if key.table not in tables:
+            continue
+        orders = computed.get(key._replace(quantity="matrix_order"), np.array([math.nan]))
+        found = judge(cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0]))
+        known = source.explain(cell) if found.kind == "differs" else ""
+        reason = f"{found.reason}; {known}" if known else found.reason
+        rows.append(
+            Row(key.table, str(key), cell.value, found.reproduced, found.low, found.high, found.kind, reason,
+                cell.text or cell.printed, cell.unit, cell.note)
+        )  # fmt: skip
+    return tuple(rows)

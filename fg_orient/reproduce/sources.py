@@ -1,0 +1,48 @@
+"""What belongs to a publication: who computes its cells, which claims are about it, what is known about its misfits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.cells import CellKey
+from fg_orient.published.tables import PublishedCell
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+
+class Compute(Protocol):
+    """Computes the cells of some tables for some seeds."""
+
+    def __call__(
+        self, tables: Collection[str], seeds: Sequence[int], *, as_run: bool, progress: Progress | None
+    ) -> dict[CellKey, Array]:
+        """Values (n,) of each cell."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A publication.
+
+    Parameters
+    ----------
+    name, title : str
+        Folder of the published tables; author, year and subject.
+    compute : callable
+        See :class:`Compute`.
+    claims : tuple of str
+        Ids of the claims about it.
+    explain : callable
+        Gives a sentence on a known misfit of a cell, or "".
+    """
+
+    name: str
+    title: str
+    compute: Compute
+    claims: tuple[str, ...]
+    explain: Callable[[PublishedCell], str]

@@ -1,0 +1,37 @@
+"""Terlemezoğlu (2019), tables 4.1-4.34: what computes them and what is known about their misfits."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fg_orient.experiments import tables_spot5
+from fg_orient.published.tables import PublishedCell
+from fg_orient.reproduce.rules import ICP_LIMIT_M
+from fg_orient.reproduce.sources import Source
+
+
+def explain(cell: PublishedCell) -> str:
+    """Say what is known about a cell that differs; "" if nothing is."""
+    key = cell.key
+    if key.table in {"eq4.5", "eq4.6"}:
+        return "misprint of the source: its own tables use the reproduced count"
+    if key.point_role == "icp" and cell.value > ICP_LIMIT_M:
+        return "check points diverge after several iterations (claim C16); one is made here"
+    if key.eop_set == "13" and key.method in {"moore_penrose_inverse", "tikhonov_od"}:
+        return "the failure of set 13 under regularisation is not met on the twin (claim C14)"
+    if key.eop_set == "15" and key.point_role == "gcp":
+        return "set 15 suffers from its units only; on the twin plain least squares solves it"
+    if key.point_role == "gcp":
+        return "the size of dP is rounding noise, and with it on which side of the target a set falls"
+    if key.quantity == "det":
+        return "the determinant depends on the units of all unknowns and on the points"
+    return ""
+
+
+SOURCE: Final = Source(
+    "terlemezoglu2019",
+    "Terlemezoğlu (2019), regularisation of ill-conditioned systems in the orientation of satellite images",
+    tables_spot5.compute,
+    ("C1", "C2", "C4", "C5", "C6", "C8", "C9", "C10", "C11", "C12", "C13", "C14", "C15", "C16", "C22"),
+    explain,
+)

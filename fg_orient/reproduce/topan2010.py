@@ -1,0 +1,28 @@
+"""Topan & Maktav (2010), tables 1 and 2: what computes them and what is known about their misfits."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fg_orient.experiments import tables_topan
+from fg_orient.published.tables import PublishedCell
+from fg_orient.reproduce.sources import Source
+
+
+def explain(cell: PublishedCell) -> str:
+    """Say what is known about a cell that differs; "" if nothing is."""
+    key = cell.key
+    if key.quantity == "n_gcp_needed_unmodelled_printed":
+        return "misprint of the source: 108000 / 2"
+    if key.table == "2" and key.point_role == "gcp":
+        return "the size of dP is rounding noise, and with it on which side of the target a set falls"
+    return ""
+
+
+SOURCE: Final = Source(
+    "topan2010",
+    "Topan & Maktav (2010), geometric accuracy of stereo SPOT-5 HRG level 1A images",
+    tables_topan.compute,
+    ("C1", "C2", "C3", "C4", "C5", "C6", "C7", "C11"),
+    explain,
+)
