@@ -53,6 +53,11 @@ class Linearised:
     ground: Array
     look: Array
 
+    @property
+    def is_finite(self) -> bool:
+        """False where corrections are too wild for numbers."""
+        return all(bool(np.isfinite(part).all()) for part in (self.value, self.eop, self.ground, self.look))
+
 
 @dataclass(frozen=True)
 class Conditions:

@@ -18,7 +18,7 @@ class AxisErrors:
     Parameters
     ----------
     gcp_m : (n, 3) array
-        Control points, computed again by intersection.
+        Control points, computed again by intersection; those of one image only are left out.
     icp_m : (k, 3) array
         Check points.
     """

@@ -27,13 +27,13 @@ import numpy.typing as npt
 from fg_orient import initial
 from fg_orient.block import Block
 from fg_orient.classical import conditions
-from fg_orient.classical.conditions import Conditions
+from fg_orient.classical.conditions import Conditions, Linearised
 from fg_orient.classical.errors3 import AxisErrors, from_two_rays
 from fg_orient.errors import InputError
 from fg_orient.linear.registry import attempt
 from fg_orient.linear.system import LinearSolution, LinearSystem
 from fg_orient.names import Role
-from fg_orient.parameters import eop_codes, parameter_name
+from fg_orient.parameters import eop_codes, eop_set_number, parameter_name
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -49,6 +49,7 @@ REPEAT_AS_RUN_M = 10.0
 REPEAT_AS_RUN_RAD = np.radians(10.0 / 3600.0)
 MAX_REPEATS = 10
 LOOK_DEGREE = 2
+LEFT = "the corrections have left the range in which the conditions can be computed"
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,8 @@ class TwoStage:
     Raises
     ------
     InputError
-        Fewer than two images, or fewer than three control points in an image.
+        Fewer than two images, or control points in fewer than three columns of an image; later, when
+        first needed: a check or tie point whose rays do not meet.
     """
 
     def __init__(self, block: Block, *, as_run: bool = False, look_model: LookModel = "angles") -> None:
@@ -186,11 +188,8 @@ class TwoStage:
         """Conditions at the file's look angles and metadata orientation."""
         block = self.block
         ground = block.points.known.ecef_m.copy()
-        ground[self._check] = np.nan
-        rows = ~np.isnan(ground).any(axis=1) | ~np.isin(np.arange(len(ground)), block.observations.point)
-        ground = initial.ground_points(
-            block.images, block.observations, block.points.ids, np.where(rows[:, None], np.nan_to_num(ground), np.nan)
-        )
+        ground[np.setdiff1d(np.arange(len(ground)), block.observations.point)] = 0.0  # no ray asks for them
+        ground = initial.ground_points(block.images, block.observations, block.points.ids, ground)
         return conditions.build(block.images, block.observations, ground, as_run=self.as_run)
 
     @cached_property
@@ -261,26 +260,32 @@ class TwoStage:
             1-20.
         solver : str
             Name in the registry of ``fg_orient.linear``.
+
+        Raises
+        ------
+        InputError
+            No such EOP set; no such solver.
         """
-        codes = eop_codes(eop_set)
+        codes = _codes(eop_set)
         rows = self._control_rows[self.pre_adjusted.image[self._control_rows] == image]
         at = self.pre_adjusted.take(rows)
-        eop = np.zeros((len(self.block.images), len(codes)))
-        system, solution, repeats = self._step_two(at, codes, eop, solver), None, 0
+        eop, repeats = self._no_eop(len(codes)), 0
+        lin = at.linearise(codes, eop)
         while True:
+            system = LinearSystem.from_design(lin.eop.reshape(-1, len(codes)), -lin.value.ravel())
             solution = attempt(solver, system, as_run=self.as_run)
             repeats += 1
             eop[image] += solution.x
             if not self._repeats(codes, solution.x, system, repeats):
                 break
-            system = self._step_two(at, codes, eop, solver)
+            lin = at.linearise(codes, eop)
+            if not lin.is_finite:
+                solution = LinearSolution(np.full(len(codes), np.nan), failure=LEFT)
+                eop[image] = np.nan
+                break
         design, observed = system.require_design("step 2")
         delta = design @ solution.x - observed
         return PreAdjustment(system, solution, eop[image], delta, _names(codes), repeats)
-
-    def _step_two(self, at: Conditions, codes: tuple[int, ...], eop: Array, solver: str) -> LinearSystem:
-        lin = at.linearise(codes, eop)
-        return LinearSystem.from_design(lin.eop.reshape(-1, len(codes)), -lin.value.ravel())
 
     def _repeats(self, codes: tuple[int, ...], dp: Array, system: LinearSystem, repeats: int) -> bool:
         """Tell whether the program would go on: large corrections and a matrix of full rank."""
@@ -305,8 +310,15 @@ class TwoStage:
             Name in the registry of ``fg_orient.linear``; also used in step 2.
         iterations : int
             One as published. Further ones take the adjusted observations as new ones, as the sources do.
+
+        Raises
+        ------
+        InputError
+            No such EOP set, kind or number of iterations; no such solver.
         """
-        codes = () if eop_set is None else eop_codes(eop_set)
+        if kind not in (1, 2) or iterations < 1:
+            raise InputError.of("classical.bundle", place="bundle", value=f"kind {kind}, {iterations} iterations")
+        codes = () if eop_set is None else _codes(eop_set)
         eop = self._no_eop(len(codes))
         if kind == 2 and eop_set is not None:
             steps = [self.pre_adjust(k, eop_set, solver) for k in range(len(self.block.images))]
@@ -319,7 +331,10 @@ class TwoStage:
         if kind == 2:
             at = self._with_check_points(at, self._intersect(at, codes, eop))
         for _ in range(iterations):
-            at, eop, step_v, system, solution = self._iterate(at, codes, eop, solver)
+            lin = at.linearise(codes, eop)
+            if not lin.is_finite:
+                return self._broken(codes, LinearSolution(np.zeros(0), failure=LEFT), system)
+            at, eop, step_v, system, solution = self._iterate(at, lin, eop, solver)
             if solution.failure or not np.isfinite(eop).all() or not np.isfinite(at.approximate_m).all():
                 return self._broken(codes, solution, system)
             v = v + step_v
@@ -330,32 +345,31 @@ class TwoStage:
         )
 
     def _iterate(
-        self, at: Conditions, codes: tuple[int, ...], eop: Array, solver: str
+        self, at: Conditions, lin: Linearised, eop: Array, solver: str
     ) -> tuple[Conditions, Array, Array, LinearSystem | None, LinearSolution]:
         """One linearised adjustment: new conditions, EOPs, residuals (psi_x, psi_y), system, solution."""
-        system, b, w = self._system(at, codes, eop)
+        system = self._system(at, lin)
         if system is None:
-            v = -(w / b)
+            v = -(lin.value / lin.look)
             return at.with_look(at.look_rad + v[:, ::-1]), eop, v[:, ::-1], None, LinearSolution(np.zeros(0))
         solution = attempt(solver, system, as_run=self.as_run)
         design, observed = system.require_design("bundle")
         residual = (design @ solution.x - observed).reshape(-1, 2)  # B^-1 (A dP + w), B square
-        v = -np.sign(b) * residual
-        k, n_images = len(codes), len(self.block.images)
+        v = -np.sign(lin.look) * residual
+        n_images, k = eop.shape
         eop = eop + solution.x[: n_images * k].reshape(n_images, k)
         ground = self._by_point(at)
         ground[self._check] += solution.x[n_images * k :].reshape(-1, 3)
         moved = at.with_look(at.look_rad + v[:, ::-1])
         return self._with_check_points(moved, ground), eop, v[:, ::-1], system, solution
 
-    def _system(self, at: Conditions, codes: tuple[int, ...], eop: Array) -> tuple[LinearSystem | None, Array, Array]:
-        """Whitened design of the bundle, B and w; no system without unknowns."""
-        lin = at.linearise(codes, eop)
-        n, k, n_images = len(at.image), len(codes), len(self.block.images)
+    def _system(self, at: Conditions, lin: Linearised) -> LinearSystem | None:
+        """Whitened design of the bundle; no system without unknowns."""
+        n, k, n_images = len(at.image), lin.eop.shape[2], len(self.block.images)
         column = {int(j): n_images * k + 3 * c for c, j in enumerate(self._check)}
         u = n_images * k + 3 * len(self._check)
         if not u:
-            return None, lin.look, lin.value
+            return None
         design = np.zeros((n, 2, u))
         for row in range(n):
             first = int(at.image[row]) * k
@@ -365,7 +379,7 @@ class TwoStage:
                 design[row, :, start : start + 3] = lin.ground[row]
         weight = 1.0 / np.abs(lin.look)  # M = B B^T is diagonal
         whitened = (design * weight[:, :, None]).reshape(2 * n, u)
-        return LinearSystem.from_design(whitened, -(lin.value * weight).ravel()), lin.look, lin.value
+        return LinearSystem.from_design(whitened, -(lin.value * weight).ravel())
 
     def _counts(self, codes: tuple[int, ...]) -> tuple[int, int]:
         return 2 * len(self.start.image), len(self.block.images) * len(codes) + 3 * len(self._check)
@@ -401,16 +415,23 @@ class TwoStage:
         look_sign: float = -1.0,
     ) -> Array:  # fmt: skip
         """Intersect the rays of all points: (N, 3) ECEF m."""
-        centre, direction = at.rays(codes, eop, metadata_position=metadata_position, look_sign=look_sign)
         n = len(self.block.points.ids)
-        if len(self.block.images) == 2:
-            return from_two_rays(centre, direction, at.image, at.point, n)
-        return initial.nearest_points(centre, direction, at.point, n)[0]
+        with np.errstate(all="ignore"):  # wild corrections overflow: such points are nan
+            centre, direction = at.rays(codes, eop, metadata_position=metadata_position, look_sign=look_sign)
+            if len(self.block.images) == 2:
+                return from_two_rays(centre, direction, at.image, at.point, n)
+            return initial.nearest_points(centre, direction, at.point, n)[0]
+
+    @cached_property
+    def _assessed(self) -> Index:
+        """Control points whose rays meet: not those of one image, or of nearly parallel rays."""
+        found = self._intersect(self.start, (), self._no_eop())[self._control]
+        return self._control[np.isfinite(found).all(axis=1)]
 
     def _errors(self, ground_m: Array) -> AxisErrors:
         """Measured minus computed coordinates; opens those of the check points."""
         known, points = self.block.points.known, self.block.points
-        gcp = known.ecef_m[self._control] - ground_m[self._control]
+        gcp = known.ecef_m[self._assessed] - ground_m[self._assessed]
         check = [j for j in self._check if points.roles[j] is Role.CHECK]
         icp = np.zeros((0, 3))
         if check:
@@ -418,6 +439,10 @@ class TwoStage:
             rows = [withheld.ids.index(points.ids[j]) for j in check]
             icp = withheld.open().ecef_m[rows] - ground_m[check]
         return AxisErrors(gcp, icp)
+
+
+def _codes(eop_set: int) -> tuple[int, ...]:
+    return eop_codes(eop_set_number(eop_set))
 
 
 def _names(codes: tuple[int, ...]) -> tuple[str, ...]:

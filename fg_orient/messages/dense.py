@@ -66,6 +66,7 @@ CLASSICAL: Final = {
         "the published procedure needs at least two images",
         "use fg-orient adjust for a single one",
     ),
+    "classical.bundle": ("no such bundle adjustment", "kind 1 or 2, one iteration or more"),
     "classical.few_control": (
         "the look-angle polynomial needs control points in at least {least} different columns",
         "measure more control points in this image, or use fg-orient adjust",

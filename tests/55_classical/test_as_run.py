@@ -73,7 +73,7 @@ def test_the_error_does_not_depend_on_the_number_of_points(point_set: str) -> No
 
 
 def test_radial_velocity_alone() -> None:
-    """What the program leaves on an independent twin: 0.54 / 0.34 / 0.56 m for 8 m/s, 0.67 / 0.18 / 0.42 m with attitude."""
+    """As an independent twin: 0.54 / 0.34 / 0.56 m for 8 m/s, 0.67 / 0.18 / 0.42 m with attitude."""
     alone = stage(True, errors="none", radial_velocity_m_s=8.0).look_only().gcp_rmse
     assert alone == pytest.approx([0.54, 0.34, 0.56], abs=0.02)
     both = stage(True, errors="none", **REAL).look_only().gcp_rmse
