@@ -37,6 +37,15 @@ def test_own_factor(repository: Path) -> None:
     assert after < 0.03  # its sigma is 0.01 m
 
 
+def test_ill_conditioning(repository: Path, tmp_path: Path) -> None:
+    out = run(repository, "ill_conditioning.py", "--seeds", "1", "--out", str(tmp_path / "figures"))
+    assert re.search(r"orthonormal: control-point RMSE \[0\. 0\. 0\.\] m", out)
+    size, scatter = (float(v) for v in re.search(r"as run: .* mean (\S+) m, scatter (\S+) m", out).groups())
+    assert 0.7 < size < 1.0
+    assert scatter < 0.02
+    assert len(list((tmp_path / "figures").glob("*.svg"))) == 3
+
+
 @pytest.mark.real_data
 @pytest.mark.parametrize(
     "name", ["geocosicorr3d/SPOT5.DIM", "geocosicorr3d/SPOT6.XML", "geoetrim-pleiades/DIM_PHR1A_derived_img1.XML"]
