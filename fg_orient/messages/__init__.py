@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from fg_orient.messages.dense import CLASSICAL, COMPARE, LINEAR, PUBLISHED
+from fg_orient.messages.dense import CLASSICAL, COMPARE, LINEAR, PUBLISHED, REPRODUCE
 from fg_orient.messages.files import DEM, DIMAP, GEODESY, OBSERVATIONS, POINTS, PROJECT, SENSOR, TABLE, XML
 from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPORT, SIMULATE
 
@@ -34,6 +34,7 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **SIMULATE,
     **LINEAR,
     **PUBLISHED,
+    **REPRODUCE,
     **CLASSICAL,
     **COMPARE,
 }

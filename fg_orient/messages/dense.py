@@ -85,6 +85,10 @@ PUBLISHED: Final = {
     "published.count": ("the table must hold {count} cells", "copy the original file again"),
 }
 
+REPRODUCE: Final = {
+    "reproduce.table": ("no such table, or a range that runs backwards", "known, in order: {known}"),
+}
+
 COMPARE: Final = {
     "compare.type": ("no such type of pre-adjustment", "give 1 (look angles), 2 (look angles and EOPs) or both"),
     "compare.nothing": ("nothing is selected", "see the command's --help"),
