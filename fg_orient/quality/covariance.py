@@ -26,9 +26,10 @@ Array = npt.NDArray[np.float64]
 
 #: Above this many image unknowns their joint cofactors are not formed at once; points are asked one by one.
 JOINT_LIMIT = 3000
-#: Condition of the column-scaled Jacobian beyond which its normal matrix has no Cholesky factor in double
-#: precision: the dense backend withholds the covariance where GTSAM does, so that no verdict depends on it.
-CONDITION_LIMIT = 1e8
+#: Condition of the column-scaled Jacobian beyond which the dense backend withholds the covariance: there the
+#: relative rounding error of a cofactor, some eps cond, passes 1e-3. GTSAM's Cholesky gives up much earlier on
+#: some well-posed systems (a condition of 3e4 was seen); the sigmas given here are then right and large.
+CONDITION_LIMIT = 1e12
 
 
 class Indeterminate(Exception):
@@ -83,7 +84,7 @@ class DenseCofactors:
     Raises
     ------
     Indeterminate
-        The condition of the scaled Jacobian, estimated by LAPACK from R, is beyond 1e8.
+        The condition of the scaled Jacobian, estimated by LAPACK from R, is beyond 1e12.
     """
 
     def __init__(self, problem: Problem, design: Array) -> None:
