@@ -11,7 +11,7 @@ from typing import Annotated, NoReturn
 import typer
 
 import fg_orient
-from fg_orient.cli import adjust, checks, compare, geometry, reports, simulate
+from fg_orient.cli import adjust, checks, compare, geometry, reports, reproduce, simulate
 from fg_orient.cli.common import INTERRUPTED, emit_errors, note
 from fg_orient.errors import InputError
 
@@ -31,6 +31,7 @@ app.add_typer(simulate.app, name="simulate")
 app.command("validate")(checks.validate)
 app.command("doctor")(checks.doctor)
 app.command("report")(reports.report)
+app.command("reproduce")(reproduce.reproduce)
 
 
 def _show_version(wanted: bool) -> None:

@@ -121,8 +121,7 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
     InputError
         No such source; a file is missing, damaged or incomplete: file, line and reason are named.
     """
-    if source not in SOURCES:
-        raise InputError.of("published.source", place="SOURCE", value=source, known=", ".join(SOURCES))
+    require_source(source)
     where = _HERE / source if folder is None else _folder_of(source, folder)
     entries = titles_and_files(source)
     titles: dict[str, str] = {}
@@ -137,6 +136,18 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
         cells += _cells_of(records, [entry for entry in entries if entry.file == name], lines)
     order = {table: k for k, table in enumerate(titles)}
     return PublishedTables(source, titles, tuple(sorted(cells, key=lambda c: order[c.key.table])), sha256)
+
+
+def require_source(source: str) -> None:
+    """Refuse the name of a publication without tables here.
+
+    Raises
+    ------
+    InputError
+        No such source.
+    """
+    if source not in SOURCES:
+        raise InputError.of("published.source", place="SOURCE", value=source, known=", ".join(SOURCES))
 
 
 def titles_and_files(source: str) -> list[_Entry]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,10 +17,13 @@ from fg_orient.errors import InputError
 from fg_orient.experiments.claims import ClaimResult, all_claims, run_claims
 from fg_orient.published.tables import PublishedTables, load
 from fg_orient.reproduce import terlemezoglu2019, topan2010
-from fg_orient.reproduce.sources import Progress, Source
+from fg_orient.reproduce.sources import Source
 from fg_orient.reproduce.verdict import KINDS, judge
 
 Array = npt.NDArray[np.float64]
+
+#: Told after each run: runs done, runs in all, what is being done.
+Callback = Callable[[int, int, str], None]
 
 SOURCES: Final = {source.name: source for source in (terlemezoglu2019.SOURCE, topan2010.SOURCE)}
 #: Runs when nothing is said: about a minute.
@@ -90,8 +93,8 @@ class Reproduction:
 
 
 def reproduce(
-    name: str, *, tables: str = "", n_seeds: int = DEFAULT_SEEDS, as_run: bool = False, published: Path | None = None,
-    progress: Progress | None = None,
+    name: str, *, tables: str = "", n_seeds: int = DEFAULT_SEEDS, as_run: bool = False, claims: bool = True,
+    published: Path | None = None, callback: Callback | None = None,
 ) -> Reproduction:  # fmt: skip
     """Run the experiments of a publication on the twin and compare with what was printed.
 
@@ -105,10 +108,12 @@ def reproduce(
         Twins, with the seeds 1 to n.
     as_run : bool
         As the authors' program works, on a twin with radial velocity and attitude.
+    claims : bool
+        Judge the claims about the publication, too.
     published : Path, optional
         Other folder of published tables.
-    progress : callable, optional
-        Called with runs done and runs in all, for the tables and again for the claims.
+    callback : callable, optional
+        Called after each run of the tables and each run of the claims.
 
     Raises
     ------
@@ -120,11 +125,18 @@ def reproduce(
     printed = load(name, published)
     source, chosen = SOURCES[name], select(tables, tuple(printed.titles))
     seeds = range(1, n_seeds + 1)
-    computed = source.compute(chosen, seeds, as_run=as_run, progress=progress)
-    claims = run_claims(seeds, progress, [claim for claim in all_claims() if claim.id in source.claims])
+
+    steps = n_seeds * (1 + claims)
+
+    def tell(offset: int, what: str) -> Callable[[int, int], None]:
+        return lambda done, _: callback(offset + done, steps, what) if callback else None
+
+    computed = source.compute(chosen, seeds, as_run=as_run, progress=tell(0, "tables"))
+    about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
+    judged = run_claims(seeds, tell(n_seeds, "claims"), about_it) if about_it else []
     options = {"tables": list(chosen), "seeds": list(seeds), "as_run": as_run}
     titles = {table: printed.titles[table] for table in chosen}
-    return Reproduction(source, titles, pair(printed, computed, source, chosen), tuple(claims), options, printed.sha256)
+    return Reproduction(source, titles, pair(printed, computed, source, chosen), tuple(judged), options, printed.sha256)
 
 
 def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:

@@ -1,0 +1,99 @@
+"""Command ``reproduce``: published numbers beside reproduced ones, with a verdict each."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, say, table
+
+if TYPE_CHECKING:
+    from fg_orient.reproduce.reproduction import Reproduction
+
+
+def reproduce(
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help="terlemezoglu2019 or topan2010.", show_default=False)],
+    tables: Annotated[
+        str, typer.Option(metavar="TABLES", help="Tables and ranges: 4.3-4.9,4.28; all if not given.")
+    ] = "",
+    seeds: Annotated[int, typer.Option(metavar="N", help="Twins, with the seeds 1 to N.")] = 10,
+    as_run: Annotated[
+        bool,
+        typer.Option("--as-run", help="As the authors' program works, on a twin with radial velocity and attitude."),
+    ] = False,
+    claims: Annotated[bool, typer.Option(help="Judge the claims about the publication, too.")] = True,
+    published: Annotated[
+        Path | None, typer.Option("--published", metavar="DIR", help="Other folder of published tables (CSV).")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the results; default: reproduced-SOURCE.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Run a published study again on the synthetic twin and compare, table by table."""
+    with outcome(as_json, debug):
+        from fg_orient.reproduce.folder import reproduce_to
+
+        with _progress(as_json) as callback:
+            found, record = reproduce_to(
+                source, out, overwrite=overwrite, callback=callback,
+                command=["fg-orient", *sys.argv[1:]], tables=tables, n_seeds=seeds, as_run=as_run, claims=claims,
+                published=published,
+            )  # fmt: skip
+        if as_json:
+            emit(record)
+        else:
+            _show(found, Path(record["out"]))
+
+
+@contextlib.contextmanager
+def _progress(silent: bool) -> Iterator[Callable[[int, int, str], None] | None]:
+    """Show a bar on the terminal, if standard error is one."""
+    if silent or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False)
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("tables", total=None)
+
+        def update(done: int, total: int, text: str) -> None:
+            bar.update(task, completed=done, total=total, description=text)
+
+        yield update
+
+
+def _show(found: Reproduction, out: Path) -> None:
+    """Print verdicts by table, claims, and where the result lies."""
+    from fg_orient.reproduce.html import LEGEND, table_name, verdict
+
+    words = verdict(found)
+    say(words["title"])
+    say(words["text"])
+    say()
+    rows = [
+        (table_name(name), sum(found.counts(name).values()), *(found.counts(name)[kind] or "" for kind in LEGEND))
+        for name in found.titles
+    ]
+    table(
+        "cells by verdict",
+        ("table", "cells", *("not repr." if kind == "not_reproducible" else kind for kind in LEGEND)),
+        rows,
+    )
+    judged = [
+        (c.id, f"{c.passed}/{c.of}", f"{c.interval[0]:.2f}-{c.interval[1]:.2f}", "met" if c.met else "not met",
+         c.reason or c.text)
+        for c in found.claims
+    ]  # fmt: skip
+    if judged:
+        table("claims", ("id", "seeds", "95 %", "", "claim"), judged, left=5)
+    say(f"report: {out / 'report.html'}")

@@ -1,0 +1,69 @@
+"""Renders a reproduction: one HTML file without scripts or anything from elsewhere."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from fg_orient.report.html import printable, scientific
+from fg_orient.reproduce.reproduction import Reproduction
+from fg_orient.reproduce.verdict import KINDS
+
+#: Sign and meaning of each verdict; signs carry it without colour.
+LEGEND: Final = {
+    "equal": ("=", "equal", "all printed digits in every run"),
+    "order": ("~", "order", "published and reproduced within a factor of ten"),
+    "rounding": ("±", "rounding", "rounding noise: inside the spread of the runs, a decade added"),
+    "pattern": ("∥", "pattern", "the same side of the limit in most runs"),
+    "differs": ("≠", "differs", "none of these"),
+    "not_reproducible": ("·", "not reproducible", "a fact of the real data, or decided by their rounding"),
+}
+
+
+def render(found: Reproduction, record: dict[str, Any]) -> str:
+    """Give the HTML text.
+
+    Parameters
+    ----------
+    found : Reproduction
+    record : dict
+        Content of ``result.json``.
+    """
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("fg_orient.reproduce"), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters |= {"scientific": scientific, "printable": printable}
+    tables = [
+        {"id": table, "name": table_name(table), "title": title, "counts": found.counts(table),
+         "rows": [row for row in found.rows if row.table == table]}
+        for table, title in found.titles.items()
+    ]  # fmt: skip
+    return environment.get_template("report.html.j2").render(
+        record=record, legend=LEGEND, kinds=KINDS, tables=tables, claims=found.claims, counts=found.counts(),
+        verdict=verdict(found),
+    )  # fmt: skip
+
+
+def table_name(table: str) -> str:
+    """Name a table in words: "Table 4.3", "Eq. (4.1)", "Sect. 4.2.2", "Text"."""
+    if table.startswith("eq"):
+        return f"Eq. ({table[2:]})"
+    return "Text" if table == "text" else f"Sect. {table[1:]}" if table.startswith("s") else f"Table {table}"
+
+
+def verdict(found: Reproduction) -> dict[str, str]:
+    """Say in words what came out: ``kind`` (good, warn), ``title`` and ``text``."""
+    counts, n = found.counts(), len(found.rows)
+    met = sum(claim.met for claim in found.claims)
+    agree = n - counts["differs"] - counts["not_reproducible"]
+    title = f"{agree} of {n} published numbers agree in digits, size or pattern"
+    if found.claims:
+        title += f"; {met} of {len(found.claims)} claims met"
+    text = (
+        f"{counts['equal']} agree to the printed digits, {counts['order']} within a factor of ten, {counts['rounding']} "
+        f"are rounding noise inside the spread of the runs, {counts['pattern']} lie on the same side of the limit. "
+        f"{counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced without the unpublished data."
+    )
+    return {"kind": "good" if met == len(found.claims) else "warn", "title": title, "text": text}
