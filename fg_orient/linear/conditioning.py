@@ -154,7 +154,9 @@ def diagnose(subject: LinearSystem | Array) -> Conditioning:
     InputError
         The design matrix is unusable.
     """
-    system = subject if isinstance(subject, LinearSystem) else _from_design(subject)
+    system = subject
+    if not isinstance(system, LinearSystem):
+        system = LinearSystem.from_design(system, np.zeros(len(system)))
     unit, _ = scaled(system)
     raw, same = _Numbers.of(system), _Numbers.of(unit)
     rank_scaled = same.rank  # of N where A is not known
@@ -177,14 +179,6 @@ def diagnose(subject: LinearSystem | Array) -> Conditioning:
         log10_hadamard_scaled=same.log10_hadamard,
         singular_values_scaled=same.values,
     )
-
-
-def _from_design(design: Array) -> LinearSystem:
-    """System of a design matrix with observations 0."""
-    matrix = np.asarray(design, dtype=np.float64)
-    if matrix.ndim != 2 or not np.isfinite(matrix).all():
-        raise InputError.of("linear.design", place="A", value=f"shape {matrix.shape}", unknowns="u")
-    return LinearSystem.from_design(matrix, np.zeros(len(matrix)))
 
 
 @dataclass(frozen=True)

@@ -58,17 +58,14 @@ class LinearSystem:
         if self.rhs.shape != (u,) or not np.isfinite(self.rhs).all():
             raise InputError.of("linear.rhs", place="b", value=f"shape {self.rhs.shape}", unknowns=u)
         if self.design is not None:
-            observed = self.observed
-            fits = self.design.ndim == 2 and self.design.shape[1] == u
-            fits = fits and observed is not None and observed.shape == (len(self.design),)
-            if not fits or not np.isfinite(self.design).all() or not np.isfinite(np.asarray(observed)).all():
-                raise InputError.of("linear.design", place="A, l", value=f"shape {self.design.shape}", unknowns=u)
+            check_design(self.design, self.observed, u)
 
     @classmethod
     def from_design(cls, design: Array, observed: Array) -> LinearSystem:
-        """Normal equations of ``A x = l`` with unit weights."""
-        if design.ndim == 2 and design.shape[1] > MAX_UNKNOWNS:  # refused before N is formed
+        """Normal equations of ``A x = l`` with unit weights; refused before N is formed."""
+        if design.ndim == 2 and design.shape[1] > MAX_UNKNOWNS:
             raise InputError.of("linear.too_large", place="N", value=design.shape[1], limit=MAX_UNKNOWNS)
+        check_design(design, observed, design.shape[-1] if design.ndim else 0)
         return cls(design.T @ design, design.T @ observed, design, observed)
 
     def __len__(self) -> int:
@@ -97,6 +94,24 @@ class LinearSystem:
         if self.design is None or self.observed is None:
             raise InputError.of("linear.no_design", place=what)
         return self.design, self.observed
+
+
+def check_design(design: Array, observed: Array | None, unknowns: int) -> None:
+    """Refuse a design matrix and observations that do not fit each other or the unknowns, or are not finite.
+
+    Raises
+    ------
+    InputError
+    """
+    fits = design.ndim == 2 and design.shape[1] == unknowns and design.size > 0
+    fits = fits and observed is not None and observed.shape == (len(design),)
+    if not fits:
+        raise InputError.of("linear.design", place="A, l", value=f"shape {design.shape}", unknowns=unknowns)
+    for name, values in (("A", design), ("l", np.asarray(observed))):
+        if not np.isfinite(values).all():
+            at = np.argwhere(~np.isfinite(values))[0]
+            place = f"{name}[{', '.join(map(str, at))}]"
+            raise InputError.of("linear.design", place=place, value=values[tuple(at)], unknowns=unknowns)
 
 
 def check_normal(normal: Array) -> None:

@@ -1,0 +1,184 @@
+"""Bad input is refused in words; solvers and rules from outside; what a solver may not give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from fg_orient.errors import InputError
+from fg_orient.linear import kappa as kappa_module
+from fg_orient.linear import registry
+from fg_orient.linear.conditioning import cross_solver_spread, diagnose
+from fg_orient.linear.kappa import Given, KappaChoice, choose_kappa, kappa_rules, register_kappa_rule, unit_variance
+from fg_orient.linear.ls_conditions import ls_conditions
+from fg_orient.linear.registry import attempt, register_solver, solve, solver, solvers
+from fg_orient.linear.system import MAX_UNKNOWNS, Breakdown, LinearSolution, LinearSystem
+from fg_orient.linear.tikhonov import generalised, penalty_matrix, regularised, tikhonov
+from fg_orient.linear.well_posedness import well_posedness
+
+EYE = LinearSystem(np.eye(2), np.ones(2))
+SQUARE = LinearSystem.from_design(np.eye(2), np.ones(2))
+
+CASES: dict[str, tuple[Callable[[], object], str, str]] = {
+    "not square": (lambda: LinearSystem(np.ones((2, 3)), np.ones(2)), "linear.not_square", "(2, 3)"),
+    "empty": (lambda: LinearSystem(np.ones((0, 0)), np.ones(0)), "linear.not_square", "(0, 0)"),
+    "not symmetric": (
+        lambda: LinearSystem(np.array([[1.0, 2.0], [2.1, 5.0]]), np.ones(2)),
+        "linear.not_symmetric",
+        "0.1",
+    ),
+    "nan": (lambda: LinearSystem(np.diag([1.0, np.nan]), np.ones(2)), "linear.not_finite", "nan"),
+    "infinite": (lambda: LinearSystem(np.diag([np.inf, 1.0]), np.ones(2)), "linear.not_finite", "inf"),
+    "nan in b": (lambda: LinearSystem(np.eye(2), np.array([1.0, np.nan])), "linear.rhs", "(2,)"),
+    "short b": (lambda: LinearSystem(np.eye(2), np.ones(3)), "linear.rhs", "(3,)"),
+    "short l": (lambda: LinearSystem(np.eye(2), np.ones(2), np.eye(2), np.ones(3)), "linear.design", "(2, 2)"),
+    "A without l": (lambda: LinearSystem(np.eye(2), np.ones(2), np.eye(2)), "linear.design", "(2, 2)"),
+    "nan in A": (lambda: diagnose(np.array([[1.0, np.nan]])), "linear.design", "nan"),
+    "A no matrix": (lambda: diagnose(np.ones(3)), "linear.design", "(3,)"),
+    "from_design no matrix": (lambda: LinearSystem.from_design(np.ones(3), np.ones(3)), "linear.design", "(3,)"),
+    "from_design sizes": (lambda: LinearSystem.from_design(np.eye(3), np.ones(2)), "linear.design", "(3, 3)"),
+    "from_design nan": (
+        lambda: LinearSystem.from_design(np.eye(2), np.array([1.0, np.inf])),
+        "linear.design",
+        "inf",
+    ),
+    "too large": (
+        lambda: LinearSystem.from_design(np.ones((1, MAX_UNKNOWNS + 1)), np.ones(1)),
+        "linear.too_large",
+        "2001",
+    ),
+    "too large N": (
+        lambda: LinearSystem(np.zeros((MAX_UNKNOWNS + 1, MAX_UNKNOWNS + 1)), np.zeros(MAX_UNKNOWNS + 1)),
+        "linear.too_large",
+        "2001",
+    ),
+    "no redundancy": (lambda: ls_conditions(SQUARE, np.ones(2)), "linear.redundancy", "2 rows, 2 unknowns"),
+    "no redundancy for s0": (lambda: unit_variance(SQUARE, np.ones(2)), "linear.redundancy", "2 rows, 2 unknowns"),
+    "no redundancy for HKB": (lambda: solve("tikhonov_hkb", SQUARE), "linear.redundancy", "2 rows, 2 unknowns"),
+    "dP does not fit": (
+        lambda: ls_conditions(LinearSystem.from_design(np.ones((3, 1)), np.ones(3)), np.ones(2)),
+        "linear.rhs",
+        "(2,)",
+    ),
+    "no design": (lambda: solve("qr", EYE), "linear.no_design", ""),
+    "no design for a curve": (lambda: tikhonov(EYE, "gcv"), "linear.no_design", ""),
+    "no design for conditions": (lambda: ls_conditions(EYE, np.ones(2)), "linear.no_design", ""),
+    "unknown solver": (lambda: solver("cramer"), "linear.solver", "cramer"),
+    "unknown rule": (lambda: choose_kappa("best", EYE), "linear.kappa_rule", "best"),
+    "rule lacks noise": (lambda: choose_kappa("discrepancy", SQUARE), "linear.kappa_needs", ""),
+    "negative kappa": (lambda: regularised(EYE, -1.0), "linear.kappa_value", "-1.0"),
+    "kappa nan": (lambda: regularised(EYE, np.nan), "linear.kappa_value", "nan"),
+    "unknown penalty": (lambda: penalty_matrix("third", 4), "linear.penalty", "third"),  # type: ignore[arg-type]
+    "too few unknowns": (lambda: penalty_matrix("second_difference", 2), "linear.penalty", "second_difference"),
+    "penalty shape": (lambda: penalty_matrix(np.ones((2, 3)), 4), "linear.penalty", "(2, 3)"),
+    "prior mean": (lambda: generalised(EYE, np.ones(3), np.eye(2)), "linear.prior", "(3,)"),
+    "prior covariance": (lambda: generalised(EYE, np.ones(2), np.diag([1.0, 0.0])), "linear.prior", "(2, 2)"),
+    "prior not symmetric": (
+        lambda: generalised(EYE, np.ones(2), np.array([[1.0, 0.5], [0.0, 1.0]])),
+        "linear.prior",
+        "(2, 2)",
+    ),
+    "prior sigma": (lambda: generalised(EYE, np.ones(2), np.eye(2), sigma=0.0), "linear.prior", ""),
+    "noise": (lambda: well_posedness(np.eye(2), np.ones(2), -1.0), "linear.noise", "-1.0"),
+    "posedness nan": (lambda: well_posedness(np.diag([1.0, np.nan]), np.ones(2)), "linear.design", "nan"),
+    "no reference": (lambda: cross_solver_spread({}), "linear.reference", "gauss_partial_pivot_elimination"),
+    "broken reference": (
+        lambda: cross_solver_spread({"a": LinearSolution(np.ones(1), failure="pivot 0")}, "a"),
+        "linear.reference",
+        "pivot 0",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_is_refused_in_words(case: str) -> None:
+    call, code, value = CASES[case]
+    with pytest.raises(InputError) as caught:
+        call()
+    (fault,) = caught.value.problems
+    assert fault.code == code
+    assert value in fault.value
+    assert fault.remedy
+
+
+def test_the_limit_itself_is_allowed() -> None:
+    assert len(LinearSystem(np.eye(MAX_UNKNOWNS), np.ones(MAX_UNKNOWNS))) == 2000
+
+
+def test_rounding_of_a_symmetric_matrix_is_allowed() -> None:
+    normal = np.array([[2.0, 1.0], [1.0 + 1e-13, 3.0]])
+    assert len(LinearSystem(normal, np.ones(2))) == 2
+
+
+@pytest.fixture
+def open_registries(monkeypatch: pytest.MonkeyPatch) -> None:
+    solvers(), kappa_rules()  # load all before the copies
+    monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
+    monkeypatch.setattr(kappa_module, "_REGISTRY", dict(kappa_module._REGISTRY))
+
+
+@pytest.mark.usefixtures("open_registries")
+def test_solver_from_outside() -> None:
+    @register_solver("ours", "Ours", "modern", source="test")
+    def ours(system: LinearSystem, as_run: bool) -> LinearSolution:
+        return LinearSolution(np.linalg.solve(system.normal, system.rhs), notes=(f"as_run {as_run}",))
+
+    assert list(solvers())[-1] == "ours"
+    found = solve("ours", EYE, as_run=True)
+    assert found.x.tolist() == [1.0, 1.0]
+    assert found.notes == ("as_run True",)
+    with pytest.raises(Breakdown, match=r"ours: the linear algebra library cannot go on \(found Singular matrix\)"):
+        solve("ours", LinearSystem(np.zeros((2, 2)), np.ones(2)))
+    assert "Singular" in attempt("ours", LinearSystem(np.zeros((2, 2)), np.ones(2))).failure
+    regular = LinearSystem.from_design(np.vstack([np.eye(2), np.eye(2)]), np.ones(4))
+    assert regularised(regular, 2.0, solver="ours").x == pytest.approx([0.5, 0.5], rel=1e-15)
+
+
+@pytest.mark.usefixtures("open_registries")
+@pytest.mark.parametrize(
+    ("x", "error", "code"),
+    [
+        (np.array([np.nan, 1.0]), Breakdown, "linear.result_not_finite"),
+        (np.array([np.inf, 1.0]), Breakdown, "linear.result_not_finite"),
+        (np.ones(3), InputError, "linear.result_shape"),
+        (np.ones(2) + 1j, InputError, "linear.result_shape"),
+    ],
+)
+def test_a_solver_may_not_give_nonsense(x: np.ndarray, error: type[Exception], code: str) -> None:
+    @register_solver("nonsense", "Nonsense", "modern", source="test")
+    def nonsense(system: LinearSystem, as_run: bool) -> LinearSolution:
+        return LinearSolution(x)
+
+    with pytest.raises(error) as caught:
+        solve("nonsense", EYE)
+    assert caught.value.problems[0].code == code  # type: ignore[attr-defined]
+
+
+@pytest.mark.usefixtures("open_registries")
+def test_names_are_unique() -> None:
+    with pytest.raises(ValueError, match="'qr' is registered already"):
+
+        @register_solver("qr", "Another", "modern", source="test")
+        def another(system: LinearSystem, as_run: bool) -> LinearSolution:
+            return LinearSolution(system.rhs)
+
+    with pytest.raises(ValueError, match="'gcv' is registered already"):
+
+        @register_kappa_rule("gcv", "Another", source="test")
+        def another_rule(system: LinearSystem, given: Given) -> KappaChoice:
+            return KappaChoice(0.0, "gcv")
+
+
+@pytest.mark.usefixtures("open_registries")
+def test_kappa_rule_from_outside() -> None:
+    @register_kappa_rule("trace", "Trace", source="test", needs=("sigma_observed",))
+    def trace(system: LinearSystem, given: Given) -> KappaChoice:
+        return KappaChoice(float(np.trace(system.normal)), "trace")
+
+    assert "trace" in kappa_rules()
+    assert choose_kappa("trace", EYE, Given(sigma_observed=1.0)).kappa == 2.0
+    assert choose_kappa("trace", EYE, Given(sigma_observed=1.0), clamp=True).kappa == 1.0
+    with pytest.raises(InputError, match="sigma_observed"):
+        choose_kappa("trace", EYE)
