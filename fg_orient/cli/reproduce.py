@@ -74,14 +74,14 @@ def _progress(silent: bool) -> Iterator[Callable[[int, int, str], None] | None]:
 
 def _show(found: Reproduction, out: Path) -> None:
     """Print verdicts by table, claims, and where the result lies."""
-    from fg_orient.reproduce.html import LEGEND, table_name, verdict
+    from fg_orient.reproduce.html import LEGEND, verdict
 
     words = verdict(found)
     say(words["title"])
     say(words["text"])
     say()
     rows = [
-        (table_name(name), sum(found.counts(name).values()), *(found.counts(name)[kind] or "" for kind in LEGEND))
+        (name, sum(found.counts(name).values()), *(found.counts(name)[kind] or "" for kind in LEGEND))
         for name in found.titles
     ]
     table(
