@@ -16,6 +16,7 @@ from fg_orient.comparison.engines import Adjustments, Published
 from fg_orient.comparison.model import BACKENDS, GRAPH_SOLVER, TYPES, Comparison, Row, Spectrum
 from fg_orient.errors import InputError
 from fg_orient.linear.registry import solvers as known_solvers
+from fg_orient.linear.threads import one_blas_thread
 from fg_orient.names import Role
 from fg_orient.parameters import EOP_SETS
 
@@ -79,12 +80,13 @@ def compare(
     compile_kernels()
     count = {"faithful": len(kinds) * len(names), "dense": len(names), "graph": 1}
     run = _Run(len(numbers) * sum(count[e] for e in engines), target, callback)
-    published = Published(block, as_run) if "faithful" in engines else None
-    for number in numbers:
-        if published:
-            run.take_published(published, number, kinds, names)
-        if set(engines) & {"dense", "graph"}:
-            run.take_adjustments(Adjustments(block, number, look_polynomial), engines, names)
+    with one_blas_thread():
+        published = Published(block, as_run) if "faithful" in engines else None
+        for number in numbers:
+            if published:
+                run.take_published(published, number, kinds, names)
+            if set(engines) & {"dense", "graph"}:
+                run.take_adjustments(Adjustments(block, number, look_polynomial), engines, names)
     degree = block.options.look_polynomial if look_polynomial is None else look_polynomial
     return Comparison(
         block=replace(block, options=replace(block.options, look_polynomial=degree)), rows=tuple(run.rows),

@@ -101,7 +101,7 @@ def _heat_map(comparison: Comparison, role: str) -> Figure | None:
             values[i, j], failed[i, j] = getattr(row, f"{role}_rmse_m"), bool(row.failure)
     if not np.isfinite(values).any():
         return None
-    figure = _figure(2.9 + 0.36 * max(len(sets), 8), 1.3 + 0.235 * len(grouped))
+    figure = _figure(2.9 + 0.36 * max(len(sets), 13), 1.3 + 0.235 * len(grouped))
     axes = figure.add_subplot()
     image = _coloured(axes, values, failed, comparison.target_m)
     axes.set_xticks(range(len(sets)), [str(n) for n in sets])
@@ -112,7 +112,7 @@ def _heat_map(comparison: Comparison, role: str) -> Figure | None:
     bar = figure.colorbar(image, ax=axes, location="top", shrink=0.8, aspect=40, extend="both")
     ticks = range(int(_DECADES[0]), int(_DECADES[1]) + 1)
     bar.set_ticks(list(ticks), labels=[_short(comparison.target_m * 10.0**k) for k in ticks])
-    bar.set_label(f"RMSE at {role} points, m (largest axis; white: the target of {comparison.target_m:.3g} m)")
+    bar.set_label(f"RMSE at {role} points, m; white: target {comparison.target_m:.3g} m")
     return figure
 
 
@@ -131,12 +131,17 @@ def _coloured(axes: Axes, values: Any, failed: Any, target_m: float) -> Any:
         aspect="auto",
     )
     for i, j in np.ndindex(values.shape):
+        artist: Any = None
         if failed[i, j]:
-            axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, facecolor="none", edgecolor=GREY, hatch="////", lw=0))
+            artist = axes.add_patch(
+                Rectangle((j - 0.5, i - 0.5), 1, 1, facecolor="none", edgecolor=GREY, hatch="////", lw=0)
+            )
         elif np.isfinite(values[i, j]):
             dark = not -1.0 < decades[i, j] < 2.2
             ink = "#fdfdfd" if dark else "#111111"
-            axes.text(j, i, _short(values[i, j]), ha="center", va="center", fontsize=6, color=ink)
+            artist = axes.text(j, i, _short(values[i, j]), ha="center", va="center", fontsize=6, color=ink)
+        if artist is not None:
+            artist.set_in_layout(False)  # hundreds of cells: laying them out takes most of the time
     return image
 
 

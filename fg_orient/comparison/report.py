@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from fg_orient.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison
 from fg_orient.comparison.plots import INK, PAPER, row_name
-from fg_orient.comparison.words import summaries, verdict
+from fg_orient.comparison.words import ranges, summaries, verdict
 from fg_orient.report.html import number, printable, scientific
 
 #: Heading and explanation of each figure.
@@ -45,7 +45,13 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
         loader=jinja2.PackageLoader("fg_orient.report"), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters |= {"number": number, "short": short, "scientific": scientific, "printable": printable}
+    environment.filters |= {
+        "number": number,
+        "short": short,
+        "scientific": scientific,
+        "printable": printable,
+        "ranges": ranges,
+    }
     drawn = [
         (name, *CAPTIONS[name], Markup(inline(figures[name], name.partition(".")[0]))) for name in CAPTIONS
         if name in figures

@@ -76,12 +76,12 @@ def verdict(comparison: Comparison) -> dict[str, Any]:
     all_sets = len(comparison.eop_sets)
     kind = "good" if best.reached == all_sets else "warn"
     name = {"graph": "the graph", "dense": "dense matrices", "faithful": "the published procedure"}[best.backend]
-    title = f"With {name}, {_of(best.reached, all_sets)} EOP sets reach {comparison.target_m:.3g} m"
+    title = f"With {name}, {_of(best.reached, all_sets)} EOP sets are at the target of {comparison.target_m:.3g} m"
     return {"kind": kind, "title": title, "text": sentences}
 
 
 def _of(count: int, total: int) -> str:
-    return f"all {total}" if count == total else f"{count} of {total}"
+    return f"all {total}" if count == total else f"{count or 'none'} of {total}"
 
 
 def _graph(comparison: Comparison, found: list[Summary]) -> str:
@@ -93,12 +93,25 @@ def _graph(comparison: Comparison, found: list[Summary]) -> str:
 
 
 def _reached(line: Summary, total: int) -> str:
+    """Sets at the target; if some are not, which, and the worst RMSE."""
     text = f"{_of(line.reached, total)} sets at the target"
-    return text if not line.missed else f"{text}, not {_numbers(line.missed)}"
+    if not line.missed:
+        return text
+    values = {"control": line.worst_control_m, "check": line.worst_check_m}
+    worst = [f"{role} {value:.3g} m" for role, value in values.items() if math.isfinite(value)]
+    which = f", not {ranges(line.missed)}" if line.reached else ""
+    return f"{text}{which} (worst: {', '.join(worst) or 'no solution'})"
 
 
-def _numbers(values: Iterable[int]) -> str:
-    return ", ".join(str(v) for v in values)
+def ranges(values: Iterable[int]) -> str:
+    """Write whole numbers as ranges: 1, 5-8."""
+    runs: list[list[int]] = []
+    for value in sorted(set(values)):
+        if runs and value == runs[-1][-1] + 1:
+            runs[-1].append(value)
+        else:
+            runs.append([value])
+    return ", ".join(str(r[0]) if len(r) == 1 else f"{r[0]}-{r[-1]}" for r in runs)
 
 
 def _dense(comparison: Comparison, found: list[Summary]) -> str:
@@ -123,7 +136,7 @@ def _many(name: str, comparison: Comparison, lines: list[Summary]) -> str:
     names = ", ".join(s.label for s in lines if s.reached == best)
     text = f"{name}: {_of(len(always), total)} sets at the target with every solver"
     text += f"; the others depend on the solver, most with {names} ({_of(best, total)})"
-    return f"{text}; with none: {_numbers(never)}." if never else f"{text}."
+    return f"{text}; with none: {ranges(never)}." if never else f"{text}."
 
 
 def _differences(comparison: Comparison) -> str:

@@ -1,0 +1,21 @@
+"""One thread for dense linear algebra.
+
+The matrices of this package are small: two BLAS threads cost ten times the processor time of one (measured, 180
+unknowns). And the order of their sums decides what rounding noise looks like, so that results of singular systems would
+depend on the number of cores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let numpy's and scipy's BLAS use one thread inside the block."""
+    import scipy.linalg  # noqa: F401  # its BLAS is another one than numpy's and must be loaded to be limited
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
