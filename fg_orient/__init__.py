@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from fg_orient.initial import intersect
     from fg_orient.io.project import read_project
     from fg_orient.io.sensor import read_sensor
+    from fg_orient.linear.registry import register_solver
+    from fg_orient.linear.system import LinearSystem
     from fg_orient.names import Role, Status
     from fg_orient.orient import adjust
     from fg_orient.solution import Solution
@@ -44,6 +46,7 @@ _HOME: Final[dict[str, str]] = {
     "Image": "fg_orient.block",
     "ImagePoints": "fg_orient.block",
     "InputError": "fg_orient.errors",
+    "LinearSystem": "fg_orient.linear.system",
     "NoSolutionError": "fg_orient.errors",
     "Options": "fg_orient.block",
     "RankDeficientError": "fg_orient.errors",
@@ -55,6 +58,7 @@ _HOME: Final[dict[str, str]] = {
     "intersect": "fg_orient.initial",
     "read_project": "fg_orient.io.project",
     "read_sensor": "fg_orient.io.sensor",
+    "register_solver": "fg_orient.linear.registry",
 }
 
 __all__ = [
@@ -65,6 +69,7 @@ __all__ = [
     "Image",
     "ImagePoints",
     "InputError",
+    "LinearSystem",
     "NoSolutionError",
     "Options",
     "RankDeficientError",
@@ -77,6 +82,7 @@ __all__ = [
     "intersect",
     "read_project",
     "read_sensor",
+    "register_solver",
 ]
 
 

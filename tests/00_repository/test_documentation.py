@@ -7,6 +7,7 @@ import re
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,15 +19,18 @@ def blocks(path: Path, language: str) -> list[str]:
     return [code for name, code in BLOCK.findall(path.read_text("utf-8")) if name == language]
 
 
-def test_own_equation_of_the_extending_page_works(
+def test_own_equation_solver_and_rule_of_the_extending_page_work(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Runs the page top to bottom as one module, then checks its Jacobian by complex step."""
+    """Runs the page top to bottom as one module, checks its Jacobian by complex step, its solvers against LAPACK."""
     import numpy as np
 
     from factors import _contract
+    from fg_orient.linear import kappa, registry
 
-    monkeypatch.setattr(_contract, "_REGISTRY", dict(_contract._REGISTRY))
+    registry.solvers(), kappa.kappa_rules()  # all loaded before the copies
+    for module in (_contract, registry, kappa):
+        monkeypatch.setattr(module, "_REGISTRY", dict(module._REGISTRY))
     path = tmp_path / "extending_page.py"
     path.write_text("\n".join(blocks(repository / "docs" / "extending.md", "python")), "utf-8")
     spec = importlib.util.spec_from_file_location("extending_page", path)
@@ -44,6 +48,29 @@ def test_own_equation_of_the_extending_page_works(
     # the complex step has no truncation error at 1e-30: a few roundings of the row's largest element remain
     assert np.abs(jacobian[0] - numeric).max() <= 1e-14 * np.abs(jacobian).max()
     assert equation.kernel(state.record, state.setup, ground, False)[0] == value
+    _check_linear(np.random.default_rng(4))
+
+
+def _check_linear(rng: Any) -> None:
+    """The page's solver equals least squares; its rule is Mallows' prediction error, from matrices formed here."""
+    import numpy as np
+
+    from fg_orient.linear.kappa import Given, choose_kappa
+    from fg_orient.linear.registry import solve
+    from fg_orient.linear.system import LinearSystem
+
+    design, observed = rng.normal(size=(12, 4)), rng.normal(size=12)
+    system = LinearSystem.from_design(design, observed)
+    assert np.abs(solve("docs_cgls", system).x - np.linalg.lstsq(design, observed, rcond=None)[0]).max() <= 1e-12
+    choice = choose_kappa("docs_mallows", system, Given(sigma_observed=0.5))
+
+    def risk(parameter: float) -> float:
+        hat = design @ np.linalg.solve(design.T @ design + parameter * np.eye(4), design.T)
+        return float(np.sum((observed - hat @ observed) ** 2) + 2.0 * 0.25 * np.trace(hat))
+
+    assert choice.grid is not None
+    assert risk(choice.kappa) <= min(risk(parameter) for parameter in choice.grid) + 1e-12
+    assert solve("docs_tikhonov", system).kappa == choose_kappa("docs_mallows", system, Given(sigma_observed=1.0)).kappa
 
 
 def test_eop_table_of_the_concepts_page_is_that_of_the_code(repository: Path) -> None:
