@@ -23,4 +23,9 @@ class CellKey(NamedTuple):
     point_set: str = ""
 
     def __str__(self) -> str:
-        return " ".join(part for part in self[1:] if part)
+        words = (
+            self.point_set, self.eop_set and f"set {self.eop_set}", self.stage,
+            self.pre_adjustment_type and f"type {self.pre_adjustment_type}", self.point_role, self.quantity,
+            self.parameter, self.method,
+        )  # fmt: skip
+        return ", ".join(filter(None, words))

@@ -63,7 +63,8 @@ def verdict(found: Reproduction) -> dict[str, str]:
         title += f"; {met} of {len(found.claims)} claims met"
     text = (
         f"{counts['equal']} agree to the printed digits, {counts['order']} within a factor of ten, "
-        f"{counts['rounding']} are rounding noise inside the spread of the runs, {counts['pattern']} lie on the same side of the limit. "
-        f"{counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced without the unpublished data."
+        f"{counts['rounding']} are rounding noise inside the spread of the runs, {counts['pattern']} lie on the same "
+        f"side of the limit. {counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced without the "
+        "unpublished data."
     )
     return {"kind": "good" if met == len(found.claims) else "warn", "title": title, "text": text}
