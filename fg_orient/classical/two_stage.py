@@ -27,8 +27,8 @@ import numpy.typing as npt
 from fg_orient import initial
 from fg_orient.block import Block
 from fg_orient.classical import conditions
+from fg_orient.classical.axis_errors import AxisErrors, from_two_rays
 from fg_orient.classical.conditions import Conditions, Linearised
-from fg_orient.classical.errors3 import AxisErrors, from_two_rays
 from fg_orient.errors import InputError
 from fg_orient.linear.registry import attempt
 from fg_orient.linear.system import LinearSolution, LinearSystem

@@ -11,6 +11,7 @@ import pytest
 
 from fg_orient.block import Block, Image, ImagePoints
 from fg_orient.classical import two_stage
+from fg_orient.classical.axis_errors import from_two_rays, rms
 from fg_orient.classical.two_stage import TwoStage
 from fg_orient.errors import InputError
 from fg_orient.linear.system import Breakdown, LinearSolution
@@ -555,3 +556,29 @@ def test_a_check_point_of_one_image_is_refused(run: TwoStage) -> None:
 def test_bundles_that_do_not_exist_are_refused(run: TwoStage, arguments: tuple[object, ...], message: str) -> None:
     with pytest.raises(InputError, match=message):
         run.bundle(*arguments)
+
+
+# --- errors per axis -------------------------------------------------------------------------
+
+
+def test_rms_of_wild_and_of_no_values() -> None:
+    values = np.array([[3.0, 4e300, 0.0], [4.0, 3e300, 0.0]])
+    assert np.allclose(rms(values), [np.sqrt(12.5), np.sqrt(12.5) * 1e300, 0.0], rtol=1e-15)
+    assert np.isnan(rms(np.zeros((0, 3)))).all()
+    assert np.isnan(rms(np.array([[np.nan, 1.0, 2.0]]))[0])
+
+
+def test_two_rays_meet_on_the_first(rng: np.random.Generator) -> None:
+    """Skew rays: the foot of the common perpendicular on the first ray; parallel ones and single ones are nan."""
+    centre = rng.normal(size=(6, 3))
+    direction = rng.normal(size=(6, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction[3] = direction[2]
+    image, point = np.array([0, 1, 0, 1, 1, 0]), np.array([2, 2, 0, 0, 1, 3])
+    found = from_two_rays(centre, direction, image, point, 5)
+    assert np.array_equal(np.isfinite(found).all(axis=1), [False, False, True, False, False])
+    s, t = np.linalg.lstsq(np.stack([direction[0], -direction[1]], axis=1), centre[1] - centre[0], rcond=None)[0]
+    first, second = centre[0] + s * direction[0], centre[1] + t * direction[1]
+    assert np.linalg.norm(first - second) > 0.1
+    assert np.abs((first - second) @ direction[:2].T).max() < 1e-12
+    assert np.allclose(found[2], first, rtol=0.0, atol=1e-12)

@@ -51,8 +51,8 @@ def rms(values_m: Array) -> Array:
     """Root mean square of each column; nan for no rows."""
     if not len(values_m):
         return np.full(values_m.shape[1], np.nan)
-    largest = np.abs(values_m).max()
-    scale = largest if np.isfinite(largest) and largest > 0.0 else 1.0  # squares of wild values would overflow
+    largest = np.abs(values_m).max(axis=0)
+    scale = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)  # squares of wild values would overflow
     return np.asarray(np.sqrt(np.mean((values_m / scale) ** 2, axis=0)) * scale)
 
 
@@ -69,15 +69,16 @@ def from_two_rays(centre_m: Array, direction: Array, image: Index, point: Index,
     Returns
     -------
     (n_points, 3) array
-        ECEF m; nan for points that both images do not see.
+        ECEF m; nan for points that one image alone sees, and for parallel rays.
     """
     row = np.full((2, n_points), -1)
     row[image, point] = np.arange(len(image))
     both = np.flatnonzero((row >= 0).all(axis=0))
     (p1, u1), (p2, u2) = ((centre_m[row[k, both]], direction[row[k, both]]) for k in (0, 1))
     base, cos = p2 - p1, np.einsum("ni,ni->n", u1, u2)
+    sin2 = np.sum(np.cross(u1, u2) ** 2, axis=1)  # 1 - cos^2 without its cancellation
+    sin2[sin2 == 0.0] = np.nan
     b1, b2 = np.einsum("ni,ni->n", u1, base), np.einsum("ni,ni->n", u2, base)
     out = np.full((n_points, 3), np.nan)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        out[both] = p1 + ((b1 - cos * b2) / (1.0 - cos**2))[:, None] * u1
+    out[both] = p1 + ((b1 - cos * b2) / sin2)[:, None] * u1
     return out
