@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from fg_orient.linear.system import Array, Breakdown
 
-#: Real, or complex once a negative radicand was met.
+# Real, or complex once a negative radicand was met. (No '#:': autodoc cannot format this alias.)
 Numbers = npt.NDArray[Any]
 
 #: A pivot below this share of its matrix element has lost 12 of 16 digits: the matrix is singular for the method.
