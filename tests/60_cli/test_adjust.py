@@ -134,6 +134,22 @@ def test_options_replace_those_of_the_project(run: Any, twin: Path) -> None:
     assert written["provenance"]["options"]["max_iterations"] == 30
 
 
+def test_dense_backend_and_its_solver(run: Any, twin: Path) -> None:
+    """From the command line and from the project file; the figures are those of the graph."""
+    graph = run("adjust", twin, "--eop-set", 16, "--json").json
+    dense = run("adjust", twin, "--eop-set", 16, "--backend", "dense", "--solver", "pivot_inverse", "--overwrite",
+                "--json").json  # fmt: skip
+    assert (graph["backend"], graph["solver"]) == ("graph", None)
+    assert (dense["backend"], dense["solver"]) == ("dense", "pivot_inverse")
+    assert dense["sigma0"] == pytest.approx(graph["sigma0"], rel=1e-9)
+    assert dense["accuracy"]["check"]["rmse_up_m"] == pytest.approx(graph["accuracy"]["check"]["rmse_up_m"], rel=1e-7)
+    text = twin.read_text("utf-8").replace("[adjustment]", '[adjustment]\nsolver = "svd"')
+    assert 'backend = "auto"' in text
+    twin.write_text(text.replace('backend = "auto"', 'backend = "dense"'), encoding="utf-8")
+    again = run("adjust", twin, "--eop-set", 16, "--overwrite", "--json").json
+    assert (again["backend"], again["solver"]) == ("dense", "svd")
+
+
 @pytest.mark.parametrize(
     ("words", "seen"),
     [(("--eop-set", "21"), "21"), (("--optimizer", "newton"), "newton"), (("--check-points", "perhaps"), "perhaps"),
