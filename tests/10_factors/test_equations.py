@@ -7,6 +7,7 @@ import pytest
 
 import factors.control
 import factors.pushbroom  # noqa: F401  (registers)
+import factors.rfm_equation  # noqa: F401  (registers)
 from factors._contract import Equation, Example, evaluate, register, registered
 
 EQUATIONS = sorted(registered().values(), key=lambda e: e.name)
