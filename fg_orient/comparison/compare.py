@@ -74,9 +74,7 @@ def compare(
     numbers, names = selection.eop_sets(eop_sets), selection.solver_names(solvers)
     engines, kinds = selection.backend_names(backends), selection.types(types)
     _require_control(block)
-    target = ground_sampling_m(block) if target_m is None else target_m
-    if not (math.isfinite(target) and target > 0.0):
-        raise InputError.of("compare.target", place="target", value=target)
+    target = selection.target(ground_sampling_m(block) if target_m is None else target_m)
     compile_kernels()
     count = {"faithful": len(kinds) * len(names), "dense": len(names), "graph": 1}
     run = _Run(len(numbers) * sum(count[e] for e in engines), target, callback)

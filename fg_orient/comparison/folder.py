@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from factors.warmup import compile_kernels
-from fg_orient.comparison import plots
+from fg_orient.comparison import plots, selection
 from fg_orient.comparison.compare import Progress, compare
 from fg_orient.comparison.model import COLUMNS, Comparison
 from fg_orient.comparison.report import render
@@ -68,6 +68,7 @@ def compare_project(
     """
     start = time.perf_counter()
     require_free(Path(out), overwrite=overwrite, contents=COMPARISON)
+    selection.require(options or {})
     compile_kernels()
     block = read_project(project)
     read_s = time.perf_counter() - start

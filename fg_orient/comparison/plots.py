@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fg_orient.comparison.model import LARGEST_CONDITION, Comparison, groups
+from fg_orient.parameters import EOP_SETS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -187,6 +188,7 @@ def _conditions(comparison: Comparison) -> Figure | None:
 def _log_scale(axes: Axes) -> None:
     """Powers of ten up the side, in plain figures."""
     axes.set_yscale("log")
+    axes.minorticks_off()
     axes.yaxis.set_major_formatter(lambda value, _: _plain_exponent(f"{value:.0e}"))
 
 
@@ -212,8 +214,7 @@ def _spectra(comparison: Comparison) -> Figure | None:
     figure = _figure(max(1.75 * columns, 5.0), 1.5 * lines + 0.9)
     panels = figure.subplots(lines, columns, sharex=False, sharey=True, squeeze=False).ravel()
     for panel, number in zip(panels, sets, strict=False):
-        names = {r.eop_set: r.eop_set_name for r in comparison.rows}
-        panel.set_title(f"{number} {names[number]}")
+        panel.set_title(f"{number} {EOP_SETS[number][0]}")
         for key in wanted:
             label, colour, _, line = _SYSTEMS[key]
             for s in comparison.spectra:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TypeVar
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar
 
 from fg_orient.comparison.model import BACKENDS, TYPES
 from fg_orient.errors import InputError
@@ -84,6 +85,36 @@ def types(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
         if text not in map(str, TYPES):
             raise InputError.of("compare.type", place="types", value=text)
     return _once([kind for kind in TYPES if str(kind) in texts], "types", given)
+
+
+def require(options: Mapping[str, Any]) -> None:
+    """Refuse arguments of ``compare`` that select nothing, before any file is read.
+
+    Raises
+    ------
+    InputError
+        Something does not exist, or nothing is given.
+    """
+    judges: dict[str, Callable[[Any], object]] = {
+        "eop_sets": eop_sets, "solvers": solver_names, "backends": backend_names, "types": types,
+    }  # fmt: skip
+    for name in [name for name in judges if name in options]:
+        judges[name](options[name])
+    if options.get("target_m") is not None:
+        target(options["target_m"])
+
+
+def target(given: float) -> float:
+    """Length to reach, m.
+
+    Raises
+    ------
+    InputError
+        Not above zero, or not finite.
+    """
+    if not (math.isfinite(given) and given > 0.0):
+        raise InputError.of("compare.target", place="target", value=given)
+    return given
 
 
 def _once(found: list[T], place: str, given: object) -> tuple[T, ...]:

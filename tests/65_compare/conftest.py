@@ -1,0 +1,81 @@
+"""One small comparison on the twin, in memory and through a project folder, made once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from fg_orient.block import Block
+from fg_orient.cli import app
+from fg_orient.comparison.compare import compare
+from fg_orient.comparison.model import Comparison
+from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak, zonguldak_block
+
+#: Well conditioned; velocity (a mere yaw); velocity and attitude.
+SETS = (2, 5, 17)
+#: An inverse that truncates, one that breaks down, a method on A, two that the iteration leaves out.
+SOLVERS = ("moore_penrose_inverse", "cholesky_inverse", "qr", "cramer_inverse", "tikhonov_od")
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int
+    stdout: str
+    stderr: str
+
+    @property
+    def json(self) -> Any:
+        """Standard output as exactly one JSON object, nan refused."""
+
+        def refuse(word: str) -> float:
+            raise AssertionError(f"{word} in JSON")
+
+        return json.loads(self.stdout, parse_constant=refuse)
+
+
+Run = Callable[..., Ended]
+
+
+@pytest.fixture(scope="session")
+def run() -> Run:
+    """Run a command in this process."""
+
+    def call(*words: object) -> Ended:
+        result = CliRunner().invoke(app, [str(word) for word in words])
+        return Ended(result.exit_code, result.stdout, result.stderr)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def twin() -> Block:
+    """The twin in memory."""
+    return zonguldak_block(ZonguldakOptions())[0]
+
+
+@pytest.fixture(scope="session")
+def comparison(twin: Block) -> Comparison:
+    """Three sets, all backends."""
+    return compare(twin, eop_sets=SETS, solvers=SOLVERS)
+
+
+@pytest.fixture(scope="session")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Project file of the same twin; not to be changed."""
+    return simulate_zonguldak(tmp_path_factory.mktemp("compare") / "zonguldak", ZonguldakOptions())
+
+
+@pytest.fixture(scope="session")
+def written(project: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[Path, Ended]:
+    """Comparison folder of the project and how ``compare --json`` ended; not to be changed."""
+    out = tmp_path_factory.mktemp("compared") / "comparison"
+    sets, solvers = ",".join(map(str, SETS)), ",".join(SOLVERS)
+    return out, run("compare", project, "--eop-sets", sets, "--solvers", solvers, "--out", out, "--json")

@@ -1,0 +1,273 @@
+"""The command ``compare``: folder, record, report, figures, refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+import shutil
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from fg_orient.comparison import folder as comparison_folder
+from fg_orient.comparison import plots
+from fg_orient.comparison.model import COLUMNS, Comparison
+from fg_orient.comparison.report import render, short
+from fg_orient.comparison.words import ranges, verdict
+from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
+
+FIGURES = {"heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "seconds.svg"}
+TABLES = {"compare.csv", "spectra.csv", "result.json", "report.html"}
+#: Keys that design and documentation promise.
+ROW_KEYS = {
+    "eop_set", "solver", "backend", "control_rmse_m", "check_rmse_m", "cond_raw", "cond_scaled", "rank", "reached",
+}  # fmt: skip
+VOID = {"meta", "br", "img", "link", "input", "hr"}
+
+
+class Structure(HTMLParser):
+    """Collects tags, ids and attributes; fails on tags that do not match."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(name, value or "") for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
+        self.open.pop()
+
+
+def structure(text: str) -> Structure:
+    found = Structure()
+    found.feed(text)
+    found.close()
+    assert found.open == []
+    return found
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def same(text: str, value: Any) -> bool:
+    """Tell whether a cell holds a value to its last digit."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return text == ""
+    if isinstance(value, bool):
+        return text == str(value).lower()
+    return float(text) == value if isinstance(value, (int, float)) else text == value
+
+
+def test_folder_and_exit_code(written: tuple[Path, Any]) -> None:
+    out, ended = written
+    assert ended.code == 0, ended.stderr
+    assert {p.name for p in out.iterdir()} == TABLES | FIGURES
+    assert not list(out.parent.glob(".*"))
+    assert json.loads((out / "result.json").read_text("utf-8")) == ended.json | {"out": out.name}
+
+
+def test_json_keys(written: tuple[Path, Any]) -> None:
+    record = written[1].json
+    assert set(record["rows"][0]) == set(COLUMNS) >= ROW_KEYS
+    assert {"seconds", "target_m", "verdict", "summary", "provenance", "out", "warnings"} <= set(record)
+    assert record["provenance"]["inputs"] and record["warnings"] == []
+
+
+def test_table_equals_the_rows_of_the_library(written: tuple[Path, Any], comparison: Comparison) -> None:
+    """The project folder gives the numbers of the block in memory; times and rounding noise aside."""
+    found = rows_of(written[0] / "compare.csv")
+    assert list(found[0]) == list(COLUMNS)
+    assert len(found) == len(comparison.rows)
+    for text, row, record in zip(found, comparison.rows, written[1].json["rows"], strict=True):
+        assert all(same(text[name], record[name]) for name in COLUMNS), (text, record)
+        assert (text["backend"], text["solver"], text["eop_set"]) == (row.backend, row.solver, str(row.eop_set))
+        if row.backend != "faithful" and not row.failure:
+            assert float(text["check_rmse_m"]) == pytest.approx(row.check_rmse_m, rel=1e-7)
+        assert text["failure"] == "" or not text["check_rmse_m"]
+
+
+def test_spectra_table(written: tuple[Path, Any]) -> None:
+    found = rows_of(written[0] / "spectra.csv")
+    graph = next(r for r in written[1].json["rows"] if (r["backend"], r["eop_set"]) == ("graph", 2))
+    values = [float(r["singular_value"]) for r in found
+              if (r["eop_set"], r["system"], r["scaling"]) == ("2", "adjustment", "raw")]  # fmt: skip
+    assert len(values) == graph["order"]
+    assert (values[0] / values[-1]) ** 2 == pytest.approx(graph["cond_raw"], rel=1e-12)
+
+
+def test_report_is_one_safe_file(written: tuple[Path, Any]) -> None:
+    text = (written[0] / "report.html").read_text("utf-8")
+    found = structure(text)
+    assert found.tags.count("svg") == len(FIGURES)
+    assert not {"script", "link", "iframe", "object", "embed"} & set(found.tags)
+    links = [v for name, v in found.attributes if name in ("src", "href", "xlink:href")]
+    assert all(v.startswith(("#", "data:image/png;base64,")) for v in links)
+    ids = [v for name, v in found.attributes if name == "id"]
+    assert len(ids) == len(set(ids))
+    assert {v[1:] for v in links if v.startswith("#")} <= set(ids)
+    assert set(re.findall(r"url\(#([^)]+)\)", text)) <= set(ids)
+    assert "prefers-color-scheme: dark" in text and plots.INK not in text.split("</style>", 1)[1]
+    assert text.index('id="verdict"') < text.index('id="summary"') < text.index("<svg")
+
+
+def test_report_and_figures_escape_what_others_wrote(comparison: Comparison, written: tuple[Path, Any]) -> None:
+    spoiled = replace(comparison, labels=comparison.labels | {"qr": "<script>$x_1$&"})
+    figures = plots.figures(spoiled)
+    for text in figures.values():
+        ElementTree.fromstring(text)
+    assert "&lt;script&gt;$x_1$&amp;" in figures["seconds.svg"]
+    record = written[1].json | {"name": "<script>alert(1)</script>"}
+    html = render(spoiled, record, figures)
+    assert "script" not in structure(html).tags
+
+
+def test_figures_show_the_numbers(written: tuple[Path, Any], comparison: Comparison) -> None:
+    text = (written[0] / "heatmap_check.svg").read_text("utf-8")
+    graph = comparison.select(backend="graph", eop_set=17)[0]
+    assert f">{graph.check_rmse_m:.2g}</text>" in text
+    assert "graph · GTSAM" in text and "published 2 · Moore-Penrose" in text
+    assert "dense · Cramer" not in text  # never tried
+
+
+def test_verdict_in_words(comparison: Comparison) -> None:
+    found = verdict(comparison)
+    text = " ".join(found["text"])
+    assert found["kind"] == "warn"
+    assert found["title"] == "With the graph, 2 of 3 EOP sets are at the target of 4.98 m"
+    assert "The graph (GTSAM): 2 of 3 sets at the target, not 5 (worst: control" in text
+    assert "with each of 3 solver(s)" in text
+    assert "published procedure, type 1: 1 of 3 sets at the target with every solver" in text
+    assert re.search(r"differ by at most \d\.\de-\d+ prior sigmas", text)
+    assert "Not tried (6 rows; each says why): dense Cramer inverse, dense Tikhonov OD." in text
+
+
+def test_words_for_numbers() -> None:
+    assert ranges([20, 1, 5, 6, 7, 1]) == "1, 5-7, 20"
+    assert ranges([]) == ""
+    assert [short(v) for v in (0.0, 1.234, 0.001, 2e6, math.nan, None)] == ["0.00", "1.23", "1e−3", "2e6", "–", "–"]
+
+
+def test_tables_for_people(run: Any, project: Path, tmp_path: Path) -> None:
+    ended = run("compare", project, "--eop-sets", "2", "--solvers", "qr", "--types", "1", "--out", tmp_path / "out")
+    assert ended.code == 0, ended.stderr
+    assert "With the graph, all 1 EOP sets are at the target" in ended.stdout
+    assert re.search(r"published 1\s+QR\s+1/1", ended.stdout)
+    assert "report.html" in ended.stdout
+    assert max(map(len, ended.stdout.splitlines())) < 200
+
+
+def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plots, "find_spec", lambda name: None)
+    out = tmp_path / "out"
+    ended = run("compare", project, "--eop-sets", "2", "--backends", "graph", "--out", out)
+    assert ended.code == 0
+    assert [line for line in ended.stdout.splitlines() if "matplotlib is missing" in line]
+    assert {p.name for p in out.iterdir()} == TABLES
+    assert "svg" not in structure((out / "report.html").read_text("utf-8")).tags
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        (("--eop-sets", "1-21"), "--eop-sets"),
+        (("--solvers", "gauss"), "--solvers"),
+        (("--backends", "schur"), "--backends"),
+        (("--types", "0"), "--types"),
+        (("--target", "-1"), "--target"),
+        (("--look-polynomial", "9", "--backends", "graph"), "--look-polynomial"),
+    ],
+)
+def test_bad_options_are_one_line(run: Any, project: Path, tmp_path: Path, words: tuple[str, ...], place: str) -> None:
+    out = tmp_path / "out"
+    ended = run("compare", project, *words, "--out", out)
+    assert ended.code == 2
+    assert ended.stderr.startswith(f"error: {place}: ")
+    assert len(ended.stderr.splitlines()) == 1
+    assert not out.exists()
+    as_json = run("compare", project, *words, "--out", out, "--json")
+    assert [e["place"] for e in as_json.json["errors"]] == [place]
+
+
+def test_missing_project_and_missing_control(run: Any, project: Path, tmp_path: Path) -> None:
+    assert run("compare", tmp_path / "no.toml").code == 2
+    shutil.copytree(project.parent, tmp_path / "twin")
+    points = tmp_path / "twin" / "points.csv"
+    points.write_text(points.read_text("utf-8").replace(",control,", ",check,"), "utf-8")
+    ended = run("compare", tmp_path / "twin" / "project.toml", "--out", tmp_path / "out")
+    assert ended.code == 2
+    assert len(ended.stderr.splitlines()) == 1 and "control" in ended.stderr
+
+
+def test_existing_folders(run: Any, project: Path, written: tuple[Path, Any], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(written[0], out)
+    words = ("compare", project, "--eop-sets", "2", "--backends", "graph", "--out", out)
+    assert run(*words).code == 2
+    assert len(rows_of(out / "compare.csv")) == len(written[1].json["rows"])
+    assert run(*words, "--overwrite").code == 0
+    assert len(rows_of(out / "compare.csv")) == 1
+    (out / "mine.txt").write_text("kept", "utf-8")
+    assert run(*words, "--overwrite").code == 2
+    assert (out / "mine.txt").read_text("utf-8") == "kept"
+
+
+def test_no_solution_at_all(run: Any, tmp_path: Path) -> None:
+    """Two control points carry no look-angle polynomial: the published procedure alone gives exit code 3."""
+    project = simulate_zonguldak(tmp_path / "twin", ZonguldakOptions())
+    points = project.parent / "points.csv"
+    lines = points.read_text("utf-8").splitlines()
+    control = [i for i, line in enumerate(lines) if ",control," in line]
+    for i in control[2:]:
+        lines[i] = lines[i].replace(",control,", ",check,")
+    points.write_text("\n".join(lines) + "\n", "utf-8")
+    out = tmp_path / "out"
+    ended = run("compare", project, "--eop-sets", "2", "--backends", "faithful", "--out", out)
+    assert ended.code == 3
+    assert "different columns" in ended.stderr and not out.exists()
+
+
+def test_interrupted_run_leaves_nothing(
+    run: Any, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(comparison_folder, "write_folder", stop)
+    out = tmp_path / "deep" / "out"
+    ended = run("compare", project, "--eop-sets", "2", "--backends", "graph", "--out", out)
+    assert ended.code == 130
+    assert not out.parent.exists()
+
+
+def test_figures_repeat_to_the_last_byte(comparison: Comparison) -> None:
+    few = replace(comparison, rows=())
+    assert set(plots.figures(few)) == {"conditions.svg", "spectra.svg"}
+    assert plots.figures(few) == plots.figures(few)
+
+
+def test_figures_of_rows_without_any_solution(comparison: Comparison) -> None:
+    rows = tuple(r for r in comparison.rows if r.failure)
+    assert rows and all(not np.isfinite(r.check_rmse_m) for r in rows)
+    drawn = plots.figures(replace(comparison, rows=rows, spectra=()))
+    assert set(drawn) == set()

@@ -1,0 +1,298 @@
+"""Rows of a comparison against the engines called directly, and against plain numpy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.block import Block, GroundPoints
+from fg_orient.classical.two_stage import TwoStage
+from fg_orient.comparison import engines
+from fg_orient.comparison.compare import compare, ground_sampling_m, reached
+from fg_orient.comparison.model import COLUMNS, LARGEST_CONDITION, Comparison, Row, Spectrum, groups
+from fg_orient.linear.threads import one_blas_thread
+from fg_orient.names import Role
+from fg_orient.simulate.block import BlockOptions, grid_block
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+
+AXES = ("x", "y", "z")
+
+
+def one(comparison: Comparison, **wanted: object) -> Row:
+    (row,) = comparison.select(**wanted)
+    return row
+
+
+def test_public_name_is_the_function() -> None:
+    assert fg.compare is compare
+
+
+def test_one_row_per_set_backend_type_and_solver(comparison: Comparison) -> None:
+    per_set = 2 * 5 + 5 + 1
+    assert len(comparison.rows) == 3 * per_set
+    assert [len(rows) for rows in groups(comparison.rows).values()] == [3] * per_set
+    assert [key[0] for key in groups(comparison.rows)] == ["faithful"] * 10 + ["dense"] * 5 + ["graph"]
+    assert [r.eop_set_name for r in comparison.select(backend="graph")] == ["PU0", "V", "VA"]
+
+
+@pytest.mark.parametrize("kind", [1, 2])
+@pytest.mark.parametrize("solver", ["moore_penrose_inverse", "cholesky_inverse", "qr"])
+def test_published_rows_are_those_of_the_procedure(
+    twin: Block, comparison: Comparison, kind: engines.Kind, solver: str
+) -> None:
+    with one_blas_thread():
+        stage = TwoStage(twin)
+        for eop_set in comparison.eop_sets:
+            row = one(comparison, eop_set=eop_set, backend="faithful", type=kind, solver=solver)
+            bundle = stage.bundle(eop_set, kind, solver)
+            assert row.failure == bundle.failure
+            assert row.order == bundle.n_unknowns
+            for role, rmse in (("control", bundle.accuracy.gcp_rmse), ("check", bundle.accuracy.icp_rmse)):
+                found = [getattr(row, f"{role}_rmse_{axis}_m") for axis in AXES]
+                assert np.array_equal(found, rmse, equal_nan=True)
+                assert np.array_equal(getattr(row, f"{role}_rmse_m"), rmse.max(), equal_nan=True)
+            if not bundle.failure:
+                freedom = 188 - bundle.n_unknowns
+                assert row.m0_rad == pytest.approx(math.sqrt((bundle.v**2).sum() / freedom), rel=1e-12)
+
+
+def test_adjustment_rows_are_those_of_adjust(twin: Block, comparison: Comparison) -> None:
+    for eop_set in comparison.eop_sets:
+        graph = fg.adjust(twin, eop_set=eop_set, backend="graph")
+        for row in comparison.select(eop_set=eop_set):
+            if row.backend == "faithful" or row.left_out:
+                continue
+            statistics = {"control": graph.accuracy.control, "check": graph.accuracy.check}
+            for role, found in statistics.items():
+                want = np.sqrt((found.ecef_m**2).mean(axis=0))
+                assert [getattr(row, f"{role}_rmse_{axis}_m") for axis in AXES] == pytest.approx(want, abs=1e-7)
+                assert getattr(row, f"{role}_rmse_m") == pytest.approx(want.max(), abs=1e-7)
+            assert row.sigma0 == pytest.approx(graph.sigma0, rel=1e-9)
+            assert (row.iterations, row.order) == (graph.iterations, graph.problem.n_unknowns)
+            assert row.seconds > 0.0
+
+
+def test_dense_equals_graph_with_priors(comparison: Comparison) -> None:
+    rows = [r for r in comparison.select(backend="dense") if not r.left_out]
+    assert len(rows) == 3 * 3
+    assert max(r.difference_sigmas for r in rows) < 1e-9
+    assert max(r.difference_m for r in rows) < 1e-7
+    assert all(math.isnan(r.difference_sigmas) for r in comparison.rows if r.backend != "dense" or r.left_out)
+
+
+def test_difference_is_measured(twin: Block, comparison: Comparison) -> None:
+    """A reference that is off by a known amount shows as that amount."""
+    with one_blas_thread():
+        graph = fg.adjust(twin, eop_set=2, backend="graph")
+    moved = replace(graph, state=replace(graph.state, image=graph.state.image + 0.25, ground=graph.state.ground - 3.0))
+    with one_blas_thread():
+        row = engines.Adjustments(twin, 2, None).dense("qr", moved)
+    assert row.difference_sigmas == pytest.approx(0.25, abs=1e-9)
+    assert row.difference_m == pytest.approx(3.0, abs=1e-7)
+
+
+def test_what_is_not_tried_says_why(comparison: Comparison) -> None:
+    left_out = [r for r in comparison.rows if r.left_out]
+    assert {(r.backend, r.solver) for r in left_out} == {("dense", "cramer_inverse"), ("dense", "tikhonov_od")}
+    assert all(r.failure and not r.reached and math.isnan(r.control_rmse_m) for r in left_out)
+
+
+def test_breakdowns_are_rows(comparison: Comparison) -> None:
+    row = one(comparison, eop_set=17, backend="faithful", type=1, solver="cholesky_inverse")
+    assert "radicand" in row.failure and not row.reached and math.isnan(row.check_rmse_m)
+
+
+def test_kappa_of_the_published_regularisation(comparison: Comparison) -> None:
+    assert 0.0 < one(comparison, eop_set=5, backend="faithful", type=1, solver="tikhonov_od").kappa <= 1.0
+    assert math.isnan(one(comparison, eop_set=5, backend="faithful", type=1, solver="qr").kappa)
+
+
+def test_condition_numbers_against_numpy(twin: Block, comparison: Comparison) -> None:
+    design, _ = TwoStage(twin).bundle(2, 1, "qr").system.require_design("test")  # type: ignore[union-attr]
+    row = one(comparison, eop_set=2, backend="faithful", type=1, solver="qr")
+    assert row.cond_raw == pytest.approx(np.linalg.cond(design) ** 2, rel=1e-6)
+    scaled = design / np.sqrt((design**2).sum(axis=0))
+    assert row.cond_scaled == pytest.approx(np.linalg.cond(scaled.T @ scaled), rel=1e-6)
+    assert (row.rank, row.order) == (np.linalg.matrix_rank(design), 36)
+
+
+def test_singular_sets_lack_rank(comparison: Comparison) -> None:
+    for eop_set in (5, 17):
+        row = one(comparison, eop_set=eop_set, backend="faithful", type=1, solver="moore_penrose_inverse")
+        assert row.rank is not None and row.order is not None
+        assert row.rank < row.order
+        assert row.cond_raw == LARGEST_CONDITION
+    graph = one(comparison, eop_set=17, backend="graph")
+    assert graph.rank == graph.order
+    assert graph.cond_scaled < 1e6  # priors and scaling cure it
+
+
+def test_priors_add_one_to_the_squares_of_each_image_unknown(comparison: Comparison) -> None:
+    """Trace of N: in prior units every prior row adds exactly 1."""
+    for eop_set, count in ((2, 3), (5, 9), (17, 18)):
+        trace = {
+            s.system: float((s.values**2).sum())
+            for s in comparison.spectra
+            if s.eop_set == eop_set and s.scaling == "priors"
+        }
+        assert trace["adjustment"] - trace["no priors"] == pytest.approx(2 * count, rel=1e-6)
+
+
+def test_spectra_are_complete(comparison: Comparison) -> None:
+    found = {(s.eop_set, s.system, s.scaling) for s in comparison.spectra}
+    assert len(found) == len(comparison.spectra) == 3 * (2 * 2 + 2 * 3)
+    for s in comparison.spectra:
+        assert (np.diff(s.values) <= 0.0).all()
+        if s.scaling == "columns":  # the squares of unit columns sum to their number
+            zero = 0 if s.system != "no priors" else len(s.values) - round(float((s.values**2).sum()))
+            assert float((s.values**2).sum()) == pytest.approx(len(s.values) - zero, rel=1e-9)
+
+
+def test_condition_is_capped() -> None:
+    assert Spectrum(1, "adjustment", "raw", np.array([1e6, 1.0])).condition == pytest.approx(1e12)
+    assert Spectrum(1, "adjustment", "raw", np.array([1.0, 0.0])).condition == LARGEST_CONDITION
+    assert Spectrum(1, "adjustment", "raw", np.array([1.0, 1e-40])).condition == LARGEST_CONDITION
+
+
+@pytest.mark.parametrize(
+    ("control", "check", "failure", "expected"),
+    [
+        (1.0, 5.0, "", True),
+        (5.1, 1.0, "", False),
+        (1.0, 5.1, "", False),
+        (1.0, math.nan, "", True),
+        (math.nan, math.nan, "", False),
+        (1.0, 1.0, "broken", False),
+    ],
+)
+def test_reached(control: float, check: float, failure: str, expected: bool) -> None:
+    row = Row(1, "PU", "qr", "dense", control_rmse_m=control, check_rmse_m=check, failure=failure)
+    assert reached(row, 5.0) is expected
+
+
+def test_reached_follows_the_target(twin: Block, comparison: Comparison) -> None:
+    (row,) = compare(twin, eop_sets=[17], backends="graph").rows
+    assert row.check_rmse_m == one(comparison, eop_set=17, backend="graph").check_rmse_m
+    limit = max(row.check_rmse_m, row.control_rmse_m)
+    assert compare(twin, eop_sets=[17], backends="graph", target_m=1.0001 * limit).rows[0].reached
+    assert not compare(twin, eop_sets=[17], backends="graph", target_m=0.9999 * limit).rows[0].reached
+
+
+def test_default_target_is_one_pixel(twin: Block, comparison: Comparison) -> None:
+    """Half a target off the centre projects to at most half a pixel in any image."""
+    target = ground_sampling_m(twin)
+    assert comparison.target_m == target
+    assert 4.5 < target < 5.5  # SPOT 5 HRG, 5 m
+    largest = 0.0
+    for image in twin.images:
+        sensor = image.sensor
+        centre = (sensor.n_lines - 1) / 2.0
+        at = sensor.locate(np.array([centre]), np.array([centre]), height_m=0.0)[0]
+        along = sensor.locate(np.array([centre + 10.0]), np.array([centre]), height_m=0.0)[0] - at
+        across = sensor.locate(np.array([centre]), np.array([centre + 10.0]), height_m=0.0)[0] - at
+        for direction in (along, across):
+            line, sample = sensor.project((at + target * direction / np.linalg.norm(direction))[None])
+            largest = max(largest, math.hypot(float(line[0]) - centre, float(sample[0]) - centre))
+    assert largest == pytest.approx(1.0, abs=1e-3)
+
+
+def test_look_polynomial_goes_to_dense_and_graph(twin: Block) -> None:
+    found = compare(twin, eop_sets=[2], solvers="qr", types=[1], look_polynomial=2)
+    plain = compare(twin, eop_sets=[2], solvers="qr", types=[1])
+    assert [r.order for r in found.rows] == [36, 153 + 6, 153 + 6][: len(found.rows)]
+    assert [r.order for r in plain.rows] == [36, 147, 147]
+    assert found.block.options.look_polynomial == 2
+
+
+def test_as_run_reaches_the_published_procedure() -> None:
+    """With a radial velocity the matrices as run leave decimetres at the control points; as specified, nothing."""
+    block = zonguldak_block(ZonguldakOptions(radial_velocity_m_s=8.0))[0]
+    options = {"eop_sets": [2], "solvers": "moore_penrose_inverse", "backends": "faithful", "types": [1]}
+    (as_run,) = compare(block, as_run=True, **options).rows  # type: ignore[arg-type]
+    (specified,) = compare(block, **options).rows  # type: ignore[arg-type]
+    assert as_run.control_rmse_m > 0.1
+    assert specified.control_rmse_m < 1e-6
+
+
+def test_all_sets_reach_the_target_through_the_graph(twin: Block) -> None:
+    found = compare(twin, backends="graph", look_polynomial=2, target_m=5.0)
+    assert [r.eop_set for r in found.rows] == list(range(1, 21))
+    assert all(r.reached for r in found.rows)
+
+
+@pytest.mark.slow
+def test_all_sets_and_published_solvers(twin: Block) -> None:
+    found = compare(twin, solvers="published", look_polynomial=2, target_m=5.0)
+    assert len(found.rows) == 20 * (2 * 11 + 11 + 1)
+    assert all(r.reached for r in found.rows if r.backend != "faithful" and not r.left_out)
+    good = found.select(backend="faithful", solver="moore_penrose_inverse", reached=True)
+    assert len(good) == 40
+    assert len(found.select(backend="faithful", solver="cholesky_inverse", reached=True)) < 40
+
+
+def test_too_many_unknowns_for_dense(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dense rows say so, graph rows still come; nothing of u x u is made."""
+    block = grid_block(BlockOptions(rows=1, columns=2, points=700))[0]
+    monkeypatch.setattr(engines, "assemble", None)
+    found = compare(block, eop_sets=[1], solvers="qr", backends="dense,graph")
+    dense, graph = found.rows
+    assert "more than 2000 unknowns" in dense.failure and dense.left_out
+    assert not graph.failure and graph.sigma0 > 0.0
+    assert graph.order is not None and graph.order > 2000 and math.isnan(graph.cond_raw)
+    assert found.spectra == ()
+
+
+def test_published_procedure_with_too_many_unknowns(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engines, "MAX_UNKNOWNS", 40)
+    small, large = compare(twin, eop_sets=[2, 1], solvers="qr", backends="faithful", types=1).rows
+    assert not small.failure
+    assert large.left_out and "too many" in large.failure
+
+
+def test_single_image_has_no_published_procedure(twin: Block) -> None:
+    """The rows of the published procedure say why; the others come."""
+    o = twin.observations
+    control = np.isin(o.point, twin.points.where(Role.CONTROL))
+    block = replace(twin, images=twin.images[:1], observations=o.take((o.image == 0) & control))
+    found = compare(block, eop_sets=["A0"], solvers=["qr"])
+    assert [bool(r.failure) for r in found.rows] == [True, True, False, False]
+    assert "two images" in found.rows[0].failure
+    assert math.isnan(found.rows[-1].check_rmse_m)
+
+
+def test_without_priors_deficient_sets_are_rows_with_a_reason(twin: Block) -> None:
+    block = replace(twin, options=replace(twin.options, priors=False))
+    found = compare(block, eop_sets=[2, 5], solvers="qr", backends="dense,graph")
+    assert [bool(r.failure) for r in found.rows] == [False, False, True, True]
+    assert "not observable" in found.rows[-1].failure
+    assert {s.system for s in found.spectra} == {"adjustment"}
+
+
+def test_progress(twin: Block) -> None:
+    calls: list[tuple[int, int, str]] = []
+    compare(twin, eop_sets=[2], solvers="qr,svd", types="2", callback=lambda *call: calls.append(call))
+    assert [(done, total) for done, total, _ in calls] == [(k, 5) for k in range(1, 6)]
+    assert "set 2 PU0" in calls[0][2] and "type 2" in calls[0][2]
+
+
+def test_table_with_and_without_pandas(comparison: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = comparison.table
+    assert tuple(frame.columns) == COLUMNS and len(frame) == len(comparison.rows)
+    assert frame["check_rmse_m"].iloc[0] == comparison.rows[0].check_rmse_m
+    monkeypatch.setattr("fg_orient.comparison.model.find_spec", lambda name: None)
+    records = comparison.table
+    assert [tuple(r) for r in records] == [COLUMNS] * len(comparison.rows)
+
+
+def test_control_points_are_required(twin: Block) -> None:
+    points = twin.points
+    ties = tuple(Role.TIE if r is Role.CONTROL else r for r in points.roles)
+    block = replace(twin, points=GroundPoints(points.ids, ties, points.known))
+    for backends in ("faithful", "dense", "graph"):
+        with pytest.raises(fg.InputError) as caught:
+            compare(block, backends=backends)
+        assert caught.value.problems[0].code == "block.no_control"
