@@ -87,7 +87,8 @@ def _summary(runs: Array) -> _Runs:
 def _without_comparison(cell: PublishedCell, rule: Rule, runs: _Runs | None) -> Verdict | None:
     """Cells that hold nothing to compare; None for all others."""
     if not cell.text:
-        return Verdict("not_reproducible", "a statement in words" if cell.printed else "nothing is printed")
+        has_words = any(character.isalnum() for character in cell.printed)  # a dash says nothing
+        return Verdict("not_reproducible", "a statement in words" if has_words else "nothing is printed")
     if runs is None:
         return Verdict("not_reproducible", "a fact about the real data or a convention: nothing to compute")
     return None

@@ -1,0 +1,45 @@
+"""One run of each publication on the twin of seed 1, shared by all tests."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fg_orient.cells import CellKey
+from fg_orient.published import tables
+from fg_orient.published.tables import PublishedTables, load
+from fg_orient.reproduce.reproduction import SOURCES
+
+Computed = dict[CellKey, npt.NDArray[np.float64]]
+
+
+@pytest.fixture(scope="session")
+def printed() -> dict[str, PublishedTables]:
+    """The published tables as packaged."""
+    return {name: load(name) for name in SOURCES}
+
+
+@pytest.fixture(scope="session")
+def computed(printed: dict[str, PublishedTables]) -> dict[str, Computed]:
+    """All cells of both publications, seed 1."""
+    return {
+        name: source.compute(tuple(printed[name].titles), [1], as_run=False, progress=None)
+        for name, source in SOURCES.items()
+    }
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Callable[[str], Path]:
+    """Copy the published tables of a source into a folder that a test may spoil."""
+
+    def copy(name: str) -> Path:
+        folder = tmp_path / name
+        shutil.copytree(Path(tables.__file__).parent / name, folder)
+        return folder
+
+    return copy

@@ -1,0 +1,154 @@
+"""Published beside reproduced on one twin: coverage, independence of cells, and the numbers themselves."""
+
+from __future__ import annotations
+
+import csv
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fg_orient.cells import CellKey
+from fg_orient.errors import InputError
+from fg_orient.experiments.claims import all_claims
+from fg_orient.experiments.tables_twin import LEAST_SQUARES, twin
+from fg_orient.published.tables import PublishedTables, load
+from fg_orient.reproduce.reproduction import SOURCES, Row, pair, select
+
+Computed = dict[str, dict[CellKey, npt.NDArray[np.float64]]]
+Printed = dict[str, PublishedTables]
+
+
+def rows_of(name: str, printed: PublishedTables, computed: Computed) -> tuple[Row, ...]:
+    """All rows of a publication."""
+    return pair(printed, computed[name], SOURCES[name], tuple(printed.titles))
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_every_published_cell_is_computed_or_a_fact(name: str, printed: Printed, computed: Computed) -> None:
+    lacking = [c.key for c in printed[name].cells if c.key not in computed[name] and c.text and c.key.table != "text"]
+    assert lacking == []
+    rows = rows_of(name, printed[name], computed)
+    assert len(rows) == len(printed[name].cells)
+
+
+def test_counts_sets_and_members_agree_to_the_digit(printed: Printed, computed: Computed) -> None:
+    """What the two misprints of the source are is known (4.5: 188 for 198, 4.6: 18 for 14)."""
+    rows = [r for r in rows_of("terlemezoglu2019", printed["terlemezoglu2019"], computed) if r.printed]
+    counted = [r for r in rows if r.table.startswith("eq") or r.table in {"4.1", "4.2"} or "n_" in r.cell]
+    wrong = [(r.table, r.published, r.reproduced) for r in counted if r.verdict == "differs"]
+    assert wrong == [("eq4.5", 188.0, 198.0), ("eq4.6", 18.0, 14.0)]
+    assert sum(r.verdict == "equal" for r in counted) > 250
+
+
+def test_cells_equal_the_procedure_called_directly(computed: Computed) -> None:
+    run, cells = twin(1), computed["terlemezoglu2019"]
+    bundle = run.bundle(15, 2, "moore_penrose_inverse").accuracy
+    for k, axis in enumerate("xyz"):
+        key = CellKey("4.30", "15", "bundle", "2", "icp", f"rmse_{axis}", "moore_penrose_inverse")
+        assert cells[key][0] == pytest.approx(np.sqrt(np.mean(bundle.icp_m[:, k] ** 2)), rel=1e-9)
+    design, observed = run.pre_adjust(1, 15, LEAST_SQUARES).system.require_design("A")
+    normal = design.T @ design
+    key = CellKey("4.13", "15", "pre-right")
+    values = np.linalg.svd(normal, compute_uv=False)
+    assert cells[key._replace(quantity="rank")][0] == np.linalg.matrix_rank(normal)
+    assert cells[key._replace(quantity="cond_norm")][0] == pytest.approx(values[0] / values[-1], rel=1e-6)
+    assert cells[key._replace(quantity="det")][0] == pytest.approx(np.linalg.det(normal), rel=1e-6)
+    x = run.pre_adjust(0, 15, "cholesky_elimination").dP
+    assert cells[CellKey("4.20", "15", "pre-left", "", "", "dP", "cholesky_elimination", "ar1")][0] == x[10]
+    assert observed.shape == (74,)
+
+
+def test_correlations_equal_those_of_an_orthogonal_basis(computed: Computed) -> None:
+    """Independent: 1 / |column rejected from all but one other| gives the pair's correlation by determinants."""
+    design, _ = twin(1).pre_adjust(0, 1, LEAST_SQUARES).system.require_design("A")
+    a = design / np.linalg.norm(design, axis=0)
+    others = [k for k in range(9) if k not in (0, 3)]
+    q, _ = np.linalg.qr(a[:, others])
+    rest = a[:, [0, 3]] - q @ (q.T @ a[:, [0, 3]])
+    expected = abs(rest[:, 0] @ rest[:, 1]) / np.linalg.norm(rest[:, 0]) / np.linalg.norm(rest[:, 1])
+    key = CellKey("s4.2.2", "1", "pre-left", quantity="correlation", parameter="X0 Y0")
+    assert computed["terlemezoglu2019"][key][0] == pytest.approx(expected, rel=1e-6)
+
+
+def records_of(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    """Columns and records of a CSV file."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        reader = csv.DictReader(stream)
+        return list(reader.fieldnames or ()), list(reader)
+
+
+def alter(path: Path, row: int) -> CellKey:
+    """Move the value of one record by 40 decades, in place; give its key."""
+    columns, records = records_of(path)
+    of = records[row]
+    of["value"] = repr(float(of["value"]) * 1e40 + 1e40) if of["value"] not in ("", "nan") else "1e-40"
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(records)
+    return CellKey(of["table"], of["eop_set_no"], of["stage"], of["pre_adjustment_type"], of["point_role"],
+                   of["quantity"], of["method"], of.get("parameter", ""), of.get("point_set", ""))  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_one_altered_cell_changes_one_verdict(
+    name: str, printed: Printed, computed: Computed, copied: Callable[[str], Path]
+) -> None:
+    before = rows_of(name, printed[name], computed)
+    folder, rng, changed = copied(name), random.Random(5), 0
+    files = [path for path in sorted(folder.glob("table-*.csv")) if "quantity" in records_of(path)[0]]
+    places = [(path, row) for path in files for row in range(len(records_of(path)[1]))]
+    for path, row in rng.sample(places, 12):
+        original = path.read_bytes()
+        key = alter(path, row)
+        after = rows_of(name, load(name, folder), computed)
+        differing = [(b, a) for b, a in zip(before, after, strict=True) if repr(b) != repr(a)]
+        assert [(b.table, b.cell) for b, _ in differing] == [(key.table, str(key))]
+        changed += differing[0][0].verdict != differing[0][1].verdict
+        path.write_bytes(original)
+    assert changed >= 7, "40 decades must change most verdicts; what is wild or broken down stays so"
+
+
+def test_as_run_shows_the_constant_residual_of_the_program(printed: Printed) -> None:
+    """P-Table 1 prints 0.515, 0.169, 0.928 m after step 1: the program's matrices, not the points."""
+    source = SOURCES["topan2010"]
+    as_run = pair(printed["topan2010"], source.compute(("1",), [1], as_run=True, progress=None), source, ("1",))
+    gcp = [r for r in as_run if "pre-adjusted, gcp" in r.cell and "H-0" in r.cell]
+    norm = np.linalg.norm([r.reproduced for r in gcp])
+    assert len(gcp) == 3
+    assert 0.7 <= norm <= 1.0
+    assert {r.verdict for r in gcp} == {"order"}
+
+
+def test_without_as_run_the_residual_is_gone_and_the_sign_error_is_met(printed: Printed, computed: Computed) -> None:
+    rows = rows_of("topan2010", printed["topan2010"], computed)
+    left = [r for r in rows if r.table == "1" and "pre-adjusted, gcp" in r.cell]
+    assert all(r.reproduced < 1e-6 and r.verdict == "pattern" for r in left)
+    uncorrected = [r for r in rows if "uncorrected" in r.cell]
+    assert len(uncorrected) == 21
+    assert all(abs(r.reproduced / r.published - 1.0) < 0.03 for r in uncorrected)
+
+
+def test_claims_named_by_a_source_exist() -> None:
+    known = {claim.id for claim in all_claims()}
+    for source in SOURCES.values():
+        assert set(source.claims) <= known
+    assert known <= {claim for source in SOURCES.values() for claim in source.claims}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("", "abcde"), ("b", "b"), ("b-d", "bcd"), (" d , a-b ", "abd"), ("c,c-c", "c")],
+)
+def test_tables_are_chosen_by_name_and_range(text: str, expected: str) -> None:
+    assert "".join(select(text, tuple("abcde"))) == expected
+
+
+@pytest.mark.parametrize("text", ["f", "b-f", "d-b", "-b", "a-"])
+def test_unknown_tables_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="known, in order: a, b, c, d, e"):
+        select(text, tuple("abcde"))
