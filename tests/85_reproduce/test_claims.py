@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -51,7 +52,9 @@ def test_claims_over_thirty_seeds(first: int, capsys: pytest.CaptureFixture[str]
     missed = {r.id: r.reason for r in results if not r.met}
     assert missed.keys() == NOT_MET.keys(), missed
     for name, part in NOT_MET.items():
-        assert missed[name].startswith(part) and ";" not in missed[name], missed[name]
+        counts = dict(re.findall(r"([^;]+): not in (\d+) of 30", missed[name].replace("; ", ";")))
+        assert int(counts.pop(part)) > 3
+        assert all(int(count) <= 3 for count in counts.values()), missed[name]  # every other part is met
 
 
 @pytest.mark.slow
