@@ -110,9 +110,8 @@ def _heat_map(comparison: Comparison, role: str) -> Figure | None:
     axes.set_xlabel("EOP set")
     axes.tick_params(length=0)
     _separate(axes, [key[:2] for key in grouped])
-    bar = figure.colorbar(
-        image, ax=axes, location="top", shrink=0.8, aspect=40, pad=0.1 / figure.get_figheight(), extend="both"
-    )
+    pad = 0.1 / figure.get_figheight()
+    bar = figure.colorbar(image, ax=axes, location="top", shrink=0.8, aspect=40, pad=pad, extend="both")
     ticks = range(int(_DECADES[0]), int(_DECADES[1]) + 1)
     bar.set_ticks(list(ticks), labels=[_short(comparison.target_m * 10.0**k) for k in ticks])
     bar.set_label(f"RMSE at {role} points, m; white: target {comparison.target_m:.3g} m")
