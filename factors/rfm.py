@@ -5,8 +5,9 @@
 with l, s the normalised line and sample and f cubic polynomials of the normalised longitude x,
 latitude y and height z, 20 terms in RPC00B order (``factors.rfm_terms``). ``c`` (4, 20) holds line
 numerator, line denominator, sample numerator, sample denominator; both denominators have the
-constant 1, so where one is not positive a pole lies between the point and the model's centre: such
-a point has no image and gives nan.
+constant 1. Where one changes its sign the model has a pole, unless the numerator has nearly the same
+zeros, as in some vendors' files: then values are good on both sides, but not near. Nothing is hidden
+here; ``fg_orient.sensors.rpc`` looks for sign changes inside the image.
 
 ``offsets`` and ``scales`` (5,): line, sample (pixels), longitude, latitude (degrees), height (m).
 ``compensation`` (6,), pixels: shift of line and sample, drift of both with l, drift of both with s
@@ -57,11 +58,8 @@ def d_cubic(c: Any, k: int, x: Any, y: Any, z: Any) -> Any:
 
 @compiled
 def value(c: Any, x: Any, y: Any, z: Any) -> Any:
-    """Normalised line and sample of one point; nan beyond a pole."""
-    d_l, d_s = cubic(c, 1, x, y, z), cubic(c, 3, x, y, z)
-    if not (d_l.real > 0.0 and d_s.real > 0.0):
-        return np.nan + 0.0 * d_l, np.nan + 0.0 * d_s
-    return cubic(c, 0, x, y, z) / d_l, cubic(c, 2, x, y, z) / d_s
+    """Normalised line and sample of one point; not finite where a denominator is zero."""
+    return cubic(c, 0, x, y, z) / cubic(c, 1, x, y, z), cubic(c, 2, x, y, z) / cubic(c, 3, x, y, z)
 
 
 @compiled
@@ -123,7 +121,7 @@ def coefficient_jacobian(c: Array, ground: Array) -> Array:
 def project(
     c: Array, offsets: Array, scales: Array, compensation: Array, lon_deg: Array, lat_deg: Array, height_m: Array
 ) -> tuple[Array, Array]:
-    """Line and sample (pixels) of N points: three (N,) arrays -> two; nan beyond a pole.
+    """Line and sample (pixels) of N points: three (N,) arrays -> two; nan at a pole.
 
     Longitudes may differ from the offset by a full turn.
     """
@@ -136,6 +134,8 @@ def project(
         elif d < -180.0:
             d += 360.0
         l, s = value(c, d / scales[2], (lat_deg[i] - offsets[3]) / scales[3], (height_m[i] - offsets[4]) / scales[4])  # noqa: E741
+        if not (np.isfinite(l) and np.isfinite(s)):
+            l, s = np.nan, np.nan  # noqa: E741
         line[i] = offsets[0] + (scales[0] * l + (compensation[0] + compensation[2] * l + compensation[4] * s))
         sample[i] = offsets[1] + (scales[1] * s + (compensation[1] + compensation[3] * l + compensation[5] * s))
     return line, sample
@@ -145,7 +145,7 @@ def project(
 def locate(c: Array, scales: Array, image: Array, z: Array, start: Array) -> Array:
     """Normalised longitude and latitude of N normalised pixels at normalised heights, by Newton.
 
-    A step is halved while it would cross a pole or enlarge the misclosure.
+    A step is halved while it would enlarge the misclosure.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def locate(c: Array, scales: Array, image: Array, z: Array, start: Array) -> Arr
 
 @compiled
 def _misclosure(c: Any, scales: Any, l: float, s: float, x: float, y: float, z: float) -> Any:  # noqa: E741
-    """Normalised misclosures and the larger one in pixels (nan beyond a pole)."""
+    """Normalised misclosures and the larger one in pixels."""
     a, b = value(c, x, y, z)
     return l - a, s - b, max(abs((l - a) * scales[0]), abs((s - b) * scales[1]))
 

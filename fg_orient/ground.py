@@ -16,6 +16,7 @@ from factors import ellipsoid
 from fg_orient import initial
 from fg_orient.errors import InputError
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
+from fg_orient.sensors.rpc_sensor import RpcSensor
 
 if TYPE_CHECKING:
     from fg_orient.block import Image, ImagePoints
@@ -44,7 +45,9 @@ def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array
     ]  # fmt: skip
 
 
-def frame_records(sensor: PushbroomSensor, height_m: float | None = None, dem: HeightSurface | None = None) -> Records:
+def frame_records(
+    sensor: PushbroomSensor | RpcSensor, height_m: float | None = None, dem: HeightSurface | None = None
+) -> Records:
     """Locate the file's own frame points and compare them with the coordinates it states.
 
     Points are located at the height of the file (0 where it states none), unless a height or
@@ -52,7 +55,7 @@ def frame_records(sensor: PushbroomSensor, height_m: float | None = None, dem: H
 
     Parameters
     ----------
-    sensor : PushbroomSensor
+    sensor : PushbroomSensor or RpcSensor
     height_m : float, optional
         Ellipsoidal height for all points.
     dem : HeightSurface, optional
@@ -69,9 +72,9 @@ def frame_records(sensor: PushbroomSensor, height_m: float | None = None, dem: H
     InputError
         The file has no frame points.
     """
-    points = sensor.metadata.frame_points
-    if not points:
+    if isinstance(sensor, RpcSensor) or not sensor.metadata.frame_points:
         raise InputError.of("cli.no_frame", file=sensor.file, place="--frame")
+    points = sensor.metadata.frame_points
     line, sample = (np.array([getattr(p, axis) for p in points]) for axis in ("line", "sample"))
     heights = np.array([(p.height_m or 0.0) if height_m is None else height_m for p in points])
     ecef = sensor.locate(line, sample, dem=dem) if dem else sensor.locate(line, sample, height_m=heights)
@@ -89,7 +92,7 @@ def frame_records(sensor: PushbroomSensor, height_m: float | None = None, dem: H
     return records
 
 
-def pixel_records(sensor: PushbroomSensor, ids: Sequence[str], ecef_m: Array) -> Records:
+def pixel_records(sensor: PushbroomSensor | RpcSensor, ids: Sequence[str], ecef_m: Array) -> Records:
     """Project ground points (n, 3) ECEF m: id, line, sample and ``inside``.
 
     Outside the image line and sample are the linear continuation from its border; nan where the

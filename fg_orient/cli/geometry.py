@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from fg_orient.block import Image, ImagePoints
     from fg_orient.sensors.pushbroom import PushbroomSensor
+    from fg_orient.sensors.rpc_sensor import RpcSensor
     from fg_orient.sensors.surface import RasterDem
 
     Array = npt.NDArray[np.float64]
@@ -31,7 +32,7 @@ SHOWN_FRAME = ("id", "lon_deg", "lat_deg", "misfit_m", "misfit_east_m", "misfit_
 PIXEL = ("id", "line", "sample", "inside")
 
 ImageFile = Annotated[
-    Path, typer.Argument(metavar="IMAGE", help="Metadata file of the image (DIMAP).", show_default=False)
+    Path, typer.Argument(metavar="IMAGE", help="Metadata file of the image (DIMAP, RPC).", show_default=False)
 ]
 Out = Annotated[Path | None, typer.Option("--out", help="Write the points into this CSV file, too.")]
 Points = Annotated[Path | None, typer.Option("--points", help="CSV file of points; columns see below.")]
@@ -90,7 +91,7 @@ def _dem(path: Path | None) -> RasterDem | None:
 
 
 def _located(
-    sensor: PushbroomSensor, image: Path, points: Path | None, pixel: tuple[float | None, float | None],
+    sensor: PushbroomSensor | RpcSensor, image: Path, points: Path | None, pixel: tuple[float | None, float | None],
     height: float | None, dem: RasterDem | None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Records of one pixel or of a CSV file of pixels."""
@@ -258,8 +259,8 @@ def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[li
 
 
 def _publish(
-    sensor: PushbroomSensor, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None, overwrite: bool,
-    as_json: bool,
+    sensor: PushbroomSensor | RpcSensor, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None,
+    overwrite: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Write the CSV file if asked; print JSON or a table."""
     if out is not None:

@@ -12,6 +12,8 @@ from typing import Final
 
 from fg_orient.messages.dense import CLASSICAL, COMPARE, LINEAR, PUBLISHED, REPRODUCE
 from fg_orient.messages.files import DEM, DIMAP, GEODESY, OBSERVATIONS, POINTS, PROJECT, SENSOR, TABLE, XML
+from fg_orient.messages.rfm import RFM
+from fg_orient.messages.rpc import RPC
 from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPORT, SIMULATE
 
 CATALOGUE: Final[dict[str, tuple[str, str]]] = {
@@ -37,4 +39,6 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **REPRODUCE,
     **CLASSICAL,
     **COMPARE,
+    **RPC,
+    **RFM,
 }

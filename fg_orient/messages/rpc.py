@@ -1,0 +1,69 @@
+"""Messages of rational function models (RPC): the model itself and its files."""
+
+from __future__ import annotations
+
+from typing import Final
+
+RPC: Final = {
+    "rpc.shape": ("the array must have the shape {shape}", "give 5 offsets, 5 scales and 4 x 20 coefficients"),
+    "rpc.not_finite": ("a value is not finite", "use the original file"),
+    "rpc.zero_scale": ("a scale of zero", "use the original file; a scale is half the range of its coordinate"),
+    "rpc.denominator_constant": (
+        "the constant of a denominator must be 1",
+        "divide all 40 coefficients of this coordinate by it",
+    ),
+    "rpc.pole": (
+        "the denominator is not positive everywhere inside the image: the model fails near there",
+        "fit it again with fewer or regularised coefficients, or take it as it is: RpcSensor(model, poles=True)",
+    ),
+    "rpc.outside": (
+        "the point lies outside the validity range of the model",
+        "valid: longitude {lon}, latitude {lat}, height {height} m; check the order of the coordinates",
+    ),
+    "rpc.no_direct": (
+        "the file holds no coefficients from image to ground",
+        "use locate(), which inverts the projection by iteration",
+    ),
+    "rpc.no_ground": (
+        "the pixel has no ground point at this height",
+        "the model is valid for heights of {height} m (ellipsoidal)",
+    ),
+    "rpc.pixel_outside": (
+        "pixel outside the image",
+        "lines run from {line}, samples from {sample}; (0, 0) is the first pixel's centre",
+    ),
+    "rpc.compensation": (
+        "compensation needs {count} finite numbers",
+        "give pixels: shift, drift with the line, drift with the sample, each of line and sample",
+    ),
+    "rpc.coefficient_count": ("needs 20 coefficients, {count} given", "use the original file"),
+    "rpc.list_count": (
+        "a list of RPC holds 90 numbers",
+        "give 5 offsets, 5 scales (line, sample, latitude, longitude, height) and 4 x 20 coefficients",
+    ),
+    "rpc.missing": ("{field} is missing", "use the complete RPC file of the product"),
+    "rpc.doubled": ("{field} is given twice", "remove the wrong one"),
+    "rpc.not_a_number": ("not a plain finite number", "write it as 123.456 or 1.23e-4, with a decimal point"),
+    "rpc.syntax": ("the line cannot be understood", "write {expected}"),
+    "rpc.order": (
+        "the coefficients are in the order {found}, not {asked}",
+        "if the file is right, say so: read_rpc(path, order='{found}')",
+    ),
+    "rpc.unknown_order": ("no such order of coefficients", "known: {known}"),
+    "rpc.origin": (
+        "a plain list of numbers does not say which pixel coordinate the first pixel has",
+        "say it: read_rpc(path, first_pixel=0), or first_pixel=1 for Pléiades",
+    ),
+    "rpc.unknown_format": (
+        "no RPC file that can be read",
+        "known: {known}",
+    ),
+    "rpc.no_tags": ("the image holds no RPC", "give the RPC file that lies beside it"),
+    "rpc.no_rasterio": ("RPC in images need rasterio", "install the extra: pip install 'fg-orient[geo]'"),
+    "rpc.unreadable": ("the file cannot be read", "give a readable file"),
+    "rpc.tags_target": (
+        "RPC tags are written into an existing GeoTIFF",
+        "give the image itself, or a name that ends with _RPC.TXT, .RPB or .XML",
+    ),
+    "rpc.target": ("the name does not say in which format to write", "end it with _RPC.TXT, .RPB, .XML or .TIF"),
+}

@@ -1,0 +1,197 @@
+"""The sensor of an image with a rational function model, with the methods of ``PushbroomSensor``.
+
+Ground points are ECEF metres; pixels (line, sample), (0, 0) = centre of the first pixel. Image-space
+compensation is (6,) pixels, see ``factors.rfm``.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import ellipsoid, rfm_equation
+from fg_orient.errors import InputError, OutOfImage, problem
+from fg_orient.geodesy import geodetic_to_ecef
+from fg_orient.sensors.correction import HeightSurface
+from fg_orient.sensors.rpc import Range, RpcModel, same_length, span
+from fg_orient.sensors.surface import on_surface
+
+Array = npt.NDArray[np.float64]
+
+#: RPC know no projection centre: positions of rays lie this far up the line of sight.
+RAY_START_M = 5e5
+#: Rays to a DEM are taken between heights this far above and below its own.
+DEM_MARGIN_M = 50.0
+
+
+class RpcSensor:
+    """An image with a rational function model.
+
+    Parameters
+    ----------
+    model : RpcModel
+        As read from a file or fitted.
+
+    poles : bool
+        Take the model even if a denominator changes its sign inside the image.
+
+    Raises
+    ------
+    InputError
+        A denominator is not positive somewhere inside the image, and ``poles`` is False.
+    """
+
+    def __init__(self, model: RpcModel, *, poles: bool = False) -> None:
+        if not poles:
+            model.require_no_pole()
+        self.model = model
+        (self.first_line, self.last_line), (self.first_sample, self.last_sample) = (
+            model.validity.line,
+            model.validity.sample,
+        )
+        self.n_lines = model.n_lines or math.floor(self.last_line) + 1
+        self.n_samples = model.n_samples or math.floor(self.last_sample) + 1
+        self.notes = model.notes
+
+    @property
+    def file(self) -> str:
+        """Name of the file of the model."""
+        return self.model.file
+
+    def records(
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, reference_m: Array, origin_m: Array | None = None
+    ) -> Array:
+        """Constants of the equation ``rational_function`` for N image points, unwhitened: (N, 104).
+
+        ``reference_m`` (N, 3) or (3,): ECEF points near the observed ones; differences are formed
+        against them. ``origin_m`` (3,): local origin of the ground unknowns, ECEF (default 0).
+        """
+        line, sample = same_length(line, sample)
+        reference = np.ascontiguousarray(np.broadcast_to(np.asarray(reference_m, float), (len(line), 3)))
+        geodetic = ellipsoid.geodetic_array(reference)
+        m = self.model
+        out = np.zeros((len(line), rfm_equation.RECORD_SIZE))
+        out[:, 0], out[:, 1], out[:, 2], out[:, 5] = line, sample, 1.0, 1.0
+        out[:, 6:8], out[:, 8:10] = m.offsets[:2], m.scales[:2]
+        degrees = np.degrees(geodetic[:, :2])
+        degrees[:, 0] -= 360.0 * np.round((degrees[:, 0] - m.offsets[2]) / 360.0)
+        out[:, 10:12] = (degrees - m.offsets[2:4]) / m.scales[2:4]
+        out[:, 12] = (geodetic[:, 2] - m.offsets[4]) / m.scales[4]
+        out[:, 13:15], out[:, 15] = np.radians(m.scales[2:4]), m.scales[4]
+        out[:, 16:19] = reference if origin_m is None else reference - origin_m
+        out[:, 19], out[:, 20] = np.sin(geodetic[:, 0]), np.cos(geodetic[:, 0])
+        out[:, 21], out[:, 22], out[:, 23] = np.sin(geodetic[:, 1]), np.cos(geodetic[:, 1]), geodetic[:, 2]
+        out[:, 24:] = m.coefficients.ravel()
+        return out
+
+    # --- image to ground ---------------------------------------------------------------------
+
+    def rays(
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, compensation: npt.ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Points 500 km up the lines of sight (N, 3) m and unit viewing directions (N, 3) in ECEF.
+
+        The lines join the ground points at the lowest and the highest valid height.
+
+        Raises
+        ------
+        InputError
+            A pixel has no ground point at these heights.
+        """
+        return self._rays(line, sample, self.model.validity.height_m, compensation)
+
+    def _rays(
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, heights: Range, compensation: npt.ArrayLike | None
+    ) -> tuple[Array, Array]:
+        line, sample = same_length(line, sample)
+        low, high = (self._at_height(line, sample, np.full(len(line), h), compensation) for h in heights)
+        direction = low - high
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        return high - RAY_START_M * direction, direction
+
+    def _at_height(self, line: Array, sample: Array, h: Array, compensation: npt.ArrayLike | None) -> Array:
+        """Ground points (N, 3) ECEF m at ellipsoidal heights."""
+        lon, lat = self.model.locate(line, sample, h, compensation)
+        if np.isnan(lon).any():
+            bad = int(np.flatnonzero(np.isnan(lon))[0])
+            place, value = f"line {line[bad]:g}, sample {sample[bad]:g}", f"height {h[bad]:g} m"
+            raise InputError.of(
+                "rpc.no_ground", file=self.file, place=place, value=value, height=span(self.model.validity.height_m)
+            )
+        return geodetic_to_ecef(lon, lat, h)
+
+    def locate(
+        self,
+        line: npt.ArrayLike,
+        sample: npt.ArrayLike,
+        *,
+        height_m: npt.ArrayLike | None = None,
+        dem: HeightSurface | None = None,
+        compensation: npt.ArrayLike | None = None,
+    ) -> Array:
+        """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights (default 0), or on a DEM.
+
+        On a DEM the straight line of sight over its heights is followed, and the model is asked again at
+        the height found: the pixel is kept exactly.
+
+        Raises
+        ------
+        OutOfImage
+            A pixel lies outside the image.
+        InputError
+            A pixel has no ground point at its height, or the DEM does not cover it.
+        """
+        line, sample, h = same_length(line, sample, 0.0 if height_m is None else height_m)
+        self.require_inside(line, sample)
+        if dem is not None:
+            low, high = dem.range_m
+            p, u = self._rays(line, sample, (low - DEM_MARGIN_M, high + DEM_MARGIN_M), compensation)
+            h = np.ascontiguousarray(ellipsoid.geodetic_array(on_surface(p, u, dem, self.file))[:, 2])
+        return self._at_height(line, sample, h, compensation)
+
+    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
+        """Tell which pixels lie in the image, half a pixel of border included."""
+        inside = (line >= self.first_line - 0.5) & (line <= self.last_line + 0.5)
+        return np.asarray(inside & (sample >= self.first_sample - 0.5) & (sample <= self.last_sample + 0.5))
+
+    def require_inside(self, line: Array, sample: Array) -> None:
+        """Refuse pixels outside the image.
+
+        Raises
+        ------
+        OutOfImage
+            Names the first one and the image's range.
+        """
+        bad = np.flatnonzero(~self.is_inside(line, sample))
+        if len(bad):
+            raise OutOfImage(problem(
+                "rpc.pixel_outside", file=self.file, place=f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}",
+                value=f"{len(bad)} pixel(s)", line=span((self.first_line - 0.5, self.last_line + 0.5)),
+                sample=span((self.first_sample - 0.5, self.last_sample + 0.5)),
+            ))  # fmt: skip
+
+    # --- ground to image ---------------------------------------------------------------------
+
+    def project(self, ground_m: npt.ArrayLike, compensation: npt.ArrayLike | None = None) -> tuple[Array, Array]:
+        """Line and sample of N ECEF points (N, 3) m; nan at a pole of the model.
+
+        Points outside the image or the validity range get what the rational function gives
+        (:meth:`is_inside`, ``model.inside`` tell them).
+        """
+        lon, lat, h = ellipsoid.geodetic_array(np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))).T
+        return self.model.project(np.degrees(lon), np.degrees(lat), h, compensation)
+
+    @cached_property
+    def centre_m(self) -> Array:
+        """Ground point of the image centre at the model's mean height, ECEF m (3,)."""
+        line, sample = 0.5 * (self.first_line + self.last_line), 0.5 * (self.first_sample + self.last_sample)
+        return np.asarray(self.locate(line, sample, height_m=self.model.offsets[4])[0])
+
+    def footprint(self) -> Array:
+        """Corners at the model's mean height in image order (clockwise): (4, 2) longitude, latitude in degrees."""
+        line = np.array([self.first_line, self.first_line, self.last_line, self.last_line])
+        sample = np.array([self.first_sample, self.last_sample, self.last_sample, self.first_sample])
+        return np.stack(self.model.locate(line, sample, self.model.offsets[4]), axis=1)
