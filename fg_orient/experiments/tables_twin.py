@@ -19,7 +19,8 @@ from fg_orient.parameters import eop_codes
 from fg_orient.simulate.zonguldak import zonguldak_block
 
 Array = npt.NDArray[np.float64]
-#: Cells of one run; several values where the source leaves open which of several computations it shows.
+# Cells of one run; several values where the source leaves open which of several computations it shows.
+# (No '#:': autodoc cannot format this alias.)
 Cells = dict[CellKey, float | list[float]]
 #: Told after each run: runs done, runs in all.
 Progress = Callable[[int, int], None]

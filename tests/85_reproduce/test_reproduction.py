@@ -102,7 +102,7 @@ def test_one_altered_cell_changes_one_verdict(
     folder, rng, changed = copied(name), random.Random(5), 0
     files = [path for path in sorted(folder.glob("table-*.csv")) if "quantity" in records_of(path)[0]]
     places = [(path, row) for path in files for row in range(len(records_of(path)[1]))]
-    for path, row in rng.sample(places, 12):
+    for path, row in rng.sample(places, 8):
         original = path.read_bytes()
         key = alter(path, row)
         after = rows_of(name, load(name, folder), computed)
@@ -110,7 +110,7 @@ def test_one_altered_cell_changes_one_verdict(
         assert [(b.table, b.cell) for b, _ in differing] == [(key.table, str(key))]
         changed += differing[0][0].verdict != differing[0][1].verdict
         path.write_bytes(original)
-    assert changed >= 7, "40 decades must change most verdicts; what is wild or broken down stays so"
+    assert changed >= 5, "40 decades must change most verdicts; what is wild or broken down stays so"
 
 
 def test_as_run_shows_the_constant_residual_of_the_program(printed: Printed) -> None:

@@ -23,9 +23,13 @@ def tree(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "module", ["experiments/tables_spot5.py", "classical/two_stage.py", "cli/reproduce.py", "linear/inverses.py"]
+    ("module", "line"),
+    [
+        ("experiments/tables_spot5.py", "import fg_orient.published.tables"),
+        ("classical/two_stage.py", "def f():\n    import fg_orient.published"),
+        ("cli/reproduce.py", "def f():\n    from fg_orient.published.tables import load"),
+    ],
 )
-@pytest.mark.parametrize("line", ["import fg_orient.published.tables", "def f():\n    import fg_orient.published"])
 def test_planted_import_is_caught(tree: Path, module: str, line: str) -> None:
     path = tree / "fg_orient" / module
     text = path.read_text("utf-8")
