@@ -22,7 +22,7 @@ from factors._contract import Argument, Array, Equation, Example, compiled, regi
 #: and cos of its latitude, its height 19:24; coefficients 24:104, (4, 20) row-major.
 RECORD_SIZE: Final = 104
 #: Setup: codes of the unknowns and their prior sigmas (px). Code k is element k of ``compensation`` of
-#: ``factors.rfm``: 0 line shift, 1 sample shift, 2 and 3 drift of line and sample with the normalised line,
+#: ``factors.rfm_project``: 0 line shift, 1 sample shift, 2 and 3 drift of line and sample with the normalised line,
 #: 4 and 5 with the normalised sample (px at the end of the range).
 COMPENSATIONS: Final = {"shift": (0, 1), "drift": (0, 1, 2, 3), "affine": (0, 1, 2, 3, 4, 5)}
 N_COMPENSATION: Final = 6

@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from factors import ellipsoid, ephemeris, pushbroom, rfm, rfm_equation, rotations
+from factors import ellipsoid, ephemeris, pushbroom, rfm, rfm_equation, rfm_project, rotations
 
 
 def compile_kernels() -> float:
@@ -44,5 +44,5 @@ def _compile_rational_function() -> None:
     c, ground = e.record[24:].reshape(4, 20).copy(), np.zeros((2, 3))
     rfm.values(c, ground)
     rfm.denominators(c, ground)
-    rfm.locate(c, np.ones(5), np.zeros((2, 2)), np.zeros(2), np.zeros((2, 2)))
-    rfm.project(c, np.ones(5), np.ones(5), np.zeros(6), *ground.T.copy())
+    rfm_project.locate(c, np.ones(5), np.zeros((2, 2)), np.zeros(2), np.zeros((2, 2)))
+    rfm_project.project(c, np.ones(5), np.ones(5), np.zeros(6), *ground.T.copy())

@@ -2,7 +2,7 @@
 
 ``fg_orient.sensors.rpc_sensor`` uses it on ECEF metres. Pixels are (line, sample), (0, 0) = centre of the first pixel:
 readers have taken the file's own origin off (docs/rpc.md). Image-space compensation is (6,) pixels, see
-``factors.rfm``. Models without inverse coefficients are inverted by iteration; vendor inverse
+``factors.rfm_project``. Models without inverse coefficients are inverted by iteration; vendor inverse
 coefficients serve as first guess only.
 """
 
@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from factors import rfm, rfm_equation
+from factors import rfm, rfm_equation, rfm_project
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -135,7 +135,7 @@ class RpcModel:
         nan where a denominator is zero; see :meth:`require_no_pole`.
         """
         lon, lat, h = same_length(lon_deg, lat_deg, height_m)
-        return rfm.project(
+        return rfm_project.project(
             self.coefficients, self.offsets, self.scales, checked_compensation(compensation), lon, lat, h
         )
 
@@ -187,10 +187,10 @@ class RpcModel:
         if self.direct is not None:
             start = rfm.values(self.direct, np.stack([image[:, 1], image[:, 0], z], axis=1))
             start = np.where(np.isfinite(start).all(axis=1, keepdims=True), start, origin)
-        xy = rfm.locate(self.coefficients, self.scales, image, z, start)
+        xy = rfm_project.locate(self.coefficients, self.scales, image, z, start)
         lost = np.isnan(xy[:, 0])
         if self.direct is not None and lost.any():  # the vendor's guess was the fault
-            xy[lost] = rfm.locate(self.coefficients, self.scales, image[lost], z[lost], origin[lost])
+            xy[lost] = rfm_project.locate(self.coefficients, self.scales, image[lost], z[lost], origin[lost])
         lon = self.offsets[2] + self.scales[2] * xy[:, 0]
         return lon - 360.0 * np.round(lon / 360.0), self.offsets[3] + self.scales[3] * xy[:, 1]
 
@@ -261,7 +261,7 @@ class RpcModel:
         for h in np.linspace(*v.height_m, POLE_GRID):
             z = np.full(4, (h - self.offsets[4]) / self.scales[4])
             image = self._without_compensation(line, sample, NO_COMPENSATION)
-            corner = rfm.locate(self.coefficients, self.scales, image, z, np.zeros((4, 2)))
+            corner = rfm_project.locate(self.coefficients, self.scales, image, z, np.zeros((4, 2)))
             if not np.isfinite(corner).all():  # a pole bars the way to a corner: look at the whole cube
                 corner = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
             xy = (1 - w) * ((1 - u) * corner[0] + u * corner[1]) + w * ((1 - u) * corner[2] + u * corner[3])

@@ -1,7 +1,7 @@
 """The sensor of an image with a rational function model, with the methods of ``PushbroomSensor``.
 
 Ground points are ECEF metres; pixels (line, sample), (0, 0) = centre of the first pixel. Image-space
-compensation is (6,) pixels, see ``factors.rfm``.
+compensation is (6,) pixels, see ``factors.rfm_project``.
 """
 
 from __future__ import annotations
