@@ -1,0 +1,1 @@
+"""Rational function models from control points or from a rigorous sensor: fitting, judging, choosing terms."""
