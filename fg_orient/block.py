@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -19,11 +19,13 @@ from fg_orient.names import Role
 
 if TYPE_CHECKING:
     from factors._contract import Equation
-    from fg_orient.sensors.pushbroom import PushbroomSensor
+    from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 CheckPoints = Literal["use", "exclude"]
+RpcCompensation = Literal["shift", "shift_drift", "affine"]
+Datum = Literal["control", "priors"]
 
 #: Bounds of options, both ends included; the project file's schema takes them from here.
 EOP_SET_RANGE: Final = (1, 20)
@@ -40,6 +42,10 @@ EXPECTED: Final = {
     "velocity_sigma_m_s": f"{_THREE} in m/s",
     "attitude_sigma_rad": f"{_THREE} in rad",
     "look_sigma_rad": "a number above zero in rad",
+    "rpc_compensation": " or ".join(f'"{word}"' for word in get_args(RpcCompensation)),
+    "rpc_shift_sigma_px": "a number above zero in pixels",
+    "rpc_linear_sigma_px": "a number above zero in pixels",
+    "datum": " or ".join(f'"{word}"' for word in get_args(Datum)),
     "small_angle": "true or false",
     "solver": "the name of a linear solver in quotes; leave it out for the default",
     "max_iterations": f"a whole number from {ITERATION_RANGE[0]} to {ITERATION_RANGE[1]}",
@@ -56,12 +62,60 @@ def _read_only(record: object, **kinds: type) -> None:
         object.__setattr__(record, name, array)
 
 
+class Sensor(Protocol):
+    """What every sensor can do: pixels (line, sample) with (0, 0) = centre of the first pixel, ECEF metres.
+
+    ``correction`` is what the image's adjustment gives (``Solution.correction``); None is the metadata.
+    """
+
+    n_lines: int
+    n_samples: int
+    notes: tuple[str, ...]
+
+    @property
+    def file(self) -> str:
+        """Name of the metadata file."""
+        ...
+
+    @property
+    def centre_m(self) -> Array:
+        """Ground point of the image centre, ECEF m (3,)."""
+        ...
+
+    def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Any = None, /) -> tuple[Array, Array]:
+        """Points on the lines of sight (N, 3) m, above the ground, and unit directions (N, 3), ECEF."""
+        ...
+
+    def project(self, ground_m: npt.ArrayLike, correction: Any = None, /) -> tuple[Array, Array]:
+        """Line and sample (N,) of ECEF points (N, 3)."""
+        ...
+
+    def locate(
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, /, *, height_m: npt.ArrayLike | None = None,
+        dem: HeightSurface | None = None,
+    ) -> Array:  # fmt: skip
+        """Ground points (N, 3) ECEF m at ellipsoidal heights or on a DEM."""
+        ...
+
+    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
+        """Tell which pixels lie in the image."""
+        ...
+
+    def require_inside(self, line: Array, sample: Array) -> None:
+        """Refuse pixels outside the image."""
+        ...
+
+    def footprint(self) -> Array:
+        """Corners in image order: (4, 2) longitude, latitude in degrees."""
+        ...
+
+
 @dataclass(frozen=True)
 class Image:
     """One image: its id and the sensor that binds its metadata to the equations."""
 
     id: str
-    sensor: PushbroomSensor
+    sensor: Sensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +230,15 @@ class Options:
         Prior sigmas of c0, c1, c2 of tau.
     look_sigma_rad : float
         Prior sigma of each coefficient of the look polynomial.
+    rpc_compensation : str
+        Image-space compensation of RPC images: "shift", "shift_drift" or "affine".
+    rpc_shift_sigma_px, rpc_linear_sigma_px : float
+        Prior sigmas of the shift, and of drift and affine terms at the ends of the image (there the model's
+        normalised line or sample is -1 or 1), pixels. Vendor RPC of metre-resolution images are off by some
+        ten pixels of shift and by a pixel or less in the other terms.
+    datum : str
+        "control": control points hold the block in the world, a block without any is refused; "priors": a
+        relative adjustment, the priors hold it where no control point does.
     small_angle : bool
         True linearises the attitude rotation in its angles, as the publications do; False keeps it exact.
     backend : str
@@ -203,6 +266,10 @@ class Options:
     velocity_sigma_m_s: tuple[float, float, float] = (1e-2, 1e-3, 1e-4)
     attitude_sigma_rad: tuple[float, float, float] = (50e-6, 10e-6, 2e-6)
     look_sigma_rad: float = 1e-4
+    rpc_compensation: RpcCompensation = "shift"
+    rpc_shift_sigma_px: float = 100.0
+    rpc_linear_sigma_px: float = 10.0
+    datum: Datum = "control"
     small_angle: bool = False
     backend: str = "auto"
     solver: str | None = None
@@ -235,7 +302,11 @@ def _allowed(name: str, value: Any) -> bool:
             return isinstance(value, bool | np.bool_)
         case "check_points":
             return isinstance(value, str) and value in get_args(CheckPoints)
-        case "look_sigma_rad":
+        case "rpc_compensation":
+            return isinstance(value, str) and value in get_args(RpcCompensation)
+        case "datum":
+            return isinstance(value, str) and value in get_args(Datum)
+        case "look_sigma_rad" | "rpc_shift_sigma_px" | "rpc_linear_sigma_px":
             return _positive(value)
     return isinstance(value, tuple | list) and len(value) == 3 and all(_positive(v) for v in value)
 

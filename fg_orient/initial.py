@@ -7,14 +7,13 @@ The point nearest to all rays solves ``sum (I - u u^T) X = sum (I - u u^T) P``
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Image, ImagePoints
+from fg_orient.block import Image, ImagePoints, Sensor
 from fg_orient.errors import InputError, Problem, problem
-from fg_orient.sensors.correction import Correction
-from fg_orient.sensors.pushbroom import PushbroomSensor
 
 Array = npt.NDArray[np.float64]
 
@@ -28,7 +27,7 @@ def missing_rows(coordinates_m: Array) -> npt.NDArray[np.bool_]:
 
 
 def all_rays(
-    images: tuple[Image, ...], observations: ImagePoints, corrections: list[Correction] | None = None
+    images: tuple[Image, ...], observations: ImagePoints, corrections: Sequence[Any] | None = None
 ) -> tuple[Array, Array]:
     """Projection centres and unit directions (n, 3) of all image points, ECEF."""
     centre = np.empty((len(observations), 3))
@@ -99,19 +98,19 @@ def _behind(points_m: Array, centre_m: Array, direction: Array, point: npt.NDArr
 
 
 def intersect(
-    sensors: Sequence[PushbroomSensor],
+    sensors: Sequence[Sensor],
     line: npt.ArrayLike,
     sample: npt.ArrayLike,
-    corrections: Sequence[Correction | None] | None = None,
+    corrections: Sequence[Any] | None = None,
 ) -> Array:
     """Ground points seen by every sensor: stereo and multi-ray intersection.
 
     Parameters
     ----------
-    sensors : sequence of k PushbroomSensor, at least two
+    sensors : sequence of k sensors, at least two
     line, sample : (k,) or (k, N) arrays
         Pixels of the same points in each image, (0, 0) = centre of the first pixel.
-    corrections : sequence of k Correction or None, optional
+    corrections : sequence of k corrections as the sensors take them, or None, optional
         Adjusted orientation, for instance ``solution.correction("left")``.
 
     Returns
@@ -153,7 +152,7 @@ def ground_points(
     observations: ImagePoints,
     ids: tuple[str, ...],
     known_m: Array,
-    corrections: list[Correction] | None = None,
+    corrections: Sequence[Any] | None = None,
 ) -> Array:
     """Start coordinates (N, 3) ECEF m: known ones as given, the others intersected.
 

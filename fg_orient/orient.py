@@ -27,7 +27,6 @@ from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.observability import BlockObservability, ImageObservability, analyse, analyse_block
-from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.solution import Seconds, Solution
 
 Array = npt.NDArray[np.float64]
@@ -44,6 +43,8 @@ def adjust(
     optimizer: str | None = None,
     max_iterations: int | None = None,
     check_points: str | None = None,
+    rpc_compensation: str | None = None,
+    datum: str | None = None,
     callback: Callback | None = None,
 ) -> Solution:
     """Adjust a block; arguments override the options of its project file.
@@ -60,6 +61,10 @@ def adjust(
     backend, solver, optimizer, max_iterations, check_points : optional
         See :class:`fg_orient.block.Options`; ``backend="dense", solver="cholesky_elimination"`` solves the
         same equations as full matrices with a linear solver of the registry.
+    rpc_compensation : str, optional
+        Unknowns of RPC images: "shift", "shift_drift" or "affine".
+    datum : str, optional
+        "priors" adjusts a block without control points, relatively.
     callback : callable, optional
         Called with an ``IterationRecord`` after each iteration.
 
@@ -78,6 +83,7 @@ def adjust(
         "eop_set": None if eop_set is None else eop_set_number(eop_set),
         "look_polynomial": look_polynomial, "priors": priors, "backend": backend, "solver": solver,
         "optimizer": optimizer, "max_iterations": max_iterations, "check_points": check_points,
+        "rpc_compensation": rpc_compensation, "datum": datum,
     }  # fmt: skip
     options = replace(block.options, **{k: v for k, v in given.items() if v is not None})
     jit_s = compile_kernels()
@@ -95,28 +101,17 @@ def judge_observability(compiled: Problem, state: State | None = None) -> tuple[
     """Singular values of each image's whitened Jacobian at a state (default: the start)."""
     _, j_image, _ = compiled.image_residuals(state or compiled.start, jacobian=True)
     out = []
-    for k, image in enumerate(compiled.block.images):
+    for k, (image, model) in enumerate(zip(compiled.block.images, compiled.models, strict=True)):
         rows = np.flatnonzero(compiled.observations.image == k)
-        width = len(compiled.parameters)
-        jacobian = np.vstack([j_image[r] for r in rows]) if len(rows) else np.zeros((0, width))
-        frame, speed = _central_frame(image.sensor)
-        out.append(
-            analyse(image.id, jacobian, compiled.parameters, frame, speed if image.sensor.follows_orbit else None)
-        )
+        jacobian = np.vstack([j_image[r] for r in rows]) if len(rows) else np.zeros((0, len(model.parameters)))
+        out.append(analyse(image.id, jacobian, model))
     return tuple(out)
 
 
-def _central_frame(sensor: PushbroomSensor) -> tuple[Array, float]:
-    """Orbital frame at the image centre (columns across, along, radial) and the speed along it."""
-    from factors.rotations import orbital_frames
-
-    state = sensor.states((sensor.n_lines - 1) / 2.0)
-    frame = orbital_frames(state.position_m, state.velocity_m_s)[0]
-    return frame, float(state.velocity_m_s[0] @ frame[:, 1])
-
-
 def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability, ...]) -> BlockObservability | None:
-    """Refuse a block whose unknowns nothing determines; without priors, give the view of the whole block.
+    """Refuse a block whose unknowns nothing determines; give the view of the whole block where it is wanted.
+
+    It is wanted without priors, and where the priors hold the datum.
 
     Raises
     ------
@@ -124,7 +119,7 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
         One problem per direction that no image shows, or that no control point fixes.
     """
     if compiled.block.options.priors:
-        return None
+        return analyse_block(compiled) if compiled.block.options.datum == "priors" else None
     defect = {o.image: o.rank_defect for o in observability}
     counts = {
         "n_observations": compiled.n_observations,
@@ -169,7 +164,8 @@ def conclude(
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
         state=estimate.state, ground_m=ground, chi2=estimate.chi2,
         sigma0_interval=found.interval, log=estimate.log, iterations=estimate.iterations,
-        residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, accuracy=accuracy,
+        residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
+        accuracy=accuracy,
         cofactors=cofactors, withheld=withheld, warnings=warnings,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, time.perf_counter() - start),
     )  # fmt: skip

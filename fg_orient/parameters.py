@@ -24,6 +24,8 @@ COMPONENTS = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")
 UNITS = ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
 POSITION, VELOCITY, ATTITUDE = (0, 1, 2), (3, 4, 5), (6, 7, 8)
 N_EOP = 27
+#: Degrees of tau in words.
+DEGREES = ("constant", "linear in time", "quadratic in time")
 
 _KINDS = {"PU": POSITION, "V": VELOCITY, "A": ATTITUDE}
 #: Number, name, kinds and degrees of each set; PU = position, V = velocity, A = attitude.
@@ -60,66 +62,49 @@ def eop_codes(number: int) -> tuple[int, ...]:
     return tuple(3 * c + k for kind in kinds for c in _KINDS[kind] for k in degrees)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImageParameters:
-    """The unknowns of one image: codes, prior sigmas and names; the same for all pushbroom images.
+    """The unknowns of one image in the order of its vector, whatever its sensor.
 
     Parameters
     ----------
     codes : tuple of int
-        See the module docstring.
+        Codes of the image's observation equation: ``factors.pushbroom``, ``factors.rfm_equation``.
     sigma : (k,) array
-        Prior sigmas in m, m/s, rad.
+        Prior sigmas in ``units``; the vector itself is in prior sigmas.
+    names : tuple of str
+        Short names, component and degree: ``x_0``, ``roll_2``, ``psi_y_s1``, ``line_0``.
+    units : tuple of str
+        Physical unit of each unknown.
+    words : tuple of str
+        Each unknown in words: "position X (constant, m)".
     """
 
     codes: tuple[int, ...]
     sigma: Array
-
-    @classmethod
-    def from_options(cls, options: Options) -> ImageParameters:
-        """Select the coefficients of the EOP set and the look polynomial."""
-        eop = eop_codes(options.eop_set)
-        degree = options.look_polynomial
-        n_look = 0 if degree is None else 2 * (degree + 1)
-        table = np.repeat(
-            [options.position_sigma_m, options.velocity_sigma_m_s, options.attitude_sigma_rad], 3, axis=0
-        ).ravel()
-        sigma = np.concatenate([table[list(eop)], np.full(n_look, options.look_sigma_rad)])
-        return cls(eop + tuple(range(N_EOP, N_EOP + n_look)), sigma)
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    words: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.codes)
-
-    @property
-    def n_eop(self) -> int:
-        """Number of EOP coefficients; the look coefficients follow them."""
-        return sum(code < N_EOP for code in self.codes)
 
     @cached_property
     def setup(self) -> Array:
         """Setup array of the equation: codes and prior sigmas (2, k)."""
         return np.ascontiguousarray(np.stack([np.array(self.codes, float), self.sigma]))
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Short names: ``x_0``, ``roll_2``, ``psi_y_s1`` ..."""
-        return tuple(parameter_name(code) for code in self.codes)
 
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Physical unit of each unknown."""
-        return tuple(UNITS[code // 3] if code < N_EOP else "rad" for code in self.codes)
-
-    def physical(self, x: Array) -> tuple[Array, Array]:
-        """EOP corrections (9, 3) and look corrections (2, degree + 1) in physical units."""
-        eop = np.zeros(N_EOP)
-        look = np.zeros(max(0, len(self.codes) - self.n_eop))
-        for code, value in zip(self.codes, x * self.sigma, strict=True):
-            if code < N_EOP:
-                eop[code] = value
-            else:
-                look[code - N_EOP] = value
-        return eop.reshape(9, 3), np.ascontiguousarray(look.reshape(-1, 2).T)
+def orientation_parameters(options: Options) -> ImageParameters:
+    """Unknowns of a pushbroom image: the coefficients of the EOP set, then those of the look polynomial."""
+    eop = eop_codes(options.eop_set)
+    degree = options.look_polynomial
+    n_look = 0 if degree is None else 2 * (degree + 1)
+    table = np.repeat([options.position_sigma_m, options.velocity_sigma_m_s, options.attitude_sigma_rad], 3, axis=0)
+    sigma = np.concatenate([table.ravel()[list(eop)], np.full(n_look, options.look_sigma_rad)])
+    codes = eop + tuple(range(N_EOP, N_EOP + n_look))
+    units = tuple(UNITS[code // 3] if code < N_EOP else "rad" for code in codes)
+    return ImageParameters(codes, sigma, tuple(map(parameter_name, codes)), units, tuple(map(parameter_words, codes)))
 
 
 def parameter_name(code: int) -> str:
@@ -127,3 +112,17 @@ def parameter_name(code: int) -> str:
     if code < N_EOP:
         return f"{COMPONENTS[code // 3]}_{code % 3}"
     return f"psi_{'xy'[(code - N_EOP) % 2]}_s{(code - N_EOP) // 2}"
+
+
+def parameter_words(code: int) -> str:
+    """Name a coefficient in words: "velocity Y (constant, m/s)", "look angle psi_x_s1"."""
+    if code >= N_EOP:
+        return f"look angle {parameter_name(code)}"
+    component, degree = code // 3, code % 3
+    if component in POSITION:
+        name = f"position {'XYZ'[component]}"
+    elif component in VELOCITY:
+        name = f"velocity {'XYZ'[component - 3]}"
+    else:
+        name = ("roll", "pitch", "yaw")[component - ATTITUDE[0]]
+    return f"{name} ({DEGREES[degree]}, {UNITS[component]})"

@@ -8,6 +8,7 @@ scale is what predictions are tested against, the posterior one what is reported
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +20,7 @@ from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Role, Status
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.covariance import Cofactors, NamedMatrix, named_cofactors
-from fg_orient.quality.observability import ImageObservability
-from fg_orient.sensors.correction import Correction
+from fg_orient.quality.observability import BlockObservability, ImageObservability
 
 Array = npt.NDArray[np.float64]
 
@@ -66,6 +66,8 @@ class Solution:
     sigma0_interval : (float, float)
         99.9 % interval of sigma0 if model and weights hold.
     observability : tuple of ImageObservability
+    block_view : BlockObservability or None
+        The whole block without its priors, where there are none or where they hold the datum.
     accuracy : Accuracy
         Control and check points against their measured coordinates.
     backend, solver : str
@@ -93,6 +95,7 @@ class Solution:
     cofactors: Cofactors | None
     withheld: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    block_view: BlockObservability | None = None
     seconds: Seconds = field(default_factory=Seconds)
 
     @property
@@ -117,11 +120,14 @@ class Solution:
 
     @property
     def unobservable(self) -> tuple[str, ...]:
-        """One sentence per dead direction."""
-        return tuple(sentence for o in self.observability for sentence in o.sentences)
+        """One sentence per dead direction, and per shift of the whole block that no control point fixes."""
+        datum = () if self.block_view is None else self.block_view.datum
+        return (*(sentence for o in self.observability for sentence in o.sentences), *datum)
 
-    def correction(self, image: str) -> Correction:
-        """Orientation correction of an image in physical units, for its sensor.
+    def correction(self, image: str) -> Any:
+        """Correction of an image in physical units, as ``project``, ``locate`` and ``rays`` of its sensor take it.
+
+        ``Correction`` of a pushbroom image, compensation (6,) in pixels of an RPC image (``factors.rfm``).
 
         Raises
         ------

@@ -36,33 +36,32 @@ class Columns:
 
     Parameters
     ----------
-    n_images, width : int
-        Images and unknowns of each.
+    images : (M + 1,) int array
+        First column of each image's unknowns, and the number of all.
     ground : (p,) int array
         Ground points that are unknowns, in order.
     first : (N,) int array
         First column of each ground point; -1 for those that are none.
     """
 
-    n_images: int
-    width: int
+    images: npt.NDArray[np.intp]
     ground: npt.NDArray[np.intp]
     first: npt.NDArray[np.intp]
 
     @classmethod
     def of(cls, problem: Problem) -> Columns:
         """Columns of a problem."""
-        m, k, ground = problem.n_images, len(problem.parameters), np.flatnonzero(problem.active)
+        ground = np.flatnonzero(problem.active)
         first = np.full(len(problem.active), -1, dtype=np.intp)
-        first[ground] = m * k + 3 * np.arange(len(ground))
-        return cls(m, k, ground, first)
+        first[ground] = problem.n_image_unknowns + 3 * np.arange(len(ground))
+        return cls(problem.first, ground, first)
 
     def __len__(self) -> int:
-        return self.n_images * self.width + 3 * len(self.ground)
+        return int(self.images[-1]) + 3 * len(self.ground)
 
     def image(self, k: int) -> slice:
         """Columns of an image."""
-        return slice(k * self.width, (k + 1) * self.width)
+        return slice(int(self.images[k]), int(self.images[k + 1]))
 
     def point(self, j: int) -> slice:
         """Columns of an unknown ground point."""
@@ -70,13 +69,17 @@ class Columns:
 
     def vector(self, state: State) -> Array:
         """Unknowns of a state as one vector (u,)."""
-        return np.concatenate([state.image.ravel(), state.ground[self.ground].ravel()])
+        parts = [state.image[k, : self.images[k + 1] - self.images[k]] for k in range(len(self.images) - 1)]
+        return np.concatenate([*parts, state.ground[self.ground].ravel()])
 
     def moved(self, state: State, step: Array) -> State:
         """State after a step (u,)."""
-        n, ground = self.n_images * self.width, state.ground.copy()
-        ground[self.ground] += step[n:].reshape(-1, 3)
-        return State(state.image + step[:n].reshape(state.image.shape), ground)
+        image, ground = state.image.copy(), state.ground.copy()
+        for k in range(len(image)):
+            part = step[self.image(k)]
+            image[k, : len(part)] += part
+        ground[self.ground] += step[self.images[-1] :].reshape(-1, 3)
+        return State(image, ground)
 
 
 def assemble(problem: Problem, state: State, *, jacobian: bool = True) -> tuple[Array, Array]:
@@ -90,8 +93,8 @@ def assemble(problem: Problem, state: State, *, jacobian: bool = True) -> tuple[
     columns = Columns.of(problem)
     parts = [_image_rows(problem, state, columns, jacobian), _control_rows(problem, state, columns, jacobian)]
     if problem.block.options.priors:
-        k = state.image.size
-        parts.append((state.image.ravel(), np.eye(k if jacobian else 0, len(columns))))
+        k = problem.n_image_unknowns
+        parts.append((problem.image_vector(state), np.eye(k if jacobian else 0, len(columns))))
     parts += [_extra_rows(problem, extra, state, columns, jacobian) for extra in problem.block.extra]
     return np.concatenate([r for r, _ in parts]), np.vstack([j for _, j in parts])
 
@@ -103,15 +106,15 @@ def _image_rows(problem: Problem, state: State, columns: Columns, jacobian: bool
     _require_finite(problem, residual)
     if not jacobian:
         return residual.ravel(), np.zeros((0, len(columns)))
-    d_image, d_ground = np.array(j_image), np.array(j_ground)
-    _require_finite(problem, d_image)
+    d_ground = np.array(j_ground)
+    _require_finite(problem, np.array([j.sum() for j in j_image]))
     _require_finite(problem, d_ground)
     out = np.zeros((n, 2, len(columns)))
-    rows = np.arange(n)[:, None, None], np.arange(2)[None, :, None]
-    out[*rows, (o.image[:, None] * columns.width + np.arange(columns.width))[:, None, :]] = d_image
+    for r, k in enumerate(o.image):
+        out[r, :, columns.image(int(k))] = j_image[r]
     free = np.flatnonzero(problem.active[o.point])
     at = columns.first[o.point[free], None] + np.arange(3)
-    out[free[:, None, None], rows[1], at[:, None, :]] = d_ground[free]
+    out[free[:, None, None], np.arange(2)[None, :, None], at[:, None, :]] = d_ground[free]
     return residual.ravel(), out.reshape(2 * n, -1)
 
 
@@ -139,7 +142,10 @@ def _extra_rows(
 ) -> tuple[Array, Array]:
     """Rows of an own observation: its equation's kernel, checked as in a factor."""
     arguments = problem.extra_arguments(extra)
-    x = [np.ascontiguousarray((state.image if a.is_image else state.ground)[a.index]) for a in arguments]
+    x = [
+        problem.unknowns(state, a.index) if a.is_image else np.ascontiguousarray(state.ground[a.index])
+        for a in arguments
+    ]
     blocks = extra.equation.kernel(extra.record, extra.setup, *x, jacobian)
     sizes = tuple(a.size for a in arguments) if jacobian else ()
     check_blocks(extra.equation.name, extra.label, blocks if jacobian else blocks[:1], sizes, extra.n_residuals)

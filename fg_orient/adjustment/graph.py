@@ -8,6 +8,7 @@ complement as an ordering) and retracts; the loop is ours (``fg_orient.adjustmen
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.graph import factor, image_point_factors
-from factors.pushbroom import LOOK_ANGLE_COLLINEARITY
 from fg_orient.adjustment.loop import share_at_radius
+from fg_orient.adjustment.models.contract import groups
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.block import ExtraObservation
 from fg_orient.errors import InputError
@@ -53,23 +54,32 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> No
 
     Values, records and linear factors of one point then lie together in memory.
     """
-    setup, k, o = problem.parameters.setup, len(problem.parameters), problem.observations
+    o, models = problem.observations, problem.models
     order = np.argsort(o.point, kind="stable")
     records = np.ascontiguousarray(problem.records[order])
     rows = order.tolist()
-    make = image_point_factors(LOOK_ANGLE_COLLINEARITY, k, records, setup, lambda n: problem.label(rows[n]))
+    makers: dict[int, Callable[[int, int, int], gtsam.CustomFactor]] = {}
+    for images in groups(models):
+        equation, parameters = models[images[0]].equation, models[images[0]].parameters
+        make = image_point_factors(
+            equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n])
+        )
+        makers |= dict.fromkeys(images, make)
     image_keys = [image_key(i) for i in range(problem.n_images)]
     key, last = 0, -1
     for n, row in enumerate(rows):
-        image, j = image_keys[int(o.image[row])], int(o.point[row])
+        i, j = int(o.image[row]), int(o.point[row])
         if problem.active[j]:
             if j != last:
                 key, last = point_key(j), j
-            graph.add(make(image, key, n))
+            graph.add(makers[i](image_keys[i], key, n))
         else:
             constant = np.ascontiguousarray(problem.start.ground[j])
-            label = problem.label(row)
-            graph.add(factor(LOOK_ANGLE_COLLINEARITY, (image, constant), (k, 3), records[n], setup, label=label))
+            setup = models[i].parameters.setup
+            graph.add(factor(
+                models[i].equation, (image_keys[i], constant), (setup.shape[1], 3), records[n], setup,
+                label=problem.label(row),
+            ))  # fmt: skip
 
 
 def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFactor:
@@ -93,8 +103,8 @@ def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
         noise = gtsam.noiseModel.Gaussian.SqrtInformation(whitening)
         graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, 9:], noise)
     if problem.block.options.priors:
-        k = len(problem.parameters)
-        for i in range(problem.n_images):
+        for i, parameters in enumerate(problem.parameters):
+            k = len(parameters)
             graph.addPriorVector(image_key(i), np.zeros(k), gtsam.noiseModel.Unit.Create(k))
 
 
@@ -174,7 +184,7 @@ class GraphBackend:
             self.ordering.push_back(image_key(i))
         self.zero = gtsam.VectorValues()
         for i in range(problem.n_images):
-            self.zero.insert(image_key(i), np.zeros(len(problem.parameters)))
+            self.zero.insert(image_key(i), np.zeros(len(problem.parameters[i])))
         for j in self._points:
             self.zero.insert(point_key(j), np.zeros(3))
 
@@ -186,18 +196,18 @@ class GraphBackend:
         """GTSAM values of a state."""
         values = gtsam.Values()
         for i in range(self.problem.n_images):
-            values.insert(image_key(i), state.image[i])
+            values.insert(image_key(i), self.problem.unknowns(state, i))
         for j in self._points:
             values.insertPoint3(point_key(j), state.ground[j])
         return values
 
     def state(self, values: gtsam.Values) -> State:
         """Arrays of GTSAM values."""
-        image = np.array([values.atVector(image_key(i)) for i in range(self.problem.n_images)])
+        image = np.concatenate([values.atVector(image_key(i)) for i in range(self.problem.n_images)])
         ground = self.problem.start.ground.copy()
         for j in self._points:
             ground[j] = values.atPoint3(point_key(j))
-        return State(image.reshape(self.problem.n_images, -1), ground)
+        return State(self.problem.image_matrix(image), ground)
 
     def linearise(self, state: gtsam.Values) -> GraphSystem:
         """Linearise at a state."""
@@ -214,9 +224,10 @@ class GraphBackend:
     def damping_factors(self, damping: float) -> gtsam.GaussianFactorGraph:
         """Identity times the root of the damping, for every unknown."""
         graph = gtsam.GaussianFactorGraph()
-        root, k = np.sqrt(damping), len(self.problem.parameters)
-        image, point = gtsam.noiseModel.Unit.Create(k), gtsam.noiseModel.Unit.Create(3)
-        for i in range(self.problem.n_images):
+        root, point = np.sqrt(damping), gtsam.noiseModel.Unit.Create(3)
+        for i, parameters in enumerate(self.problem.parameters):
+            k = len(parameters)
+            image = gtsam.noiseModel.Unit.Create(k)
             graph.add(gtsam.JacobianFactor(image_key(i), root * np.eye(k), np.zeros(k), image))
         for j in self._points:
             graph.add(gtsam.JacobianFactor(point_key(j), root * np.eye(3), np.zeros(3), point))

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factors.pushbroom import kernel
 from fg_orient.adjustment.problem import Problem, State, whitened_records
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +23,7 @@ STEP_M = 1e-6
 
 @dataclass(frozen=True)
 class LocatedPoint:
-    """One point: ECEF (3,) m, images that see it, whitened Jacobians (2v, 3) and (2v, u len(images))."""
+    """One point: ECEF (3,) m, images that see it, whitened Jacobians (2v, 3) and (2v, u)."""
 
     ground_m: Array
     images: tuple[int, ...]
@@ -43,23 +42,26 @@ def locate_point(problem: Problem, state: State, start_m: Array, j: int) -> Loca
 
     The weights are those of the start; it comes from the nearest point of the rays.
     """
-    block, setup = problem.block, problem.parameters.setup
+    block, models = problem.block, problem.models
     seen = block.observations.take(np.flatnonzero(block.observations.point == j))
     everywhere = np.repeat(start_m[None], len(block.points.ids), axis=0)
-    records = whitened_records(block, seen, everywhere, problem.origin_m)
-    x = [np.ascontiguousarray(state.image[k]) for k in seen.image]
+    records = whitened_records(models, seen, everywhere, problem.origin_m)
+    x = [problem.unknowns(state, int(k)) for k in seen.image]
+    own = [models[int(k)] for k in seen.image]
     ground = start_m - problem.origin_m
     for _ in range(MAX_STEPS):
-        rows = [kernel(records[r], setup, x[r], ground, True) for r in range(len(seen))]
+        rows = [
+            model.equation.kernel(records[r], model.parameters.setup, x[r], ground, True) for r, model in enumerate(own)
+        ]
         value, d_ground = np.concatenate([row[0] for row in rows]), np.vstack([row[2] for row in rows])
         step = np.linalg.lstsq(d_ground, value, rcond=None)[0]
         ground = ground - step
         if np.abs(step).max() < STEP_M:
             break
     images = tuple(dict.fromkeys(int(k) for k in seen.image))
-    width = len(problem.parameters)
-    d_images = np.zeros((2 * len(seen), width * len(images)))
+    first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
+    d_images = np.zeros((2 * len(seen), first[-1]))
     for r, k in enumerate(seen.image):
-        at = images.index(int(k)) * width
-        d_images[2 * r : 2 * r + 2, at : at + width] = rows[r][1]
+        at = images.index(int(k))
+        d_images[2 * r : 2 * r + 2, first[at] : first[at + 1]] = rows[r][1]
     return LocatedPoint(ground + problem.origin_m, images, d_ground, d_images)

@@ -1,35 +1,39 @@
 """The adjustment problem: block, parameters and start values compiled to arrays, once.
 
-A unit of every residual is one sigma: image points ``S^-1 J^-1 F`` (J = dF/d(line, sample)
-at the start, S the pixel sigmas), control points ``W (G - G_0)``, priors ``x`` (unknowns in
+A unit of every residual is one sigma: image points in pixel sigmas (the image's model whitens them:
+``fg_orient.adjustment.models``), control points ``W (G - G_0)``, priors ``x`` (unknowns in
 prior sigmas). All backends start from this object, so a difference between them is the
-solver's.
+solver's. Images of different kinds may stand side by side.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid
 from factors._contract import evaluate
-from factors.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD_SIZE
 from fg_orient import geodesy, initial
+from fg_orient.adjustment.models.contract import ImageModel, groups, image_models
 from fg_orient.block import Block, ExtraObservation, ImagePoints
 from fg_orient.errors import InputError
 from fg_orient.names import Role
 from fg_orient.parameters import ImageParameters
-from fg_orient.sensors.correction import Correction
-from fg_orient.sensors.projection import pixel_derivative
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class State:
-    """Unknowns: ``image`` (M, k) in prior sigmas, ``ground`` (N, 3) m in the local frame."""
+    """Unknowns: ``image`` (M, k) in prior sigmas, ``ground`` (N, 3) m in the local frame.
+
+    k is the largest number of unknowns of an image; rows of images with fewer end in zeros, which are none.
+    """
 
     image: Array
     ground: Array
@@ -56,12 +60,12 @@ class Problem:
     Parameters
     ----------
     block : Block
-    parameters : ImageParameters
-        Unknowns of each image.
+    models : tuple of ImageModel
+        Equation and unknowns of each image.
     observations : ImagePoints
         The image points that take part.
-    records : (n, 34) array
-        Whitened constants of the look-angle collinearity per image point.
+    records : (n, d) array
+        Whitened constants of the image's equation per image point; shorter ones end in zeros.
     origin_m : (3,) array
         Local origin, ECEF; unknown ground points are relative to it, axes parallel to ECEF.
     start : State
@@ -72,7 +76,7 @@ class Problem:
     """
 
     block: Block
-    parameters: ImageParameters
+    models: tuple[ImageModel, ...]
     observations: ImagePoints
     records: Array
     origin_m: Array
@@ -86,15 +90,46 @@ class Problem:
         """Number of images."""
         return len(self.block.images)
 
+    @cached_property
+    def parameters(self) -> tuple[ImageParameters, ...]:
+        """Unknowns of each image."""
+        return tuple(model.parameters for model in self.models)
+
+    @cached_property
+    def first(self) -> npt.NDArray[np.intp]:
+        """First of each image's unknowns among those of all images, and their number (M + 1,)."""
+        return np.concatenate([[0], np.cumsum([len(p) for p in self.parameters])]).astype(np.intp)
+
+    @property
+    def n_image_unknowns(self) -> int:
+        """Unknowns of all images."""
+        return int(self.first[-1])
+
+    def unknowns(self, state: State, k: int) -> Array:
+        """The unknowns of an image (its own number of them), prior sigmas."""
+        return np.ascontiguousarray(state.image[k, : len(self.parameters[k])])
+
+    def image_vector(self, state: State) -> Array:
+        """Unknowns of all images, one after the other."""
+        return np.concatenate([self.unknowns(state, k) for k in range(self.n_images)])
+
+    def image_matrix(self, vector: Array) -> Array:
+        """Make the matrix ``State.image`` of unknowns of all images, one after the other."""
+        out = np.zeros((self.n_images, int(np.diff(self.first).max())))
+        for k in range(self.n_images):
+            part = vector[self.first[k] : self.first[k + 1]]
+            out[k, : len(part)] = part
+        return out
+
     @property
     def n_unknowns(self) -> int:
         """Image unknowns and three per unknown ground point."""
-        return self.n_images * len(self.parameters) + 3 * int(self.active.sum())
+        return self.n_image_unknowns + 3 * int(self.active.sum())
 
     @property
     def n_observations(self) -> int:
         """Equations: two per image point, three per observed control point, one per prior, and the extra ones."""
-        priors = self.n_images * len(self.parameters) if self.block.options.priors else 0
+        priors = self.n_image_unknowns if self.block.options.priors else 0
         extra = sum(e.n_residuals for e in self.block.extra)
         return 2 * len(self.observations) + 3 * int(self.observed.sum()) + priors + extra
 
@@ -131,7 +166,7 @@ class Problem:
                 raise InputError.of("adjust.extra_unknown", place=extra.label, value=name)
             kind, j = place
             if kind == "image":
-                found.append(ExtraArgument(True, j, len(self.parameters)))
+                found.append(ExtraArgument(True, j, len(self.parameters[j])))
                 continue
             constant = np.ascontiguousarray(self.start.ground[j])
             if np.isnan(constant).any():
@@ -141,19 +176,27 @@ class Problem:
             raise InputError.of("adjust.extra_constant", place=extra.label, value=", ".join(extra.unknowns))
         return found
 
-    def corrections(self, state: State) -> list[Correction]:
-        """Physical corrections of all images."""
-        small = self.block.options.small_angle
-        return [Correction(*self.parameters.physical(x), small_angle=small) for x in state.image]
+    def corrections(self, state: State) -> list[Any]:
+        """Corrections of all images as their sensors take them: ``Correction``, or RPC compensation (6,) px."""
+        return [model.correction(self.unknowns(state, k)) for k, model in enumerate(self.models)]
 
     def image_residuals(self, state: State, *, jacobian: bool = False) -> tuple[Array, list[Array], list[Array]]:
         """Whitened residuals (n, 2) of the image points and, if asked, Jacobians (2, k), (2, 3) each."""
-        setups = [self.parameters.setup] * len(self.observations)
-        x, ground = state.image[self.observations.image], state.ground[self.observations.point]
-        values, blocks = evaluate(
-            LOOK_ANGLE_COLLINEARITY, self.records, setups, x, np.ascontiguousarray(ground), jacobian=jacobian
-        )
-        return values.reshape(-1, 2), blocks[0], blocks[1]
+        o, ground = self.observations, np.ascontiguousarray(state.ground[self.observations.point])
+        x = [self.unknowns(state, k) for k in range(self.n_images)]
+        values = np.empty((len(o), 2))
+        blocks: tuple[list[Array], list[Array]] = ([np.empty(0)] * len(o), [np.empty(0)] * len(o))
+        for images in groups(self.models):
+            rows = np.flatnonzero(np.isin(o.image, images))
+            model = self.models[images[0]]
+            found, parts = evaluate(
+                model.equation, self.records[rows], [model.parameters.setup] * len(rows),
+                [x[k] for k in o.image[rows]], ground[rows], jacobian=jacobian,
+            )  # fmt: skip
+            values[rows] = found.reshape(-1, 2)
+            for i, r in enumerate(rows):
+                blocks[0][r], blocks[1][r] = parts[0][i], parts[1][i]
+        return values, blocks[0], blocks[1]
 
     def pixel_residuals(self, state: State) -> Array:
         """Residuals v = adjusted - observed (n, 2): line, sample in pixels."""
@@ -167,16 +210,19 @@ def compile_problem(block: Block) -> Problem:
     Raises
     ------
     InputError
-        No control point, nothing to adjust, points that cannot be intersected.
+        No control point (unless the priors hold the datum), an image whose sensor has no model, nothing
+        to adjust, points that cannot be intersected.
     """
     options = block.options
     control_rows = block.points.where(Role.CONTROL)
     seen = np.unique(block.observations.point)
-    if not np.isin(control_rows, seen).any():
+    if not np.isin(control_rows, seen).any() and options.datum == "control":
         raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control_rows)} measured")
+    if options.datum == "priors" and not options.priors:
+        raise InputError.of("adjust.relative_priors", file=block.name, place="priors", value="false")
+    models = image_models(block.images, options)
     observations = _participating(block)
     _require_finite(block, observations, control_rows)
-    parameters = ImageParameters.from_options(options)
     origin = np.asarray(np.mean([image.sensor.centre_m for image in block.images], axis=0))
     known = block.points.known
     start_ecef = known.ecef_m.copy()
@@ -188,11 +234,12 @@ def compile_problem(block: Block) -> Problem:
     is_control = np.isin(np.arange(len(part)), control_rows)
     active = part & ~(is_control & known.fixed)
     observed = active & is_control
-    records = whitened_records(block, observations, start_ecef, origin)
+    records = whitened_records(models, observations, start_ecef, origin)
+    widest = max(len(model.parameters) for model in models)
+    start = State(np.zeros((len(models), widest)), np.where(part[:, None], start_ecef - origin, np.nan))
     return Problem(
-        block, parameters, observations, records, origin,
-        State(np.zeros((len(block.images), len(parameters))), np.where(part[:, None], start_ecef - origin, np.nan)),
-        active, observed, _control_records(known.sigma_enu_m, start_ecef, origin, observed),
+        block, models, observations, records, origin, start, active, observed,
+        _control_records(known.sigma_enu_m, start_ecef, origin, observed),
     )  # fmt: skip
 
 
@@ -226,19 +273,19 @@ def _participating(block: Block) -> ImagePoints:
     return block.observations.take(keep)
 
 
-def whitened_records(block: Block, observations: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
-    """Records with the whitening ``S^-1 J^-1``."""
-    small = block.options.small_angle
-    out = np.empty((len(observations), RECORD_SIZE))
-    for k, image in enumerate(block.images):
+def whitened_records(
+    models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array
+) -> Array:
+    """Records (n, d) of image points, a unit of the residual being one sigma; ``ground_m`` (N, 3) ECEF."""
+    parts: list[tuple[npt.NDArray[np.intp], Array]] = []
+    for k, model in enumerate(models):
         rows = np.flatnonzero(observations.image == k)
-        if not len(rows):
-            continue
-        o = observations.take(rows)
-        out[rows] = image.sensor.records(o.line, o.sample, ground_m[o.point], origin_m, small_angle=small)
-        j = pixel_derivative(image.sensor, o.line, o.sample, ground_m[o.point], Correction(small_angle=small))
-        sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
-        out[rows, 22:26] = (np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
+        if len(rows):
+            o = observations.take(rows)
+            parts.append((rows, model.records(o, ground_m[o.point], origin_m)))
+    out = np.zeros((len(observations), max(part.shape[1] for _, part in parts)))
+    for rows, part in parts:
+        out[rows, : part.shape[1]] = part
     return out
 
 

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from factors import look, polynomials, pushbroom, rotations
 from fg_orient.block import Image, ImagePoints
 from fg_orient.sensors.eop import metadata_eop
+from fg_orient.sensors.kinds import require_pushbroom
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -169,9 +170,10 @@ def build(images: tuple[Image, ...], observations: ImagePoints, ground_m: Array,
         rows = np.flatnonzero(observations.image == k)
         if len(rows):
             line, sample = observations.line[rows], observations.sample[rows]
-            records[rows] = image.sensor.records(line, sample, reference[rows], small_angle=as_run)
-            if image.sensor.follows_orbit:
-                records[rows, 0:9] = _eop_polynomials(metadata_eop(image.sensor, line), line, image.sensor.n_lines)
+            sensor = require_pushbroom(image.sensor, image.id)
+            records[rows] = sensor.records(line, sample, reference[rows], small_angle=as_run)
+            if sensor.follows_orbit:
+                records[rows, 0:9] = _eop_polynomials(metadata_eop(sensor, line), line, sensor.n_lines)
             records[rows, 18] = line
     records[:, 31:34] = reference - records[:, 0:3]
     records[:, 28:31] = 0.0

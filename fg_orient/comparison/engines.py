@@ -234,8 +234,7 @@ def _accuracy(role: str, found: PointDifferences) -> dict[str, float]:
 def _per_physical_unit(compiled: Problem, design: Array) -> Array:
     """Columns per m, m/s and rad instead of per prior sigma; those of ground points are per metre already."""
     scale = np.ones(design.shape[1])
-    count = compiled.n_images * len(compiled.parameters)
-    scale[:count] = np.tile(compiled.parameters.sigma, compiled.n_images)
+    scale[: compiled.n_image_unknowns] = np.concatenate([p.sigma for p in compiled.parameters])
     return design / scale
 
 

@@ -10,6 +10,7 @@ from fg_orient import initial
 from fg_orient.classical.two_stage import TwoStage
 from fg_orient.experiments.claims import Claim, Outcome, outcome
 from fg_orient.experiments.study import EXACT, Study
+from fg_orient.sensors.kinds import require_pushbroom
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import zonguldak_block
 
@@ -80,8 +81,9 @@ def _round_trip_px(sensor: PushbroomSensor, rays: object) -> float:
 def c1(study: Study) -> Outcome:
     """Round trip of the pushbroom model in both orbital conventions."""
     images = study.two_stage.block.images
-    a = max(_round_trip_px(i.sensor, _convention_a) for i in images)
-    b = max(_round_trip_px(i.sensor, _convention_b) for i in images)
+    sensors = [require_pushbroom(i.sensor, i.id) for i in images]
+    a = max(_round_trip_px(sensor, _convention_a) for sensor in sensors)
+    b = max(_round_trip_px(sensor, _convention_b) for sensor in sensors)
     ours = 0.0
     for image in images:
         line, sample = np.array([0.0, 6000.0, 11999.0]), np.array([11999.0, 6000.0, 0.0])

@@ -28,11 +28,14 @@ class Assembly:
     remarks: tuple[Problem, ...]
 
 
-def assemble(image_ids: Sequence[str], points: PointFile, observations: ObservationFile, *, drop: bool) -> Assembly:
+def assemble(
+    image_ids: Sequence[str], points: PointFile, observations: ObservationFile, *, drop: bool, relative: bool = False
+) -> Assembly:
     """Leave out unmeasured points; refuse, or ``drop``, check and tie points with a single ray.
 
     Control points with a single ray stay: their coordinates complete it. An image without
-    any measured point is refused, and so is a block without measured control.
+    any measured point is refused, and so is a block without measured control, unless the
+    adjustment is to be ``relative``.
     """
     problems: list[Problem] = []
     remarks: list[Problem] = []
@@ -50,7 +53,7 @@ def assemble(image_ids: Sequence[str], points: PointFile, observations: Observat
         remarks.append(
             problem("remark.not_measured", file=point_file, place="column id", value=named, count=len(unmeasured))
         )
-    if not (control & (rays > 0)).any():
+    if not relative and not (control & (rays > 0)).any():
         value = f"{control.sum()} control points in the file, 0 measured"
         problems.append(problem("block.no_control", file=point_file, place="column role", value=value))
     kept = np.flatnonzero((rays > 0) & ~lonely)

@@ -23,7 +23,7 @@ from fg_orient.names import Role
 
 Array = npt.NDArray[np.float64]
 
-_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "max_iterations", "check_points")
+_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "max_iterations", "check_points", "datum")
 
 
 def write_points(

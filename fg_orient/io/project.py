@@ -34,7 +34,9 @@ FEW_CHECK_CODE: Final = "remark.few_check"
 _TABLE_OF = {
     "eop_set": "orientation", "look_polynomial": "orientation", "priors": "orientation",
     "position_sigma_m": "orientation", "velocity_sigma_m_s": "orientation", "attitude_sigma_rad": "orientation",
-    "look_sigma_rad": "orientation", "small_angle": "orientation", "backend": "adjustment", "solver": "adjustment",
+    "look_sigma_rad": "orientation", "small_angle": "orientation", "rpc_compensation": "orientation",
+    "rpc_shift_sigma_px": "orientation", "rpc_linear_sigma_px": "orientation", "datum": "adjustment",
+    "backend": "adjustment", "solver": "adjustment",
     "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment",
     "points_seen_once": "adjustment",
 }  # fmt: skip
@@ -50,7 +52,8 @@ def read_project(path: str | Path, **overrides: object) -> Block:
     **overrides
         Options that replace those of the file: ``eop_set``, ``look_polynomial``,
         ``priors``, ``backend``, ``solver``, ``optimizer``, ``max_iterations``,
-        ``check_points``, ``points_seen_once``, ``small_angle`` and the prior sigmas. None keeps the file's.
+        ``check_points``, ``points_seen_once``, ``small_angle``, ``rpc_compensation``, ``datum`` and the
+        prior sigmas. None keeps the file's.
 
     Returns
     -------
@@ -88,7 +91,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     points, observations = tables.points, tables.observations
     known = tuple(image for image in images.values() if image is not None)
     drop = project.adjustment.points_seen_once == "drop"
-    ready = assemble([image.id for image in known], points, observations, drop=drop)
+    ready = assemble([image.id for image in known], points, observations, drop=drop, relative=options.datum == "priors")
     if ready.problems:
         raise InputError(*ready.problems)
     geometry = geometry_remarks(known, ready.points, ready.observations, str(points.path))

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 from pydantic.fields import FieldInfo
 
-from fg_orient.block import EXPECTED, ITERATION_RANGE, LOOK_DEGREE_RANGE, CheckPoints, Options
+from fg_orient.block import EXPECTED, ITERATION_RANGE, LOOK_DEGREE_RANGE, CheckPoints, Datum, Options, RpcCompensation
 from fg_orient.errors import Problem, problem
 from fg_orient.io.tables import did_you_mean
 
@@ -60,6 +60,13 @@ class Orientation(_Table):
     velocity_sigma_m_s: Three = Field(default=Options.velocity_sigma_m_s, description=EXPECTED["velocity_sigma_m_s"])
     attitude_sigma_rad: Three = Field(default=Options.attitude_sigma_rad, description=EXPECTED["attitude_sigma_rad"])
     look_sigma_rad: Positive = Field(default=Options.look_sigma_rad, description=EXPECTED["look_sigma_rad"])
+    rpc_compensation: RpcCompensation = Field(
+        default=Options.rpc_compensation, description=EXPECTED["rpc_compensation"]
+    )
+    rpc_shift_sigma_px: Positive = Field(default=Options.rpc_shift_sigma_px, description=EXPECTED["rpc_shift_sigma_px"])
+    rpc_linear_sigma_px: Positive = Field(
+        default=Options.rpc_linear_sigma_px, description=EXPECTED["rpc_linear_sigma_px"]
+    )
     small_angle: Switch = Field(default=Options.small_angle, description=EXPECTED["small_angle"])
 
 
@@ -77,6 +84,7 @@ class Adjustment(_Table):
         default=Options.max_iterations, description=EXPECTED["max_iterations"]
     )
     check_points: CheckPoints = Field(default=Options.check_points, description=EXPECTED["check_points"])
+    datum: Datum = Field(default=Options.datum, description=EXPECTED["datum"])
     points_seen_once: Literal["error", "drop"] = Field(default="error", description='"error" or "drop"')
 
 

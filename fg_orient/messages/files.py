@@ -95,6 +95,10 @@ DIMAP: Final = {
 }
 
 SENSOR: Final = {
+    "sensor.not_rigorous": (
+        "the published procedure needs the rigorous model of a pushbroom image",
+        "give METADATA.DIM or DIM_*.XML; RPC images take part in adjust",
+    ),
     "sensor.ephemeris_span": (
         "the ephemeris covers {first:.6f} .. {last:.6f} s of the day only and is never extrapolated",
         "use a metadata file whose state vectors cover the image",

@@ -31,6 +31,14 @@ ADJUST: Final = {
     "initial.behind": ("its rays meet behind a sensor", "check the point's identity in every image"),
     "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
     "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
+    "adjust.no_model": (
+        "images of this sensor cannot be adjusted",
+        "known sensors: {known}; a further one is a model in fg_orient.adjustment.models",
+    ),
+    "adjust.relative_priors": (
+        "without control points and without priors nothing holds the block in the world",
+        'keep the priors, or leave out datum = "priors" and measure control points',
+    ),
     "adjust.native_dense": (
         "GTSAM's own optimisers work on the graph only",
         "choose one of {known}, or the graph backend",

@@ -153,9 +153,8 @@ class GraphCofactors:
 
         self._problem, self._state = problem, state
         self._marginals = gtsam.Marginals(linear, zero)
-        self._width = len(problem.parameters)
         self._all: Array | None = None
-        if self._width * problem.n_images <= JOINT_LIMIT and not problem.block.extra:
+        if problem.n_image_unknowns <= JOINT_LIMIT and not problem.block.extra:
             self._all = self.joint(tuple(range(problem.n_images)), ())
         self._images: dict[int, Array] = {}
         self.image(0)  # GTSAM finds an indeterminate system when first asked, not when made
@@ -166,7 +165,7 @@ class GraphCofactors:
         from fg_orient.adjustment.graph import image_key
 
         if k not in self._images:
-            part = slice(k * self._width, (k + 1) * self._width)
+            part = slice(self._problem.first[k], self._problem.first[k + 1])
             found = self._marginals.marginalCovariance(image_key(k)) if self._all is None else self._all[part, part]
             self._images[k] = np.asarray(found)
         return self._images[k]
@@ -185,7 +184,7 @@ class GraphCofactors:
 
     def _substituted(self, q_images: Array) -> dict[int, Array]:
         """Cofactors of all unknown points from those of all images."""
-        problem, width = self._problem, self._width
+        problem, first = self._problem, self._problem.first
         _, j_image, j_ground = problem.image_residuals(self._state, jacobian=True)
         out = {}
         for j, rows in problem.rows_by_point():
@@ -197,7 +196,8 @@ class GraphCofactors:
                 w = problem.control_records[j, :9].reshape(3, 3)
                 n += w.T @ w
             inverse = np.linalg.inv(n)
-            columns = np.concatenate([np.arange(width) + width * problem.observations.image[r] for r in rows])
+            images = [int(problem.observations.image[r]) for r in rows]
+            columns = np.concatenate([np.arange(first[k], first[k + 1]) for k in images])
             g = inverse @ np.hstack([j_ground[r].T @ j_image[r] for r in rows])
             out[j] = inverse + g @ q_images[np.ix_(columns, columns)] @ g.T
         return out
@@ -224,7 +224,7 @@ class NamedMatrix:
 
 def named_cofactors(problem: Problem, cofactors: Cofactors, names: tuple[str, ...]) -> NamedMatrix:
     """Joint cofactors of named images and points in physical units; see ``Solution.cofactor_matrix``."""
-    block, parameters = problem.block, problem.parameters
+    block = problem.block
     images: list[int] = []
     points: list[int] = []
     for name in names or tuple(f"image:{image.id}" for image in block.images):
@@ -236,9 +236,9 @@ def named_cofactors(problem: Problem, cofactors: Cofactors, names: tuple[str, ..
     fixed = [block.points.ids[j] for j in points if not problem.active[j]]
     if fixed:
         raise InputError.of("covariance.not_unknown", place="covariance", value=", ".join(fixed))
-    scale = np.concatenate([*([parameters.sigma] * len(images)), np.ones(3 * len(points))])
+    scale = np.concatenate([*(problem.parameters[k].sigma for k in images), np.ones(3 * len(points))])
     q = cofactors.joint(tuple(images), tuple(points)) * np.outer(scale, scale)
-    labels = [f"{block.images[k].id}.{n}" for k in images for n in parameters.names]
+    labels = [f"{block.images[k].id}.{n}" for k in images for n in problem.parameters[k].names]
     labels += [f"{block.points.ids[j]}.{axis}" for j in points for axis in "xyz"]
-    units = [u for _ in images for u in parameters.units] + ["m"] * (3 * len(points))
+    units = [u for k in images for u in problem.parameters[k].units] + ["m"] * (3 * len(points))
     return NamedMatrix(tuple(labels), tuple(units), 0.5 * (q + q.T))

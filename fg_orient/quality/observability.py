@@ -6,9 +6,9 @@ below 1e-5 is **dead** (the data say nothing); below 1 it is **weak** (the prior
 than the data). Fixing the ground points is the optimistic case: what is dead here is dead
 in every adjustment of the image.
 
-Dead directions are named by matching them with physical candidates: velocity enters the
-conditions only through V x P (docs/equations.md 3), so velocity along track and radial act
-on nothing, and velocity across track turns the orbital frame like a yaw.
+Dead directions are named by matching them with physical candidates, which the image's model
+gives (``silent_directions``). A block without control points is asked, besides, what holds it
+in the world: its images may be shifted together.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.problem import Problem
-from fg_orient.parameters import ATTITUDE, N_EOP, POSITION, UNITS, VELOCITY, ImageParameters, parameter_name
+from fg_orient.adjustment.models.contract import ImageModel
+from fg_orient.adjustment.problem import Problem, enu_from_ecef
+from fg_orient.parameters import ImageParameters
 
 Array = npt.NDArray[np.float64]
 
@@ -27,9 +28,6 @@ DEAD = 1e-5
 WEAK = 1.0
 #: A candidate explains a dead direction when this share of its length lies in the null space.
 MATCH = 0.9
-
-_DEGREE = ("constant", "linear in time", "quadratic in time")
-_YAW = 8
 
 
 @dataclass(frozen=True)
@@ -59,57 +57,25 @@ class ImageObservability:
     sentences: tuple[str, ...]
 
 
-def analyse(
-    image: str, jacobian: Array, parameters: ImageParameters, ecef_from_orbital: Array, speed_m_s: float | None
-) -> ImageObservability:
+def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservability:
     """Judge one image.
 
     Parameters
     ----------
+    image : str
+        Image id.
     jacobian : (2n, k) array
         Whitened, with respect to the unknowns in prior sigmas.
-    ecef_from_orbital : (3, 3) array
-        Orbital frame at the image centre: columns across track, along track, radial.
-    speed_m_s : float or None
-        Speed along track there, which turns a velocity across track into an angle; None for
-        Earth-fixed attitudes (DIMAP v2), which the velocity does not turn at all.
+    model : ImageModel
+        Names the unknowns and the directions that physics hides.
     """
-    k = len(parameters)
+    k = len(model.parameters)
     full = np.vstack([jacobian, np.zeros((max(0, k - len(jacobian)), k))])
     _, s, vt = np.linalg.svd(full, full_matrices=False)
     dead = s < DEAD
     null = vt[dead].T
-    candidates = _candidates(parameters, ecef_from_orbital, speed_m_s)
-    sentences = _name_directions(image, null, parameters, candidates)
+    sentences = _name_directions(image, null, model.parameters, model.silent_directions()) if dead.any() else []
     return ImageObservability(image, s, int(dead.sum()), int(((s < WEAK) & ~dead).sum()), null, tuple(sentences))
-
-
-def _candidates(parameters: ImageParameters, frame: Array, speed_m_s: float | None) -> list[tuple[str, Array]]:
-    """Physical directions (unit vectors in prior sigmas) with the sentence each one stands for."""
-    out: list[tuple[str, Array]] = []
-    index = {code: j for j, code in enumerate(parameters.codes)}
-    for degree in range(3):
-        triple = [index.get(3 * c + degree) for c in VELOCITY]
-        if any(j is None for j in triple):
-            continue
-        rows = [j for j in triple if j is not None]
-        for axis, text in (
-            (1, "velocity along track ({}) acts on nothing"),
-            (2, "radial velocity ({}) acts on nothing"),
-        ):
-            direction = np.zeros(len(parameters))
-            direction[rows] = frame[:, axis]
-            out.append((text.format(_DEGREE[degree]), direction))
-        direction = np.zeros(len(parameters))
-        direction[rows] = frame[:, 0] / parameters.sigma[rows]
-        yaw = index.get(3 * _YAW + degree)
-        if yaw is not None and speed_m_s is not None:
-            direction[yaw] = 1.0 / speed_m_s / parameters.sigma[yaw]
-            text = "velocity across track acts as yaw ({}): only their sum is observable"
-        else:
-            text = "velocity across track ({}) acts on nothing"
-        out.append((text.format(_DEGREE[degree]), direction / np.linalg.norm(direction)))
-    return out
 
 
 def _name_directions(
@@ -134,7 +100,7 @@ def _name_directions(
 def _by_components(direction: Array, parameters: ImageParameters) -> str:
     """Describe a direction by its three largest components, in prior sigmas."""
     order = np.argsort(-np.abs(direction))[:3]
-    parts = [f"{direction[j]:+.2f} {describe(parameters.codes[j])}" for j in order if abs(direction[j]) > 0.05]
+    parts = [f"{direction[j]:+.2f} {parameters.words[j]}" for j in order if abs(direction[j]) > 0.05]
     return "this combination is not observable (in prior sigmas): " + " ".join(parts)
 
 
@@ -144,63 +110,94 @@ class BlockObservability:
 
     Parameters
     ----------
-    singular_values : (M k,) array, descending
+    singular_values : (u,) array, descending; u unknowns of all images
     sentences : tuple of str
         One per direction below the dead limit, by its largest components.
     weak : int
         Directions determined 100 times worse than their prior sigma, dead ones not counted.
+    datum : tuple of str
+        One per common shift of all images that no control point fixes.
     """
 
     singular_values: Array
     sentences: tuple[str, ...]
     weak: int
+    datum: tuple[str, ...] = ()
 
 
 #: Without priors, directions below this singular value are pointed out.
 WEAK_WITHOUT_PRIORS = 1e-2
+#: A shift of all images by this much shows whether anything but the priors holds them.
+DATUM_SHIFT_M = 10.0
 
 
 def analyse_block(problem: Problem) -> BlockObservability:
     """Judge the block without priors: unknown ground points are eliminated point by point (QR)."""
-    parameters, width, m = problem.parameters, len(problem.parameters), problem.n_images
     _, j_image, j_ground = problem.image_residuals(problem.start, jacobian=True)
-    rest = np.zeros((0, m * width))
+    rest = _eliminated(problem, j_image, j_ground)
+    u = problem.n_image_unknowns
+    full = np.vstack([rest, np.zeros((max(0, u - len(rest)), u))])
+    _, s, vt = np.linalg.svd(full, full_matrices=False)
+    names = [
+        (image.id, word)
+        for image, parameters in zip(problem.block.images, problem.parameters, strict=True)
+        for word in parameters.words
+    ]
+    sentences = tuple(_block_sentence(vt[k], names) for k in np.flatnonzero(s < DEAD))
+    weak = int(((s < WEAK_WITHOUT_PRIORS) & (s >= DEAD)).sum())
+    datum = (
+        ()
+        if (~problem.active[problem.observations.point]).any() or problem.observed.any()
+        else _datum(problem, rest, j_image, j_ground)
+    )
+    return BlockObservability(s, sentences, weak, datum)
+
+
+def _eliminated(problem: Problem, j_image: list[Array], j_ground: list[Array]) -> Array:
+    """Rows (q, u) of all image unknowns with the ground points eliminated, compressed by QR on the way."""
+    first, u, image = problem.first, problem.n_image_unknowns, problem.observations.image
+    rest = np.zeros((0, u))
     for j, rows in problem.rows_by_point():
-        b = np.zeros((2 * len(rows), m * width))
+        b = np.zeros((2 * len(rows), u))
         for r, row in enumerate(rows):
-            at = width * int(problem.observations.image[row])
-            b[2 * r : 2 * r + 2, at : at + width] = j_image[row]
+            b[2 * r : 2 * r + 2, first[image[row]] : first[image[row] + 1]] = j_image[row]
         if problem.active[j]:
             a = np.vstack([j_ground[row] for row in rows])
             if problem.observed[j]:
                 a = np.vstack([a, problem.control_records[j, :9].reshape(3, 3)])
-                b = np.vstack([b, np.zeros((3, m * width))])
+                b = np.vstack([b, np.zeros((3, u))])
             b = np.linalg.qr(a, mode="complete")[0][:, 3:].T @ b
         rest = np.vstack([rest, b])
-        if len(rest) > 4 * m * width + 100:
+        if len(rest) > 4 * u + 100:
             rest = np.linalg.qr(rest).R
-    full = np.vstack([rest, np.zeros((max(0, m * width - len(rest)), m * width))])
-    _, s, vt = np.linalg.svd(full, full_matrices=False)
-    names = [(image.id, code) for image in problem.block.images for code in parameters.codes]
-    sentences = tuple(_block_sentence(vt[k], names) for k in np.flatnonzero(s < DEAD))
-    return BlockObservability(s, sentences, int(((s < WEAK_WITHOUT_PRIORS) & (s >= DEAD)).sum()))
+    return rest
 
 
-def _block_sentence(direction: Array, names: list[tuple[str, int]]) -> str:
+def _datum(problem: Problem, rest: Array, j_image: list[Array], j_ground: list[Array]) -> tuple[str, ...]:
+    """Common shifts East, North, Up that the block itself does not resist.
+
+    For each axis every image takes the unknowns that best follow the shifted ground; what the block then
+    still feels is the change of its residuals with the ground points free to follow.
+    """
+    turn = enu_from_ecef(problem.origin_m[None])[0]
+    out = []
+    for axis, name in enumerate(("East", "North", "Up")):
+        shift = DATUM_SHIFT_M * turn[axis]
+        move = np.zeros(problem.n_image_unknowns)
+        for k in range(problem.n_images):
+            rows = np.flatnonzero(problem.observations.image == k)
+            a, b = np.vstack([j_image[r] for r in rows]), np.concatenate([j_ground[r] @ shift for r in rows])
+            move[problem.first[k] : problem.first[k + 1]] = -np.linalg.lstsq(a, b, rcond=None)[0]
+        felt = float(np.linalg.norm(rest @ move) / np.sqrt(2 * len(problem.observations)))
+        if felt < WEAK:
+            out.append(
+                f"block: the images may be shifted together {name}: no control point; {DATUM_SHIFT_M:g} m change the "
+                f"residuals by {felt:.1g} of their sigma (root mean square), the priors alone hold it"
+            )
+    return tuple(out)
+
+
+def _block_sentence(direction: Array, names: list[tuple[str, str]]) -> str:
     order = np.argsort(-np.abs(direction))[:4]
-    parts = [f"{direction[j]:+.2f} {names[j][0]} {describe(names[j][1])}" for j in order if abs(direction[j]) > 0.1]
+    parts = [f"{direction[j]:+.2f} {names[j][0]} {names[j][1]}" for j in order if abs(direction[j]) > 0.1]
     return "block: the control points do not fix this combination (in prior sigmas): " + " ".join(parts)
-
-
-def describe(code: int) -> str:
-    """Name a coefficient in words: "velocity Y (constant)", "psi_x (s^1)"."""
-    if code >= N_EOP:
-        return f"look angle {parameter_name(code)}"
-    component, degree = code // 3, code % 3
-    if component in POSITION:
-        name = f"position {'XYZ'[component]}"
-    elif component in VELOCITY:
-        name = f"velocity {'XYZ'[component - 3]}"
-    else:
-        name = ("roll", "pitch", "yaw")[component - ATTITUDE[0]]
-    return f"{name} ({_DEGREE[degree]}, {UNITS[component]})"

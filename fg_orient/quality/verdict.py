@@ -86,7 +86,7 @@ def warnings(
     dead = sum(o.rank_defect for o in observability)
     if dead:
         out.append(f"{dead} direction(s) of the orientation are not observable and are held by their priors alone")
-    if problem.parameters.n_eop < len(problem.parameters):
+    if any(name.startswith("psi_") for p in problem.parameters for name in p.names):
         out.append(
             "the constant and linear look-angle terms nearly duplicate roll, pitch and yaw: judge their sum, "
             "not each alone"

@@ -17,17 +17,14 @@ from fg_orient.errors import RankDeficientError
 from fg_orient.io.folder import RESULT, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
 from fg_orient.orient import adjust
-from fg_orient.parameters import COMPONENTS, UNITS
 from fg_orient.run.json import dumps, plain
 from fg_orient.run.provenance import provenance
 from fg_orient.run.summary import deficient_summary, summary
 from fg_orient.run.tables import write_tables
-from fg_orient.sensors.eop import fit_eop
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback, IterationRecord
     from fg_orient.block import Block
-    from fg_orient.sensors.pushbroom import PushbroomSensor
     from fg_orient.solution import Solution
 
 SCHEMA_VERSION: Final = 1
@@ -109,12 +106,10 @@ def _record(solution: Solution, project: Path, out: Path, command: Sequence[str]
     folder = project.parent
     notes = [note.replace(f"{folder}/", "").replace(f"{folder.absolute()}/", "") for note in solution.block.notes]
     images = [
-        {"id": image.id, "file": Path(image.sensor.file).name, "mission": image.sensor.metadata.mission,
-         "instrument": image.sensor.metadata.instrument, "format": image.sensor.metadata.format,
-         "n_lines": image.sensor.n_lines, "n_samples": image.sensor.n_samples,
-         "notes": list(image.sensor.notes), "footprint_lon_lat_deg": image.sensor.footprint().tolist(),
-         "metadata_polynomials": _polynomials(image.sensor)}
-        for image in solution.block.images
+        {"id": image.id, "file": Path(image.sensor.file).name, "n_lines": image.sensor.n_lines,
+         "n_samples": image.sensor.n_samples, "notes": list(image.sensor.notes),
+         "footprint_lon_lat_deg": image.sensor.footprint().tolist(), **model.facts()}
+        for image, model in zip(solution.block.images, solution.problem.models, strict=True)
     ]  # fmt: skip
     observability = [
         {"image": o.image, "rank_defect": o.rank_defect, "weak": o.weak, "singular_values": o.singular_values.tolist(),
@@ -132,16 +127,6 @@ def _record(solution: Solution, project: Path, out: Path, command: Sequence[str]
         "observability": plain(observability),
         "provenance": provenance(solution.block, folder, command),
     }
-
-
-def _polynomials(sensor: PushbroomSensor) -> list[dict[str, Any]]:
-    """Degree-2 fits of the metadata's EOPs (T-Table 4.1): coefficients per line, residuals they leave."""
-    fit = fit_eop(sensor)
-    return [
-        {"component": COMPONENTS[k], "unit": UNITS[k], "per_line": fit.per_line[k].tolist(),
-         "rms": float(fit.rms[k]), "largest": float(fit.largest[k])}
-        for k in range(len(COMPONENTS))
-    ]  # fmt: skip
 
 
 def _write(folder: Path, solution: Solution, record: dict[str, Any], phases: dict[str, float], start: float) -> None:

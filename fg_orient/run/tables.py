@@ -26,9 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid
-from factors.polynomials import per_line_from_tau
 from fg_orient.adjustment.problem import enu_from_ecef
-from fg_orient.parameters import COMPONENTS, N_EOP
 from fg_orient.quality.accuracy import PointDifferences
 
 if TYPE_CHECKING:
@@ -87,36 +85,35 @@ def sigma_scale(solution: Solution) -> tuple[float, str]:
     return (solution.sigma0, "posterior") if solution.redundancy > 0 else (1.0, "prior")
 
 
-def image_cofactors(solution: Solution) -> Array:
-    """Cofactors (M, k, k) of the images' unknowns in physical units, prior scale; nan where withheld."""
-    parameters, count = solution.problem.parameters, solution.problem.n_images
-    k = len(parameters)
-    if solution.cofactors is None:
-        return np.full((count, k, k), np.nan)
-    scale = np.outer(parameters.sigma, parameters.sigma)
-    return np.array([solution.cofactors.image(i) * scale for i in range(count)]).reshape(count, k, k)
+def image_cofactors(solution: Solution) -> list[Array]:
+    """Cofactors (k, k) of each image's unknowns in physical units, prior scale; nan where withheld."""
+    out = []
+    for i, parameters in enumerate(solution.problem.parameters):
+        scale = np.outer(parameters.sigma, parameters.sigma)
+        known = np.full(scale.shape, np.nan) if solution.cofactors is None else solution.cofactors.image(i)
+        out.append(known * scale)
+    return out
 
 
 def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
-    """Corrections per image and parameter: coefficients of tau, and per line about the same line."""
-    parameters = solution.problem.parameters
+    """Corrections per image and parameter: coefficients of tau, and per line about the same line.
+
+    Of an RPC image: of its normalised line (degree 1 of ``line_l1``, ``sample_l1``) and sample (``.._s1``).
+    """
+    problem = solution.problem
     factor, name = sigma_scale(solution)
-    sigmas = factor * np.sqrt(np.maximum(np.einsum("mkk->mk", image_cofactors(solution)), 0.0))
-    priors = parameters.sigma if solution.block.options.priors else np.full(len(parameters), np.nan)
     rows: list[tuple[object, ...]] = []
-    for i, image in enumerate(solution.block.images):
-        values = solution.state.image[i] * parameters.sigma
-        per_line = per_line_from_tau(image.sensor.n_lines)
-        for j, code in enumerate(parameters.codes):
-            is_eop = code < N_EOP
-            degree = code % 3 if is_eop else (code - N_EOP) // 2
-            unit = parameters.units[j]
-            change = per_line[degree] if is_eop else np.nan
-            line_unit = "" if not is_eop else unit + ("", "/line", "/line^2")[degree]
-            component = COMPONENTS[code // 3] if is_eop else parameters.names[j].rpartition("_")[0]
+    for i, (image, q) in enumerate(zip(solution.block.images, image_cofactors(solution), strict=True)):
+        parameters = problem.parameters[i]
+        sigmas = factor * np.sqrt(np.maximum(np.diag(q), 0.0))
+        priors = parameters.sigma if solution.block.options.priors else np.full(len(parameters), np.nan)
+        values = problem.unknowns(solution.state, i) * parameters.sigma
+        change, line_units = problem.models[i].per_line()
+        for j, parameter in enumerate(parameters.names):
+            component, _, degree = parameter.rpartition("_")
             rows.append((
-                image.id, parameters.names[j], component, degree, unit, values[j], sigmas[i, j], priors[j], name,
-                values[j] * change, sigmas[i, j] * change, line_unit,
+                image.id, parameter, component, int(degree[-1]), parameters.units[j], values[j], sigmas[j], priors[j],
+                name, values[j] * change[j], sigmas[j] * change[j], line_units[j],
             ))  # fmt: skip
     return rows
 
@@ -174,16 +171,29 @@ def accuracy_rows(solution: Solution) -> list[tuple[object, ...]]:
 
 
 def _write_arrays(path: Path, solution: Solution) -> None:
-    """State, adjusted points and cofactors (prior scale) as plain arrays; no pickle needed."""
-    parameters = solution.problem.parameters
+    """State, adjusted points and cofactors (prior scale) as plain arrays; no pickle needed.
+
+    Where images differ in their unknowns, the arrays of the unknowns have one row per image, filled up with nan
+    (numbers) and "" (names); ``n_parameters`` tells how many count.
+    """
+    problem = solution.problem
     factor, _ = sigma_scale(solution)
-    cofactors = image_cofactors(solution)
+    k = solution.state.image.shape[1]
+    cofactors = np.full((problem.n_images, k, k), np.nan)
+    sigma = np.full((problem.n_images, k), np.nan)
+    names, units = (np.full((problem.n_images, k), "", dtype="U16") for _ in range(2))
+    for i, (parameters, q) in enumerate(zip(problem.parameters, image_cofactors(solution), strict=True)):
+        n = len(parameters)
+        cofactors[i, :n, :n], sigma[i, :n] = q, parameters.sigma
+        names[i, :n], units[i, :n] = parameters.names, parameters.units
+    one = len({p.setup.tobytes() + " ".join(p.names).encode() for p in problem.parameters}) == 1
+    row = 0 if one else slice(None)
     np.savez(
         path, allow_pickle=False,
         image_ids=np.array([image.id for image in solution.block.images], dtype=str),
         point_ids=np.array(solution.block.points.ids, dtype=str),
-        parameter_names=np.array(parameters.names, dtype=str), parameter_units=np.array(parameters.units, dtype=str),
-        prior_sigma=parameters.sigma, state_image=solution.state.image, state_ground_m=solution.state.ground,
-        origin_m=solution.problem.origin_m, ground_m=solution.ground_m, residuals_px=solution.residuals_px,
+        parameter_names=names[row], parameter_units=units[row], prior_sigma=sigma[row],
+        n_parameters=np.diff(problem.first), state_image=solution.state.image, state_ground_m=solution.state.ground,
+        origin_m=problem.origin_m, ground_m=solution.ground_m, residuals_px=solution.residuals_px,
         image_cofactors=cofactors, image_covariance=cofactors * factor**2,
     )  # fmt: skip

@@ -41,7 +41,7 @@ def with_fixed_control(block: Block, count: int) -> Block:
 def with_own_observations(block: Block) -> Block:
     """Observe a check point, and all coefficients of an image, once more."""
     record = np.concatenate([np.diag([2.0, 3.0, 4.0]).ravel(), [1.0, -2.0, 0.5]])
-    k = len(compile_problem(block).parameters)
+    k = len(compile_problem(block).parameters[1])
     setup = np.stack([np.linspace(-1.0, 1.0, k), np.linspace(0.5, 2.0, k)])
     check = block.points.ids[int(block.points.where(Role.CHECK)[0])]
     return replace(block, extra=(

@@ -121,7 +121,7 @@ def test_cofactors_equal_the_dense_inverse(twin: Block) -> None:
         block, ours = q[c : c + 3, c : c + 3], solution.cofactors.point(j)
         assert np.abs((ours - block) / np.sqrt(np.outer(np.diag(block), np.diag(block)))).max() < 1e-8
     named = solution.cofactor_matrix("image:left", f"point:{twin.points.ids[points[0]]}")
-    sigma = np.concatenate([problem.parameters.sigma, np.ones(3)])
+    sigma = np.concatenate([problem.parameters[0].sigma, np.ones(3)])
     index = np.concatenate([np.arange(k), np.arange(column[int(points[0])], column[int(points[0])] + 3)])
     assert np.allclose(named.values, q[np.ix_(index, index)] * np.outer(sigma, sigma), rtol=1e-6)
     assert named.units[0] == "m"

@@ -75,8 +75,8 @@ def calibrate(seed: int, errors: str) -> Calibration:
     block, truth = zonguldak_block(ZonguldakOptions(seed=seed, errors=errors))
     solution = adjust(block, eop_set=20)
     assert solution.status in (Status.CONVERGED, Status.NOT_TRUSTWORTHY) and solution.cofactors is not None
-    sigma = solution.problem.parameters.sigma
-    codes = list(solution.problem.parameters.codes)
+    sigma = solution.problem.parameters[0].sigma
+    codes = list(solution.problem.parameters[0].codes)
     true = np.stack([c.eop.ravel()[codes] for c in truth.corrections]) / sigma
     e_eop = (solution.state.image - true).ravel()
     q_eop = solution.cofactors.joint((0, 1), ())

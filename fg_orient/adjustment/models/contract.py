@@ -1,0 +1,88 @@
+"""The contract of an image model, and the table that finds the model of an image by its sensor.
+
+An image model binds a sensor to one registered observation equation with the arguments (image unknowns,
+ground point). A further sensor is one file with a class of this contract and one row in :data:`MODELS`:
+backends, observability, covariance, tables and report know nothing else of it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.errors import InputError
+from fg_orient.parameters import ImageParameters
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from factors._contract import Equation
+    from fg_orient.block import Image, ImagePoints, Options
+
+Array = npt.NDArray[np.float64]
+
+#: Class of the sensor, by name so that no sensor is loaded in vain: module and class of its model.
+MODELS: Final[dict[str, tuple[str, str]]] = {
+    "PushbroomSensor": ("fg_orient.adjustment.models.pushbroom", "PushbroomModel"),
+    "RpcSensor": ("fg_orient.adjustment.models.rpc", "RpcImageModel"),
+}
+
+
+class ImageModel(Protocol):
+    """One image as the adjustment sees it."""
+
+    equation: Equation
+    parameters: ImageParameters
+
+    def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
+        """Whitened constants (n, d) of image points of this image; a unit of the residual is one sigma.
+
+        The residual is observed minus adjusted pixel to first order. ``ground_m`` (n, 3) ECEF m near the
+        observed points; ``origin_m`` (3,): local origin of the ground unknowns.
+        """
+        ...
+
+    def correction(self, x: Array) -> Any:
+        """What ``rays``, ``project`` and ``locate`` of the sensor take, from unknowns (k,) in prior sigmas."""
+        ...
+
+    def silent_directions(self) -> list[tuple[str, Array]]:
+        """Directions that physics hides from the image: sentence and unit vector (k,) in prior sigmas."""
+        ...
+
+    def per_line(self) -> tuple[Array, tuple[str, ...]]:
+        """Factors (k,) from the unknowns in physical units to coefficients per line, nan where none; units."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """Mission, instrument, format and whatever else the record of a run tells of the image's metadata."""
+        ...
+
+
+def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel, ...]:
+    """Give the model of each image, by the kind of its sensor.
+
+    Raises
+    ------
+    InputError
+        An image has a sensor that no model is known for.
+    """
+    found: list[ImageModel] = []
+    for image in images:
+        kind = type(image.sensor).__name__
+        if kind not in MODELS:
+            raise InputError.of("adjust.no_model", place=f"image {image.id}", value=kind, known=", ".join(MODELS))
+        module, name = MODELS[kind]
+        found.append(getattr(import_module(module), name)(image.sensor, options))
+    return tuple(found)
+
+
+def groups(models: Sequence[ImageModel]) -> list[list[int]]:
+    """Images with the same equation and the same unknowns, by number, in the order of their first image."""
+    found: dict[tuple[str, bytes], list[int]] = {}
+    for k, model in enumerate(models):
+        found.setdefault((model.equation.name, model.parameters.setup.tobytes()), []).append(k)
+    return list(found.values())

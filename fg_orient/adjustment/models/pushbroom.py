@@ -1,0 +1,120 @@
+"""Pushbroom image: look-angle collinearity with the coefficients of an EOP set as unknowns."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import Equation
+from factors.polynomials import per_line_from_tau
+from factors.pushbroom import LOOK_ANGLE_COLLINEARITY
+from factors.rotations import orbital_frames
+from fg_orient.block import ImagePoints, Options
+from fg_orient.parameters import COMPONENTS, DEGREES, N_EOP, UNITS, VELOCITY, orientation_parameters
+from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.eop import fit_eop
+from fg_orient.sensors.projection import pixel_derivative
+from fg_orient.sensors.pushbroom import PushbroomSensor
+
+Array = npt.NDArray[np.float64]
+
+_YAW: Final = 8
+
+
+class PushbroomModel:
+    """See ``fg_orient.adjustment.models.contract.ImageModel``.
+
+    Parameters
+    ----------
+    sensor : PushbroomSensor
+    options : Options
+        EOP set, look polynomial, their prior sigmas, small-angle form.
+    """
+
+    equation: Equation = LOOK_ANGLE_COLLINEARITY
+
+    def __init__(self, sensor: PushbroomSensor, options: Options) -> None:
+        self.sensor, self.small_angle = sensor, options.small_angle
+        self.parameters = orientation_parameters(options)
+
+    def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
+        """Whiten with ``S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
+        line, sample, small = points.line, points.sample, self.small_angle
+        out = self.sensor.records(line, sample, ground_m, origin_m, small_angle=small)
+        j = pixel_derivative(self.sensor, line, sample, ground_m, Correction(small_angle=small))
+        sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
+        out[:, 22:26] = (np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
+        return out
+
+    def correction(self, x: Array) -> Correction:
+        """EOP corrections (9, 3) and look corrections (2, degree + 1) in physical units."""
+        eop, codes = np.zeros(N_EOP), self.parameters.codes
+        look = np.zeros(sum(code >= N_EOP for code in codes))
+        for code, value in zip(codes, x * self.parameters.sigma, strict=True):
+            if code < N_EOP:
+                eop[code] = value
+            else:
+                look[code - N_EOP] = value
+        return Correction(eop.reshape(9, 3), np.ascontiguousarray(look.reshape(-1, 2).T), small_angle=self.small_angle)
+
+    def silent_directions(self) -> list[tuple[str, Array]]:
+        """Velocity acts through V x P only (docs/equations.md 3).
+
+        Along track and radial it acts on nothing; across track it turns the orbital frame like a yaw, or,
+        with Earth-fixed attitudes (DIMAP v2), nothing at all.
+        """
+        out: list[tuple[str, Array]] = []
+        frame, speed_m_s = self._central_frame()
+        index = {code: j for j, code in enumerate(self.parameters.codes)}
+        sigma = self.parameters.sigma
+        for degree in range(3):
+            rows = [index[3 * c + degree] for c in VELOCITY if 3 * c + degree in index]
+            if len(rows) < len(VELOCITY):
+                continue
+            for axis, text in ((1, "velocity along track ({}) acts on nothing"),
+                               (2, "radial velocity ({}) acts on nothing")):  # fmt: skip
+                direction = np.zeros(len(sigma))
+                direction[rows] = frame[:, axis]
+                out.append((text.format(DEGREES[degree]), direction))
+            direction = np.zeros(len(sigma))
+            direction[rows] = frame[:, 0] / sigma[rows]
+            yaw = index.get(3 * _YAW + degree)
+            if yaw is not None and self.sensor.follows_orbit:
+                direction[yaw] = 1.0 / speed_m_s / sigma[yaw]
+                text = "velocity across track acts as yaw ({}): only their sum is observable"
+            else:
+                text = "velocity across track ({}) acts on nothing"
+            out.append((text.format(DEGREES[degree]), direction / np.linalg.norm(direction)))
+        return out
+
+    def _central_frame(self) -> tuple[Array, float]:
+        """Orbital frame at the image centre (columns across, along, radial) and the speed along it, m/s."""
+        state = self.sensor.states((self.sensor.n_lines - 1) / 2.0)
+        frame = orbital_frames(state.position_m, state.velocity_m_s)[0]
+        return frame, float(state.velocity_m_s[0] @ frame[:, 1])
+
+    def per_line(self) -> tuple[Array, tuple[str, ...]]:
+        """Coefficients of line minus the central line, from those of tau; none for the look polynomial."""
+        change = per_line_from_tau(self.sensor.n_lines)
+        codes, units = self.parameters.codes, self.parameters.units
+        factors = np.array([change[code % 3] if code < N_EOP else np.nan for code in codes])
+        texts = [
+            unit + ("", "/line", "/line^2")[code % 3] if code < N_EOP else ""
+            for code, unit in zip(codes, units, strict=True)
+        ]
+        return factors, tuple(texts)
+
+    def facts(self) -> dict[str, Any]:
+        """What the file says of itself, and degree-2 fits of its EOPs (T-Table 4.1): per line, residuals left."""
+        meta, fit = self.sensor.metadata, fit_eop(self.sensor)
+        polynomials = [
+            {"component": COMPONENTS[k], "unit": UNITS[k], "per_line": fit.per_line[k].tolist(),
+             "rms": float(fit.rms[k]), "largest": float(fit.largest[k])}
+            for k in range(len(COMPONENTS))
+        ]  # fmt: skip
+        return {
+            "model": "pushbroom", "mission": meta.mission, "instrument": meta.instrument, "format": meta.format,
+            "metadata_polynomials": polynomials,
+        }  # fmt: skip
