@@ -99,10 +99,7 @@ def read_rpc_list(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     if reading.first_pixel is None:
         raise InputError.of("rpc.origin", file=file)
     if len(words) != 90:
-        place = f"{len(words)} numbers instead of 90"
-        raise InputError.of(
-            "rpc.coefficient_count", file=file, place=place, count=f"{(len(words) - 10) / 4:g} of 4 x 20"
-        )
+        raise InputError.of("rpc.list_count", file=file, value=f"{len(words)} numbers")
     fields = RpcFields(file)
     for k, axis in enumerate(_LIST_AXES):
         fields.add(f"{axis}_OFF", words[k], f"number {k + 1}")

@@ -1,0 +1,151 @@
+"""The rational function: term orders, values, derivatives, projection, location, exact geodetic differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import ellipsoid, rfm, rfm_equation, rfm_ground, rfm_project
+from factors.rfm_terms import EXPONENTS, degree_mask, permutation, terms
+from tests.support.rpc_model import ground_points, reference_project, synthetic_model
+
+#: Published position k -> RPC00B position, both from 1 (X = longitude, Y = latitude).
+PUBLISHED_TO_B = [1, 2, 3, 4, 5, 7, 6, 8, 9, 10, 11, 16, 15, 17, 13, 12, 14, 19, 18, 20]
+
+
+def test_term_orders() -> None:
+    """All orders hold the 20 monomials of degree <= 3; RPC00A has the product term in position 8."""
+    monomials = {(i, j, k) for i in range(4) for j in range(4) for k in range(4) if i + j + k <= 3}
+    for order in EXPONENTS.values():
+        assert len(order) == 20
+        assert set(order) == monomials
+    assert (permutation("RPC00B", "T2.54") + 1).tolist() == PUBLISHED_TO_B
+    assert EXPONENTS["RPC00A"][7] == (1, 1, 1)
+    for name in EXPONENTS:
+        back = permutation("RPC00B", name)[permutation(name, "RPC00B")]
+        assert back.tolist() == list(range(20))
+    assert [int(degree_mask(d).sum()) for d in (1, 2, 3)] == [4, 10, 20]
+
+
+def test_reordered_coefficients_give_the_same_polynomial(rng: np.random.Generator) -> None:
+    ground, c = rng.uniform(-1, 1, (30, 3)), rng.normal(size=20)
+    expected = terms(ground) @ c
+    for name, exponents in EXPONENTS.items():
+        monomials = np.prod(ground[:, None, :] ** np.array(exponents), axis=2)
+        assert np.abs(monomials @ c[permutation("RPC00B", name)] - expected).max() < 1e-13
+
+
+def test_values_and_denominators_equal_the_sum_of_terms(rng: np.random.Generator) -> None:
+    model, ground = synthetic_model(), rng.uniform(-1, 1, (200, 3))
+    f = terms(ground) @ model.coefficients.T
+    assert np.abs(rfm.values(model.coefficients, ground) - f[:, 0::2] / f[:, 1::2]).max() < 4e-15
+    assert np.abs(rfm.denominators(model.coefficients, ground) - f[:, 1::2]).max() < 1e-15
+
+
+def complex_value(c: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """(l, s) of one point by plain sums, complex arguments allowed."""
+    monomials = np.array([np.prod(ground ** np.array(e)) for e in EXPONENTS["RPC00B"]])
+    f = c @ monomials
+    return np.array([f[0] / f[1], f[2] / f[3]])
+
+
+def test_jacobians_equal_complex_step(rng: np.random.Generator) -> None:
+    """With respect to normalised ground coordinates and to all 80 coefficients, 1e-13 of the largest."""
+    c = synthetic_model().coefficients.astype(complex)
+    ground = rng.uniform(-1, 1, (10, 3))
+    by_ground, by_coefficient = rfm.ground_jacobian(c.real.copy(), ground), rfm.coefficient_jacobian(c.real, ground)
+    for i, point in enumerate(ground):
+        for k in range(3):
+            z = point.astype(complex)
+            z[k] += 1e-30j
+            assert np.abs(complex_value(c, z).imag / 1e-30 - by_ground[i, :, k]).max() < 1e-13
+        for row in range(4):
+            for k in range(20):
+                turned = c.copy()
+                turned[row, k] += 1e-30j
+                d = complex_value(turned, point.astype(complex)).imag / 1e-30
+                assert abs(d[row // 2] - by_coefficient[i, row // 2, 20 * (row % 2) + k]) < 1e-13
+                assert d[1 - row // 2] == 0.0
+
+
+@pytest.mark.parametrize("turn", [0.0, 360.0, -360.0])
+def test_projection_equals_an_independent_one(turn: float) -> None:
+    """1e-10 px beside extended precision, over several blocks of points; a full turn of longitude costs digits."""
+    model = synthetic_model()
+    lon, lat, h = ground_points(model, 700)
+    line, sample = rfm_project.project(model.coefficients, model.offsets, model.scales, np.zeros(6), lon + turn, lat, h)
+    l_ref, s_ref = reference_project(model, lon, lat, h)
+    limit = 1e-10 if turn == 0.0 else 2.0 * np.spacing(400.0) / 0.045 * 12000.0
+    assert np.abs(line - l_ref).max() < limit
+    assert np.abs(sample - s_ref).max() < limit
+
+
+def test_compensation_acts_on_normalised_pixels() -> None:
+    model = synthetic_model()
+    lon, lat, h = ground_points(model)
+    b = np.array([3.0, -2.0, 0.5, 0.25, -0.125, 1.0])
+    plain, bent = (
+        np.stack(rfm_project.project(model.coefficients, model.offsets, model.scales, c, lon, lat, h))
+        for c in (np.zeros(6), b)
+    )
+    l, s = (plain - model.offsets[:2, None]) / model.scales[:2, None]  # noqa: E741
+    assert np.abs(bent - plain - [b[0] + b[2] * l + b[4] * s, b[1] + b[3] * l + b[5] * s]).max() < 1e-10
+
+
+def test_a_pole_gives_nan_and_its_neighbours_a_value() -> None:
+    c = np.zeros((4, 20))
+    c[1::2, 0], c[1, 1], c[0, 2], c[2, 1] = 1.0, -2.0, 1.0, 1.0  # line denominator 1 - 2 x
+    lon = np.array([0.25, 0.5, 0.75])
+    line, sample = rfm_project.project(c, np.zeros(5), np.ones(5), np.zeros(6), lon, np.ones(3), np.zeros(3))
+    assert np.array_equal(np.isnan(line), [False, True, False])
+    assert np.array_equal(np.isnan(sample), np.isnan(line))
+    assert line[0] == 2.0
+    assert line[2] == -2.0
+
+
+def test_location_inverts_projection(rng: np.random.Generator) -> None:
+    """To 1e-13 of the range from the centre as first guess; a pixel that no ground point has gives nan."""
+    model, ground = synthetic_model(), rng.uniform(-1, 1, (300, 3))
+    image = rfm.values(model.coefficients, ground)
+    found = rfm_project.locate(model.coefficients, model.scales, image, ground[:, 2].copy(), np.zeros((300, 2)))
+    assert np.abs(found - ground[:, :2]).max() < 1e-13
+    c = np.zeros((4, 20))
+    c[1::2, 0], c[0, 7], c[2, 2] = 1.0, 1.0, 1.0  # l = x^2 has no negative values
+    lost = rfm_project.locate(c, np.ones(5), np.array([[-1.0, 0.0]]), np.zeros(1), np.array([[0.5, 0.0]]))
+    assert np.isnan(lost).all()
+
+
+def test_geodetic_differences_are_exact(rng: np.random.Generator) -> None:
+    """Against the whole coordinates (their rounding: 2e-9 m), and 1e-6 m away to 9 digits of the difference."""
+    for _ in range(40):
+        reference = rng.normal(size=3)
+        reference *= (6.37e6 + rng.uniform(-1e3, 5e3)) / np.linalg.norm(reference)
+        lon, lat, h = ellipsoid.geodetic(*reference)
+        frame = np.array([np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat), h])
+        far = rng.normal(scale=3e4, size=3)
+        whole = np.array(ellipsoid.geodetic(*(reference + far)))
+        found = np.array([lon, lat, h]) + rfm_ground.differences(frame, *far)
+        turn = np.remainder(found[0] - whole[0] + np.pi, 2 * np.pi) - np.pi
+        metres = np.array([turn * 6.4e6 * np.cos(lat), (found[1] - whole[1]) * 6.4e6, found[2] - whole[2]])
+        assert np.abs(metres).max() < 1e-8
+        step = rng.normal(size=3) * 1e-6
+        linear = np.array(rfm_ground.derivatives(frame, 0.0, 0.0, 0.0)) @ step
+        small = np.array(rfm_ground.differences(frame, *step))
+        assert np.abs(small - linear).max() <= 1e-9 * np.abs(linear).max()
+
+
+def test_beyond_the_axis_there_is_no_difference() -> None:
+    frame = np.array([0.0, 1.0, 0.0, 1.0, 0.0])
+    assert np.isnan(rfm_ground.differences(frame, -1.3e7, 0.0, 0.0)).all()
+
+
+def test_residuals_repeat_to_a_part_in_1e11_of_a_pixel() -> None:
+    """Moving the ground point by 1e-7 m changes the residual by its derivative: no jitter of 1e-9 m coordinates."""
+    e = rfm_equation.example(np.random.default_rng(3))
+    x, ground = e.unknowns
+    r0, _, j = rfm_equation.kernel(e.record, e.setup, x, ground, True)
+    for k in range(3):
+        moved = ground.copy()
+        moved[k] += 1e-7
+        taken = moved[k] - ground[k]
+        assert np.abs(rfm_equation.residual(e.record, e.setup, x, moved) - r0 - j[:, k] * taken).max() < 5e-11

@@ -1,0 +1,381 @@
+"""RPC files: every writer's file reads back the same; what is wrong is said in one line with place and remedy."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factors.rfm_terms import permutation
+from fg_orient.errors import InputError
+from fg_orient.io import rpc_dimap, rpc_geom, rpc_raster, rpc_rpb, rpc_text
+from fg_orient.io.rpc import FORMATS, read_rpc, rpc_format, write_rpc
+from fg_orient.io.rpc_fields import POLYNOMIALS
+from fg_orient.io.sensor import read_sensor
+from fg_orient.sensors.rpc import RpcModel, RpcValidity
+from fg_orient.sensors.rpc_sensor import RpcSensor
+from tests.support.rpc_model import synthetic_model
+
+GEOM = """\
+bias_error:  0.5
+rand_error:  0.25
+number_lines:  20000
+number_samples:  24000
+polynomial_format:  {order}
+type:  {kind}
+adjustment_0.adj_param_0.parameter:  {adjusted}
+"""
+
+
+@pytest.fixture
+def model() -> RpcModel:
+    """Model with error estimates, as RPC00B files have them."""
+    return synthetic_model(err_bias_m=2.5, err_rand_m=0.125)
+
+
+def assert_same(found: RpcModel, expected: RpcModel, relative: float = 0.0) -> None:
+    """Equal, by default to the last digit."""
+    for name in ("offsets", "scales", "coefficients"):
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        assert np.all(np.abs(ours - theirs) <= relative * np.abs(theirs)), name
+
+
+def geotiff(path: Path) -> Path:
+    import rasterio
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(path, "w", driver="GTiff", width=7, height=5, count=1, dtype="uint8") as image:
+            image.write(np.arange(35, dtype="uint8").reshape(5, 7), 1)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a_RPC.TXT", "a_rpc.txt", "a.RPB"])
+def test_text_formats_round_trip_to_the_last_digit(tmp_path: Path, model: RpcModel, name: str) -> None:
+    write_rpc(tmp_path / name, model)
+    found = read_rpc(tmp_path / name)
+    assert_same(found, model)
+    assert (found.err_bias_m, found.err_rand_m) == (2.5, 0.125)
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize(
+    ("form", "first"),
+    [("DIMAP 2.15 PHR_SENSOR", 1), ("DIMAP 2.0 S6_SENSOR", 0), ("DIMAP 2.12 S7_SENSOR", 0),
+     ("DIMAP 3.0 PNEO_SENSOR", 0), (rpc_dimap.V1_NAME, 1)],
+)  # fmt: skip
+def test_dimap_round_trip_in_every_version(tmp_path: Path, model: RpcModel, form: str, first: int) -> None:
+    """Both models and the validity; whole offsets survive the change of origin exactly."""
+    direct = synthetic_model(5).coefficients
+    stated = RpcValidity((0.0, 19000.0), (0.0, 23000.0), (31.7, 31.9), (41.3, 41.5), (0.0, 1000.0))
+    given = replace(model, format=form, direct=direct, stated_validity=stated)
+    write_rpc(tmp_path / "RPC.XML", given)
+    found = read_rpc(tmp_path / "RPC.XML")
+    assert_same(found, given)
+    assert found.direct is not None
+    assert np.array_equal(found.direct, direct)
+    assert found.validity == stated
+    assert found.format == form
+    tag = "B" if form == rpc_dimap.V1_NAME else "LINE_OFF"
+    text = (tmp_path / "RPC.XML").read_text()
+    values = [float(v) for v in re.findall(rf"<{tag}>([^<]*)<", text)]
+    assert values[0] == model.offsets[0] + first
+
+
+def test_a_model_of_another_format_becomes_pleiades_dimap_without_direct_model(tmp_path: Path, model: RpcModel) -> None:
+    write_rpc(tmp_path / "RPC.XML", replace(model, format="RPB"))
+    found = read_rpc(tmp_path / "RPC.XML")
+    assert_same(found, model)
+    assert found.format == "DIMAP 2.15 PHR_SENSOR"
+    with pytest.raises(InputError, match="no coefficients from image to ground"):
+        found.locate_directly(0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["image.tif", "image.TIFF"])
+def test_geotiff_tags_round_trip_and_pixels_stay(tmp_path: Path, model: RpcModel, name: str) -> None:
+    import rasterio
+
+    path = geotiff(tmp_path / name)
+    write_rpc(path, model)
+    found = read_rpc(path)
+    assert_same(found, model, relative=5e-15)  # GDAL hands tags over as text with 15 digits
+    assert (found.n_lines, found.n_samples) == (5, 7)
+    assert (found.err_bias_m, found.err_rand_m) == (2.5, 0.125)
+    with rasterio.open(path) as image:
+        assert np.array_equal(image.read(1).ravel(), np.arange(35))
+    assert {p.name for p in tmp_path.iterdir()} <= {name, f"{name}.aux.xml"}
+
+
+def test_geotiff_without_tags_and_without_an_image(tmp_path: Path, model: RpcModel) -> None:
+    with pytest.raises(InputError, match="holds no RPC"):
+        read_rpc(geotiff(tmp_path / "image.tif"))
+    with pytest.raises(InputError, match="existing GeoTIFF"):
+        write_rpc(tmp_path / "none.tif", model)
+    (tmp_path / "broken.tif").write_bytes(b"II*\0 and nothing else")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_rpc(tmp_path / "broken.tif")
+
+
+def geom_text(model: RpcModel, order: str = "B", kind: str = "ossimRpcModel", adjusted: str = "0") -> str:
+    """Text of an OSSIM keyword list."""
+    lines = []
+    for k, axis in enumerate(("line", "samp", "long", "lat", "height")):
+        lines += [f"{axis}_off:  {float(model.offsets[k])!r}", f"{axis}_scale:  {float(model.scales[k])!r}"]
+    for stem, row in zip(POLYNOMIALS, model.coefficients, strict=True):
+        lines += [f"{stem.lower()}_coeff_{k:02d}:  {float(v)!r}" for k, v in enumerate(row)]
+    return GEOM.format(order=order, kind=kind, adjusted=adjusted) + "\n".join(lines) + "\n"
+
+
+def test_ossim_keyword_list(tmp_path: Path, model: RpcModel) -> None:
+    path = tmp_path / "a.geom"
+    path.write_text(geom_text(model, adjusted="0.25"))
+    found = read_rpc(path)
+    assert_same(found, model)
+    assert (found.n_lines, found.n_samples, found.err_bias_m) == (20000, 24000, 0.5)
+    assert found.validity.line == (0.0, 19999.0)
+    assert any("not applied" in note for note in found.notes)
+
+
+def test_ossim_spot_offsets_that_lost_a_pixel_get_it_back(tmp_path: Path) -> None:
+    """Vendor offsets of SPOT 6/7 equal the scales; OSSIM versions differ (docs/rpc.md)."""
+    scales = synthetic_model().scales
+    for lost in (0.0, 1.0):
+        offsets = synthetic_model().offsets.copy()
+        offsets[:2] = scales[:2] - lost
+        path = tmp_path / f"{lost:g}.geom"
+        path.write_text(geom_text(synthetic_model(offsets=offsets), kind="ossimSpot6Model"))
+        found = read_rpc(path)
+        assert found.offsets[:2].tolist() == scales[:2].tolist()
+        assert len(found.notes) == lost
+
+
+def isd_text(model: RpcModel, spec: str = "RPC00B") -> str:
+    """DigitalGlobe XML with an RPB section."""
+    cells = "".join(
+        f"<{name}OFFSET>{float(model.offsets[k])!r}</{name}OFFSET><{name}SCALE>{float(model.scales[k])!r}</{name}SCALE>"
+        for k, name in enumerate(("LINE", "SAMP", "LONG", "LAT", "HEIGHT"))
+    )
+    for stem, row in zip(POLYNOMIALS, model.coefficients, strict=True):
+        tag = stem.replace("_", "") + "COEF"
+        cells += f"<{tag}List><{tag}>{' '.join(repr(float(v)) for v in row)}</{tag}></{tag}List>"
+    head = "<IMD><NUMROWS>20000</NUMROWS><NUMCOLUMNS>24000</NUMCOLUMNS></IMD>"
+    return f"<isd>{head}<RPB><SPECID>{spec}</SPECID><IMAGE>{cells}</IMAGE></RPB></isd>"
+
+
+def test_digitalglobe_xml(tmp_path: Path, model: RpcModel) -> None:
+    path = tmp_path / "a.XML"
+    path.write_text(isd_text(model))
+    found = read_rpc(path)
+    assert_same(found, model)
+    assert (found.n_lines, found.n_samples) == (20000, 24000)
+
+
+def list_text(model: RpcModel) -> str:
+    """90 numbers: latitude before longitude."""
+    order = [0, 1, 3, 2, 4]
+    numbers = [*model.offsets[order], *model.scales[order], *model.coefficients.ravel()]
+    return "\n".join(repr(float(v)) for v in numbers)
+
+
+def test_list_of_numbers_needs_the_origin(tmp_path: Path, model: RpcModel) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(list_text(model))
+    with pytest.raises(InputError, match=r"first_pixel=0\), or first_pixel=1"):
+        read_rpc(path)
+    assert_same(read_rpc(path, first_pixel=0), model)
+    assert read_rpc(path, first_pixel=1).offsets[:2].tolist() == (model.offsets[:2] - 1).tolist()
+
+
+# --- pixel origins and term orders -----------------------------------------------------------
+
+
+def test_pixel_origins_are_those_of_the_table() -> None:
+    """First pixel's centre: docs/rpc.md says how each was decided."""
+    assert rpc_text.FIRST_PIXEL == rpc_rpb.FIRST_PIXEL == rpc_raster.FIRST_PIXEL == rpc_geom.FIRST_PIXEL == 0.0
+    assert rpc_dimap.FIRST_PIXEL == {"PHR": (1, 1), "S6": (0, 1), "S7": (0, 1), "PNEO": (0, 0)}
+
+
+def test_first_pixel_given_wins(tmp_path: Path, model: RpcModel) -> None:
+    write_rpc(tmp_path / "RPC.XML", replace(model, format="DIMAP 2.0 S6_SENSOR"))
+    found = read_rpc(tmp_path / "RPC.XML", first_pixel=1)
+    assert found.offsets[0] == model.offsets[0] - 1.0
+
+
+def test_unknown_profile_takes_the_first_row_of_its_domain_and_says_so(tmp_path: Path, model: RpcModel) -> None:
+    write_rpc(tmp_path / "RPC.XML", replace(model, format="DIMAP 2.0 PHR_SENSOR"))
+    text = (tmp_path / "RPC.XML").read_text().replace("PHR_SENSOR", "PER1_SENSOR")
+    (tmp_path / "RPC.XML").write_text(text)
+    found = read_rpc(tmp_path / "RPC.XML")
+    assert found.offsets[0] == model.offsets[0]
+    assert any("first_pixel=" in note for note in found.notes)
+
+
+def test_exchanged_longitude_and_latitude_of_the_domain_are_put_right(tmp_path: Path, model: RpcModel) -> None:
+    write_rpc(tmp_path / "RPC.XML", replace(model, format="DIMAP 2.0 S6_SENSOR"))
+    text = (tmp_path / "RPC.XML").read_text()
+    text = text.replace("_LON>", "_XXX>").replace("_LAT>", "_LON>").replace("_XXX>", "_LAT>")
+    (tmp_path / "RPC.XML").write_text(text)
+    found = read_rpc(tmp_path / "RPC.XML")
+    assert found.validity == model.validity
+    assert any("exchanged" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("order", ["RPC00A", "T2.54"])
+def test_other_term_orders_are_read_when_asked_for(tmp_path: Path, model: RpcModel, order: str) -> None:
+    shuffled = replace(model, coefficients=model.coefficients[:, permutation("RPC00B", order)])
+    write_rpc(tmp_path / "a_RPC.TXT", shuffled)
+    assert_same(read_rpc(tmp_path / "a_RPC.TXT", order=order), model)
+
+
+def test_files_that_name_rpc00a_are_refused_until_asked_for(tmp_path: Path, model: RpcModel) -> None:
+    shuffled = replace(model, coefficients=model.coefficients[:, permutation("RPC00B", "RPC00A")])
+    write_rpc(tmp_path / "a.RPB", shuffled)
+    write_rpc(tmp_path / "a.XML", shuffled)
+    (tmp_path / "a.geom").write_text(geom_text(shuffled, order="A"))
+    (tmp_path / "isd.XML").write_text(isd_text(shuffled, "RPC00A"))
+    for name in ("a.RPB", "a.XML"):
+        (tmp_path / name).write_text((tmp_path / name).read_text().replace("RPC00B", "RPC00A"))
+    for name in ("a.RPB", "a.XML", "a.geom", "isd.XML"):
+        with pytest.raises(InputError, match=r"read_rpc\(path, order='RPC00A'\)") as caught:
+            read_rpc(tmp_path / name)
+        assert caught.value.problems[0].place
+        assert_same(read_rpc(tmp_path / name, order="RPC00A"), model)
+
+
+def test_unknown_order() -> None:
+    with pytest.raises(InputError, match="known: RPC00B, RPC00A, T2"):
+        read_rpc("none", order="RPC00C")
+
+
+# --- bad input -------------------------------------------------------------------------------
+
+
+def without(key: str) -> Callable[[str], str]:
+    return lambda text: "".join(row for row in text.splitlines(keepends=True) if not row.startswith(key))
+
+
+def sub(pattern: str, new: str) -> Callable[[str], str]:
+    return lambda text: re.sub(pattern, new, text, count=1, flags=re.MULTILINE)
+
+
+BAD_TEXT = [
+    (without("LINE_NUM_COEFF_20"), "rpc.coefficient_count", "LINE_NUM_COEFF", "19"),
+    (lambda t: t + "SAMP_DEN_COEFF_21: 0\n", "rpc.coefficient_count", "SAMP_DEN_COEFF", "21"),
+    (sub(r"^SAMP_DEN_COEFF_20:", "SAMP_DEN_COEFF_21:"), "rpc.missing", "", "SAMP_DEN_COEFF_20"),
+    (without("HEIGHT_OFF"), "rpc.missing", "", "HEIGHT_OFF"),
+    (lambda t: t + "LINE_OFF: 1\n", "rpc.doubled", "line 93", "LINE_OFF"),
+    (sub(r"^LAT_SCALE: \S+", "LAT_SCALE: 0.0"), "rpc.zero_scale", "scale of latitude", "0"),
+    (sub(r"^LINE_DEN_COEFF_1: \S+", "LINE_DEN_COEFF_1: 2"), "rpc.denominator_constant", "line denominator", "2"),
+    (sub(r"^LONG_OFF: \S+", "LONG_OFF: 31,8"), "rpc.not_a_number", "line 6, LONG_OFF", "31,8"),
+    (sub(r"^LONG_OFF: \S+", "LONG_OFF: nan"), "rpc.not_a_number", "LONG_OFF", "nan"),
+    (sub(r"^LONG_OFF: \S+", "LONG_OFF: 1e999"), "rpc.not_a_number", "LONG_OFF", "1e999"),
+    (sub(r"^LONG_OFF: .*", "LONG_OFF = 31.8"), "rpc.syntax", "line 6", "LONG_OFF = 31.8"),
+    (sub(r"^LONG_OFF", "LONGITUDE_OFF"), "rpc.syntax", "line 6", "LONGITUDE_OFF"),
+    (lambda t: "\n".join(f"{k} {k}" for k in "abc"), "rpc.unknown_format", "content", "a a"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("spoil", "code", "place", "value"), BAD_TEXT)
+def test_bad_text_file(
+    tmp_path: Path, model: RpcModel, spoil: Callable[[str], str], code: str, place: str, value: str
+) -> None:
+    path = tmp_path / "a_RPC.TXT"
+    write_rpc(path, model)
+    path.write_text(spoil(path.read_text()))
+    with pytest.raises(InputError) as caught:
+        read_rpc(path)
+    (fault,) = caught.value.problems
+    assert fault.code == code
+    assert place in fault.place
+    assert value in str(fault)
+    assert fault.file == str(path)
+    assert fault.remedy
+    assert "\n" not in str(fault)
+
+
+def test_bad_rpb_and_dimap_name_the_place(tmp_path: Path, model: RpcModel) -> None:
+    rpb, xml = tmp_path / "a.RPB", tmp_path / "a.XML"
+    write_rpc(rpb, model)
+    write_rpc(xml, replace(model, direct=model.coefficients))
+    rpb.write_text(re.sub(r",\n\s*[-\d.e]+\);", ");", rpb.read_text(), count=1))
+    with pytest.raises(InputError, match=r"LINE_NUM_COEFF: needs 20 coefficients, 19 given"):
+        read_rpc(rpb)
+    text = xml.read_text()
+    for old, new, expected in (
+        ("<LINE_SCALE>10000.0</LINE_SCALE>", "", "LINE_SCALE is missing"),
+        ("<LINE_OFF>10001.0<", "<LINE_OFF>many<", r"line \d+, .*LINE_OFF.*not a plain finite number \(found many\)"),
+        ("<LINE_SCALE>10000.0<", "<LINE_SCALE>0<", "scale of line: a scale of zero"),
+    ):
+        assert old in text
+        xml.write_text(text.replace(old, new))
+        with pytest.raises(InputError, match=expected):
+            read_rpc(xml)
+    zero = re.sub(r"<SAMP_DEN_COEFF_1>1.0<", "<SAMP_DEN_COEFF_1>0<", text, count=1)
+    xml.write_text(zero)
+    with pytest.raises(InputError, match="constant of a denominator must be 1"):
+        read_rpc(xml)
+
+
+def test_direct_models_are_scaled_to_unit_constants(tmp_path: Path, model: RpcModel) -> None:
+    """Some programs leave 0.9996 there; it is a scale of numerator and denominator alike."""
+    direct = synthetic_model(5).coefficients.copy()
+    path = tmp_path / "a.XML"
+    write_rpc(path, replace(model, direct=np.concatenate([direct[:2] * 0.5, direct[2:]])))
+    found = read_rpc(path).direct
+    assert found is not None
+    assert np.array_equal(found, direct)
+
+
+def test_other_bad_files(tmp_path: Path, model: RpcModel) -> None:
+    short = tmp_path / "list.txt"
+    short.write_text(list_text(model).rsplit("\n", 1)[0])
+    with pytest.raises(InputError, match=r"holds 90 numbers \(found 89 numbers\)"):
+        read_rpc(short, first_pixel=1)
+    isd = tmp_path / "isd.XML"
+    isd.write_text("<isd><IMD/></isd>")
+    with pytest.raises(InputError, match="element RPB is missing"):
+        read_rpc(isd)
+    geom = tmp_path / "a.geom"
+    geom.write_text(geom_text(model).replace("number_lines:  20000", "number_lines:  many"))
+    with pytest.raises(InputError, match="line 3, number_lines: not a plain finite number"):
+        read_rpc(geom)
+    with pytest.raises(InputError, match="does not exist"):
+        read_rpc(tmp_path / "none")
+    with pytest.raises(InputError, match="folder"):
+        read_rpc(tmp_path)
+    with pytest.raises(InputError, match=r"end it with _RPC\.TXT"):
+        write_rpc(tmp_path / "model.dat", model)
+    with pytest.raises(InputError, match=r"none.*model\.RPB"):
+        write_rpc(tmp_path / "none" / "model.RPB", model)
+
+
+def test_each_format_is_told_from_all_others(tmp_path: Path, model: RpcModel) -> None:
+    write_rpc(tmp_path / "a_RPC.TXT", model)
+    write_rpc(tmp_path / "a.RPB", model)
+    write_rpc(tmp_path / "a.XML", model)
+    write_rpc(tmp_path / "v1.XML", replace(model, format=rpc_dimap.V1_NAME, direct=model.coefficients))
+    write_rpc(geotiff(tmp_path / "a.tif"), model)
+    (tmp_path / "a.geom").write_text(geom_text(model))
+    (tmp_path / "isd.XML").write_text(isd_text(model))
+    (tmp_path / "list.txt").write_text(list_text(model))
+    files = ("a.tif", "a.XML", "v1.XML", "isd.XML", "a.RPB", "a_RPC.TXT", "a.geom", "list.txt")
+    found = [rpc_format(tmp_path / name) for name in files]
+    assert [form.name for form in found if form] == [f.name for f in FORMATS if f.name != "GDAL VRT"]
+    for path in tmp_path.glob("a*"):
+        head = path.read_bytes()[:65536].decode("latin-1")
+        assert sum(form.is_one(head) for form in FORMATS) == 1 or path.name.endswith(".aux.xml")
+    assert isinstance(read_sensor(tmp_path / "a_RPC.TXT"), RpcSensor)
+
+
+def test_without_rasterio_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    path = geotiff(tmp_path / "a.tif")
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(InputError, match="fg-orient\\[geo\\]"):
+        read_rpc(path)
