@@ -25,7 +25,7 @@ demo: $(STAMP)  ## simulate the Zonguldak stereo twin, adjust it, write the repo
 	@echo "report: $(CURDIR)/demo/result/report.html"
 
 test: $(STAMP)  ## all tests but the slow ones (ARGS=... goes to pytest)
-	$(BIN)/python -m pytest -m "not slow" $(ARGS)
+	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(ARGS)
 
 test-slow: $(STAMP)  ## the full simulations
 	$(BIN)/python -m pytest -m slow $(ARGS)
