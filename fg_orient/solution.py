@@ -21,6 +21,7 @@ from fg_orient.names import Role, Status
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.covariance import Cofactors, NamedMatrix, named_cofactors
 from fg_orient.quality.observability import BlockObservability, ImageObservability
+from fg_orient.quality.outliers import LEVEL, GroupTest, outlier_tests
 
 Array = npt.NDArray[np.float64]
 
@@ -156,6 +157,24 @@ class Solution:
         """Joint covariance ``sigma0^2 Q`` of images and points; see :meth:`cofactor_matrix`."""
         q = self.cofactor_matrix(*names)
         return NamedMatrix(q.names, q.units, q.values * self.sigma0**2)
+
+    def outlier_tests(self, *, level: float = LEVEL) -> tuple[GroupTest, ...]:
+        """Test of every image point and control point for a gross error, most suspicious first.
+
+        See ``fg_orient.quality.outliers``; ``level`` is the probability of a false alarm among all.
+
+        Raises
+        ------
+        NoSolutionError
+            The covariance could not be computed; the message says why.
+        """
+        if self.cofactors is None:
+            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
+        return outlier_tests(self.problem, self.state, self.cofactors, self.chi2, level=level)
+
+    def suspicious(self, *, level: float = LEVEL) -> tuple[GroupTest, ...]:
+        """The observations that a gross error is suspected in; see :meth:`outlier_tests`."""
+        return tuple(test for test in self.outlier_tests(level=level) if test.suspicious)
 
     def role(self, point: int) -> Role:
         """Role of a ground point."""
