@@ -24,6 +24,9 @@ demo: $(STAMP)  ## simulate the Zonguldak stereo twin, adjust it, write the repo
 	$(BIN)/fg-orient adjust demo/zonguldak/project.toml --out demo/result --overwrite
 	@echo "report: $(CURDIR)/demo/result/report.html"
 
+# small matrices: two BLAS threads cost more than one, and every core has a worker already
+test test-slow: export OPENBLAS_NUM_THREADS := 1
+
 test: $(STAMP)  ## all tests but the slow ones (ARGS=... goes to pytest)
 	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(ARGS)
 
