@@ -16,15 +16,15 @@ from factors import ellipsoid, rfm_equation
 from fg_orient.errors import InputError, OutOfImage, problem
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.sensors.correction import HeightSurface
-from fg_orient.sensors.rpc import Range, RpcModel, same_length, span
+from fg_orient.sensors.rpc import RpcModel, same_length, span
 from fg_orient.sensors.surface import on_surface
 
 Array = npt.NDArray[np.float64]
 
 #: RPC know no projection centre: positions of rays lie this far up the line of sight.
 RAY_START_M = 5e5
-#: Rays to a DEM are taken between heights this far above and below its own.
-DEM_MARGIN_M = 50.0
+#: Rays to a DEM join points this far above and below: of all its heights first, then of the height found.
+DEM_MARGINS_M = (50.0, 5.0)
 
 
 class RpcSensor:
@@ -104,10 +104,14 @@ class RpcSensor:
         return self._rays(line, sample, self.model.validity.height_m, compensation)
 
     def _rays(
-        self, line: npt.ArrayLike, sample: npt.ArrayLike, heights: Range, compensation: npt.ArrayLike | None
-    ) -> tuple[Array, Array]:
-        line, sample = same_length(line, sample)
-        low, high = (self._at_height(line, sample, np.full(len(line), h), compensation) for h in heights)
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, heights: tuple[npt.ArrayLike, npt.ArrayLike],
+        compensation: npt.ArrayLike | None,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        ends = []
+        for height in heights:
+            lines, samples, h = same_length(line, sample, height)
+            ends.append(self._at_height(lines, samples, h, compensation))
+        low, high = ends
         direction = low - high
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         return high - RAY_START_M * direction, direction
@@ -134,8 +138,9 @@ class RpcSensor:
     ) -> Array:
         """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights (default 0), or on a DEM.
 
-        On a DEM the straight line of sight over its heights is followed, and the model is asked again at
-        the height found: the pixel is kept exactly.
+        A rational function has bent lines of sight. On a DEM the chord over all its heights is followed,
+        then the chord about the height found; the model is asked at the last height: the pixel is
+        kept exactly.
 
         Raises
         ------
@@ -147,9 +152,11 @@ class RpcSensor:
         line, sample, h = same_length(line, sample, 0.0 if height_m is None else height_m)
         self.require_inside(line, sample)
         if dem is not None:
-            low, high = dem.range_m
-            p, u = self._rays(line, sample, (low - DEM_MARGIN_M, high + DEM_MARGIN_M), compensation)
-            h = np.ascontiguousarray(ellipsoid.geodetic_array(on_surface(p, u, dem, self.file))[:, 2])
+            low, high = (np.full(len(line), end) for end in dem.range_m)
+            for margin in DEM_MARGINS_M:
+                p, u = self._rays(line, sample, (low - margin, high + margin), compensation)
+                h = np.ascontiguousarray(ellipsoid.geodetic_array(on_surface(p, u, dem, self.file))[:, 2])
+                low = high = h
         return self._at_height(line, sample, h, compensation)
 
     def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:

@@ -1,0 +1,255 @@
+"""The RPC model and its sensor on a synthetic scene: both directions, DEM, rays, validity, poles, the equation."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from factors import ellipsoid, rfm_equation
+from fg_orient.cli import app
+from fg_orient.errors import InputError, OutOfImage
+from fg_orient.geodesy import geodetic_to_ecef
+from fg_orient.io.rpc import write_rpc
+from fg_orient.sensors.rpc import RpcModel, RpcValidity
+from fg_orient.sensors.rpc_sensor import RpcSensor
+from tests.support.rpc_model import ground_points, reference_project, synthetic_model
+
+COMPENSATION = np.array([3.0, -2.0, 0.5, 0.25, -0.125, 1.0])
+
+
+@pytest.fixture(scope="module")
+def sensor() -> RpcSensor:
+    return RpcSensor(synthetic_model())
+
+
+def grid(sensor: RpcSensor, n: int = 9) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels over the whole image."""
+    ends = (sensor.first_line, sensor.last_line), (sensor.first_sample, sensor.last_sample)
+    line, sample = np.meshgrid(*(np.linspace(a, b, n) for a, b in ends))
+    return line.ravel(), sample.ravel()
+
+
+class Slope:
+    """A tilted plane as a DEM: 300 m in the middle, 2 % to the north-east."""
+
+    path = "slope"
+    range_m = (100.0, 500.0)
+
+    def cell(self, lon_deg: np.ndarray, lat_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return (41.5 - lat_deg) / 2e-4, (lon_deg - 31.7) / 2e-4
+
+    def height_m(self, lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:
+        return np.asarray(300.0 + 800.0 * (lon_deg - 31.8) + 900.0 * (lat_deg - 41.4))
+
+
+@pytest.mark.parametrize("compensation", [None, COMPENSATION])
+@pytest.mark.parametrize("height_m", [0.0, 480.0, 1000.0])
+def test_locate_and_project_return_the_pixel(
+    sensor: RpcSensor, height_m: float, compensation: np.ndarray | None
+) -> None:
+    """1e-6 px is asked for; geodetic coordinates of an ECEF point leave 1e-8."""
+    line, sample = grid(sensor)
+    lon, lat = sensor.model.locate(line, sample, height_m, compensation)
+    l_back, s_back = sensor.model.project(lon, lat, height_m, compensation)
+    assert max(np.abs(l_back - line).max(), np.abs(s_back - sample).max()) < 1e-9
+    ground = sensor.locate(line, sample, height_m=height_m, compensation=compensation)
+    l_back, s_back = sensor.project(ground, compensation)
+    assert max(np.abs(l_back - line).max(), np.abs(s_back - sample).max()) < 1e-7
+    assert np.abs(ellipsoid.geodetic_array(ground)[:, 2] - height_m).max() < 1e-8
+
+
+def test_projection_of_ecef_points_equals_an_independent_one(sensor: RpcSensor) -> None:
+    lon, lat, h = ground_points(sensor.model)
+    line, sample = sensor.project(geodetic_to_ecef(lon, lat, h))
+    l_ref, s_ref = reference_project(sensor.model, lon, lat, h)
+    assert max(np.abs(line - l_ref).max(), np.abs(sample - s_ref).max()) < 1e-7
+
+
+def test_vendor_inverse_serves_as_a_guess_and_is_given_on_request() -> None:
+    """A good guess, a useless one and none give the same point."""
+    model = synthetic_model()
+    line, sample = np.array([10.0, 15000.0]), np.array([20.0, 3000.0])
+    direct = np.zeros((4, 20))
+    direct[1::2, 0], direct[0, 1], direct[2, 2] = 1.0, 1.0, -1.0  # longitude from sample, latitude from -line
+    bad = direct.copy()
+    bad[1, :3] = 1.0, 1e3, -1e3
+    plain = np.stack(model.locate(line, sample, 200.0))
+    for given in (direct, bad):
+        found = np.stack(replace(model, direct=given).locate(line, sample, 200.0))
+        assert np.abs(found - plain).max() < 1e-13
+    lon, lat = replace(model, direct=direct).locate_directly(line, sample, 200.0)
+    assert lon == pytest.approx(31.8 + 0.072 * (sample - 12000.0) / 12000.0)
+    assert lat == pytest.approx(41.4 - 0.045 * (line - 10000.0) / 10000.0)
+
+
+def test_location_across_the_date_line() -> None:
+    model = synthetic_model(offsets=[10000.0, 12000.0, 179.99, 10.0, 500.0])
+    lon, lat = model.locate(10000.0, 23000.0, 500.0)
+    assert -180.0 <= lon[0] < -179.9
+    line, sample = model.project(lon, lat, 500.0)
+    assert (line[0], sample[0]) == pytest.approx((10000.0, 23000.0), abs=1e-6)
+    assert model.inside(lon, lat, 500.0).all()
+    assert RpcSensor(model).records(line, sample, geodetic_to_ecef(lon, lat, [500.0]))[0, 10] == pytest.approx(
+        0.92, abs=0.1
+    )
+
+
+def test_located_on_a_dem(sensor: RpcSensor) -> None:
+    """The pixel is kept to 1e-7, the DEM is met to 0.2 mm, though the lines of sight are bent by a metre."""
+    line, sample = grid(sensor, 7)
+    dem = Slope()
+    ground = sensor.locate(line, sample, dem=dem)
+    lon, lat, h = ellipsoid.geodetic_array(ground).T
+    assert np.abs(h - dem.height_m(np.degrees(lon), np.degrees(lat))).max() < 2e-4
+    l_back, s_back = sensor.project(ground)
+    assert max(np.abs(l_back - line).max(), np.abs(s_back - sample).max()) < 1e-7
+
+
+def test_rays_pass_through_the_located_points(sensor: RpcSensor) -> None:
+    """At the lowest and the highest valid height; between them lines of sight are bent."""
+    line, sample = grid(sensor, 5)
+    position, direction = sensor.rays(line, sample)
+    assert np.abs(np.linalg.norm(direction, axis=1) - 1.0).max() < 1e-15
+    for h in (0.0, 1000.0):
+        to = sensor.locate(line, sample, height_m=h) - position
+        along = np.einsum("ij,ij->i", to, direction)
+        assert along.min() > 4e5
+        assert np.linalg.norm(to - along[:, None] * direction, axis=1).max() < 1e-6
+
+
+def test_footprint_and_centre(sensor: RpcSensor) -> None:
+    corners = sensor.footprint()
+    line = [sensor.first_line, sensor.first_line, sensor.last_line, sensor.last_line]
+    sample = [sensor.first_sample, sensor.last_sample, sensor.last_sample, sensor.first_sample]
+    assert np.abs(np.stack(sensor.model.project(*corners.T, 500.0)) - [line, sample]).max() < 1e-6
+    twice_area = np.sum(corners[:, 0] * np.roll(corners[:, 1], -1) - np.roll(corners[:, 0], -1) * corners[:, 1])
+    assert twice_area < 0.0  # clockwise
+    assert np.stack(sensor.project(sensor.centre_m)).ravel() == pytest.approx([10000.0, 12000.0], abs=1e-6)
+
+
+def test_size_of_the_image() -> None:
+    """From the file, from its validity, or from offset and scale."""
+    assert (RpcSensor(synthetic_model()).n_lines, RpcSensor(synthetic_model()).n_samples) == (20001, 24001)
+    sized = RpcSensor(synthetic_model(n_lines=100, n_samples=200))
+    assert (sized.n_lines, sized.last_line, sized.last_sample) == (100, 99.0, 199.0)
+    stated = RpcValidity((-27.0, 500.0), (0.0, 600.0), (31.7, 31.9), (41.3, 41.5), (0.0, 1e3))
+    partial = RpcSensor(synthetic_model(stated_validity=stated))
+    assert (partial.n_lines, partial.n_samples, partial.first_line) == (501, 601, -27.0)
+    assert partial.is_inside(np.array([-27.5, -27.6]), np.zeros(2)).tolist() == [True, False]
+
+
+def test_pixels_outside_are_refused(sensor: RpcSensor) -> None:
+    with pytest.raises(OutOfImage, match=r"synthetic, line 20000\.6, sample 0: pixel outside.*-0\.5 \.\. 20000\.5"):
+        sensor.locate([0.0, 20000.6], [0.0, 0.0], height_m=0.0)
+
+
+def test_ground_points_outside_the_validity_are_flagged_and_refused(sensor: RpcSensor) -> None:
+    lon, lat, h = [31.8, 31.8, 41.4], [41.4, 41.4, 31.8], [500.0, 1000.5, 500.0]
+    assert sensor.model.inside(lon, lat, h).tolist() == [True, False, False]
+    sensor.model.require_valid(31.8, 41.4, 500.0)
+    with pytest.raises(InputError, match=r"synthetic, point 2: .*height 1000\.5; 2 such.*order of the coordinates"):
+        sensor.model.require_valid(lon, lat, h)
+
+
+def test_a_pixel_without_ground_is_refused() -> None:
+    """l = x^2 + z: the pixel lies below its lowest value at great heights."""
+    c = np.zeros((4, 20))
+    c[1::2, 0], c[0, 7], c[0, 3], c[2, 2] = 1.0, 1.0, 1.0, 1.0
+    model = RpcModel(np.array([10.0, 10.0, 30.0, 40.0, 0.0]), np.array([10.0, 10.0, 0.1, 0.1, 100.0]), c)
+    with pytest.raises(InputError, match=r"line 2, sample 5: the pixel has no ground point.*-100 \.\. 100 m"):
+        RpcSensor(model).locate(2.0, 5.0, height_m=90.0)
+
+
+# --- soundness -------------------------------------------------------------------------------
+
+
+def test_arrays_are_read_only_copies() -> None:
+    given = synthetic_model().coefficients.copy()
+    model = synthetic_model(coefficients=given)
+    given[0, 0] = 7.0
+    assert model.coefficients[0, 0] != 7.0
+    with pytest.raises(ValueError, match="read-only"):
+        model.offsets[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"coefficients": np.ones((4, 19))}, r"coefficients: .*the shape \(4, 20\) \(found shape \(4, 19"),
+        ({"coefficients": np.ones((4, 21))}, r"found shape \(4, 21\)"),
+        ({"offsets": [1.0, 2.0, 3.0]}, r"offsets.*shape \(5,\)"),
+        ({"scales": [1.0, 1.0, np.nan, 1.0, 1.0]}, "scales: a value is not finite"),
+        ({"scales": [1.0, 0.0, 1.0, 1.0, 1.0]}, "scale of sample: a scale of zero"),
+        ({"coefficients": np.full((4, 20), 0.5)}, r"line denominator, coefficient 1: .*must be 1 \(found 0\.5\)"),
+    ],
+)  # fmt: skip
+def test_unsound_models_are_refused(fields: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        synthetic_model(**fields)
+
+
+@pytest.mark.parametrize("compensation", [[1.0, 2.0], [0.0, 0.0, 0.0, 0.0, 0.0, np.nan]])
+def test_wrong_compensation_is_refused(sensor: RpcSensor, compensation: list[float]) -> None:
+    with pytest.raises(InputError, match="6 finite numbers"):
+        sensor.project(sensor.centre_m, compensation)
+
+
+def test_a_pole_inside_the_image_is_refused_unless_taken() -> None:
+    c = synthetic_model().coefficients.copy()
+    c[3, 1] = -2.0  # sample denominator 1 - 2 x
+    model = synthetic_model(coefficients=c)
+    with pytest.raises(
+        InputError, match=r"sample denominator: .*not positive everywhere.*RpcSensor\(model, poles=True\)"
+    ):
+        RpcSensor(model)
+    line, sample = RpcSensor(model, poles=True).model.project(31.8, 41.4, 500.0)
+    assert np.isfinite([line[0], sample[0]]).all()
+
+
+def test_a_pole_outside_the_image_does_no_harm() -> None:
+    """The cube of normalised coordinates may be wider than the image: the pole lies where no pixel looks."""
+    c = np.zeros((4, 20))
+    c[1::2, 0], c[0, 2], c[2, 1], c[3, 1] = 1.0, -100.0, 100.0, -1.5  # the image is 2 % of the cube
+    model = RpcModel(np.array([100.0, 100.0, 31.8, 41.4, 0.0]), np.array([100.0, 100.0, 1.0, 1.0, 100.0]), c)
+    assert RpcSensor(model).n_lines == 201
+
+
+# --- the equation ----------------------------------------------------------------------------
+
+
+def test_the_equation_gives_the_projection(sensor: RpcSensor, rng: np.random.Generator) -> None:
+    """Residual = projected + compensation - observed, from references up to 300 m off: 1e-7 px beside `project`."""
+    lon, lat, h = ground_points(sensor.model, 50)
+    ground = geodetic_to_ecef(lon, lat, h)
+    origin = ground.mean(axis=0)
+    observed = rng.uniform(0.0, 2e4, (2, 50))
+    records = sensor.records(*observed, ground + rng.normal(scale=300.0, size=ground.shape), origin)
+    codes = np.array(rfm_equation.COMPENSATIONS["affine"], float)
+    setup = np.stack([codes, np.full(6, 2.0)])
+    residuals = rfm_equation.conditions(records, setup, COMPENSATION / 2.0, ground - origin)
+    expected = np.stack(sensor.project(ground, COMPENSATION)) - observed
+    assert np.abs(residuals.T - expected).max() < 1e-7
+
+
+def run(*words: object) -> tuple[int, str]:
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    return done.exit_code, done.stdout
+
+
+def test_commands_take_rpc_files(tmp_path: Path) -> None:
+    path = tmp_path / "scene_RPC.TXT"
+    write_rpc(path, synthetic_model())
+    code, out = run("locate", path, "--line", 5000, "--sample", 700, "--height", 250, "--json")
+    assert code == 0, out
+    point = json.loads(out)["points"][0]
+    place = ("--lon", point["lon_deg"], "--lat", point["lat_deg"], "--height", point["height_m"])
+    code, out = run("project", path, *place, "--json")
+    assert code == 0, out
+    pixel = json.loads(out)["points"][0]
+    assert (pixel["line"], pixel["sample"], pixel["inside"]) == (pytest.approx(5000), pytest.approx(700), True)
+    assert run("locate", path, "--frame")[0] == 2
