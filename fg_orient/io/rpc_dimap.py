@@ -7,6 +7,7 @@ Pléiades Neo names them ImagetoGround_Values and GroundtoImage_Values.
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +24,8 @@ Array = npt.NDArray[np.float64]
 #: Profile -> pixel coordinate of the first pixel's centre in the model and in its validity domain. The
 #: readers of other programs disagree on SPOT 6/7 and Pléiades Neo; docs/rpc.md says how this was decided.
 FIRST_PIXEL: Final = {"PHR": (1.0, 1.0), "S6": (0.0, 1.0), "S7": (0.0, 1.0), "PNEO": (0.0, 0.0)}
+#: Vendors fit both directions to 0.03 px.
+AGREEMENT_PX: Final = 0.5
 #: Elements of the two models, and those of their validity, by version.
 DIRECT: Final = {"2": "Direct_Model", "3": "ImagetoGround_Values"}
 INVERSE: Final = {"2": "Inverse_Model", "3": "GroundtoImage_Values"}
@@ -114,8 +117,6 @@ def _origin(profile: str, domain: XmlNode) -> tuple[float, float, tuple[str, ...
 
 def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first: float) -> RpcModel:
     """Give the model its stated validity; some SPOT 6 files have longitude and latitude exchanged."""
-    from dataclasses import replace
-
     image, ground = ranges.one(names[0]), ranges.one(names[1])
     domain = {
         ours: (image.one(f"FIRST_{tag}").number() - first, image.one(f"LAST_{tag}").number() - first)
@@ -129,7 +130,22 @@ def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first
     if not _holds(domain, lon, lat) and _holds(domain, lat, lon):
         domain["lon"], domain["lat"] = domain["lat"], domain["lon"]
         notes += ("longitude and latitude of the validity domain are exchanged in the file: put right",)
-    return replace(model, stated_validity=validity(model.offsets, model.scales, domain), notes=notes)
+    whole = replace(model, stated_validity=validity(model.offsets, model.scales, domain))
+    return replace(whole, notes=notes + _contradiction(whole))
+
+
+def _contradiction(model: RpcModel) -> tuple[str, ...]:
+    """Say by how much the file's two models disagree inside the image, if that can be seen in pixels."""
+    if model.direct is None:
+        return ()
+    v = model.validity
+    ends = (v.line, v.sample, v.height_m)
+    line, sample, h = (a.ravel() for a in np.meshgrid(*(np.linspace(low, high, 5) for low, high in ends)))
+    back = np.stack(model.project(*model.locate_directly(line, sample, h), h))
+    worst = float(np.nanmax(np.abs(back - [line, sample])))
+    if worst <= AGREEMENT_PX:
+        return ()
+    return (f"the file's models to the ground and to the image disagree by up to {worst:.1f} px; the latter is used",)
 
 
 def _holds(domain: dict[str, tuple[float, float]], lon: float, lat: float) -> bool:
