@@ -273,8 +273,7 @@ class TwoStage:
         lin = at.linearise(codes, eop)
         while True:
             system = LinearSystem.from_design(lin.eop.reshape(-1, len(codes)), -lin.value.ravel())
-            solution = attempt(solver, system, as_run=self.as_run)
-            repeats += 1
+            solution, repeats = attempt(solver, system, as_run=self.as_run), repeats + 1
             eop[image] += solution.x
             if not self._repeats(codes, solution.x, system, repeats):
                 break
@@ -340,6 +339,8 @@ class TwoStage:
             v = v + step_v
         ground = self._intersect(at, codes, eop, metadata_position=self.as_run)
         ground[self._check] = self._by_point(at)[self._check]
+        if not np.isfinite(ground[self._assessed]).all():
+            return self._broken(codes, solution, system)
         return Bundle(
             system, solution, v[:, ::-1].ravel(), eop, _names(codes), self._errors(ground), *self._counts(codes)
         )

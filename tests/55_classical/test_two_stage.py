@@ -532,6 +532,21 @@ def test_wild_corrections_are_reported(
                 assert bundle.failure
 
 
+@pytest.mark.parametrize("eop_set", [2, 15, 20])
+def test_control_points_that_cannot_be_intersected_are_a_failure(
+    run: TwoStage, monkeypatch: pytest.MonkeyPatch, eop_set: int
+) -> None:
+    """Good check points must not hide that the orientation has no rays left."""
+
+    def half_wild(_: str, system: object, as_run: bool) -> LinearSolution:
+        return LinearSolution(np.where(np.arange(len(system)) < len(system) - 30, 1e200, 0.0))
+
+    monkeypatch.setattr(two_stage, "attempt", half_wild)
+    bundle = run.bundle(eop_set, 1, "any")
+    assert_nothing(bundle)
+    assert bundle.failure == "the result is not finite"
+
+
 # --- refusals --------------------------------------------------------------------------------
 
 
