@@ -147,10 +147,14 @@ def _lowest(rule: str, function: Curve, grid: Array, *, sign: float = 1.0) -> Ka
 
 def _crossings(function: Curve, grid: Array, *, upward: bool) -> list[float]:
     """Kappas where a function changes sign, from below to above zero or the other way, ascending."""
-    signs = np.sign([function(kappa) for kappa in grid]) * (1.0 if upward else -1.0)
-    at = np.flatnonzero((signs[:-1] < 0.0) & (signs[1:] >= 0.0))
-    ends = [(float(np.log(grid[i])), float(np.log(grid[i + 1]))) for i in at]
-    return [float(np.exp(brentq(lambda t: function(float(np.exp(t))), low, high))) for low, high in ends]
+    logs = np.log(grid)
+
+    def at_log(t: float) -> float:
+        return function(float(np.exp(t)))
+
+    signs = np.sign([at_log(t) for t in logs]) * (1.0 if upward else -1.0)  # where brentq looks: exp(log(x)) is not x
+    starts = np.flatnonzero((signs[:-1] < 0.0) & (signs[1:] >= 0.0))
+    return [float(np.exp(brentq(at_log, logs[i], logs[i + 1]))) for i in starts]
 
 
 def _required(rule: str, found: list[float], what: str) -> list[float]:

@@ -267,6 +267,20 @@ def test_discrepancy_out_of_reach_is_a_breakdown(noise: float) -> None:
         choose_kappa("discrepancy", vandermonde(0)[0], Given(noise_norm=noise))
 
 
+def test_discrepancy_at_the_very_end_of_its_range() -> None:
+    """Noise of the length of l: the residual meets it where x is zero within rounding, in every seed."""
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        observed = rng.normal(size=8)
+        system = LinearSystem.from_design(rng.normal(size=(8, 3)), observed)
+        try:
+            found = tikhonov(system, "discrepancy", Given(noise_norm=float(np.linalg.norm(observed))))
+        except Breakdown as error:  # rounding put the end just out of reach
+            assert "residuals" in str(error)
+        else:
+            assert np.linalg.norm(found.x) <= 1e-6 * np.linalg.norm(solve("svd", system).x)
+
+
 @pytest.mark.parametrize("rule", ["creso", "zero_crossing", "quasi_optimality"])
 def test_rules_without_a_candidate_are_breakdowns(rule: str) -> None:
     """One unknown, an exact observation and one that no unknown explains."""
