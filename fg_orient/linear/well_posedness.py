@@ -98,18 +98,18 @@ def well_posedness(design: Array, observed: Array, noise: float = 0.0) -> WellPo
     x = right[:rank].T @ (beta / values[:rank])
     residual = float(np.linalg.norm(observed - left[:, :rank] @ beta))
     eps = np.finfo(np.float64).eps
-    rounding = eps * float(np.abs(observed).max())
-    error = max(noise, rounding) * float(np.sqrt(np.sum(values[:rank] ** -2.0)))
+    error = max(noise, eps * float(np.abs(observed).max())) * float(np.sqrt(np.sum(values[:rank] ** -2.0)))
     length = float(np.linalg.norm(x))
     relative = 0.0 if error == 0.0 else error / length if length > 0.0 else float("inf")
-    existence = _explained(residual, noise, rows - rank, max(rows, u) * eps * float(np.linalg.norm(observed)))
+    rounding = max(rows, u) * eps * float(values[0] * length + np.linalg.norm(observed))  # of A x and of l
+    existence = _explained(residual, noise, rows - rank, rounding)
     return WellPosedness(existence, rank == u, relative < 1.0, rank, len(system), residual, relative)
 
 
 def _explained(residual: float, noise: float, freedom: int, rounding: float) -> bool:
     """Whether noise (chi-square with its degrees of freedom) or rounding explains a residual."""
-    if residual <= rounding:
+    if freedom == 0 or residual <= rounding:  # as many directions as observations: every l is in the range of A
         return True
-    if noise == 0.0 or freedom == 0:
+    if noise == 0.0:
         return False
     return bool(gammaincc(0.5 * freedom, 0.5 * (residual / noise) ** 2) >= SIGNIFICANCE)

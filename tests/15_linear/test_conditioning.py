@@ -218,6 +218,18 @@ def test_well_posedness_of_textbook_cases() -> None:
     assert exact.well_posed
 
 
+@pytest.mark.parametrize("u", [1, 2, 3, 5])
+@pytest.mark.parametrize("more", [0, 3])
+def test_exact_systems_have_a_solution_whatever_rounding_does(rng: np.random.Generator, u: int, more: int) -> None:
+    """Square regular systems have one for every l; tall ones for l = A x rounded, also where A x cancels."""
+    for _ in range(200):
+        design = rng.normal(size=(u + more, u))
+        observed = design @ (1e3 * rng.normal(size=u)) if more else rng.normal(size=u)
+        assert well_posedness(design, observed).existence
+    cancelling = np.array([[1.0, 1.0], [1.0, 1.0 + 1e-9], [1.0, 1.0 - 1e-9]])
+    assert well_posedness(cancelling, cancelling @ np.array([1.1e8, -1.1e8])).existence
+
+
 def test_expected_error_of_the_verdict_is_that_of_many_noisy_solutions(rng: np.random.Generator) -> None:
     design, noise = rng.normal(size=(15, 4)) * [1.0, 0.1, 0.01, 1.0], 0.003
     truth = np.ones(4)
