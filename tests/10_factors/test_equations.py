@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import factors.control
-import factors.pushbroom  # noqa: F401  (registers)
+import factors.pushbroom
 import factors.rfm_equation  # noqa: F401  (registers)
 from factors._contract import Equation, Example, evaluate, register, registered
 
