@@ -30,6 +30,11 @@ def reproduce(
     published: Annotated[
         Path | None, typer.Option("--published", metavar="DIR", help="Other folder of published tables (CSV).")
     ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE_OR_FOLDER", help="Control points of SPOT-6 (tables 4.35-4.55)."),
+    ] = None,
+    permutations: Annotated[int, typer.Option(metavar="N", help="Orders of these points, with the seeds 1 to N.")] = 50,
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder of the results; default: reproduced-SOURCE.")
     ] = None,
@@ -45,7 +50,7 @@ def reproduce(
             found, record = reproduce_to(
                 source, out, overwrite=overwrite, callback=callback,
                 command=["fg-orient", *sys.argv[1:]], tables=tables, n_seeds=seeds, as_run=as_run, claims=claims,
-                published=published,
+                published=published, data=data, permutations=permutations,
             )  # fmt: skip
         if as_json:
             emit(record)

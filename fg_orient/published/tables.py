@@ -247,6 +247,17 @@ def _standard(record: _Record, table: str) -> PublishedCell:
     return _cell(record, key, "value", of["printed"], of["unit"])
 
 
+def _rfm(record: _Record, table: str) -> PublishedCell:
+    """Cell of a rational function model: the degree is the stage, an image axis a parameter."""
+    of = record.of
+    parameter = of.get("parameter") or of.get("image_axis", "")
+    key = CellKey(
+        of["table"], stage=f"rfm degree {of['rfm_degree']}", quantity=of["quantity"], method=of["method"],
+        parameter=parameter,
+    )  # fmt: skip
+    return _cell(record, key, "value", of["printed"], of["unit"])
+
+
 def _polynomial(record: _Record, table: str) -> PublishedCell:
     """Degree of the polynomial of one EOP component."""
     of = record.of
@@ -294,6 +305,9 @@ _KINDS: Final[dict[str, tuple[tuple[str, ...], Callable[[_Record, str], Publishe
         ("table", "eop_set_no", "stage", "pre_adjustment_type", "point_role", "quantity", "method", "value", "unit",
          "note", "printed"),
         _standard,
+    ),
+    "rfm_cells": (
+        ("table", "quantity", "unit", "method", "value", "note", "rfm_degree", "normalised", "printed"), _rfm,
     ),
     "polynomials": (("table", "component", "c0", "c1", "c2", "polynomial", "note"), _polynomial),
     "eop_sets": (("table", "eop_set_no", "u"), _eop_set),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,10 +15,11 @@ import numpy.typing as npt
 from fg_orient.cells import CellKey
 from fg_orient.errors import InputError
 from fg_orient.experiments.claims import ClaimResult, all_claims, run_claims
+from fg_orient.experiments.tables_spot6 import PERMUTATIONS
 from fg_orient.published.tables import PublishedTables, load
 from fg_orient.reproduce import terlemezoglu2019, topan2010
 from fg_orient.reproduce.sources import Source
-from fg_orient.reproduce.verdict import KINDS, judge
+from fg_orient.reproduce.verdict import KINDS, Verdict, judge
 
 Array = npt.NDArray[np.float64]
 
@@ -94,7 +95,8 @@ class Reproduction:
 
 def reproduce(
     name: str, *, tables: str = "", n_seeds: int = DEFAULT_SEEDS, as_run: bool = False, claims: bool = True,
-    published: Path | None = None, callback: Callback | None = None,
+    published: Path | None = None, data: Path | None = None, permutations: int = PERMUTATIONS,
+    callback: Callback | None = None,
 ) -> Reproduction:  # fmt: skip
     """Run the experiments of a publication on the twin and compare with what was printed.
 
@@ -112,6 +114,10 @@ def reproduce(
         Judge the claims about the publication, too.
     published : Path, optional
         Other folder of published tables.
+    data : Path, optional
+        Control points of the SPOT-6 scene, for tables 4.35-4.55; default ``$FG_ORIENT_REAL_DATA``.
+    permutations : int
+        Orders of these points beside that of their file.
     callback : callable, optional
         Called after each run of the tables and each run of the claims.
 
@@ -123,6 +129,8 @@ def reproduce(
     if not 1 <= n_seeds <= MAX_SEEDS:
         raise InputError.of("options.value", place="--seeds", value=n_seeds, expected=f"1 to {MAX_SEEDS}")
     printed = load(name, published)
+    if not 1 <= permutations <= MAX_SEEDS:
+        raise InputError.of("options.value", place="--permutations", value=permutations, expected=f"1 to {MAX_SEEDS}")
     source, chosen = SOURCES[name], select(tables, tuple(printed.titles))
     seeds = range(1, n_seeds + 1)
 
@@ -131,12 +139,18 @@ def reproduce(
     def tell(offset: int, what: str) -> Callable[[int, int], None]:
         return lambda done, _: callback(offset + done, steps, what) if callback else None
 
-    computed = source.compute(chosen, seeds, as_run=as_run, progress=tell(0, "tables"))
+    on_twin = tuple(table for table in chosen if table not in source.real_tables)
+    computed = source.compute(on_twin, seeds, as_run=as_run, progress=tell(0, "tables")) if on_twin else {}
+    on_points = source.real(
+        printed, chosen, data, permutations=permutations,
+        progress=lambda done, of: callback(done, of, "real points") if callback else None,
+    ) if source.real else {}  # fmt: skip
     about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
     judged = run_claims(seeds, tell(n_seeds, "claims"), about_it) if about_it else []
     options = {"tables": list(chosen), "seeds": list(seeds), "as_run": as_run}
     titles = {table: printed.titles[table] for table in chosen}
-    return Reproduction(source, titles, pair(printed, computed, source, chosen), tuple(judged), options, printed.sha256)
+    rows = pair(printed, computed, source, chosen, on_points)
+    return Reproduction(source, titles, rows, tuple(judged), options, printed.sha256)
 
 
 def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
@@ -162,17 +176,20 @@ def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
 
 
 def pair(
-    printed: PublishedTables, computed: dict[CellKey, Array], source: Source, tables: Sequence[str]
-) -> tuple[Row, ...]:
-    """Put each published cell of some tables beside its runs."""
+    printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
+    judged: Mapping[CellKey, Verdict] | None = None,
+) -> tuple[Row, ...]:  # fmt: skip
+    """Put each published cell of some tables beside its runs, or beside a verdict that is there already."""
     rows = []
     for cell in printed.cells:
         key = cell.key
         if key.table not in tables:
             continue
         orders = computed.get(key._replace(quantity="matrix_order"), np.array([math.nan]))
-        found = judge(cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0]))
-        known = source.explain(cell) if found.kind == "differs" else ""
+        found = (judged or {}).get(key) or judge(
+            cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0])
+        )
+        known = source.explain(cell) if found.kind == "differs" and key not in (judged or {}) else ""
         reason = f"{found.reason}; {known}" if known else found.reason
         rows.append(
             Row(key.table, str(key), cell.value, found.reproduced, found.low, found.high, found.kind, reason,

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.cells import CellKey
-from fg_orient.published.tables import PublishedCell
+from fg_orient.published.tables import PublishedCell, PublishedTables
+from fg_orient.reproduce.verdict import Verdict
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -23,6 +25,16 @@ class Compute(Protocol):
         self, tables: Collection[str], seeds: Sequence[int], *, as_run: bool, progress: Progress | None
     ) -> dict[CellKey, Array]:
         """Values (n,) of each cell."""
+
+
+class RealVerdicts(Protocol):
+    """Judges the cells of tables whose real data are public."""
+
+    def __call__(
+        self, printed: PublishedTables, tables: Collection[str], data: Path | None, *, permutations: int,
+        progress: Progress | None,
+    ) -> dict[CellKey, Verdict]:  # fmt: skip
+        """Verdict of each cell."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +51,10 @@ class Source:
         Ids of the claims about it.
     explain : callable
         Gives a sentence on a known misfit of a cell, or "".
+    real : callable, optional
+        See :class:`RealVerdicts`.
+    real_tables : tuple of str
+        Its tables; the twin has no part in them.
     """
 
     name: str
@@ -46,3 +62,5 @@ class Source:
     compute: Compute
     claims: tuple[str, ...]
     explain: Callable[[PublishedCell], str]
+    real: RealVerdicts | None = None
+    real_tables: tuple[str, ...] = ()

@@ -1,11 +1,12 @@
-"""Terlemezoğlu (2019), tables 4.1-4.34: what computes them and what is known about their misfits."""
+"""Terlemezoğlu (2019), tables 4.1-4.55: what computes them and what is known about their misfits."""
 
 from __future__ import annotations
 
 from typing import Final
 
-from fg_orient.experiments import tables_spot5
+from fg_orient.experiments import tables_spot5, tables_spot6
 from fg_orient.published.tables import PublishedCell
+from fg_orient.reproduce import spot6
 from fg_orient.reproduce.rules import ICP_LIMIT_M
 from fg_orient.reproduce.sources import Source
 
@@ -32,6 +33,29 @@ SOURCE: Final = Source(
     "terlemezoglu2019",
     "Terlemezoğlu (2019), regularisation of ill-conditioned systems in the orientation of satellite images",
     tables_spot5.compute,
-    ("C1", "C2", "C4", "C5", "C6", "C8", "C9", "C10", "C11", "C12", "C13", "C14", "C15", "C16", "C22"),
+    (
+        "C1",
+        "C2",
+        "C4",
+        "C5",
+        "C6",
+        "C8",
+        "C9",
+        "C10",
+        "C11",
+        "C12",
+        "C13",
+        "C14",
+        "C15",
+        "C16",
+        "C17",
+        "C18",
+        "C19",
+        "C20",
+        "C21",
+        "C22",
+    ),
     explain,
+    spot6.verdicts,
+    tables_spot6.TABLES,
 )

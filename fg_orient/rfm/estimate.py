@@ -28,8 +28,10 @@ SOLVER: Final = "qr_scaled"
 #: With a penalty, and where plain steps of the true equations meet a design without full rank.
 STEP_SOLVER: Final = "svd_scaled"
 MAX_ITERATIONS: Final = 100
-#: A step has ended below this relative change of the sum of squares, or of all unknowns.
+#: The iteration has ended when a step changes all unknowns by less than this share ...
 END: Final = 1e-12
+#: ... or two steps in turn lower the sum of squares by less than this share: a residual by 1e-10.
+GAIN: Final = 1e-10
 #: Damping of Levenberg-Marquardt relative to the diagonal of N: start, change.
 DAMPING: Final = 1e-6
 DAMPING_CHANGE: Final = 10.0
@@ -155,7 +157,7 @@ def fit_true(
     points, form, normalise, kappa, penalty, allow_pole
         See :func:`fit_linear`.
     start : (u,) array, optional
-        First unknowns; default the affine model, whose denominators are 1 everywhere.
+        First unknowns; default, and if they have a pole at a point, the affine model, whose denominators are 1.
     scaling : Scaling, optional
         Instead of that of the points.
 
@@ -175,7 +177,9 @@ def fit_true(
     held = penalised_unknowns(form, penalty)
     m = form.monomials(scale.ground(points.ground))
     image = scale.image(points.line, points.sample)
-    first = _affine(form, m, image) if start is None else start
+    first = _affine(form, m, image)
+    if start is not None and (form.below(start, m) > 0.0).all():
+        first = start
     x, iterations = _minimise(form, m, image, first, kappa * held)
     fit = RfmFit(form, scale, points, x, "true equations", kappa, held, True, iterations)
     return _checked(fit, allow_pole)
@@ -184,7 +188,7 @@ def fit_true(
 def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -> tuple[Array, int]:
     """Levenberg-Marquardt; a step over a pole of a point counts as too long."""
     root = np.sqrt(penalty)
-    damping, (r, cost) = DAMPING, _misfit(form, m, image, x, root)
+    damping, flat, (r, cost) = DAMPING, 0, _misfit(form, m, image, x, root)
     for iteration in range(1, MAX_ITERATIONS + 1):
         jacobian = np.vstack([form.jacobian(x, m), -np.diag(root)])
         length = np.linalg.norm(jacobian, axis=0)
@@ -202,7 +206,8 @@ def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -
         gain = cost - new_cost
         still = np.abs(step * length).max() <= END * (1.0 + np.abs(x * length).max())
         x, r, cost = x + step, new_r, new_cost
-        if still or gain <= END * cost or cost == 0.0:
+        flat = flat + 1 if gain <= GAIN * cost else 0
+        if still or flat == 2 or cost == 0.0:
             return x, iteration
         damping = max(damping / DAMPING_CHANGE**2, 1e-18)
     raise NoSolutionError.of("rfm.no_end", place="true equations", value=f"{MAX_ITERATIONS} iterations")
