@@ -14,7 +14,7 @@ import pytest
 from fg_orient.cells import CellKey
 from fg_orient.errors import InputError
 from fg_orient.experiments.claims import all_claims
-from fg_orient.experiments.tables_twin import LEAST_SQUARES, twin
+from fg_orient.experiments.tables_twin import LEAST_SQUARES, collect, twin
 from fg_orient.published.tables import PublishedTables, load
 from fg_orient.reproduce.reproduction import SOURCES, Row, pair, select
 
@@ -131,6 +131,18 @@ def test_without_as_run_the_residual_is_gone_and_the_sign_error_is_met(printed: 
     uncorrected = [r for r in rows if "uncorrected" in r.cell]
     assert len(uncorrected) == 21
     assert all(abs(r.reproduced / r.published - 1.0) < 0.03 for r in uncorrected)
+
+
+def test_cells_are_computed_with_one_blas_thread() -> None:
+    """Else the number of cores decides the rounding noise that many cells are."""
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    def threads(_: int) -> dict[CellKey, float | list[float]]:
+        return {CellKey("x"): [float(m["num_threads"]) for m in threadpool_info() if m["user_api"] == "blas"]}
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        found = collect(threads, [1, 2])[CellKey("x")]
+    assert len(found) >= 2 and (found == 1.0).all()
 
 
 def test_claims_named_by_a_source_exist() -> None:
