@@ -98,7 +98,8 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
     figures : mapping
         File name to SVG text.
     """
-    rows = [[_cell(row.as_dict()[name]) for name in COLUMNS] for row in comparison.rows]
+    records = (row.as_dict() for row in comparison.rows)
+    rows = [[_cell(record[name]) for name in COLUMNS] for record in records]
     write_csv(folder / "compare.csv", COLUMNS, rows)
     write_csv(folder / "spectra.csv", SPECTRUM_COLUMNS, (
         (s.eop_set, s.system, s.scaling, index, float(value))
