@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from fg_orient.errors import InputError
-from fg_orient.io import rpc_dimap, rpc_dimap_write, rpc_geom, rpc_raster, rpc_rpb, rpc_text
+from fg_orient.io import rpc_dimap, rpc_dimap_write, rpc_geom, rpc_raster, rpc_rpb, rpc_text, rpc_vrt
 from fg_orient.io.atomic import write_bytes
 from fg_orient.io.rpc_fields import USUAL_ORDER, Reading, read_bytes
 from fg_orient.sensors.rpc import RpcModel
@@ -81,7 +81,7 @@ def _write_dimap(path: str | os.PathLike[str], model: RpcModel) -> None:
 FORMATS: Final = (
     RpcFormat("GeoTIFF", lambda head: head.encode("latin-1").startswith(_TIFF), rpc_raster.read_rpc_raster,
               rpc_raster.write_rpc_raster, ".TIF"),
-    RpcFormat("GDAL VRT", lambda head: _root(head) == "VRTDataset", rpc_raster.read_rpc_raster),
+    RpcFormat("GDAL VRT or .aux.xml", lambda head: _root(head) in ("VRTDataset", "PAMDataset"), rpc_vrt.read_rpc_vrt),
     RpcFormat("DIMAP 2 or 3 RPC XML", _is_dimap, rpc_dimap.read_rpc_dimap, _write_dimap, ".XML"),
     RpcFormat("PHR_DIMAP", lambda head: _root(head) == "PHR_Dimap_Document", rpc_dimap.read_rpc_dimap1),
     RpcFormat("DigitalGlobe XML", lambda head: _root(head) == "isd", rpc_rpb.read_rpc_isd),
@@ -111,7 +111,7 @@ def read_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
     ----------
     path : path
         ``_RPC.TXT``, ``.RPB``, DIMAP ``RPC_*.XML`` (version 1, 2, 3), DigitalGlobe XML, an image with RPC
-        tags (extra ``geo``), OSSIM ``.geom``, or a list of 90 numbers.
+        tags (extra ``geo``), GDAL's ``.vrt`` and ``.aux.xml``, OSSIM ``.geom``, or a list of 90 numbers.
     order : str
         Order of the coefficients in the file: "RPC00B", "RPC00A", or "T2.54" (Terlemezoğlu 2019). A file that
         names another order is refused.

@@ -1,4 +1,4 @@
-"""RPC in images: GeoTIFF tag 50844 and everything else that GDAL gives as RPC of a raster (extra ``geo``)."""
+"""RPC in images: GeoTIFF tag 50844, or what GDAL finds beside the image (extra ``geo``)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             with rasterio.open(path) as source:
                 rpcs, size = source.rpcs, source.shape
-    except rasterio.errors.RasterioError as error:
+    except (rasterio.errors.RasterioError, ValueError, KeyError) as error:  # the latter two: damaged tags
         raise InputError.of("rpc.unreadable", file=file, value=error) from error
     if rpcs is None:
         raise InputError.of("rpc.no_tags", file=file)

@@ -175,6 +175,29 @@ def test_digitalglobe_xml(tmp_path: Path, model: RpcModel) -> None:
     assert (found.n_lines, found.n_samples) == (20000, 24000)
 
 
+def vrt_text(model: RpcModel) -> str:
+    """Virtual raster of GDAL with an RPC domain, and a source that must not be opened."""
+    names = [(axis, k) for k, axis in enumerate(("LINE", "SAMP", "LONG", "LAT", "HEIGHT"))]
+    cells = [(f"{axis}_OFF", [model.offsets[k]]) for axis, k in names]
+    cells += [(f"{axis}_SCALE", [model.scales[k]]) for axis, k in names]
+    cells += [(f"{stem}_COEFF", list(row)) for stem, row in zip(POLYNOMIALS, model.coefficients, strict=True)]
+    body = "".join(f'<MDI key="{key}">{" ".join(repr(float(v)) for v in row)}</MDI>' for key, row in cells)
+    band = "<VRTRasterBand><SimpleSource><SourceFilename>/nowhere</SourceFilename></SimpleSource></VRTRasterBand>"
+    size = 'rasterXSize="24000" rasterYSize="20000"'
+    return f'<VRTDataset {size}><Metadata/><Metadata domain="RPC">{body}</Metadata>{band}</VRTDataset>'
+
+
+def test_virtual_raster(tmp_path: Path, model: RpcModel) -> None:
+    path = tmp_path / "a.vrt"
+    path.write_text(vrt_text(model))
+    found = read_rpc(path)
+    assert_same(found, model)
+    assert (found.n_lines, found.n_samples) == (20000, 24000)
+    path.write_text(vrt_text(model).replace('domain="RPC"', 'domain="RPB"'))
+    with pytest.raises(InputError, match="holds no RPC"):
+        read_rpc(path)
+
+
 def list_text(model: RpcModel) -> str:
     """90 numbers: latitude before longitude."""
     order = [0, 1, 3, 2, 4]
@@ -363,13 +386,43 @@ def test_each_format_is_told_from_all_others(tmp_path: Path, model: RpcModel) ->
     (tmp_path / "a.geom").write_text(geom_text(model))
     (tmp_path / "isd.XML").write_text(isd_text(model))
     (tmp_path / "list.txt").write_text(list_text(model))
-    files = ("a.tif", "a.XML", "v1.XML", "isd.XML", "a.RPB", "a_RPC.TXT", "a.geom", "list.txt")
+    (tmp_path / "a.vrt").write_text(vrt_text(model))
+    files = ("a.tif", "a.vrt", "a.XML", "v1.XML", "isd.XML", "a.RPB", "a_RPC.TXT", "a.geom", "list.txt")
     found = [rpc_format(tmp_path / name) for name in files]
-    assert [form.name for form in found if form] == [f.name for f in FORMATS if f.name != "GDAL VRT"]
+    assert [form.name for form in found if form] == [form.name for form in FORMATS]
     for path in tmp_path.glob("a*"):
         head = path.read_bytes()[:65536].decode("latin-1")
         assert sum(form.is_one(head) for form in FORMATS) == 1 or path.name.endswith(".aux.xml")
     assert isinstance(read_sensor(tmp_path / "a_RPC.TXT"), RpcSensor)
+
+
+def test_damaged_files_are_read_or_refused_in_one_line(tmp_path: Path, model: RpcModel) -> None:
+    """Bytes changed, cut, doubled and added at random: nothing but an InputError may come out."""
+    rng = np.random.default_rng(7)
+    given = replace(model, direct=model.coefficients)
+    for name, form in (
+        ("a_RPC.TXT", ""),
+        ("a.RPB", ""),
+        ("2.XML", "DIMAP 2.0 S6_SENSOR"),
+        ("1.XML", rpc_dimap.V1_NAME),
+    ):
+        write_rpc(tmp_path / name, replace(given, format=form))
+    texts = [path.read_bytes() for path in sorted(tmp_path.iterdir())]
+    texts += [text.encode() for text in (geom_text(model), isd_text(model), vrt_text(model), list_text(model))]
+    path, refused = tmp_path / "damaged", 0
+    for k in range(400):
+        data = bytearray(texts[k % len(texts)])
+        first = int(rng.integers(0, len(data)))
+        last = first + int(rng.integers(1, 60))
+        part = [b"", data[first:last] * 2, b"\x00", b"nan", b"<", b"9e99"][int(rng.integers(0, 6))]
+        data[first:last] = part
+        path.write_bytes(data)
+        try:
+            read_rpc(path, first_pixel=0)
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error.problems[0])
+    assert refused > 200
 
 
 def test_without_rasterio_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
