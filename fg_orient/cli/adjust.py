@@ -44,6 +44,13 @@ def adjust(
     check_points: Annotated[
         str | None, typer.Option(metavar="use|exclude", help="Let the rays of check points take part, or not.")
     ] = None,
+    rpc_compensation: Annotated[
+        str | None, typer.Option(metavar="KIND", help="Of RPC images: shift, shift_drift or affine.")
+    ] = None,
+    datum: Annotated[
+        str | None,
+        typer.Option(metavar="control|priors", help="priors: relative adjustment, no control point is needed."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Result folder; default: result, beside the project file.")
     ] = None,
@@ -64,7 +71,7 @@ def adjust(
     options = {
         "backend": backend, "solver": solver, "eop_set": eop_set, "look_polynomial": look_polynomial,
         "priors": False if no_priors else None, "optimizer": optimizer, "max_iterations": max_iterations,
-        "check_points": check_points,
+        "check_points": check_points, "rpc_compensation": rpc_compensation, "datum": datum,
     }  # fmt: skip
     with outcome(as_json, debug):
         if not project.is_file():
@@ -132,11 +139,13 @@ def show(record: dict[str, Any]) -> None:
     """Print warnings, verdict, accuracy and where the result lies."""
     for text in record["warnings"]:
         say(f"warning: {text}")
+    from fg_orient.report.html import orientation_words
+
     low, high = record["sigma0_interval_99_9"]
     say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations: {record['n_image_points']} "
         f"image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}")  # fmt: skip
     say(f"sigma0 {number(record['sigma0'])} (99.9 % interval {number(low)} .. {number(high)}), "
-        f"EOP set {record['eop_set']} {record['eop_set_name']}")  # fmt: skip
+        f"{orientation_words(record)}")  # fmt: skip
     for text in record["unobservable"]:
         say(f"not observable: {text}")
     rows = []
@@ -147,4 +156,8 @@ def show(record: dict[str, Any]) -> None:
                 rows.append([f"{role} {name} ({found['n']})" if key == "rmse" else f"{role} {name}",
                              *(number(found[f"{key}_{axis}_m"]) for axis in ("east", "north", "up"))])  # fmt: skip
     table("", ("points, m", "East", "North", "Up"), rows)
+    if "y_parallax" in record:
+        found = record["y_parallax"]
+        say(f"y-parallax of {found['n']} tie points, RMS: {number(found['rms_before_px'])} px before, "
+            f"{number(found['rms_after_px'])} px after")  # fmt: skip
     say(f"report: {Path(record['out']) / 'report.html'}")

@@ -48,7 +48,7 @@ class Contents:
 RESULT: Final = Contents(
     "result.json",
     ("result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "iterations.jsonl", "arrays.npz",
-     "report.html"),
+     "report.html", "rpc/*_RPC.TXT"),
 )  # fmt: skip
 
 

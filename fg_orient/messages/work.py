@@ -86,7 +86,8 @@ ADJUST: Final = {
     ),
     "block.no_control": (
         "no control point is measured in any image: the block has no datum",
-        "give at least one point of role control, better six or more well spread",
+        'give at least one point of role control, better six or more well spread; or datum = "priors" for a relative '
+        "adjustment, whose result has no accuracy",
     ),
 }
 

@@ -1,46 +1,52 @@
 """Gross errors: each observation tested against all others, on the covariance of the residuals.
 
-A group of rows g (an image point: 2, the coordinates of a control point: 3) is suspected to hold an error of any
-size and direction. With whitened residuals v and their cofactors ``Q = I - J N^-1 J^T``::
+Suspected of an error of any size and direction are: an image point (line, sample), the position of a control point
+(East, North), its height (Up). With whitened residuals v, their cofactors ``Q = I - J N^-1 J^T`` and the columns E of
+the error in whitened rows::
 
-    T = v_g^T Q_gg^-1 v_g                                   chi2(d) without a gross error   (Baarda 1968, d rows)
-    F = (T / d) / ((v^T v - T) / (f - d))                   F(d, f - d), scale estimated without the group
+    T = (E^T v)^T (E^T Q E)^-1 (E^T v)                      chi2(d) without a gross error      (Baarda 1968)
+    F = (T / d) / ((v^T v - T) / (f - d))                   F(d, f - d), scale estimated without the suspect
                                                             (external studentisation, cf. Pope 1976)
 
-The second does not need right sigmas, only right ratios of them, and is the one used. d is the rank of Q_gg: what the
-other observations do not check cannot be tested. Groups that one error cannot tell apart (coordinates of a control
-point and its only image point) are named together. The snooping loop is ``fg_orient.snooping``.
+The second does not need right sigmas, only right ratios of them, and is the one used. d is the rank of E^T Q E: what
+the other observations do not check cannot be tested. Suspects of one point that one error cannot tell apart (position
+of a control point and its only image point) are named together. The snooping loop is ``fg_orient.snooping``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtri
+from scipy.special import fdtrc, fdtri, gammaincinv
 
 from fg_orient.adjustment.problem import Problem, State, enu_from_ecef
 from fg_orient.quality.covariance import Cofactors
 
 Array = npt.NDArray[np.float64]
 
-#: Probability to suspect any observation at all of a set without gross errors (Bonferroni over the groups).
-LEVEL = 0.01
-#: Directions of Q_gg below this share of a free observation are not checked by the others.
+#: Probability to suspect one good observation: Baarda's usual choice.
+LEVEL = 0.001
+#: Directions below this share of a free observation are not checked by the others.
 CHECKED = 1e-6
-#: Two groups are inseparable if their statistics agree to this ratio.
+#: Two suspects are inseparable if their statistics agree to this ratio.
 SAME = 1e-6
+#: What is tested: the part of a point, its axes in words and unit.
+PARTS: Final = {"image": "px line, sample", "position": "m East, North", "height": "m Up"}
 
 
 @dataclass(frozen=True)
 class GroupTest:
-    """Test of one image point, or of the coordinates of one control point.
+    """Test of one image point, or of the position or the height of one control point.
 
     Parameters
     ----------
+    part : str
+        "image", "position" or "height".
     image : str
-        Image id; "" for the coordinates of a control point.
+        Image id; "" for position and height.
     point : str
     dimension : int
         d; 0 where the other observations do not check the group.
@@ -48,17 +54,21 @@ class GroupTest:
         F.
     critical : float
         Limit of F; beyond it the group is suspicious.
-    error : (2,) or (3,) array
-        Estimated gross error: line, sample in pixels; or East, North, Up in m.
+    probability : float
+        To find such an F without a gross error; it ranks suspects of different d.
+    error : (d,) array
+        Estimated gross error: line, sample in pixels; East, North or Up in m.
     inseparable : tuple of str
-        Other groups that the same error could lie in.
+        Others that the same error could lie in.
     """
 
+    part: str
     image: str
     point: str
     dimension: int
     statistic: float
     critical: float
+    probability: float
     error: Array
     inseparable: tuple[str, ...] = ()
 
@@ -69,16 +79,15 @@ class GroupTest:
 
     @property
     def name(self) -> str:
-        """The group in words."""
-        return f"point {self.point} in image {self.image}" if self.image else f"coordinates of point {self.point}"
+        """The suspect in words."""
+        return f"point {self.point} in image {self.image}" if self.image else f"{self.part} of point {self.point}"
 
     def sentence(self) -> str:
-        """Name the group, its error and the test."""
-        unit = "px line, sample" if self.image else "m East, North, Up"
+        """Name the suspect, its error and the test."""
         error = ", ".join(f"{value:+.2f}" for value in self.error)
         also = f" (or {', '.join(self.inseparable)}: not to be told apart)" if self.inseparable else ""
         return (
-            f"{self.name}{also}: gross error of about {error} {unit}; F = {self.statistic:.1f}, "
+            f"{self.name}{also}: gross error of about {error} {PARTS[self.part]}; F = {self.statistic:.1f}, "
             f"limit {self.critical:.1f}"
         )
 
@@ -86,93 +95,126 @@ class GroupTest:
 def outlier_tests(
     problem: Problem, state: State, cofactors: Cofactors, chi2: float, *, level: float = LEVEL
 ) -> tuple[GroupTest, ...]:
-    """Test every image point and the coordinates of every weighted control point.
+    """Test every image point, and position and height of every weighted control point.
 
     Parameters
     ----------
     problem, state, cofactors, chi2
         Of a solution.
     level : float
-        Probability of a false alarm among all groups together.
+        Probability of a false alarm, each.
 
     Returns
     -------
     tuple of GroupTest
-        Largest ratio of statistic to limit first, groups that nothing checks at the end. One millisecond per
-        ground point.
+        Least probable first, what nothing checks at the end. One millisecond per ground point.
     """
-    values, j_image, j_ground = problem.image_residuals(state, jacobian=True)
-    groups: list[_Group] = []
-    for j, rows in problem.rows_by_point():
-        groups += _point_groups(problem, state, cofactors, j, rows, (values, j_image, j_ground))
-    tests = [_judge(problem, group, chi2, level / len(groups)) for group in groups]
-    tests = [_with_twins(test, tests) for test in tests]
-    return tuple(sorted(tests, key=lambda test: (-test.statistic / test.critical, not test.image)))
+    tests = [_judge(problem, group, chi2, level) for group in residual_groups(problem, state, cofactors)]
+    return tuple(sorted((_with_twins(test, tests) for test in tests), key=_rank))
+
+
+def _rank(test: GroupTest) -> tuple[float, float, bool]:
+    """Order of suspicion; inseparable suspects differ by rounding only, the image point goes first."""
+    likelihood = np.log(test.probability) if test.probability > 0.0 else -np.inf
+    return float(f"{likelihood:.6g}"), -float(f"{test.statistic * test.dimension:.6g}"), not test.image
+
+
+def robust_scales(problem: Problem, state: State, cofactors: Cofactors) -> dict[str, float]:
+    """What the sigmas of each part are too small by: root of the median of T over that of chi2(d).
+
+    Half of the observations may be grossly wrong. Points with a single ray are left out: their T says the same
+    for image and ground. A part that the others hardly check (heights of a flat pair) has no reliable scale.
+    """
+    rays = np.bincount(problem.observations.point, minlength=len(problem.active))
+    found: dict[str, list[float]] = {}
+    for group in residual_groups(problem, state, cofactors):
+        if rays[group.point] > 1:
+            t, d, _ = _quadratic(group)
+            if d == group.columns.shape[1]:
+                found.setdefault(group.part, []).append(t / (2.0 * float(gammaincinv(0.5 * d, 0.5))))
+    return {part: float(np.sqrt(np.median(values))) for part, values in found.items()}
 
 
 @dataclass(frozen=True)
-class _Group:
-    """Whitened residuals and their cofactors of one group; ``row`` of the image point, or -1."""
+class ResidualGroup:
+    """Whitened residuals (m,), their cofactors (m, m) and the columns E (m, d) of an error in physical units.
 
+    ``row`` is that of the image point, or -1.
+    """
+
+    part: str
     point: int
     row: int
     v: Array
     q: Array
+    columns: Array
 
 
-def _point_groups(
-    problem: Problem, state: State, cofactors: Cofactors, j: int, rows: npt.NDArray[np.intp],
-    rays: tuple[Array, list[Array], list[Array]],
-) -> list[_Group]:  # fmt: skip
-    """Groups of one ground point, with the joint cofactors of it and the images that see it."""
-    values, j_image, j_ground = rays
-    images = tuple(dict.fromkeys(int(problem.observations.image[r]) for r in rows))
-    first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
-    free = 3 * int(problem.active[j])
-    design = np.zeros((2 * len(rows), first[-1] + free))
-    for i, r in enumerate(rows):
-        at = images.index(int(problem.observations.image[r]))
-        design[2 * i : 2 * i + 2, first[at] : first[at + 1]] = j_image[r]
-        design[2 * i : 2 * i + 2, first[-1] :] = j_ground[r][:, :free]
-    joint = cofactors.joint(images, (j,) if free else ())
-    q = np.eye(len(design)) - design @ joint @ design.T
-    out = [_Group(j, int(r), values[r], q[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]) for i, r in enumerate(rows)]
-    if problem.observed[j]:
-        w = problem.control_records[j, :9].reshape(3, 3)
-        v = w @ (state.ground[j] - problem.control_records[j, 9:])
-        out.append(_Group(j, -1, v, np.eye(3) - w @ joint[-3:, -3:] @ w.T))
+def residual_groups(problem: Problem, state: State, cofactors: Cofactors) -> list[ResidualGroup]:
+    """Residuals of all image points and weighted control points with their cofactors."""
+    rays = problem.image_residuals(state, jacobian=True)
+    turn = np.full((len(problem.active), 3, 3), np.nan)
+    seen = np.flatnonzero(problem.observed)
+    turn[seen] = enu_from_ecef(problem.control_records[seen, 9:] + problem.origin_m)
+    out: list[ResidualGroup] = []
+    for j, rows in problem.rows_by_point():
+        joint, found = _image_groups(problem, cofactors, j, rows, rays)
+        out += found
+        if problem.observed[j]:
+            w = problem.control_records[j, :9].reshape(3, 3)
+            v, q = w @ (state.ground[j] - problem.control_records[j, 9:]), np.eye(3) - w @ joint[-3:, -3:] @ w.T
+            columns = -w @ turn[j].T  # the residual is adjusted minus observed
+            out.append(ResidualGroup("position", j, -1, v, q, columns[:, :2]))
+            out.append(ResidualGroup("height", j, -1, v, q, columns[:, 2:]))
     return out
 
 
-def _judge(problem: Problem, group: _Group, chi2: float, level: float) -> GroupTest:
+def _image_groups(
+    problem: Problem, cofactors: Cofactors, j: int, rows: npt.NDArray[np.intp],
+    rays: tuple[Array, list[Array], list[Array]],
+) -> tuple[Array, list[ResidualGroup]]:  # fmt: skip
+    """Joint cofactors of a ground point and the images that see it, and the groups of its image points."""
+    values, j_image, j_ground = rays
+    o = problem.observations
+    images = tuple(dict.fromkeys(int(o.image[r]) for r in rows))
+    first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
+    free = 3 * int(problem.active[j])
+    joint = cofactors.joint(images, (j,) if free else ())
+    out = []
+    for r in rows:
+        at, design = images.index(int(o.image[r])), np.zeros((2, first[-1] + free))
+        design[:, first[at] : first[at + 1]] = j_image[r]
+        design[:, first[-1] :] = j_ground[r][:, :free]
+        columns = np.diag([1.0 / o.sigma_line_px[r], 1.0 / o.sigma_sample_px[r]])
+        out.append(ResidualGroup("image", j, int(r), values[r], np.eye(2) - design @ joint @ design.T, columns))
+    return joint, out
+
+
+def _judge(problem: Problem, group: ResidualGroup, chi2: float, level: float) -> GroupTest:
     """Statistic, limit and estimated error of one group."""
     o, point = problem.observations, problem.block.points.ids[group.point]
     image = "" if group.row < 0 else problem.block.images[int(o.image[group.row])].id
-    size, axes = np.linalg.eigh(group.q)
-    checked = size > CHECKED
-    d, f = int(checked.sum()), problem.redundancy
+    t, d, error = _quadratic(group)
+    f = problem.redundancy
     if d == 0 or f <= d:
-        return GroupTest(image, point, 0, 0.0, np.inf, np.full(len(group.v), np.nan))
-    whitened = axes[:, checked] @ ((axes[:, checked].T @ group.v) / size[checked])
-    t = float(group.v @ whitened)
-    rest = max((chi2 - t) / (f - d), np.finfo(float).tiny)
-    statistic, critical = t / d / rest, float(fdtri(d, f - d, 1.0 - level))
-    return GroupTest(image, point, d, statistic, critical, _physical(problem, group, whitened))
+        return GroupTest(group.part, image, point, 0, 0.0, np.inf, 1.0, np.full(len(error), np.nan))
+    statistic = t / d / max((chi2 - t) / (f - d), np.finfo(float).tiny)
+    critical, probability = float(fdtri(d, f - d, 1.0 - level)), float(fdtrc(d, f - d, statistic))
+    return GroupTest(group.part, image, point, d, statistic, critical, probability, error)
 
 
-def _physical(problem: Problem, group: _Group, whitened: Array) -> Array:
-    """Error of the observation: pixels, or East, North, Up in m."""
-    o = problem.observations
-    if group.row >= 0:
-        sigma = np.array([o.sigma_line_px[group.row], o.sigma_sample_px[group.row]])
-        return np.asarray(whitened * sigma)
-    w = problem.control_records[group.point, :9].reshape(3, 3)
-    turn = enu_from_ecef((problem.control_records[group.point, 9:] + problem.origin_m)[None])[0]
-    return np.asarray(-turn @ np.linalg.solve(w, whitened))
+def _quadratic(group: ResidualGroup) -> tuple[float, int, Array]:
+    """T, its rank d and the estimated error in physical units."""
+    length = np.linalg.norm(group.columns, axis=0)
+    e = group.columns / length
+    size, axes = np.linalg.eigh(e.T @ group.q @ e)
+    checked = size > CHECKED
+    error = axes[:, checked] @ ((axes[:, checked].T @ (e.T @ group.v)) / size[checked])
+    return float((e.T @ group.v) @ error), int(checked.sum()), np.asarray(error / length)
 
 
 def _with_twins(test: GroupTest, tests: list[GroupTest]) -> GroupTest:
-    """Name the groups of the same point that the same error could lie in."""
+    """Name the suspects of the same point that the same error could lie in."""
     if not test.suspicious:
         return test
     same = [

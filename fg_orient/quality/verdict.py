@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincinv
 
-from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.problem import Problem, enu_from_ecef
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.names import Status
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
@@ -78,10 +78,17 @@ def warnings(
             f"sigma0 lies below {verdict.interval[0]:.2f}, the lower end of its 99.9 % interval: the sigmas are too "
             "large, so the standard deviations in prior scale are too"
         )
-    if block is not None and block.weak:
+    if block is not None and block.weak and not problem.block.options.priors:
         out.append(
             f"without priors {block.weak} direction(s) of the block are determined 100 times worse than their prior "
             "sigma: results along them are not reliable"
+        )
+    if block is not None and block.datum:
+        east, north, up = _moved(problem, estimate)
+        out.append(
+            "relative adjustment: no control point tells where the block lies, the priors hold it; it moved by "
+            f"{east:+.1f}, {north:+.1f}, {up:+.1f} m East, North, Up. No figure of it is an accuracy; "
+            "if it moved farther than the vendor's own location error, give that error as prior sigma"
         )
     dead = sum(o.rank_defect for o in observability)
     if dead:
@@ -100,3 +107,11 @@ def warnings(
     elif n < ASPRS_MINIMUM:
         out.append(f"{n} check point{'s' if n > 1 else ''}: ASPRS (2023) asks for at least {ASPRS_MINIMUM}")
     return tuple(out)
+
+
+def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:
+    """Mean movement East, North, Up of the unknown ground points from their start, m."""
+    j = problem.active
+    mean = (estimate.state.ground[j] - problem.start.ground[j]).mean(axis=0)
+    east, north, up = enu_from_ecef(problem.origin_m[None])[0] @ mean
+    return float(east), float(north), float(up)

@@ -28,8 +28,22 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     return template.render(
         r=result.record, verdict=verdict(result.record), axes=_AXES, point_map=point_map(result),
         up_map=point_map(result, up=True), residuals=residual_summary(result), corrections=corrections(result),
+        what=orientation_words(result.record),
         singular=singular_values(result.record["observability"]), iterations=result.iterations, truth=comparison,
     )  # fmt: skip
+
+
+def orientation_words(record: dict[str, Any]) -> str:
+    """What was unknown of the images, by their kinds: EOP set, RPC compensation."""
+    kinds = {image.get("model", "pushbroom") for image in record["images"]}
+    words = []
+    if "pushbroom" in kinds:
+        words.append(f"EOP set {record['eop_set']} {record['eop_set_name']}")
+        if record["look_polynomial"] is not None:
+            words.append(f"look-angle polynomial of degree {record['look_polynomial']}")
+    if "RPC" in kinds:
+        words.append(f"RPC compensation: {record['rpc_compensation'].replace('_', ' and ')}")
+    return " · ".join(words)
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -83,10 +97,10 @@ def corrections(result: Result) -> list[dict[str, Any]]:
         unit, factor = _READABLE.get(row["unit"], (row["unit"], 1.0))
         value, sigma, prior = (float(row[k]) if row[k] else None for k in ("value_per_tau", "sigma", "prior_sigma"))
         degree = int(row["degree"])
-        is_look = row["parameter"].startswith("psi_")
+        ending = row["parameter"].rpartition("_")[2]  # of a polynomial of samples: s and its degree
         images.setdefault(row["image"], []).append({
             "name": _component(row["component"]),
-            "degree": f"s^{degree}" if is_look else _DEGREES[degree], "unit": unit,
+            "degree": f"s^{degree}" if ending.startswith("s") else _DEGREES[degree], "unit": unit,
             "value": None if value is None else value * factor, "sigma": None if sigma is None else sigma * factor,
             "prior": None if prior is None else prior * factor,
             "share": None if not prior or value is None else value / prior,

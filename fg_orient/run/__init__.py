@@ -19,6 +19,7 @@ from fg_orient.io.project import read_project
 from fg_orient.orient import adjust
 from fg_orient.run.json import dumps, plain
 from fg_orient.run.provenance import provenance
+from fg_orient.run.rpc import left_out, write_corrected_rpc
 from fg_orient.run.summary import deficient_summary, summary
 from fg_orient.run.tables import write_tables
 
@@ -122,7 +123,7 @@ def _record(solution: Solution, project: Path, out: Path, command: Sequence[str]
         "name": solution.block.name,
         **record,
         "out": out.name,
-        "notes": notes,
+        "notes": [*notes, *left_out(solution)],
         "images": images,
         "observability": plain(observability),
         "provenance": provenance(solution.block, folder, command),
@@ -135,6 +136,7 @@ def _write(folder: Path, solution: Solution, record: dict[str, Any], phases: dic
 
     mark = time.perf_counter()
     write_tables(folder, solution)
+    write_corrected_rpc(folder / "rpc", solution)
     phases["write"] = time.perf_counter() - mark
     record["seconds"] = {**phases, "total": time.perf_counter() - start}
     (folder / RESULT_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")

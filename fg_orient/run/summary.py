@@ -12,6 +12,7 @@ import numpy as np
 
 from fg_orient.names import Status
 from fg_orient.parameters import EOP_SETS
+from fg_orient.quality.parallax import rms_px, y_parallaxes
 
 if TYPE_CHECKING:
     from fg_orient.block import Block, Options
@@ -59,7 +60,18 @@ def summary(solution: Solution) -> dict[str, Any]:
             "check": _check(solution.accuracy.check),
         },
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
+        **_parallax(solution),
     }
+
+
+def _parallax(solution: Solution) -> dict[str, Any]:
+    """y-parallaxes before and after a relative adjustment, which has no other result; else nothing."""
+    if solution.block_view is None or not solution.block_view.datum:
+        return {}
+    problem = solution.problem
+    points, before = y_parallaxes(problem, problem.start)
+    _, after = y_parallaxes(problem, solution.state)
+    return {"y_parallax": {"n": len(points), "rms_before_px": rms_px(before), "rms_after_px": rms_px(after)}}
 
 
 def _check(points: PointDifferences) -> dict[str, Any]:
@@ -133,4 +145,6 @@ def _choices(options: Options) -> dict[str, Any]:
         "look_polynomial": options.look_polynomial,
         "priors": options.priors,
         "check_points": options.check_points,
+        "rpc_compensation": options.rpc_compensation,
+        "datum": options.datum,
     }
