@@ -92,10 +92,11 @@ def wilson(passed: int, of: int) -> tuple[float, float]:
 
 
 def all_claims() -> tuple[Claim, ...]:
-    """C1-C16 and C22 in order."""
-    from fg_orient.experiments import claims_geometry, claims_solvers
+    """C1-C22 in order."""
+    from fg_orient.experiments import claims_geometry, claims_rfm, claims_solvers
 
-    return (*claims_geometry.CLAIMS, *claims_solvers.CLAIMS)
+    claims = (*claims_geometry.CLAIMS, *claims_solvers.CLAIMS, *claims_rfm.CLAIMS)
+    return tuple(sorted(claims, key=lambda claim: int(claim.id[1:])))
 
 
 def run_claims(

@@ -28,7 +28,6 @@ RFM: Final = {
     "rfm.no_end": ("the iteration does not end", "take a lower degree, fewer coefficients or a penalty (kappa > 0)"),
     "rfm.folds": ("the number of folds must lie between 2 and the number of points", "there are {points} points"),
     "rfm.selector": ("no such selection of coefficients", "known: {known}"),
-    "rfm.nothing_left": ("no kappa of the grid gives a model without poles", "take other kappas or a lower degree"),
     "rfm.grid": (
         "the virtual grid needs at least {least} values per axis and two heights that differ",
         "take more lines, samples or layers; heights in m above the ellipsoid",
