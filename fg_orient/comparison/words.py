@@ -27,6 +27,8 @@ class Summary:
         Numbers of EOP sets.
     missed : tuple of int
         Sets that were tried and do not reach the target.
+    unsolved : tuple of int
+        Sets that were tried and have no solution.
     worst_control_m, worst_check_m : float
         Largest RMSE of the sets with a solution; nan without any.
     """
@@ -39,6 +41,7 @@ class Summary:
     solved: int
     reached: int
     missed: tuple[int, ...]
+    unsolved: tuple[int, ...]
     worst_control_m: float
     worst_check_m: float
 
@@ -53,7 +56,7 @@ def _summary(key: tuple[str, int | None, str], rows: Sequence[Row], label: str) 
     solved = [r for r in tried if not r.failure]
     return Summary(
         *key, label, len(tried), len(solved), sum(r.reached for r in tried),
-        tuple(r.eop_set for r in tried if not r.reached),
+        tuple(r.eop_set for r in tried if not r.reached), tuple(r.eop_set for r in tried if r.failure),
         _largest(r.control_rmse_m for r in solved), _largest(r.check_rmse_m for r in solved),
     )  # fmt: skip
 
@@ -67,7 +70,7 @@ def verdict(comparison: Comparison) -> dict[str, Any]:
     found = summaries(comparison)
     published = (_published(comparison, found, kind) for kind in comparison.types)
     said = (_graph(comparison, found), _dense(comparison, found), *published, _differences(comparison),
-            _left_out(comparison))  # fmt: skip
+            _without_check_points(comparison, found), _left_out(comparison))  # fmt: skip
     sentences = [sentence for sentence in said if sentence]
     solved = any(s.solved for s in found)
     best = max(found, key=lambda s: (s.backend == "graph", s.reached)) if found else None
@@ -93,14 +96,17 @@ def _graph(comparison: Comparison, found: list[Summary]) -> str:
 
 
 def _reached(line: Summary, total: int) -> str:
-    """Sets at the target; if some are not, which, and the worst RMSE."""
+    """Sets at the target; if some are not, which, whether they have a solution, and the worst RMSE of those that do."""
     text = f"{_of(line.reached, total)} sets at the target"
     if not line.missed:
         return text
-    values = {"control": line.worst_control_m, "check": line.worst_check_m}
-    worst = [f"{role} {value:.3g} m" for role, value in values.items() if math.isfinite(value)]
     which = f", not {ranges(line.missed)}" if line.reached else ""
-    return f"{text}{which} (worst: {', '.join(worst) or 'no solution'})"
+    values = {"control": line.worst_control_m, "check": line.worst_check_m}
+    worst = ", ".join(f"{role} {value:.3g} m" for role, value in values.items() if math.isfinite(value))
+    facts = [f"worst: {worst}"] if line.solved > line.reached and worst else []
+    if line.solved < line.tried:
+        facts.append(f"without solution: {'all' if not line.solved else ranges(line.unsolved)}")
+    return f"{text}{which} ({'; '.join(facts)})" if facts else f"{text}{which}"
 
 
 def ranges(values: Iterable[int]) -> str:
@@ -133,7 +139,7 @@ def _many(name: str, comparison: Comparison, lines: list[Summary]) -> str:
     always = [n for n in comparison.eop_sets if all(n not in s.missed for s in lines)]
     never = [n for n in comparison.eop_sets if all(n in s.missed for s in lines)]
     best = max(s.reached for s in lines)
-    names = ", ".join(s.label for s in lines if s.reached == best)
+    names = "; ".join(s.label for s in lines if s.reached == best)
     text = f"{name}: {_of(len(always), total)} sets at the target with every solver"
     text += f"; the others depend on the solver, most with {names} ({_of(best, total)})"
     return f"{text}; with none: {ranges(never)}." if never else f"{text}."
@@ -147,9 +153,15 @@ def _differences(comparison: Comparison) -> str:
     return f"Dense and graph differ by at most {sigmas:.1e} prior sigmas and {metres:.1e} m."
 
 
+def _without_check_points(comparison: Comparison, found: list[Summary]) -> str:
+    if any(math.isfinite(s.worst_check_m) for s in found) or not any(s.solved for s in found):
+        return ""
+    return "There are no check points: the target is judged at control points alone, which says little."
+
+
 def _left_out(comparison: Comparison) -> str:
     rows = [r for r in comparison.rows if r.left_out]
     if not rows:
         return ""
     names = dict.fromkeys(f"{r.backend} {comparison.labels.get(r.solver, r.solver)}" for r in rows)
-    return f"Not tried ({len(rows)} rows; each says why): {', '.join(names)}."
+    return f"Not tried ({len(rows)} rows; each says why): {'; '.join(names)}."

@@ -131,7 +131,7 @@ def _condition_values(system: LinearSystem, x: Array, residual: Array) -> dict[s
     design, _ = system.require_design("conditions")
     counted = {"n_observations": float(len(design)), "n_unknowns": float(len(system))}
     names = ("sum_residual", "sum_squared_residual", "normal_residual_abs_min", "normal_residual_abs_max")
-    if not np.isfinite(x).all():
+    if not (np.isfinite(x).all() and np.isfinite(residual).all()):
         return counted | dict.fromkeys(names, math.nan)
     found = ls_conditions(system, x, residual)
     values = (found.sum_v, found.sum_vv, found.normal_min, found.normal_max)

@@ -220,8 +220,10 @@ def lw(system: LinearSystem, given: Given) -> KappaChoice:
 )
 def bayes(system: LinearSystem, given: Given) -> KappaChoice:
     """Kappa = sigma_l^2/sigma_x^2: the posterior mean under independent priors of equal variance."""
-    ratio = np.float64(given.sigma_observed or 0.0) / np.float64(given.sigma_unknown or 0.0)
-    return KappaChoice(float(ratio * ratio), "bayes")
+    sigmas = given.sigma_observed or 0.0, given.sigma_unknown or 0.0
+    if not all(np.isfinite(sigma) and sigma > 0.0 for sigma in sigmas):
+        raise InputError.of("linear.sigmas", place="kappa rule bayes", value="{:g}, {:g}".format(*sigmas))
+    return KappaChoice(float((sigmas[0] / sigmas[1]) ** 2), "bayes")
 
 
 @register_kappa_rule("od", "OD (eigenvalue)", source="Terlemezoğlu 2019, T(3.8)", published=True)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
+from fg_orient.errors import InputError
 from fg_orient.linear.kappa import Given, KappaChoice, register_kappa_rule
 from fg_orient.linear.system import Array, Breakdown, LinearSystem
 
@@ -244,6 +245,8 @@ def discrepancy(system: LinearSystem, given: Given) -> KappaChoice:
 def cc(system: LinearSystem, given: Given) -> KappaChoice:
     """Largest correlation x^T t/(|x||t|) with the true solution t: only simulations know it."""
     ridge, truth = Ridge.of(system, "cc"), np.asarray(given.truth, dtype=np.float64)
+    if truth.shape != system.rhs.shape or not np.isfinite(truth).all():
+        raise InputError.of("linear.truth", place="kappa rule cc", value=f"shape {truth.shape}", unknowns=len(system))
 
     def correlation(kappa: float) -> float:
         x = ridge.solution(kappa)

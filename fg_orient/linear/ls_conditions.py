@@ -79,14 +79,16 @@ def ls_conditions(system: LinearSystem, x: Array, residuals: Array | None = None
     Raises
     ------
     InputError
-        A is not known, x does not fit or is not finite, or there is no redundancy.
+        A is not known, x or v does not fit or is not finite, or there is no redundancy.
     """
     design, observed = system.require_design("least-squares conditions")
     u = len(system)
     if system.redundancy <= 0:
         raise InputError.of("linear.redundancy", place="n > u", value=f"{len(design)} rows, {u} unknowns")
     if x.shape != (u,) or not np.isfinite(x).all():
-        raise InputError.of("linear.rhs", place="dP", value=f"shape {x.shape}", unknowns=u)
+        raise InputError.of("linear.solution", place="dP", value=f"shape {x.shape}", unknowns=u)
+    if residuals is not None and (residuals.shape != observed.shape or not np.isfinite(residuals).all()):
+        raise InputError.of("linear.residuals", place="v", value=f"shape {residuals.shape}")
     v = design @ x - observed
     shown = v if residuals is None else residuals
     misfit = np.abs(system.normal @ x - system.rhs)

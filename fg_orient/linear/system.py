@@ -41,10 +41,12 @@ class LinearSystem:
     observed : (r,) array, optional
         Whitened l with ``b = A^T l``.
 
+    Whole numbers are taken as float64.
+
     Raises
     ------
     InputError
-        Not square, not symmetric, not finite, sizes that do not fit, or more than 2000 unknowns.
+        Not square, not symmetric, not real, not finite, sizes that do not fit, or more than 2000 unknowns.
     """
 
     normal: Array
@@ -53,6 +55,10 @@ class LinearSystem:
     observed: Array | None = None
 
     def __post_init__(self) -> None:
+        for name, place in (("normal", "N"), ("rhs", "b"), ("design", "A"), ("observed", "l")):
+            values = getattr(self, name)
+            if values is not None:
+                object.__setattr__(self, name, real_numbers(values, place))  # the way of frozen dataclasses
         check_normal(self.normal)
         u = len(self.normal)
         if self.rhs.shape != (u,) or not np.isfinite(self.rhs).all():
@@ -63,10 +69,13 @@ class LinearSystem:
     @classmethod
     def from_design(cls, design: Array, observed: Array) -> LinearSystem:
         """Normal equations of ``A x = l`` with unit weights; refused before N is formed."""
+        design, observed = real_numbers(design, "A"), real_numbers(observed, "l")
         if design.ndim == 2 and design.shape[1] > MAX_UNKNOWNS:
             raise InputError.of("linear.too_large", place="N", value=design.shape[1], limit=MAX_UNKNOWNS)
         check_design(design, observed, design.shape[-1] if design.ndim else 0)
-        return cls(design.T @ design, design.T @ observed, design, observed)
+        with np.errstate(over="ignore", invalid="ignore"):  # squares that overflow are refused as not finite
+            normal, rhs = design.T @ design, design.T @ observed
+        return cls(normal, rhs, design, observed)
 
     def __len__(self) -> int:
         return len(self.rhs)
@@ -94,6 +103,19 @@ class LinearSystem:
         if self.design is None or self.observed is None:
             raise InputError.of("linear.no_design", place=what)
         return self.design, self.observed
+
+
+def real_numbers(values: npt.ArrayLike, place: str) -> Array:
+    """Array of float64; complex numbers and words are refused, not cut.
+
+    Raises
+    ------
+    InputError
+    """
+    given = np.asarray(values)
+    if given.dtype.kind not in "fiu":
+        raise InputError.of("linear.not_real", place=place, value=given.dtype)
+    return np.asarray(given, dtype=np.float64)
 
 
 def check_design(design: Array, observed: Array | None, unknowns: int) -> None:

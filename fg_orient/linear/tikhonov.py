@@ -225,19 +225,19 @@ def tikhonov_od(system: LinearSystem, as_run: bool) -> LinearSolution:
     return tikhonov(system, "od", clamp=True, solver=PUBLISHED_SOLVER)
 
 
-@register_solver("tikhonov_l_curve", "Tikhonov, L-curve", "tikhonov", source="Hansen, O'Leary 1993", needs_design=True)
+@register_solver("tikhonov_l_curve", "Tikhonov L-curve", "tikhonov", source="Hansen, O'Leary 1993", needs_design=True)
 def tikhonov_l_curve(system: LinearSystem, as_run: bool) -> LinearSolution:
     """Kappa of the L-curve."""
     return tikhonov(system, "l_curve")
 
 
-@register_solver("tikhonov_gcv", "Tikhonov, GCV", "tikhonov", source="Golub, Heath, Wahba 1979", needs_design=True)
+@register_solver("tikhonov_gcv", "Tikhonov GCV", "tikhonov", source="Golub, Heath, Wahba 1979", needs_design=True)
 def tikhonov_gcv(system: LinearSystem, as_run: bool) -> LinearSolution:
     """Kappa of generalised cross-validation."""
     return tikhonov(system, "gcv")
 
 
-@register_solver("tikhonov_creso", "Tikhonov, CRESO", "tikhonov", source="Colli-Franzone 1985", needs_design=True)
+@register_solver("tikhonov_creso", "Tikhonov CRESO", "tikhonov", source="Colli-Franzone 1985", needs_design=True)
 def tikhonov_creso(system: LinearSystem, as_run: bool) -> LinearSolution:
     """Kappa of CRESO."""
     return tikhonov(system, "creso")

@@ -14,6 +14,7 @@ LINEAR: Final = {
         "the normal matrix holds a value that is not finite",
         "look for the observation behind it",
     ),
+    "linear.not_real": ("the matrix or vector must hold real numbers", "give an array of float64"),
     "linear.too_large": (
         "more than {limit} unknowns are too many for dense matrices",
         "use the graph backend: its cost grows with the observations only",
@@ -44,6 +45,8 @@ LINEAR: Final = {
     ),
     "linear.kappa_rule": ("no kappa rule of this name", "known: {known}"),
     "linear.kappa_needs": ("this rule needs {needed}", "give it in Given({needed}=...)"),
+    "linear.truth": ("the true solution must hold {unknowns} finite numbers", "give it in Given(truth=...)"),
+    "linear.sigmas": ("standard deviations must be above zero", "give them in Given(sigma_observed=..., ...)"),
     "linear.kappa_value": ("kappa must be finite and not negative", "0 gives least squares"),
     "linear.no_kappa": ("the rule finds no usable kappa", "take another rule"),
     "linear.penalty": (
@@ -54,6 +57,8 @@ LINEAR: Final = {
         "the prior needs a mean of {unknowns} numbers, a positive definite covariance and a positive sigma",
         "leave out unknowns that are fixed",
     ),
+    "linear.solution": ("the solution must hold {unknowns} finite numbers", "give x as a (u,) array"),
+    "linear.residuals": ("there must be one finite residual per observation", "give v as an (r,) array"),
     "linear.noise": ("the noise must be a standard deviation", "0 if the observations are exact"),
     "linear.reference": ("the reference solver has no solution to compare with", "name another reference"),
     "linear.library": ("the linear algebra library cannot go on", "the system is singular for this solver"),

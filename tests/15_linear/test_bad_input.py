@@ -59,8 +59,23 @@ CASES: dict[str, tuple[Callable[[], object], str, str]] = {
     "no redundancy for HKB": (lambda: solve("tikhonov_hkb", SQUARE), "linear.redundancy", "2 rows, 2 unknowns"),
     "dP does not fit": (
         lambda: ls_conditions(LinearSystem.from_design(np.ones((3, 1)), np.ones(3)), np.ones(2)),
-        "linear.rhs",
+        "linear.solution",
         "(2,)",
+    ),
+    "v does not fit": (
+        lambda: ls_conditions(LinearSystem.from_design(np.ones((3, 1)), np.ones(3)), np.ones(1), np.ones(2)),
+        "linear.residuals",
+        "(2,)",
+    ),
+    "complex N": (lambda: LinearSystem(np.eye(2) * 1j, np.ones(2)), "linear.not_real", "complex128"),
+    "complex A": (lambda: LinearSystem.from_design(np.eye(2) * 1j, np.ones(2)), "linear.not_real", "complex128"),
+    "words in b": (lambda: LinearSystem(np.eye(2), np.array(["1", "2"])), "linear.not_real", "<U1"),
+    "squares overflow": (lambda: LinearSystem.from_design(np.eye(2) * 1e200, np.ones(2)), "linear.not_finite", "inf"),
+    "truth does not fit": (lambda: choose_kappa("cc", SQUARE, Given(truth=np.ones(3))), "linear.truth", "(3,)"),
+    "Bayes of no sigma": (
+        lambda: choose_kappa("bayes", SQUARE, Given(sigma_observed=-1.0, sigma_unknown=1.0)),
+        "linear.sigmas",
+        "-1",
     ),
     "no design": (lambda: solve("qr", EYE), "linear.no_design", ""),
     "no design for a curve": (lambda: tikhonov(EYE, "gcv"), "linear.no_design", ""),
@@ -105,6 +120,14 @@ def test_bad_input_is_refused_in_words(case: str) -> None:
 
 def test_the_limit_itself_is_allowed() -> None:
     assert len(LinearSystem(np.eye(MAX_UNKNOWNS), np.ones(MAX_UNKNOWNS))) == 2000
+
+
+@pytest.mark.parametrize("name", solvers())
+def test_whole_numbers_are_numbers(name: str) -> None:
+    design, observed = np.array([[2, 0], [0, 3], [1, 1], [2, 5]]), np.array([1, 2, 3, 4])
+    whole = attempt(name, LinearSystem.from_design(design, observed))
+    real = attempt(name, LinearSystem.from_design(design.astype(float), observed.astype(float)))
+    assert np.array_equal(whole.x, real.x, equal_nan=True)
 
 
 def test_rounding_of_a_symmetric_matrix_is_allowed() -> None:

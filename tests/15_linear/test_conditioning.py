@@ -138,7 +138,7 @@ def test_published_conditions_are_their_sums(rng: np.random.Generator) -> None:
     assert found.sum_v == pytest.approx(v.sum(), rel=1e-12)
     assert found.sum_vv == pytest.approx(v @ v, rel=1e-12)
     assert (found.normal_min, found.normal_max) == pytest.approx((misfit.min(), misfit.max()), rel=1e-10)
-    other = ls_conditions(system, x, residuals=np.array([1.0, -3.0]))
+    other = ls_conditions(system, x, residuals=np.repeat([1.0, -3.0, 0.0], [1, 1, 8]))
     assert (other.sum_v, other.sum_vv) == (-2.0, 10.0)
 
 

@@ -159,7 +159,7 @@ def test_verdict_in_words(comparison: Comparison) -> None:
     assert "with each of 3 solver(s)" in text
     assert "published procedure, type 1: 1 of 3 sets at the target with every solver" in text
     assert re.search(r"differ by at most \d\.\de-\d+ prior sigmas", text)
-    assert "Not tried (6 rows; each says why): dense Cramer inverse, dense Tikhonov OD." in text
+    assert "Not tried (6 rows; each says why): dense Cramer inverse; dense Tikhonov OD." in text
 
 
 def test_words_for_numbers() -> None:

@@ -14,6 +14,7 @@ from fg_orient.classical.two_stage import TwoStage
 from fg_orient.comparison import engines
 from fg_orient.comparison.compare import compare, ground_sampling_m, reached
 from fg_orient.comparison.model import COLUMNS, LARGEST_CONDITION, Comparison, Row, Spectrum, groups
+from fg_orient.comparison.words import verdict
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.names import Role
 from fg_orient.simulate.block import BlockOptions, grid_block
@@ -262,6 +263,9 @@ def test_single_image_has_no_published_procedure(twin: Block) -> None:
     assert [bool(r.failure) for r in found.rows] == [True, True, False, False]
     assert "two images" in found.rows[0].failure
     assert math.isnan(found.rows[-1].check_rmse_m)
+    said = " ".join(verdict(found)["text"])
+    assert "type 1: none of 1 sets at the target (without solution: all), with each of 1 solver(s)." in said
+    assert "no check points" in said
 
 
 def test_without_priors_deficient_sets_are_rows_with_a_reason(twin: Block) -> None:
@@ -269,6 +273,7 @@ def test_without_priors_deficient_sets_are_rows_with_a_reason(twin: Block) -> No
     found = compare(block, eop_sets=[2, 5], solvers="qr", backends="dense,graph")
     assert [bool(r.failure) for r in found.rows] == [False, False, True, True]
     assert "not observable" in found.rows[-1].failure
+    assert "The graph (GTSAM): 1 of 2 sets at the target, not 5 (without solution: 5)." in verdict(found)["text"]
     assert {s.system for s in found.spectra} == {"adjustment"}
 
 
