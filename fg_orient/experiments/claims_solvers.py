@@ -86,7 +86,7 @@ def c8(study: Study) -> Outcome:
     for eop_set in WITH_VELOCITY:
         codes = np.array(eop_codes(eop_set))
         found = _solutions(study, eop_set)
-        velocity[eop_set] = _spread(found, np.flatnonzero(np.isin(codes // 3, VELOCITY))) if PIVOT in found else np.inf
+        velocity[eop_set] = _spread(found, np.flatnonzero(np.isin(codes // 3, VELOCITY))) if PIVOT in found else np.nan
         checks[f"V of set {eop_set} disagrees"] = velocity[eop_set] > 1.0
     fifteen = _solutions(study, 15)
     position = _spread(fifteen, np.arange(9)) if PIVOT in fifteen else np.inf
@@ -216,7 +216,7 @@ def c22(study: Study) -> Outcome:
 
 
 CLAIMS = (
-    Claim("C8", "step 2 solves for rounding noise: sets 1, 15 alike with all exact solvers but Cramer, velocities arbitrary",
+    Claim("C8", "step 2 solves for rounding noise: sets 1, 15 alike with all exact solvers but Cramer, not so velocities",
           c8),
     Claim("C9", "raw units: rank below u for sets 1, 5, 13, 15, 17, 19, 20; column scaling cures 1, 9, 15 only", c9),
     Claim("C10", "living directions of sets 5, 13, 17, 19, 20: 5, 14, 11, 8, 20; V along V and along P acts on nothing",
@@ -224,8 +224,8 @@ CLAIMS = (
     Claim("C11", "one iteration, type 1: sets 1-4, 6-12 below 5 m at control points with all solvers but Cramer", c11),
     Claim("C12", "one iteration: four of sets 5, 13, 17, 19, 20 above 100 m at control points, check points stay", c12),
     Claim("C13", "Cholesky fails for at least one of the sets with velocity", c13),
-    Claim("C14", "Moore-Penrose and Tikhonov OD bring sets 5, 13, 15, 17, 19, 20 below 5 m, check points stay as held or as "
-          "intersected", c14),
+    Claim("C14", "Moore-Penrose and Tikhonov OD bring sets 5, 13, 15, 17, 19, 20 below 5 m, check points unmoved from "
+          "the bundle with held EOPs or the intersection before it", c14),
     Claim("C15", "kappa of HKB and LW below 1e-8 for sets 17 and 20, which stay above 5 m", c15),
     Claim("C16", "3 and 5 iterations: check points can diverge without regularisation, not with Moore-Penrose", c16),
     Claim("C22", "correlations of position components of equal degree in set 1 above 0.98", c22),
