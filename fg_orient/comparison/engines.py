@@ -16,6 +16,8 @@ from fg_orient.classical.two_stage import Bundle, Kind, TwoStage
 from fg_orient.comparison.model import AXES, GRAPH_SOLVER, Row, Spectrum
 from fg_orient.errors import FgOrientError, problem
 from fg_orient.linear import registry
+from fg_orient.linear.conditioning import numerical_rank, singular_values
+from fg_orient.linear.scaling import unit_columns
 from fg_orient.linear.system import MAX_UNKNOWNS
 from fg_orient.names import Status
 from fg_orient.orient import adjust
@@ -39,28 +41,20 @@ def one_line(error: FgOrientError) -> str:
     return " | ".join(str(found) for found in error.problems)
 
 
-def singular_values(matrix: Array) -> Array:
-    """Singular values in descending order."""
-    return np.asarray(np.linalg.svd(matrix, compute_uv=False), dtype=np.float64)
-
-
 def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spectrum]:
     """Singular values of a design matrix, raw and with columns of unit length (a zero column stays zero)."""
-    length = np.linalg.norm(design, axis=0)
-    scaled = design / np.where(length > 0.0, length, 1.0)
     return (
         Spectrum(eop_set, system, "raw", singular_values(design)),
-        Spectrum(eop_set, system, "columns", singular_values(scaled)),
+        Spectrum(eop_set, system, "columns", singular_values(unit_columns(design))),
     )
 
 
 def _conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, Any]:
     """Columns of a row that describe its matrix; rank as MATLAB counts it for A."""
     order = len(raw.values)
-    tolerance = max(n_rows, order) * np.spacing(raw.values[0])
     return {
         "cond_raw": raw.condition, "cond_scaled": columns.condition, "order": order,
-        "rank": int((raw.values > tolerance).sum()),
+        "rank": numerical_rank(raw.values, max(n_rows, order)),
     }  # fmt: skip
 
 

@@ -25,8 +25,12 @@ HADAMARD_LIMIT: Final = 1e-2
 
 
 def singular_values(matrix: Array) -> Array:
-    """Singular values (p,), descending."""
-    return np.asarray(np.linalg.svd(matrix, compute_uv=False), dtype=np.float64)
+    """Singular values (u,) of a matrix (r, u), descending; zeros where it has fewer rows than columns.
+
+    Those zeros are singular values of N = A^T A, too: without them a system with too few observations looks regular.
+    """
+    rows, u = matrix.shape
+    return np.append(np.linalg.svd(matrix, compute_uv=False), np.zeros(max(u - rows, 0)))
 
 
 def numerical_rank(values: Array, size: int) -> int:
@@ -34,7 +38,7 @@ def numerical_rank(values: Array, size: int) -> int:
 
     Parameters
     ----------
-    values : (p,) array
+    values : (u,) array
         Singular values, descending.
     size : int
         Larger side of the matrix.
@@ -71,7 +75,7 @@ class Conditioning:
         lambda_max/lambda_min (Todd), T(3.12), as computed: negative where rounding makes lambda_min negative.
     log10_hadamard, log10_hadamard_scaled : float
         log10 of |det N|/prod_i alpha_i, alpha_i the row norms, T(3.13)-(3.14).
-    singular_values, singular_values_scaled : (p,) array
+    singular_values, singular_values_scaled : (u,) array
         Of A and of A with unit-length columns, descending; roots of those of N where A is not known.
     """
 

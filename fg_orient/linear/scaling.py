@@ -19,12 +19,30 @@ def column_lengths(system: LinearSystem) -> Array:
     (u,) array
     """
     if system.design is not None:
-        largest = np.abs(system.design).max(axis=0, initial=0.0)
-        safe = np.where(largest > 0.0, largest, 1.0)  # squares of raw polynomial columns may overflow
-        lengths = safe * np.sqrt(((system.design / safe) ** 2).sum(axis=0))
-    else:
-        lengths = np.sqrt(np.abs(system.normal.diagonal()))
+        return _lengths(system.design)
+    lengths = np.sqrt(np.abs(system.normal.diagonal()))
     return np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _lengths(design: Array) -> Array:
+    largest = np.abs(design).max(axis=0, initial=0.0)
+    safe = np.where(largest > 0.0, largest, 1.0)  # squares of raw polynomial columns may overflow
+    lengths = safe * np.sqrt(((design / safe) ** 2).sum(axis=0))
+    return np.where(lengths > 0.0, lengths, 1.0)
+
+
+def unit_columns(design: Array) -> Array:
+    """Matrix (r, u) with columns of length 1; a column of zeros stays.
+
+    Parameters
+    ----------
+    design : (r, u) array
+
+    Returns
+    -------
+    (r, u) array
+    """
+    return np.asarray(design / _lengths(design))
 
 
 def scaled(system: LinearSystem) -> tuple[LinearSystem, Array]:

@@ -12,7 +12,7 @@ from scipy.linalg import hilbert
 from fg_orient.linear.conditioning import condition_text, cross_solver_spread, diagnose, numerical_rank
 from fg_orient.linear.ls_conditions import ls_conditions
 from fg_orient.linear.registry import attempt, solve, solvers
-from fg_orient.linear.scaling import column_lengths, scaled
+from fg_orient.linear.scaling import column_lengths, scaled, unit_columns
 from fg_orient.linear.system import Array, LinearSolution, LinearSystem
 from fg_orient.linear.well_posedness import well_posedness
 from tests.support.systems import design_system, positive_definite
@@ -117,12 +117,21 @@ def test_system_without_design_gives_roots_of_the_singular_values_of_n(rng: np.r
     assert without.rank_scaled == 4
 
 
+def test_fewer_observations_than_unknowns_are_singular(rng: np.random.Generator) -> None:
+    """N has zero eigenvalues that the singular values of a wide A, taken alone, do not show."""
+    found = diagnose(rng.normal(size=(3, 5)))
+    assert found.singular_values.shape == found.singular_values_scaled.shape == (5,)
+    assert (found.rank, found.rank_scaled, found.defect, found.defect_scaled) == (3, 3, 2, 2)
+    assert found.cond_design == found.cond_design_scaled == np.inf
+
+
 def test_column_lengths(rng: np.random.Generator) -> None:
     design = rng.normal(size=(6, 3)) * [1.0, 1e3, 0.0]
     system = LinearSystem.from_design(design, np.ones(6))
     lengths = column_lengths(system)
     assert lengths[:2] == pytest.approx(np.linalg.norm(design[:, :2], axis=0), rel=1e-14)
     assert lengths[2] == 1.0
+    assert np.linalg.norm(unit_columns(design), axis=0) == pytest.approx([1.0, 1.0, 0.0], rel=1e-14)
     unit, _ = scaled(LinearSystem(system.normal, system.rhs))
     assert unit.normal.diagonal() == pytest.approx([1.0, 1.0, 0.0], abs=1e-14)
 
