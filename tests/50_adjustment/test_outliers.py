@@ -1,0 +1,160 @@
+"""Tests for gross errors and the snooping loop, against removals, planted errors and false alarms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import f as fisher
+
+import fg_orient as fg
+from fg_orient.block import Block, Coordinates
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
+from fg_orient.names import Role
+from fg_orient.quality.outliers import LEVEL, residual_groups, robust_scales
+from fg_orient.snooping import snoop, without
+from tests.support.rpc_block import rpc_twin
+
+
+def all_control(seed: int = 1, kind: str = "shift") -> Block:
+    """Every point with coordinates: true ones plus noise of 0.06/0.06/1 m East, North, Up."""
+    twin = rpc_twin(kind, seed=seed)
+    n = len(twin.ecef_m)
+    sigma = np.tile([0.06, 0.06, 1.0], (n, 1))
+    lon, lat, _ = ecef_to_geodetic(twin.ecef_m)
+    noise = np.random.default_rng(seed).normal(size=(n, 3)) * sigma
+    ecef = twin.ecef_m + np.einsum("nji,nj->ni", enu_from_ecef(lon, lat), noise)
+    points = replace(twin.block.points, roles=(Role.CONTROL,) * n, known=Coordinates(ecef, sigma, np.zeros(n, bool)))
+    return replace(twin.block, points=points, withheld=replace(twin.block.withheld, ids=()))
+
+
+def with_error(block: Block, point: str, image: str = "", error: tuple[float, ...] = ()) -> Block:
+    """Add line and sample (px) in one image, or East, North, Up (m) to the coordinates of a point."""
+    j, o, known = block.points.ids.index(point), block.observations, block.points.known
+    if image:
+        row = (o.point == j) & (o.image == block.image_index(image))
+        o = replace(o, line=o.line + error[0] * row, sample=o.sample + error[1] * row)
+        return replace(block, observations=o)
+    ecef = known.ecef_m.copy()
+    lon, lat, _ = ecef_to_geodetic(ecef[j])
+    ecef[j] += enu_from_ecef(lon, lat)[0].T @ np.array(error)
+    return replace(block, points=replace(block.points, known=replace(known, ecef_m=ecef)))
+
+
+@pytest.mark.parametrize("backend", ["graph", "dense"])
+def test_statistic_is_what_the_removal_of_the_observation_gains(backend: str) -> None:
+    """T = chi2 before minus chi2 without the image point: what the formula predicts, done."""
+    block = all_control()
+    solution = fg.adjust(block, backend=backend)
+    tests = [t for t in solution.outlier_tests() if t.part == "image"]
+    f = solution.redundancy
+    for test in tests[:3] + tests[-3:]:
+        rest = fg.adjust(without(block, test), backend=backend)
+        d = solution.redundancy - rest.redundancy
+        assert d == test.dimension == 2
+        t = solution.chi2 - rest.chi2
+        assert test.statistic == pytest.approx(t / d / (rest.chi2 / (f - d)), rel=1e-3, abs=1e-6)
+        assert test.probability == pytest.approx(fisher.sf(test.statistic, d, f - d), rel=1e-9)
+        assert test.critical == pytest.approx(fisher.isf(LEVEL, d, f - d), rel=1e-9)
+
+
+def test_error_of_coordinates_is_what_moves_the_point_back() -> None:
+    """Take the estimated height error off the coordinates: chi2 falls by T, and the test is silent."""
+    block = all_control()
+    solution = fg.adjust(block)
+    height = next(t for t in solution.outlier_tests() if t.part == "height")
+    position = next(t for t in solution.outlier_tests() if t.part == "position")
+    for test, error in ((height, (0.0, 0.0, -height.error[0])), (position, (*-position.error, 0.0))):
+        mended = fg.adjust(with_error(block, test.point, error=error))
+        t = (solution.chi2 - mended.chi2) / test.dimension
+        assert test.statistic == pytest.approx(t / (mended.chi2 / (solution.redundancy - test.dimension)), rel=1e-3)
+        again = next(g for g in mended.outlier_tests() if g.part == test.part and g.point == test.point)
+        assert again.statistic < 1e-4
+
+
+def test_redundancy_numbers_add_up() -> None:
+    """The traces of Q of image points and control points, and the shares of the priors, give the redundancy."""
+    solution = fg.adjust(all_control())
+    assert solution.cofactors is not None
+    groups = residual_groups(solution.problem, solution.state, solution.cofactors)
+    observed = sum(float(np.trace(g.q)) for g in groups if g.part in ("image", "height"))
+    priors = sum(float(np.trace(np.eye(2) - solution.cofactors.image(k))) for k in (0, 1))
+    assert observed + priors == pytest.approx(solution.redundancy, rel=1e-8)
+
+
+def test_planted_errors_are_found_named_and_measured() -> None:
+    """An image point 6 px off, a height 15 m, a position 3 m: one by one, nothing else, the block stays whole."""
+    block = all_control(seed=2)
+    ids = block.points.ids
+    wrong = with_error(block, ids[7], "right", (0.0, 6.0))
+    wrong = with_error(with_error(wrong, ids[20], error=(0.0, 0.0, 15.0)), ids[33], error=(-8.0, 2.0, 0.0))
+    found = snoop(wrong, level=1e-4)
+    assert found.complete
+    assert set(found.points) == {ids[7], ids[20], ids[33]}
+    assert len(found.found) == 3
+    by_point = {test.point: test for test in found.found}
+    assert by_point[ids[33]].part == "position"
+    assert by_point[ids[33]].error == pytest.approx([-8.0, 2.0], abs=4.0)
+    assert by_point[ids[20]].part in ("height", "image")
+    image = by_point[ids[7]]
+    assert (image.name, image.image) == (f"point {ids[7]} in image right", "right")
+    assert "px line, sample" in image.sentence()
+    assert len(wrong.observations) == 94
+    assert found.solution.sigma0 < 1.2 < fg.adjust(wrong).sigma0
+
+
+def test_false_alarms_are_as_rare_as_the_level_says() -> None:
+    """Twenty good blocks at a level of 2 %: the rate of alarms is that of the level."""
+    alarms, total = 0, 0
+    for seed in range(20):
+        tests = fg.adjust(all_control(seed=200 + seed)).outlier_tests(level=0.02)
+        alarms, total = alarms + sum(t.suspicious for t in tests), total + len(tests)
+    assert total == 20 * (94 + 2 * 47)
+    assert 0.012 * total < alarms < 0.028 * total  # 5 sigma of a count of independent alarms
+
+
+def test_single_ray_names_both_places_of_the_error() -> None:
+    """A control point in one image: pixel or coordinates cannot be told apart, and both are named."""
+    block = all_control()
+    j = block.points.ids[12]
+    o = block.observations
+    block = replace(block, observations=o.take(~((o.point == 12) & (o.image == 1))))
+    found = snoop(with_error(block, j, "left", (30.0, -40.0)), level=1e-5)
+    assert [test.name for test in found.found] == [f"point {j} in image left"]
+    assert found.found[0].inseparable == (f"position of point {j}",)
+    assert "not to be told apart" in found.found[0].sentence()
+    assert found.found[0].error == pytest.approx([30.0, -40.0], abs=1.5)
+
+
+def test_what_nothing_checks_is_never_suspected() -> None:
+    """Tie points: across the epipolar line they are checked, along it not; dimension 1."""
+    solution = fg.adjust(rpc_twin("shift").block)
+    tests = {(t.point, t.image): t for t in solution.outlier_tests()}
+    check = solution.block.points.ids[int(solution.block.points.where(Role.CHECK)[0])]
+    assert tests[check, "left"].dimension == 1
+    assert tests[check, "left"].statistic == pytest.approx(tests[check, "right"].statistic, rel=1e-6)
+
+
+def test_scales_of_wrong_sigmas() -> None:
+    """Pixels stated three times too good: the scale of the images says so; gross errors do not disturb it."""
+    block = all_control()
+    o = block.observations
+    good = replace(o, sigma_line_px=o.sigma_line_px / 3.0, sigma_sample_px=o.sigma_sample_px / 3.0)
+    for b in (block, with_error(block, block.points.ids[3], "left", (500.0, 0.0))):
+        solution = fg.adjust(replace(b, observations=good))
+        assert solution.cofactors is not None
+        scales = robust_scales(solution.problem, solution.state, solution.cofactors)
+        assert scales["image"] == pytest.approx(3.0, rel=0.35)
+
+
+def test_more_suspects_than_gross_errors_can_be_end_the_search() -> None:
+    """Thirty errors of growing size among 94 image points: the search gives up after a quarter and says so."""
+    block = all_control()
+    o = block.observations
+    error = np.zeros(len(o))
+    error[np.arange(30) * 3] = 5.0 * 1.3 ** np.arange(30)
+    found = snoop(replace(block, observations=replace(o, line=o.line + error)))
+    assert not found.complete
+    assert len(found.found) == len(o) // 4
+    assert found.solution.suspicious()
