@@ -58,13 +58,13 @@ def verdict(found: Reproduction) -> dict[str, str]:
     counts, n = found.counts(), len(found.rows)
     met = sum(claim.met for claim in found.claims)
     agree = n - counts["differs"] - counts["not_reproducible"]
-    title = f"{agree} of {n} published numbers agree in digits, size or pattern"
+    title = f"{agree} of {n} published numbers agree in digits, size, spread or pattern"
     if found.claims:
         title += f"; {met} of {len(found.claims)} claims met"
     text = (
-        f"{counts['equal']} agree to the printed digits, {counts['order']} within a factor of ten, "
-        f"{counts['rounding']} are rounding noise inside the spread of the runs, {counts['pattern']} lie on the same "
-        f"side of the limit. {counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced without the "
-        "unpublished data."
+        f"{counts['equal']} agree to the printed digits (counts and definitions among them), {counts['order']} within "
+        f"a factor of ten, {counts['rounding']} are rounding noise inside the spread of the runs, "
+        f"{counts['pattern']} lie on the same side of the limit. {counts['differs']} differ; "
+        f"{counts['not_reproducible']} cannot be reproduced without the unpublished data."
     )
     return {"kind": "good" if met == len(found.claims) else "warn", "title": title, "text": text}
