@@ -193,8 +193,9 @@ def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -
         jacobian = np.vstack([form.jacobian(x, m), -np.diag(root)])
         length = np.linalg.norm(jacobian, axis=0)
         length = np.where(length > 0.0, length, 1.0)
-        left, values, right = np.linalg.svd(jacobian / length, full_matrices=False)
-        beta = left.T @ r
+        q, upper = np.linalg.qr(jacobian / length)
+        left, values, right = np.linalg.svd(upper)
+        beta = left.T @ (q.T @ r)
         while True:
             step = (right.T @ (beta * values / (values**2 + damping))) / length
             new_r, new_cost = _misfit(form, m, image, x + step, root)

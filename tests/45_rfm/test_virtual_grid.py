@@ -1,0 +1,88 @@
+"""The rational function of a sensor: the twin's, and the real SPOT-5 scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factors import ellipsoid
+from fg_orient.errors import InputError
+from fg_orient.io.sensor import read_sensor
+from fg_orient.rfm.virtual_grid import SensorRfm, fit_sensor
+from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+
+SHAPE = (12, 12, 5)
+
+
+@pytest.fixture(scope="module")
+def sensor() -> PushbroomSensor:
+    """Left image of the twin."""
+    found = zonguldak_block(ZonguldakOptions(errors="none"))[0].images[0].sensor
+    assert isinstance(found, PushbroomSensor)
+    return found
+
+
+@pytest.fixture(scope="module")
+def fitted(sensor: PushbroomSensor) -> SensorRfm:
+    return fit_sensor(sensor, (0.0, 2000.0), shape=SHAPE)
+
+
+def test_stated_errors_are_those_against_the_sensor(sensor: PushbroomSensor, fitted: SensorRfm) -> None:
+    assert fitted.check_px.rms.max() < 1e-3, "a smooth orbit and no attitude: a cubic rational function is enough"
+    assert fitted.check_px.points == np.prod(SHAPE)
+    rng = np.random.default_rng(8)
+    pixels, height = rng.uniform(0.0, 11999.0, (2, 500)), rng.uniform(0.0, 2000.0, 500)
+    ground = sensor.locate(*pixels, height_m=height)
+    geodetic = ellipsoid.geodetic_array(np.ascontiguousarray(ground))
+    model = fitted.model("twin")
+    found = np.stack(model.project(*np.degrees(geodetic[:, :2]).T, geodetic[:, 2]))
+    error = np.abs(found - pixels).max(axis=1)
+    assert (error < 2.0 * fitted.check_px.largest + 1e-6).all()
+    assert fitted.fit_px.largest.max() < 3.0 * fitted.check_px.largest.max() + 1e-6
+
+
+def test_inverse_model_locates(sensor: PushbroomSensor, fitted: SensorRfm) -> None:
+    inverse, scale = fitted.inverse, fitted.inverse_m
+    lat, lon = inverse.project(np.array([[6000.0, 3000.0, 700.0]]))  # sample, line, height
+    truth = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(3000.0, 6000.0, height_m=700.0)))[0]
+    metres = np.hypot((lon[0] - np.degrees(truth[0])) * 83e3, (lat[0] - np.degrees(truth[1])) * 111e3)
+    assert metres < 2.0 * scale.largest.max() + 1e-3
+    assert scale.largest.max() < 0.05
+    model = fitted.model()
+    assert model.direct is not None
+    np.testing.assert_array_equal(model.direct, inverse.coefficients[[2, 3, 0, 1]])
+
+
+def test_validity_is_that_of_the_grid(fitted: SensorRfm) -> None:
+    v = fitted.validity
+    assert v.line == v.sample == (0.0, 11999.0)
+    assert v.height_m == (0.0, 2000.0)
+    assert v.lon_deg[0] < 31.85 < v.lon_deg[1]
+    model = fitted.model()
+    assert model.n_lines == model.n_samples == 12000
+    assert not model.inside(31.85, 41.3, 2001.0)[0]
+    assert "largest errors" in model.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("heights", "shape"), [((0.0, 0.0), SHAPE), ((5.0, 0.0), SHAPE), ((0.0, np.nan), SHAPE), ((0.0, 9.0), (12, 12, 4))]
+)
+def test_bad_grids_are_refused(
+    sensor: PushbroomSensor, heights: tuple[float, float], shape: tuple[int, int, int]
+) -> None:
+    with pytest.raises(InputError, match="virtual grid"):
+        fit_sensor(sensor, heights, shape=shape)
+
+
+@pytest.mark.real_data
+def test_real_spot5_scene(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """RMS <= 0.035 px and largest error <= 0.12 px per axis: the attitude of 8 Hz is not smooth enough for 0.05 px."""
+    sensor = read_sensor(real_data / "geocosicorr3d" / "SPOT5.DIM")
+    found = fit_sensor(sensor, (0.0, 3000.0))
+    with capsys.disabled():
+        print(f"\nSPOT-5 RFM, line and sample: RMS {found.check_px.rms} px, largest {found.check_px.largest} px")
+    assert (found.check_px.rms <= 0.035).all()
+    assert (found.check_px.largest <= 0.12).all()
