@@ -1,0 +1,135 @@
+"""Vendor RPC of real products in the bundle: Pléiades image 1, the Pléiades Neo pair, the SPOT-7 pair."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.block import Block
+from fg_orient.names import Status
+from fg_orient.quality.outliers import robust_scales
+from fg_orient.quality.parallax import rms_px, y_parallaxes
+from fg_orient.snooping import Snooping, snoop
+from tests.support.real_rpc import pleiades_1, pleiades_neo, spot7, spread, with_roles
+
+pytestmark = pytest.mark.real_data
+
+#: Sigmas of the Neo pair's control, stated 0.15 px and 0.1/0.1/0.5 m: with these factors for pixels and position
+#: the residuals of all points are as large as their sigmas say (test_stated_sigmas_of_the_neo_pair).
+PIXEL_FACTOR, POSITION_FACTOR = 2.0, 4.0
+#: Location error of SPOT 7 without control: some 10 m, 7 pixels.
+SPOT7_SIGMA_PX = 7.0
+
+
+def test_bias_of_pleiades_1_is_removed(real_data: Path) -> None:
+    """16 px across track without control; what 1, 5, 10 control points leave at the others."""
+    block = pleiades_1(real_data)
+    sensor, o, ecef = block.images[0].sensor, block.observations, block.points.known.ecef_m
+    observed = np.stack([o.line, o.sample], axis=1)
+    raw = np.stack(sensor.project(ecef), axis=1) - observed
+    print(f"\nPléiades 1, vendor RPC: mean line, sample {raw.mean(axis=0)} px")
+    assert abs(raw[:, 1].mean()) == pytest.approx(16.0, abs=1.0)
+    for kind, limit in (("shift", 2.2), ("shift_drift", 2.5), ("affine", 3.5)):
+        for count in (1, 5, 10):
+            control = spread(observed, count)
+            solution = fg.adjust(with_roles(block, control, _others(block, control)), rpc_compensation=kind)
+            check = np.setdiff1d(np.arange(len(o)), control)
+            left = np.stack(sensor.project(ecef[check], solution.correction("1")), axis=1) - observed[check]
+            rmse = np.sqrt(np.mean(left**2, axis=0))
+            print(f"  {kind:12s} {count:2d} control points: RMSE at {len(check)} others, line {rmse[0]:.2f}, "
+                  f"sample {rmse[1]:.2f} px")  # fmt: skip
+            if count > 1 or kind == "shift":
+                assert rmse.max() < limit
+
+
+def _others(block: Block, control: list[int]) -> list[str]:
+    """Points of a single image that are no control: nothing intersects there."""
+    return [name for j, name in enumerate(block.points.ids) if j not in control]
+
+
+@pytest.fixture(scope="module")
+def searched(real_data: Path) -> Snooping:
+    """The Neo pair, all points as control, searched for gross errors with the affine compensation."""
+    return snoop(pleiades_neo(real_data, PIXEL_FACTOR, POSITION_FACTOR), rpc_compensation="affine")
+
+
+def test_stated_sigmas_of_the_neo_pair(real_data: Path) -> None:
+    """As stated all sigmas are three times too small; the factors bring pixels, position and height near 1."""
+    for factors, low, high in (((1.0, 1.0), 2.5, 5.0), ((PIXEL_FACTOR, POSITION_FACTOR), 0.7, 1.4)):
+        solution = fg.adjust(pleiades_neo(real_data, *factors), rpc_compensation="affine")
+        assert solution.cofactors is not None
+        scales = robust_scales(solution.problem, solution.state, solution.cofactors)
+        print(f"\nNeo pair, sigmas times {factors}: scales {scales}, sigma0 {solution.sigma0:.2f}")
+        assert all(low < value < high for value in scales.values())
+
+
+def test_gross_errors_of_the_neo_pair_are_named(searched: Snooping) -> None:
+    """Point 53, measured in one image 50 px beside its place, first; then a few of some sigmas."""
+    print()
+    for test in searched.found:
+        print(f"  {test.sentence()}")
+    assert searched.complete
+    assert searched.found[0].name == "point 53 in image PNEO3_202309051055194"
+    assert np.linalg.norm(searched.found[0].error) == pytest.approx(52.0, abs=3.0)
+    assert {"53", "17", "27"} <= set(searched.points)  # the heights of 17 and 27 are 2.5 m off
+    assert len(searched.points) <= 6
+    assert searched.solution.status is Status.CONVERGED
+
+
+def test_point_53_is_found_with_any_model_and_with_the_stated_sigmas(real_data: Path) -> None:
+    for kind in ("shift", "shift_drift", "affine"):
+        found = snoop(pleiades_neo(real_data), rpc_compensation=kind).found
+        assert found[0].point == "53"
+        assert found[0].image.endswith("194")
+
+
+def test_neo_pair_by_shifts(real_data: Path, searched: Snooping) -> None:
+    """1, 5, 10 well-spread control points; accuracy at the others that are in both images and pass the test."""
+    block = pleiades_neo(real_data, PIXEL_FACTOR, POSITION_FACTOR)
+    o, ids = block.observations, block.points.ids
+    rays = np.bincount(o.point, minlength=len(ids))
+    assert (rays == 2).sum() == 24
+    good = [j for j in range(len(ids)) if rays[j] == 2 and ids[j] not in searched.points]
+    first = {int(o.point[r]): (o.line[r], o.sample[r]) for r in np.flatnonzero(o.image == 0)}
+    left_out = [name for j, name in enumerate(ids) if j not in good]
+    print()
+    for kind in ("shift", "affine"):
+        for count in (1, 5, 10):
+            control = [good[k] for k in spread(np.array([first[j] for j in good]), count)]
+            trial = with_roles(block, control, left_out)
+            solution = fg.adjust(trial, rpc_compensation=kind)
+            dense = fg.adjust(trial, rpc_compensation=kind, backend="dense")
+            assert np.abs(dense.state.image - solution.state.image).max() <= 1e-9
+            rmse = _rmse(solution)
+            print(f"  {kind:7s} {count:2d} control points, RMSE at {len(solution.accuracy.check)} check points: "
+                  f"East {rmse[0]:.2f}, North {rmse[1]:.2f}, Up {rmse[2]:.2f} m")  # fmt: skip
+            if kind == "shift" and count == 10:
+                assert (rmse <= [0.5, 0.6, 0.8]).all()
+
+
+def _rmse(solution: fg.Solution) -> np.ndarray:
+    statistics = solution.accuracy.check.statistics()
+    return np.array([statistics[f"rmse_{axis}_m"] for axis in ("east", "north", "up")])
+
+
+def test_spot7_pair_without_control(real_data: Path) -> None:
+    """Relative adjustment: parallaxes fall, the datum is named as not observable, nothing is called accuracy."""
+    block = spot7(real_data, 300)
+    block = replace(block, options=replace(block.options, rpc_shift_sigma_px=SPOT7_SIGMA_PX))
+    print()
+    for kind in ("shift", "shift_drift", "affine"):
+        solution = fg.adjust(block, rpc_compensation=kind, datum="priors")
+        _, before = y_parallaxes(solution.problem, solution.problem.start)
+        _, after = y_parallaxes(solution.problem, solution.state)
+        print(f"  {kind:12s} y-parallax of {len(before)} points: RMS {rms_px(before):.2f} before, {rms_px(after):.2f} "
+              f"after; median {np.median(before):.2f}, {np.median(after):.2f} px")  # fmt: skip
+        assert np.median(after) < 0.6 * np.median(before)
+        shifts = [text for text in solution.unobservable if "may be shifted together" in text]
+        assert [s.split("together ")[1].split(":")[0] for s in shifts] == ["East", "North", "Up"]
+        assert any("no control point tells where the block lies" in text for text in solution.warnings)
+        assert len(solution.accuracy.control) == len(solution.accuracy.check) == 0
+        print("    " + next(text for text in solution.warnings if text.startswith("relative")))
