@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -107,6 +107,25 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], 
         out.add_row(*(Text(printable(cell)) for cell in row))
     console = Console(file=sys.stdout, width=min(WIDTH, Console().width), highlight=False)
     console.print(out)
+
+
+@contextlib.contextmanager
+def progress_bar(first: str, silent: bool) -> Iterator[Callable[[int, int, str], None] | None]:
+    """Show a bar on the terminal, if standard error is one; ``first`` stands beside it until the first step is done."""
+    if silent or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False)
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(first, total=None)
+
+        def update(done: int, total: int, text: str) -> None:
+            bar.update(task, completed=done, total=total, description=text)
+
+        yield update
 
 
 def number(value: object, digits: int = 3) -> str:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, progress_bar, say, table
 from fg_orient.errors import InputError
 
 #: Places of the library in the words of the command line.
@@ -65,7 +65,7 @@ def compare(
             raise InputError.of("project.missing_file", file=project, folder="the current folder")
         from fg_orient.comparison.folder import compare_project
 
-        with _named_as_typed(), _progress(as_json) as callback:
+        with _named_as_typed(), progress_bar("reading the project", as_json) as callback:
             record = compare_project(
                 project, out or project.parent / "comparison", overwrite=overwrite, options=options,
                 callback=callback, command=["fg-orient", *sys.argv[1:]],
@@ -85,25 +85,6 @@ def _named_as_typed() -> Iterator[None]:
         raise InputError(
             *(p if p.file or p.place not in _TYPED else replace(p, place=_TYPED[p.place]) for p in error.problems)
         ) from None
-
-
-@contextlib.contextmanager
-def _progress(silent: bool) -> Iterator[Callable[[int, int, str], None] | None]:
-    """Show a bar on the terminal, if standard error is one."""
-    if silent or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False)
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading the project", total=None)
-
-        def update(done: int, total: int, text: str) -> None:
-            bar.update(task, completed=done, total=total, description=text)
-
-        yield update
 
 
 def show(record: dict[str, Any]) -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, progress_bar, say, table
 
 if TYPE_CHECKING:
     from fg_orient.reproduce.reproduction import Reproduction
@@ -46,7 +44,7 @@ def reproduce(
     with outcome(as_json, debug):
         from fg_orient.reproduce.folder import reproduce_to
 
-        with _progress(as_json) as callback:
+        with progress_bar("tables", as_json) as callback:
             found, record = reproduce_to(
                 source, out, overwrite=overwrite, callback=callback,
                 command=["fg-orient", *sys.argv[1:]], tables=tables, n_seeds=seeds, as_run=as_run, claims=claims,
@@ -56,25 +54,6 @@ def reproduce(
             emit(record)
         else:
             _show(found, Path(record["out"]))
-
-
-@contextlib.contextmanager
-def _progress(silent: bool) -> Iterator[Callable[[int, int, str], None] | None]:
-    """Show a bar on the terminal, if standard error is one."""
-    if silent or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False)
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("tables", total=None)
-
-        def update(done: int, total: int, text: str) -> None:
-            bar.update(task, completed=done, total=total, description=text)
-
-        yield update
 
 
 def _show(found: Reproduction, out: Path) -> None:
