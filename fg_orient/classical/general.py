@@ -111,7 +111,8 @@ def cofactor_matrix(n: int, weights: Array | None, cofactors: Array | None) -> A
     if given.shape not in ((n,), (n, n)) or not np.isfinite(given).all():
         raise InputError.of("classical.weights", place=name, value=f"shape {given.shape}", count=n)
     if given.ndim == 1:
-        if (given <= 0.0).any() if weights is not None else (given < 0.0).any():
+        least = np.finfo(np.float64).tiny if weights is not None else 0.0  # 1/W of a smaller weight overflows
+        if (given < least).any():
             raise InputError.of("classical.not_definite", place=name, value=float(given.min()))
         return np.diag(1.0 / given if weights is not None else given)
     scale = np.abs(given).max()

@@ -240,6 +240,7 @@ def test_no_convergence_is_said(rng: np.random.Generator) -> None:
         ({"start": np.zeros(3)}, "classical.function"),
         ({"observed": np.ones(2 * N + 1)}, "classical.function"),
         ({"weights": np.zeros(2 * N)}, "classical.not_definite"),
+        ({"weights": np.full(2 * N, 1e-320)}, "classical.not_definite"),
         ({"cofactors": np.full(2 * N, -1.0)}, "classical.not_definite"),
         ({"cofactors": -np.eye(2 * N)}, "classical.not_definite"),
         ({"cofactors": 2.0 - np.eye(2 * N)}, "classical.not_definite"),
