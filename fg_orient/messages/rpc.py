@@ -51,12 +51,12 @@ RPC: Final = {
     "rpc.syntax": ("the line cannot be understood", "write {expected}"),
     "rpc.order": (
         "the coefficients are in the order {found}, not {asked}",
-        "if the file is right, say so: read_rpc(path, order='{found}')",
+        "if the file is right, say so: --order {found}, or read_rpc(path, order='{found}')",
     ),
     "rpc.unknown_order": ("no such order of coefficients", "known: {known}"),
     "rpc.origin": (
         "a plain list of numbers does not say which pixel coordinate the first pixel has",
-        "say it: read_rpc(path, first_pixel=0), or first_pixel=1 for Pléiades",
+        "say it: read_rpc(path, first_pixel=0), or first_pixel=1 for Pléiades; on the command line --first-pixel",
     ),
     "rpc.unknown_format": (
         "no RPC file that can be read",
@@ -69,5 +69,33 @@ RPC: Final = {
         "RPC tags are written into an existing GeoTIFF",
         "give the image itself, or a name that ends with _RPC.TXT, .RPB or .XML",
     ),
+    "rpc.target_name": ("no such format to write", "known: {known}"),
+    "rpc.role": ("unknown role", "write control or check"),
+    "rpc.sigma": ("a sigma must be positive", "give the standard deviation of the measurement, pixels"),
+    "rpc.heights": ("no range of heights", "give the lower and the higher one, m above the ellipsoid"),
+    "rpc.no_overlap": (
+        "the two models see no common part of the image",
+        "lines and samples of the checked one run from {mine}; compare models of one image",
+    ),
+    "rpc.compensation_kind": ("no such compensation", "known: {known}"),
+    "rpc.few_control": (
+        "too few control points for this compensation",
+        "it needs {least}; measure more, or take a simpler one",
+    ),
+    "rpc.control_spread": (
+        "the control points do not determine this compensation",
+        "they lie on one line of the image: measure others beside it, or take a simpler one",
+    ),
+    "rpc.equations": ("no such equations", "known: {known}"),
+    "rpc.solver_form": ("a solver is chosen for the linear form only", "add --equations linear"),
+    "rpc.unscaled": (
+        "coefficients without normalisation are not written: formats state their ranges by offset and scale",
+        "leave out --out or --no-normalise",
+    ),
+    "rpc.no_heights": (
+        "a fit to a sensor needs heights",
+        "give --heights LOW HIGH, m above the ellipsoid",
+    ),
+    "rpc.foreign_option": ("{option} does not apply to {source}", "leave it out"),
     "rpc.target": ("the name does not say in which format to write", "end it with _RPC.TXT, .RPB, .XML or .TIF"),
 }

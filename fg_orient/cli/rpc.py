@@ -1,0 +1,397 @@
+"""Commands ``rpc check``, ``rpc convert``, ``rpc refine`` and ``rpc fit``: rational function models (RPC)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.errors import InputError
+from fg_orient.names import EXIT_CODE, Status
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from fg_orient.rpc.fitting import FitOptions
+    from fg_orient.sensors.rpc import RpcModel
+
+app = typer.Typer(
+    help="Check, convert, refine and fit rational function models (RPC). Pixels: (0, 0) = centre of the first one."
+)
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="RPC file of any known format.", show_default=False)]
+Order = Annotated[str, typer.Option("--order", help="Order of the coefficients in FILE: RPC00B, RPC00A or T2.54.")]
+FirstPixel = Annotated[
+    float | None,
+    typer.Option("--first-pixel", help="Coordinate of the first pixel's centre in FILE; default: its format's own."),
+]
+Heights = Annotated[
+    tuple[float, float] | None,
+    typer.Option("--heights", metavar="LOW HIGH", help="Range of heights, m above the ellipsoid."),
+]
+To = Annotated[
+    str | None,
+    typer.Option("--to", metavar="FORMAT", help="rpc-txt, rpb, dimap or geotiff-tags; default: by the name of --out."),
+]
+USUAL_ORDER = "RPC00B"
+FIGURES = ("mean", "rms", "max")
+
+
+@app.command("check")
+def check(
+    file: File,
+    heights: Heights = None,
+    dem: Annotated[
+        Path | None, typer.Option("--dem", help="Take the heights of this DEM (ellipsoidal, any raster GDAL reads).")
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option("--points", help="CSV of points: id,line,sample,lon_deg,lat_deg,height_m (pixels, degrees, m)."),
+    ] = None,
+    against: Annotated[
+        Path | None, typer.Option("--against", metavar="OTHER", help="Another RPC file, or metadata (DIMAP).")
+    ] = None,
+    order: Order = USUAL_ORDER,
+    first_pixel: FirstPixel = None,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Judge an RPC: what the file is, denominators, its two directions, points, another model.
+
+    Ends with 4 if the model should not be used as it is. Residuals are observed minus projected, pixels.
+    """
+    with outcome(as_json, debug):
+        if heights is not None and dem is not None:
+            raise InputError.of("cli.two_ways", place="--heights, --dem", options="--heights, --dem")
+        from fg_orient.rpc.check import check_rpc
+        from fg_orient.rpc.files import open_rpc
+        from fg_orient.rpc.points import read_measured
+
+        if dem is not None:
+            from fg_orient.sensors.surface import RasterDem
+
+            heights = RasterDem(dem).range_m
+        found = open_rpc(file, order=order, first_pixel=first_pixel)
+        measured = None if points is None else read_measured(points)
+        record = check_rpc(found, heights_m=heights, points=measured, against=against)
+        _end(record, as_json, _show_check)
+
+
+@app.command("convert")
+def convert(
+    file: File,
+    out: Annotated[
+        Path, typer.Option("--out", help="File to write; with geotiff-tags an existing image.", show_default=False)
+    ],
+    to: To = None,
+    order: Order = USUAL_ORDER,
+    first_pixel: FirstPixel = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Write an RPC in another format, read it back and compare.
+
+    Tags go into an existing GeoTIFF, so they need --overwrite; its pixels stay.
+    """
+    with outcome(as_json, debug):
+        from fg_orient.rpc.files import describe, open_rpc, target_of, write_as
+
+        target = target_of(to, out)
+        found = open_rpc(file, order=order, first_pixel=first_pixel)
+        record = {
+            "status": "good", "warnings": list(found.model.notes), "source": describe(found),
+            "out": write_as(found.model, out, target, overwrite=overwrite),
+        }  # fmt: skip
+        _end(record, as_json, _show_convert)
+
+
+@app.command("refine")
+def refine(
+    file: File,
+    points: Annotated[
+        Path,
+        typer.Option(
+            "--points",
+            show_default=False,
+            help="CSV: id,line,sample,lon_deg,lat_deg,height_m and, if wanted, role (control, check), "
+            "sigma_line_px,sigma_sample_px.",
+        ),
+    ],
+    compensation: Annotated[
+        str, typer.Option(metavar="KIND", help="shift (1 point at least), shift_drift (2) or affine (3).")
+    ] = "shift",
+    out: Annotated[Path | None, typer.Option("--out", help="Write the corrected RPC.")] = None,
+    to: To = None,
+    extrapolate: Annotated[
+        bool, typer.Option("--extrapolate", help="Take points outside the validity range of the model.")
+    ] = False,
+    order: Order = USUAL_ORDER,
+    first_pixel: FirstPixel = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Remove the bias of an RPC with control points; check points judge, gross errors are named.
+
+    The corrected RPC is exact for shift, and refitted with its error stated where an affine
+    compensation leaves the form. Ends with 4 if too many points are suspicious.
+    """
+    with outcome(as_json, debug):
+        from fg_orient.rpc.files import describe, open_rpc, require_free, target_of
+        from fg_orient.rpc.points import read_measured
+        from fg_orient.rpc.refine import refine as refined
+
+        target = None if out is None else target_of(to, out)
+        if out is not None:
+            require_free(out, overwrite)
+        found = open_rpc(file, order=order, first_pixel=first_pixel)
+        record = refined(found.model, read_measured(points), compensation, extrapolate=extrapolate)
+        record |= {"source": describe(found), "out": None}
+        if out is not None and target is not None:
+            record["out"] = _written_corrected(found.model, record["values_px"], out, target, overwrite)
+        _end(record, as_json, _show_refine)
+
+
+def _written_corrected(model: RpcModel, values: list[float], out: Path, target: str, overwrite: bool) -> dict[str, Any]:
+    """Write the compensated model; how exact it is stands with it."""
+    import numpy as np
+
+    from fg_orient.rpc.corrected import corrected
+    from fg_orient.rpc.files import write_as
+
+    new = corrected(model, np.array(values))
+    return write_as(new.model, out, target, overwrite=overwrite) | {"exact": new.exact, "errors": new.errors}
+
+
+@app.command("fit")
+def fit(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="POINTS.csv|IMAGE",
+            show_default=False,
+            help="CSV of control points (columns as in rpc refine), or metadata of a rigorous model (DIMAP).",
+        ),
+    ],
+    heights: Heights = None,
+    degree: Annotated[int, typer.Option(metavar="1|2|3", help="Degree of the polynomials.")] = 3,
+    denominators: Annotated[
+        str, typer.Option(metavar="KIND", help="separate, common (one for both coordinates) or one (polynomials).")
+    ] = "separate",
+    grid: Annotated[
+        tuple[int, int, int] | None,
+        typer.Option("--grid", metavar="L S H", help="IMAGE: lines, samples, heights of the grid; default 20 20 5."),
+    ] = None,
+    equations: Annotated[
+        str | None, typer.Option(metavar="KIND", help="POINTS: true, linear (as published) or weighted.")
+    ] = None,
+    select: Annotated[
+        str | None,
+        typer.Option(
+            "--select",
+            metavar="NAME",
+            help="POINTS: ridge_press (default), ridge_gcv, ridge_l_curve, lasso, nested, uss, scatter or none.",
+        ),
+    ] = None,
+    kappa: Annotated[
+        float | None, typer.Option(help="POINTS: penalty on squared normalised coefficients, instead of --select.")
+    ] = None,
+    penalty: Annotated[
+        str | None, typer.Option(metavar="KIND", help="POINTS: beyond_affine or identity (what kappa holds).")
+    ] = None,
+    solver: Annotated[
+        str | None, typer.Option(metavar="NAME", help="POINTS: solver of the linear form, such as svd_scaled.")
+    ] = None,
+    normalise: Annotated[
+        bool, typer.Option("--normalise/--no-normalise", help="POINTS: coordinates to -1 .. 1.")
+    ] = True,
+    folds: Annotated[
+        int | None, typer.Option(metavar="K", help="POINTS: parts of the cross-validation; default 10.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the folds or of the independent points.")] = 1,
+    out: Annotated[Path | None, typer.Option("--out", help="Write the RPC.")] = None,
+    to: To = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Fit an RPC to control points, or to a rigorous model over --heights.
+
+    Errors are those of the image in pixels at points that took no part. Ends with 4 if a
+    denominator comes near zero or the points do not carry the coefficients.
+    """
+    with outcome(as_json, debug):
+        from fg_orient.rpc.files import require_free, target_of
+
+        if out is not None:
+            target_of(to, out)
+            require_free(out, overwrite)
+        of_points = {
+            "equations": equations, "selection": select, "kappa": kappa, "penalty": penalty, "solver": solver,
+            "normalise": None if normalise else False, "folds": folds,
+        }  # fmt: skip
+        given = {name: value for name, value in of_points.items() if value is not None}
+        common = {"degree": degree, "denominators": denominators, "seed": seed}
+        if source.suffix.lower() == ".csv":
+            _refuse(source, {"--heights": heights, "--grid": grid}, "control points")
+            model, record = _fit_points(source, common | given, out)
+        else:
+            names = {"selection": "--select", "normalise": "--no-normalise"}
+            _refuse(source, {names.get(name, f"--{name}"): value for name, value in given.items()}, "a sensor")
+            model, record = _fit_image(source, heights, grid, common)
+        record |= {"file": str(source), "out": None}
+        if out is not None:
+            from fg_orient.rpc.files import write_as
+
+            record["out"] = write_as(model, out, target_of(to, out), overwrite=overwrite)
+        _end(record, as_json, _show_fit)
+
+
+def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
+    """Refuse options that mean nothing for this source."""
+    for name, value in options.items():
+        if value is not None:
+            raise InputError.of("rpc.foreign_option", file=source, place=name, option=name, source=what)
+
+
+def _fit_points(source: Path, options: dict[str, Any], out: Path | None) -> tuple[RpcModel, dict[str, Any]]:
+    from fg_orient.rpc.fitting import FitOptions, fit_points
+    from fg_orient.rpc.points import read_measured
+
+    chosen: FitOptions = FitOptions(**options)
+    if out is not None and not chosen.normalise:
+        raise InputError.of("rpc.unscaled", file=out, place="--no-normalise")
+    return fit_points(read_measured(source), chosen)
+
+
+def _fit_image(
+    source: Path, heights: tuple[float, float] | None, grid: tuple[int, int, int] | None, options: dict[str, Any]
+) -> tuple[RpcModel, dict[str, Any]]:
+    from fg_orient.io.sensor import read_sensor
+    from fg_orient.rfm.virtual_grid import SHAPE
+    from fg_orient.rpc.fitting import fit_image
+
+    if heights is None:
+        raise InputError.of("rpc.no_heights", file=source, place="--heights")
+    shape = SHAPE if grid is None else grid
+    return fit_image(read_sensor(source), heights, shape=shape, file=str(source), **options)
+
+
+# --- results -------------------------------------------------------------------------------------
+
+
+def _end(record: dict[str, Any], as_json: bool, show: Any) -> None:
+    """Print a record and end with its exit code."""
+    if as_json:
+        emit(record)
+    else:
+        for text in record["warnings"]:
+            note(f"warning: {text}")
+        show(record)
+        say(record["status"].replace("_", " "))
+    if record["status"] == Status.NOT_TRUSTWORTHY:
+        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+
+
+def _statistics(title: str, rows: list[tuple[str, Mapping[str, Any] | None]]) -> None:
+    """Print statistics of residuals in pixels."""
+    cells = [
+        (name, *(f"{number(s.get(f'{figure}_line_px'))}, {number(s.get(f'{figure}_sample_px'))}" for figure in FIGURES))
+        for name, s in rows
+        if s is not None
+    ]
+    if cells:
+        table(f"{title}, px (line, sample)", ("", "mean", "RMS", "largest"), cells)
+
+
+def _counted(name: str, found: Mapping[str, Any] | None) -> str:
+    return name if found is None else f"{name} ({found['n']})"
+
+
+def _show_source(source: Mapping[str, Any]) -> None:
+    v = source["validity"]
+    ranges = ", ".join(f"{name} {v[key][0]:.7g} .. {v[key][1]:.7g}" for name, key in (
+        ("lines", "line_px"), ("samples", "sample_px"), ("longitude", "lon_deg"), ("latitude", "lat_deg"),
+        ("height", "height_m")))  # fmt: skip
+    say(f"{source['file']}: {source['format']}, its first pixel is ({source['first_pixel']:g}, "
+        f"{source['first_pixel']:g})")  # fmt: skip
+    say(f"valid: {ranges}{'' if source['validity_stated'] else ' (offset and scale)'}")
+
+
+def _show_check(record: dict[str, Any]) -> None:
+    for text in record["notes"]:
+        note(f"note: {text}")
+    _show_source(record)
+    below = record["denominators"]
+    say(f"heights {record['heights_m'][0]:g} .. {record['heights_m'][1]:g} m: least denominators "
+        f"{number(below['least_line'], 5)} (line), {number(below['least_sample'], 5)} (sample)")  # fmt: skip
+    used = ", ".join(f"{name} {value:.3f}" for name, value in record["extrapolation"].items())
+    say(f"used of the model's range: {used}")
+    points, other = record["points"], record["against"]
+    rows = [("image to ground to image", record["image_to_ground"])]
+    if points is not None:
+        rows.append((_counted("points", points["statistics"]), points["statistics"]))
+    if other is not None:
+        rows.append((f"{Path(other['file']).name}", other["statistics"]))
+    _statistics("residuals", rows)
+
+
+def _show_out(out: Mapping[str, Any] | None) -> None:
+    if out is None:
+        return
+    say(f"written: {out['file']} ({out['format']}), its first pixel is ({out['first_pixel']:g}, "
+        f"{out['first_pixel']:g}); read back it projects alike within {out['round_trip_line_px']:.2g}, "
+        f"{out['round_trip_sample_px']:.2g} px (line, sample)")  # fmt: skip
+    if out["not_kept"]:
+        say(f"the format has no place for: {', '.join(out['not_kept'])}")
+    if "exact" in out:
+        e = out["errors"]
+        how = "exact" if out["exact"] else "refitted"
+        say(f"the written model is {how}: largest error {e['max_line_px']:.2g}, {e['max_sample_px']:.2g} px at "
+            f"{e['n']} independent points")  # fmt: skip
+
+
+def _show_convert(record: dict[str, Any]) -> None:
+    _show_source(record["source"])
+    _show_out(record["out"])
+
+
+def _show_refine(record: dict[str, Any]) -> None:
+    _show_source(record["source"])
+    rows = [(term["name"], number(term["px"], 4), number(term["sd_px"], 4)) for term in record["terms"]]
+    table(f"compensation {record['compensation']}, px", ("term", "value", "standard deviation"), rows)
+    say(f"sigma0 {number(record['sigma0'])}, redundancy {record['redundancy']}, left out as grossly wrong: "
+        f"{', '.join(o['id'] for o in record['outliers']) or 'none'}")  # fmt: skip
+    stages = [
+        (_counted(f"{role} {stage}", record[role][stage]), record[role][stage])
+        for role in ("control", "check") if record[role] is not None for stage in ("before", "after")
+    ]  # fmt: skip
+    _statistics("residuals", [*stages, ("left out, one by one", record["leave_one_out"])])
+    _show_out(record["out"])
+
+
+def _show_fit(record: dict[str, Any]) -> None:
+    say(f"degree {record['degree']}, denominators {record['denominators']}, least "
+        f"{number(record['least_denominator_line'], 5)} (line), {number(record['least_denominator_sample'], 5)} "
+        "(sample)")  # fmt: skip
+    if record["source"] == "points":
+        choice = "".join(f", {name} {value}" for name, value in record["choice"].items())
+        say(f"{record['method']}{choice}: {record['unknowns']} coefficients, rank {record['rank']}, condition "
+            f"{record['condition']:.2g}, redundancy {record['redundancy']:.1f}")  # fmt: skip
+        say(f"m0 of the linear form {number(record['m0_linear_px'])} px, of the image {number(record['m0_px'])} px")
+        left_out = record["cross_validation"]
+        rows = [(_counted("control", record["control"]), record["control"]),
+                (_counted("check", record["check"]), record["check"])]  # fmt: skip
+        if left_out is not None:
+            rows.append((f"left out, {left_out['folds']} folds", left_out["statistics"]))
+        _statistics("true image residuals", rows)
+    else:
+        _statistics("errors", [("at the grid", record["fit"]), ("at independent points", record["check"])])
+        back = record["image_to_ground"]
+        say(f"image to ground at {back['n']} independent points: RMS {back['rms_east_m']:.3f}, "
+            f"{back['rms_north_m']:.3f} m, largest {back['max_east_m']:.3f}, {back['max_north_m']:.3f} m (East, North)"
+            )  # fmt: skip
+    _show_out(record["out"])

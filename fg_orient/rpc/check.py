@@ -1,0 +1,211 @@
+"""Judging an RPC: denominators, its two models against each other, extrapolation, points, another model.
+
+Everything is looked at over the pixels of the image and a range of heights. Residuals are observed minus projected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import ellipsoid, rfm
+from fg_orient.errors import InputError
+from fg_orient.io.rpc_dimap import AGREEMENT_PX
+from fg_orient.io.sensor import read_sensor
+from fg_orient.rpc.files import RpcFile, describe
+from fg_orient.rpc.points import MeasuredPoints, statistics
+from fg_orient.sensors.rpc import COORDINATES, RpcModel, span
+
+Array = npt.NDArray[np.float64]
+Range = tuple[float, float]
+
+#: Lines, samples, heights.
+SHAPE: Final = (11, 11, 5)
+#: A denominator below this is near zero: fitted models of satellite images have 0.9 .. 1.1.
+NEAR_ZERO: Final = 0.1
+#: Normalised coordinates beyond this lie outside what the model was fitted to; vendors round their scales.
+EXTRAPOLATED: Final = 1.05
+
+
+def check_rpc(
+    file: RpcFile, *, heights_m: Range | None = None, points: MeasuredPoints | None = None, against: Path | None = None
+) -> dict[str, Any]:
+    """Judge a file.
+
+    Parameters
+    ----------
+    file : RpcFile
+    heights_m : (float, float), optional
+        Heights at which the image is used, m above the ellipsoid; default the validity range.
+    points : MeasuredPoints, optional
+        Points to be projected.
+    against : Path, optional
+        Another RPC file, or metadata of a rigorous model.
+
+    Returns
+    -------
+    dict
+        Of :func:`fg_orient.rpc.files.describe`, and heights_m, denominators, image_to_ground, extrapolation, points,
+        against; status "good" or "not_trustworthy" with ``warnings``.
+
+    Raises
+    ------
+    InputError
+        Heights that are none, ``against`` is not usable or sees another part of the image.
+    """
+    model = file.model
+    heights = _heights(model, heights_m)
+    record = describe(file) | {
+        "heights_m": heights,
+        "denominators": denominators(model, heights),
+        "image_to_ground": image_to_ground(model, heights),
+        "extrapolation": extrapolation(model, heights),
+        "points": None if points is None else point_residuals(model, points),
+        "against": None if against is None else differences(model, against, heights),
+    }
+    doubts = _doubts(record)
+    return {"status": "not_trustworthy" if doubts else "good", "warnings": doubts + _remarks(record), **record}
+
+
+def _heights(model: RpcModel, given: Range | None) -> Range:
+    heights = model.validity.height_m if given is None else given
+    if not (np.isfinite(heights).all() and heights[0] < heights[1]):
+        raise InputError.of("rpc.heights", file=model.file, place="--heights", value=f"{heights[0]:g} {heights[1]:g}")
+    return heights
+
+
+def image_grid(model: RpcModel, heights_m: Range) -> tuple[Array, Array, Array]:
+    """Pixels of the image at heights: lines, samples, heights, (n,) each."""
+    ends = (model.validity.line, model.validity.sample, heights_m)
+    axes = [np.linspace(low, high, n) for (low, high), n in zip(ends, SHAPE, strict=True)]
+    line, sample, height = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
+    return line, sample, height
+
+
+def denominators(model: RpcModel, heights_m: Range) -> dict[str, Any]:
+    """Smallest denominators over the image and the heights, and whether one changes its sign there."""
+    line, sample, height = image_grid(model, heights_m)
+    lon, lat = model.locate(line, sample, height)
+    seen = np.isfinite(lon)
+    least = [float("nan")] * 2
+    if seen.any():
+        ground = (np.column_stack([lon, lat, height])[seen] - model.offsets[2:]) / model.scales[2:]
+        ground[:, 0] -= np.round(ground[:, 0] * model.scales[2] / 360.0) * 360.0 / model.scales[2]
+        least = rfm.denominators(model.coefficients, np.ascontiguousarray(ground)).min(axis=0).tolist()
+    return {
+        "least_line": least[0], "least_sample": least[1], "pole": pole(model, heights_m),
+        "pixels_without_ground": int((~seen).sum()), "pixels": len(seen),
+    }  # fmt: skip
+
+
+def pole(model: RpcModel, heights_m: Range) -> str | None:
+    """Where a denominator is not positive inside the image, in words; None if nowhere."""
+    try:
+        replace(model, stated_validity=replace(model.validity, height_m=heights_m)).require_no_pole()
+    except InputError as error:
+        found = error.problems[0]
+        return f"{found.place} {found.value}"
+    return None
+
+
+def image_to_ground(model: RpcModel, heights_m: Range) -> dict[str, Any] | None:
+    """The file's model from image to ground, projected back, against the pixels; None if there is none."""
+    if model.direct is None:
+        return None
+    line, sample, height = image_grid(model, heights_m)
+    back = np.stack(model.project(*model.locate_directly(line, sample, height), height), axis=1)
+    return statistics(np.column_stack([line, sample]) - back)
+
+
+def extrapolation(model: RpcModel, heights_m: Range) -> dict[str, float]:
+    """Largest amounts of the normalised coordinates over the image and the heights; 1 is the border of the model."""
+    line, sample, height = image_grid(model, heights_m)
+    lon, lat = model.locate(line, sample, height)
+    values = np.column_stack([line, sample, lon, lat, height]) - model.offsets
+    values[:, 2] -= 360.0 * np.round(values[:, 2] / 360.0)
+    with np.errstate(invalid="ignore"):
+        largest = np.abs(values / model.scales).max(axis=0, where=np.isfinite(values), initial=0.0)
+    return dict(zip(COORDINATES, map(float, largest), strict=True))
+
+
+def point_residuals(model: RpcModel, measured: MeasuredPoints) -> dict[str, Any]:
+    """Residuals of points with their statistics; ``outside`` names those beyond the validity range."""
+    lon, lat, height = measured.ground.T
+    v = measured.image - np.stack(model.project(lon, lat, height), axis=1)
+    inside = model.inside(lon, lat, height)
+    return {
+        "statistics": statistics(v),
+        "outside": [name for name, good in zip(measured.ids, inside, strict=True) if not good],
+        "residuals": [
+            {"id": name, "line_px": float(a), "sample_px": float(b), "inside": bool(good)}
+            for name, (a, b), good in zip(measured.ids, v, inside, strict=True)
+        ],
+    }  # fmt: skip
+
+
+def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any]:
+    """Pixels of another model minus ours at the ground points that the other one locates.
+
+    Raises
+    ------
+    InputError
+        The other file is not usable, or the pixels of both do not overlap.
+    """
+    sensor = read_sensor(other)
+    last = sensor.n_lines - 1.0, getattr(sensor, "last_sample", sensor.n_samples - 1.0)
+    first = getattr(sensor, "first_line", 0.0), getattr(sensor, "first_sample", 0.0)
+    mine = (model.validity.line, model.validity.sample)
+    ends = [(max(a, low), min(b, high)) for a, b, (low, high) in zip(first, last, mine, strict=True)]
+    if any(not low < high for low, high in ends):
+        words = ", ".join(span(pair) for pair in zip(first, last, strict=True))
+        raise InputError.of("rpc.no_overlap", file=other, value=words, mine=", ".join(map(span, mine)))
+    axes = [np.linspace(low, high, n) for (low, high), n in zip([*ends, heights_m], SHAPE, strict=True)]
+    line, sample, height = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
+    ground = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height)))
+    here = np.stack(model.project(np.degrees(ground[:, 0]), np.degrees(ground[:, 1]), ground[:, 2]), axis=1)
+    d = np.column_stack([line, sample]) - here
+    worst = int(np.nanargmax(np.abs(d).max(axis=1))) if np.isfinite(d).any() else 0
+    return {
+        "file": str(other), "model": type(sensor).__name__, "statistics": statistics(d),
+        "worst": {"line": float(line[worst]), "sample": float(sample[worst]), "height_m": float(height[worst]),
+                  "line_px": float(d[worst, 0]), "sample_px": float(d[worst, 1])},
+    }  # fmt: skip
+
+
+def _doubts(record: dict[str, Any]) -> list[str]:
+    """What makes a model unfit for use."""
+    out, below = [], record["denominators"]
+    if below["pole"] is not None:
+        out.append(f"a denominator is not positive everywhere inside the image: {below['pole']}")
+    elif min(below["least_line"], below["least_sample"]) < NEAR_ZERO:
+        least = min(below["least_line"], below["least_sample"])
+        out.append(f"a denominator comes near zero inside the image: {least:.3g}")
+    if below["pixels_without_ground"]:
+        out.append(f"{below['pixels_without_ground']} of {below['pixels']} pixels have no ground point at their height")
+    back = record["image_to_ground"]
+    if back is not None:
+        largest = max(back["max_line_px"], back["max_sample_px"])
+        if not largest <= AGREEMENT_PX:
+            out.append(f"the file's models to the ground and to the image disagree by up to {largest:.1f} px")
+    points = record["points"]
+    if points is not None and points["outside"]:
+        names = ", ".join(points["outside"][:5]) + (" ..." if len(points["outside"]) > 5 else "")
+        out.append(f"{len(points['outside'])} point(s) outside the validity range: {names}")
+    return out
+
+
+def _remarks(record: dict[str, Any]) -> list[str]:
+    """What a user should know beside."""
+    out = [
+        f"the {name} is extrapolated: {value:.2f} of the model's range is used"
+        for name, value in record["extrapolation"].items()
+        if value > EXTRAPOLATED
+    ]
+    low, high = record["validity"]["height_m"]
+    if record["heights_m"][0] < low or record["heights_m"][1] > high:
+        out.append(f"heights beyond the validity range {low:g} .. {high:g} m")
+    return out

@@ -1,0 +1,223 @@
+"""Bias compensation of one RPC image from control points: least squares in the image, with covariance and tests.
+
+    line   - line of the model   = c0 + c2 l + c4 s + v        (Grodecki & Dial 2003, eqs. 4-5)
+    sample - sample of the model = c1 + c3 l + c5 s + v
+
+l, s are the model's own normalised coordinates. Ground coordinates are held; their errors in pixels belong to the
+sigmas of line and sample. Each point is tested as in ``fg_orient.quality.outliers``, both coordinates together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import fdtri
+
+from factors import rfm
+from factors.rfm_equation import COMPENSATIONS, N_COMPENSATION
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.rpc.points import MeasuredPoints
+from fg_orient.sensors.rpc import RpcModel
+
+Array = npt.NDArray[np.float64]
+
+#: Kinds as users name them, in the terms of the equation.
+KINDS: Final = {"shift": "shift", "shift_drift": "drift", "affine": "affine"}
+NAMES: Final = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
+#: Probability to suspect one good point (Baarda's usual choice).
+LEVEL: Final = 0.001
+#: More than this share of the control points cannot be grossly wrong: then the kind of compensation is.
+MOST: Final = 0.25
+#: Below this ratio of singular values, columns of unit length, the points do not determine the terms.
+RANK: Final = 1e-8
+#: Redundancy number below which the other points do not check a coordinate.
+CHECKED: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A grossly wrong point: statistic F, its limit, estimated error of line and sample (px)."""
+
+    id: str
+    statistic: float
+    limit: float
+    error_px: tuple[float, float]
+
+    def sentence(self) -> str:
+        """Name the point, its error and the test."""
+        line, sample = self.error_px
+        return (
+            f"point {self.id}: gross error of about {line:+.2f} px in line, {sample:+.2f} px in sample; "
+            f"F = {self.statistic:.1f}, limit {self.limit:.1f}"
+        )
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "id": self.id, "statistic": self.statistic, "limit": self.limit, "error_line_px": self.error_px[0],
+            "error_sample_px": self.error_px[1],
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """An adjusted compensation.
+
+    Parameters
+    ----------
+    kind : str
+        Of ``KINDS``.
+    values : (6,) array
+        Pixels; zero where the kind has no term.
+    cofactors : (6, 6) array
+        Zero likewise.
+    sigma0 : float
+        Root of the variance of unit weight: pixels if no sigmas were given; nan without redundancy.
+    redundancy : int
+    residuals_px : (n, 2) array
+        Observed minus compensated, line and sample, of the points that took part.
+    left_out_px : (n, 2) array
+        The same with the compensation of the other points; nan where they do not determine it.
+    suspects : tuple of Suspect
+        Left out as grossly wrong, in the order in which they were found.
+    complete : bool
+        False if there are too many suspects to be gross errors.
+    used : tuple of str
+        Ids of the points that took part.
+    """
+
+    kind: str
+    values: Array
+    cofactors: Array
+    sigma0: float
+    redundancy: int
+    residuals_px: Array
+    left_out_px: Array
+    suspects: tuple[Suspect, ...]
+    complete: bool
+    used: tuple[str, ...]
+
+    @property
+    def codes(self) -> tuple[int, ...]:
+        """Elements of ``values`` that the kind has."""
+        return COMPENSATIONS[KINDS[self.kind]]
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance matrix (6, 6) px^2; nan without redundancy."""
+        return np.asarray(self.cofactors * self.sigma0**2)
+
+    def terms(self) -> list[dict[str, Any]]:
+        """Name, value and standard deviation (px) of each term."""
+        sd = np.sqrt(np.diag(self.covariance))
+        return [{"name": NAMES[k], "px": float(self.values[k]), "sd_px": float(sd[k])} for k in self.codes]
+
+
+def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *, level: float = LEVEL) -> Compensation:
+    """Adjust, test, leave out the worst point, again, until none is suspicious.
+
+    Parameters
+    ----------
+    model : RpcModel
+    control : MeasuredPoints
+        All take part.
+    kind : str
+        "shift" (1 point at least), "shift_drift" (2) or "affine" (3).
+    level : float
+        Probability of a false alarm per point and round.
+
+    Returns
+    -------
+    Compensation
+
+    Raises
+    ------
+    InputError
+        No such kind, or too few points.
+    NoSolutionError
+        The points do not determine the terms: they lie on one line of the image.
+    """
+    if kind not in KINDS:
+        raise InputError.of("rpc.compensation_kind", place="--compensation", value=kind, known=", ".join(KINDS))
+    suspects: list[Suspect] = []
+    most, left = int(MOST * len(control)), control
+    while True:
+        found, worst = _adjusted(model, left, kind, level)
+        if worst is None or len(suspects) >= most:
+            return Compensation(**found, suspects=tuple(suspects), complete=worst is None)
+        suspects.append(worst)
+        left = left.take(np.array([name != worst.id for name in left.ids]))
+
+
+def misclosures(model: RpcModel, measured: MeasuredPoints, values: Array | None = None) -> Array:
+    """Observed minus projected pixels, line and sample: (n, 2)."""
+    lon, lat, height = measured.ground.T
+    return measured.image - np.stack(model.project(lon, lat, height, values), axis=1)
+
+
+def design(model: RpcModel, measured: MeasuredPoints, kind: str) -> Array:
+    """Columns 1, l, s of the kind, the same for line and sample: (n, k)."""
+    ground = (measured.ground - model.offsets[2:]) / model.scales[2:]
+    ground[:, 0] -= np.round(ground[:, 0] * model.scales[2] / 360.0) * 360.0 / model.scales[2]
+    columns = np.column_stack([np.ones(len(ground)), rfm.values(model.coefficients, np.ascontiguousarray(ground))])
+    return columns[:, : len(COMPENSATIONS[KINDS[kind]]) // 2]
+
+
+def _adjusted(
+    model: RpcModel, measured: MeasuredPoints, kind: str, level: float
+) -> tuple[dict[str, Any], Suspect | None]:
+    """Fields of the compensation from these points, and the most suspicious of them."""
+    a, l = design(model, measured, kind), misclosures(model, measured)  # noqa: E741
+    n, k = a.shape
+    if n < k:
+        raise InputError.of("rpc.few_control", place=f"--compensation {kind}", value=n, least=k)
+    values, cofactors = np.zeros(N_COMPENSATION), np.zeros((N_COMPENSATION,) * 2)
+    free = np.empty((n, 2))
+    for axis in (0, 1):
+        codes = np.arange(axis, 2 * k, 2)
+        values[codes], cofactors[np.ix_(codes, codes)], free[:, axis] = _least_squares(
+            a, l[:, axis], measured.sigma_px[:, axis], kind
+        )
+    v = l - a @ values[: 2 * k].reshape(k, 2)
+    redundancy = 2 * (n - k)
+    square = float(np.sum((v / measured.sigma_px) ** 2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left_out = np.where(free > CHECKED, v / free, np.nan)
+    fields = {
+        "kind": kind, "values": values, "cofactors": cofactors, "redundancy": redundancy, "residuals_px": v,
+        "sigma0": float(np.sqrt(square / redundancy)) if redundancy else float("nan"), "left_out_px": left_out,
+        "used": measured.ids,
+    }  # fmt: skip
+    return fields, _worst(measured, left_out, free, square, redundancy, level)
+
+
+def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, Array, Array]:  # noqa: E741
+    """Unknowns (k,), cofactors (k, k) and redundancy numbers (n,) of one axis."""
+    rows = a / sigma[:, None]
+    length = np.linalg.norm(rows, axis=0)
+    left, size, right = np.linalg.svd(rows / length, full_matrices=False)
+    if size[-1] < RANK * size[0]:
+        raise NoSolutionError.of("rpc.control_spread", place=f"--compensation {kind}", value=f"{len(a)} points")
+    inverse = right.T / size / length[:, None]
+    return inverse @ (left.T @ (l / sigma)), inverse @ inverse.T, 1.0 - np.sum(left**2, axis=1)
+
+
+def _worst(
+    measured: MeasuredPoints, error: Array, free: Array, square: float, redundancy: int, level: float
+) -> Suspect | None:
+    """The point with the largest F, if it is beyond its limit.
+
+    T = (v_l/sigma_l)^2/r_l + (v_s/sigma_s)^2/r_s with redundancy numbers r; F(2, f - 2) with the scale of the others.
+    """
+    if redundancy <= 2 or not np.isfinite(error).all():
+        return None
+    t = np.sum((error / measured.sigma_px) ** 2 * free, axis=1)
+    i = int(t.argmax())
+    statistic = float(t[i]) / 2.0 / max((square - float(t[i])) / (redundancy - 2), np.finfo(float).tiny)
+    limit = float(fdtri(2, redundancy - 2, 1.0 - level))
+    if statistic <= limit:
+        return None
+    return Suspect(measured.ids[i], statistic, limit, (float(error[i, 0]), float(error[i, 1])))
