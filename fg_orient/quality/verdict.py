@@ -20,6 +20,8 @@ from fg_orient.quality.observability import BlockObservability, ImageObservabili
 
 #: Probability of the two-sided interval of sigma0.
 SIGMA0_LEVEL = 0.999
+#: Points named in one sentence.
+NAMED = 10
 NO_INTERVAL = (float("nan"), float("nan"))
 
 
@@ -98,6 +100,7 @@ def warnings(
             "the constant and linear look-angle terms nearly duplicate roll, pitch and yaw: judge their sum, "
             "not each alone"
         )
+    out += _outside(problem, estimate)
     suspicious = dict.fromkeys(row[0] for row in accuracy.check.suspicious())
     if suspicious:
         out.append(f"check points beyond 3 standard deviations of the difference: {', '.join(suspicious)}")
@@ -115,3 +118,16 @@ def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:
     mean = (estimate.state.ground[j] - problem.start.ground[j]).mean(axis=0)
     east, north, up = enu_from_ecef(problem.origin_m[None])[0] @ mean
     return float(east), float(north), float(up)
+
+
+def _outside(problem: Problem, estimate: Estimate) -> list[str]:
+    """Name adjusted points at which the model of one of their images may not be used, per image."""
+    out = []
+    for k, (image, model) in enumerate(zip(problem.block.images, problem.models, strict=True)):
+        points = np.unique(problem.observations.point[problem.observations.image == k])
+        valid = model.is_valid(estimate.state.ground[points] + problem.origin_m)
+        if not valid.all():
+            names = [problem.block.points.ids[int(j)] for j in points[~valid]]
+            text = ", ".join(names[:NAMED]) + (" ..." if len(names) > NAMED else "")
+            out.append(f"outside the validity range of the model of image {image.id}: {len(names)} point(s): {text}")
+    return out

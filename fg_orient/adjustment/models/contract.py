@@ -57,6 +57,10 @@ class ImageModel(Protocol):
         """Factors (k,) from the unknowns in physical units to coefficients per line, nan where none; units."""
         ...
 
+    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+        """Tell where the sensor's model may be used: ground points (n, 3) ECEF m -> (n,)."""
+        ...
+
     def facts(self) -> dict[str, Any]:
         """Mission, instrument, format and whatever else the record of a run tells of the image's metadata."""
         ...

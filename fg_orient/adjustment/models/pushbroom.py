@@ -106,6 +106,10 @@ class PushbroomModel:
         ]
         return factors, tuple(texts)
 
+    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+        """Everywhere."""
+        return np.ones(len(ground_m), bool)
+
     def facts(self) -> dict[str, Any]:
         """What the file says of itself, and degree-2 fits of its EOPs (T-Table 4.1): per line, residuals left."""
         meta, fit = self.sensor.metadata, fit_eop(self.sensor)

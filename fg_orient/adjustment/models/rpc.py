@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors import ellipsoid
 from factors._contract import Equation
 from factors.rfm_equation import COMPENSATIONS, N_COMPENSATION, RATIONAL_FUNCTION
 from fg_orient.block import ImagePoints, Options
@@ -82,6 +83,11 @@ class RpcImageModel:
         table = ((1.0, "px"), (1.0 / scale, "px/line"), (np.nan, ""))
         rows = [table[code // 2] for code in self.parameters.codes]
         return np.array([factor for factor, _ in rows]), tuple(unit for _, unit in rows)
+
+    def is_valid(self, ground_m: Array) -> npt.NDArray[np.bool_]:
+        """Inside the ranges of longitude, latitude and height of the file: beyond, cubics run away."""
+        lon, lat, height = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m)).T
+        return self.sensor.model.inside(np.degrees(lon), np.degrees(lat), height)
 
     def facts(self) -> dict[str, Any]:
         """Format of the file; an RPC names no mission and has no orientation to describe."""

@@ -1,0 +1,188 @@
+"""A project with RPC images: read, adjusted, written, reported, compared with its truth."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.block import Image
+from fg_orient.geodesy import ecef_to_geodetic
+from fg_orient.io.atomic import write_text
+from fg_orient.io.points_write import write_observations, write_points, write_project
+from fg_orient.io.rpc import read_rpc, write_rpc
+from fg_orient.names import Role
+from fg_orient.sensors.rpc_sensor import RpcSensor
+from tests.support.rpc_block import RpcTwin, rpc_twin, twin_with_models
+
+Run = Callable[..., Any]
+TERMS = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
+
+
+def write_folder(folder: Path, twin: RpcTwin, *, control: bool = True, datum: str = "control") -> Path:
+    """Write the twin as a project, truth beside it."""
+    folder.mkdir()
+    block, o = twin.block, twin.block.observations
+    ids = block.points.ids
+    measured, sealed = block.points.known, block.withheld.open()
+    ecef, sigma = measured.ecef_m.copy(), measured.sigma_enu_m.copy()
+    check = [ids.index(name) for name in block.withheld.ids]
+    ecef[check], sigma[check] = sealed.ecef_m, sealed.sigma_enu_m
+    roles = block.points.roles if control else (Role.TIE,) * len(ids)
+    coordinates = np.stack(ecef_to_geodetic(ecef), axis=1)
+    if not control:
+        coordinates[:], sigma[:] = np.nan, np.nan
+    write_points(folder / "points.csv", ids, roles, coordinates, sigma)
+    write_observations(folder / "observations.csv", [block.images[k].id for k in o.image], [ids[j] for j in o.point],
+                       np.stack([o.line, o.sample], axis=1),
+                       np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1))  # fmt: skip
+    for image in block.images:
+        write_rpc(folder / f"{image.id}_RPC.TXT", image.sensor.model)
+    write_project(folder / "project.toml", name="RPC twin", images=[(i.id, f"{i.id}_RPC.TXT") for i in block.images],
+                  options=replace(block.options, datum=datum))  # fmt: skip
+    (folder / "truth").mkdir()
+    rows = [f"{image.id},{name},{float(twin.compensation[k, j])!r}" for k, image in enumerate(block.images)
+            for j, name in enumerate(TERMS)]  # fmt: skip
+    write_text(folder / "truth" / "eop.csv", "\n".join(["image,parameter,value_per_tau", *rows, ""]))
+    lon, lat, h = ecef_to_geodetic(twin.ecef_m)
+    points = [f"{name},{float(lon[j])!r},{float(lat[j])!r},{float(h[j])!r}" for j, name in enumerate(ids)]
+    write_text(folder / "truth" / "points.csv", "\n".join(["id,lon_deg,lat_deg,height_m", *points, ""]))
+    return folder / "project.toml"
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture(scope="module")
+def drifting(tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[RpcTwin, Path, Any]:
+    """Twin with shift and drift along the lines only (no mixed term), project and how adjust ended."""
+    twin = rpc_twin("shift_drift", seed=4)
+    project = write_folder(tmp_path_factory.mktemp("rpc") / "twin", twin)
+    return twin, project, run("adjust", project, "--json")
+
+
+def test_files_give_the_solution_of_the_block_in_memory(drifting: tuple[RpcTwin, Path, Any]) -> None:
+    """RPC through _RPC.TXT, options through the project file."""
+    twin, project, ended = drifting
+    assert ended.code == 0, ended.stderr
+    record = ended.json
+    assert (record["rpc_compensation"], record["datum"], record["status"]) == ("shift_drift", "control", "converged")
+    solution = fg.adjust(fg.read_project(project))
+    base = fg.adjust(twin.block)
+    # the table of points has degrees: 1e-8 m
+    assert np.abs(solution.state.image - base.state.image).max() < 1e-7
+    assert [(i["model"], i["format"]) for i in _result(project)["images"]] == [("RPC", "_RPC.TXT")] * 2
+
+
+def _result(project: Path) -> Any:
+    return json.loads((project.parent / "result" / "result.json").read_text("utf-8"))
+
+
+def test_table_of_compensation(drifting: tuple[RpcTwin, Path, Any]) -> None:
+    """Rows of eop.csv: pixels, per line with the model's scale; the squares count in chi2 as documented."""
+    twin, project, ended = drifting
+    out = project.parent / "result"
+    rows = table(out / "eop.csv")
+    assert [row["parameter"] for row in rows] == [*TERMS[:4]] * 2
+    assert {row["unit"] for row in rows} == {"px"}
+    assert [row["degree"] for row in rows[:4]] == ["0", "0", "1", "1"]
+    scale = twin.block.images[0].sensor.model.scales[0]
+    assert float(rows[2]["per_line_value"]) == pytest.approx(float(rows[2]["value_per_tau"]) / scale, rel=1e-12)
+    assert (rows[2]["per_line_unit"], rows[0]["per_line_unit"]) == ("px/line", "px")
+    for k, row in enumerate(rows):
+        true = twin.compensation[k // 4, k % 4]
+        assert abs(float(row["value_per_tau"]) - true) < 4.0 * float(row["sigma"])
+    chi2 = sum((float(row["value_per_tau"]) / float(row["prior_sigma"])) ** 2 for row in rows)
+    for row in table(out / "residuals.csv"):
+        chi2 += sum((float(row[f"v_{a}_px"]) / float(row[f"sigma_{a}_px"])) ** 2 for a in ("line", "sample"))
+    for row in table(out / "points.csv"):
+        if row["role"] == "control":
+            chi2 += sum((float(row[f"difference_{a}_m"]) / float(row[f"own_sigma_{a}_m"])) ** 2
+                        for a in ("east", "north", "up"))  # fmt: skip
+    assert chi2 == pytest.approx(ended.json["chi2"], rel=1e-6)
+
+
+def test_corrected_rpc_are_written_where_they_are_exact(tmp_path: Path, run: Run) -> None:
+    """Shift: read back, they project as sensor and compensation do; mixed terms: no file, and why."""
+    project = write_folder(tmp_path / "twin", rpc_twin("shift"))
+    out = tmp_path / "result"
+    assert run("adjust", project, "--out", out, "--quiet").code == 0
+    solution = fg.adjust(fg.read_project(project))
+    assert sorted(p.name for p in (out / "rpc").iterdir()) == ["left_RPC.TXT", "right_RPC.TXT"]
+    for image in solution.block.images:
+        model = image.sensor.model
+        u = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 200))
+        ground = model.offsets[2:, None] + model.scales[2:, None] * u
+        found = np.stack(read_rpc(out / "rpc" / f"{image.id}_RPC.TXT").project(*ground))
+        assert np.abs(found - np.stack(model.project(*ground, solution.correction(image.id)))).max() < 1e-9
+    again = run("adjust", project, "--out", out, "--overwrite", "--rpc-compensation", "affine", "--json")
+    assert again.code == 0, again.stderr  # the files are ours: the folder may be replaced
+    assert not (out / "rpc").exists()
+    assert sum("no corrected RPC file" in note for note in again.json["notes"]) == 2
+
+
+def test_report_speaks_of_rpc(drifting: tuple[RpcTwin, Path, Any], run: Run) -> None:
+    """Compensation instead of EOP set, no section on metadata orientation; the truth is compared."""
+    _, project, _ = drifting
+    out = project.parent / "result"
+    ended = run("report", out, "--truth", project.parent / "truth", "--json")
+    assert ended.code == 0, ended.stdout
+    html = (out / "report.html").read_text("utf-8")
+    assert "RPC compensation: shift and drift" in html
+    assert "EOP set" not in html
+    assert "Orientation of the metadata" not in html
+    assert "Comparison with the simulated truth" in html
+    assert "line_l1" in html
+
+
+def test_people_are_told_what_was_adjusted(tmp_path: Path, run: Run) -> None:
+    project = write_folder(tmp_path / "twin", rpc_twin("shift"))
+    text = run("adjust", project).stdout
+    assert "RPC compensation: shift" in text
+    assert "EOP set" not in text
+
+
+def test_relative_adjustment_from_the_command_line(tmp_path: Path, run: Run) -> None:
+    """Refused without its option; with it: parallaxes, the datum in words, no accuracy."""
+    project = write_folder(tmp_path / "twin", rpc_twin("shift", seed=5), control=False)
+    refused = run("adjust", project, "--json")
+    assert (refused.code, refused.json["errors"][0]["code"]) == (2, "block.no_control")
+    ended = run("adjust", project, "--datum", "priors", "--json")
+    assert ended.code == 0, ended.stdout
+    record = ended.json
+    assert record["accuracy"]["check"]["n"] == record["accuracy"]["control"]["n"] == 0
+    assert sum("shifted together" in text for text in record["unobservable"]) == 3
+    parallax = record["y_parallax"]
+    assert parallax["n"] == 47
+    assert parallax["rms_after_px"] < 0.6 < 3.0 < parallax["rms_before_px"]
+    html = (project.parent / "result" / "report.html").read_text("utf-8")
+    assert "y-parallax" in html
+    assert "not where they lie" in html
+    told = run("adjust", project, "--datum", "priors", "--overwrite").stdout
+    assert "y-parallax of 47 tie points" in told
+    wrong = run("adjust", project, "--datum", "free", "--json", "--overwrite")
+    assert (wrong.code, wrong.json["errors"][0]["place"]) == (2, "--datum")
+    wrong = run("adjust", project, "--rpc-compensation", "bias", "--json", "--overwrite")
+    assert (wrong.code, wrong.json["errors"][0]["place"]) == (2, "--rpc-compensation")
+
+
+def test_points_outside_the_validity_are_named(tmp_path: Path) -> None:
+    """A model valid up to 300 m: the higher points are named, the adjustment still runs."""
+    _, _, models = twin_with_models()
+    twin = rpc_twin("shift")
+    low = replace(models[0], stated_validity=replace(models[0].validity, height_m=(-200.0, 300.0)))
+    images = (Image("left", RpcSensor(low)), twin.block.images[1])
+    solution = fg.adjust(replace(twin.block, images=images))
+    height = ecef_to_geodetic(solution.ground_m)[2]
+    told = [text for text in solution.warnings if "outside the validity range of the model of image left" in text]
+    assert f": {(height > 300.0).sum()} point(s):" in told[0]
+    assert not [text for text in fg.adjust(twin.block).warnings if "validity" in text]
