@@ -235,9 +235,11 @@ def test_as_run_step_two_repeats_while_corrections_are_large(run: TwoStage, monk
     assert program.pre_adjust(0, 2, "any").repeats == 2  # one large correction is enough
     monkeypatch.setattr(two_stage, "attempt", lambda *_, as_run: LinearSolution(np.full(3, next(answers))))
     limit = np.radians(10.0 / 3600.0)
-    for first, repeats in ((0.9 * limit, 1), (1.1 * limit, 2)):
+    for eop_set, first, repeats in (
+        (10, 0.9 * limit, 1), (10, 1.1 * limit, 2), (6, 9.0, 1), (6, 11.0, 2),  # velocities go by the limit of metres
+    ):  # fmt: skip
         answers = iter([first, 0.0])
-        assert program.pre_adjust(0, 10, "any").repeats == repeats
+        assert program.pre_adjust(0, eop_set, "any").repeats == repeats
     monkeypatch.setattr(two_stage, "attempt", lambda *_, as_run: LinearSolution(np.full(9, 100.0)))
     assert program.pre_adjust(0, 5, "any").repeats == 1  # V: rank below 9
     monkeypatch.setattr(two_stage, "attempt", lambda *_, as_run: LinearSolution(np.full(3, 1e200)))
@@ -593,8 +595,9 @@ def test_bundles_that_do_not_exist_are_refused(run: TwoStage, arguments: tuple[o
 
 
 def test_rms_of_wild_and_of_no_values() -> None:
-    values = np.array([[3.0, 4e300, 0.0], [4.0, 3e300, 0.0]])
-    assert np.allclose(rms(values), [np.sqrt(12.5), np.sqrt(12.5) * 1e300, 0.0], rtol=1e-15)
+    values = np.array([[3.0, 4e300, 0.0], [4.0, 3e300, 0.0], [0.0, 0.0, 0.0]])
+    root = 5.0 / np.sqrt(3.0)
+    assert np.allclose(rms(values), [root, root * 1e300, 0.0], rtol=1e-15)
     assert np.isnan(rms(np.zeros((0, 3)))).all()
     assert np.isnan(rms(np.array([[np.nan, 1.0, 2.0]]))[0])
 

@@ -46,6 +46,7 @@ def verdict(key: CellKey, text: str, runs: list[float] | None, order: float | No
         (GCP, "939491.512", [1e5, NAN], "pattern"),
         (GCP, "939491.512", [9e4, NAN, NAN], "pattern"),
         (GCP, "939491.512", [1.0, 1.0, NAN], "differs"),
+        (GCP, "0.5", [0.04, 6.0], "differs"),
         (GCP, "939491.512", [9.4e6, 2e6], "order"),
         (GCP, "0.5", [NAN, NAN], "not_reproducible"),
         (GCP, "nan", [NAN, 1e3], "pattern"),
