@@ -20,10 +20,6 @@ RPC: Final = {
         "the point lies outside the validity range of the model",
         "valid: longitude {lon}, latitude {lat}, height {height} m; check the order of the coordinates",
     ),
-    "rpc.not_exact": (
-        "this compensation cannot be put into the model without a new fit",
-        "compensate with shift only, or fit the model again",
-    ),
     "rpc.no_direct": (
         "the file holds no coefficients from image to ground",
         "use locate(), which inverts the projection by iteration",

@@ -19,13 +19,14 @@ from fg_orient.io.project import read_project
 from fg_orient.orient import adjust
 from fg_orient.run.json import dumps, plain
 from fg_orient.run.provenance import provenance
-from fg_orient.run.rpc import left_out, write_corrected_rpc
+from fg_orient.run.rpc import corrected_models, fitted_notes, write_corrected_rpc
 from fg_orient.run.summary import deficient_summary, summary
 from fg_orient.run.tables import write_tables
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback, IterationRecord
     from fg_orient.block import Block
+    from fg_orient.rpc.corrected import Corrected
     from fg_orient.solution import Solution
 
 SCHEMA_VERSION: Final = 1
@@ -78,10 +79,11 @@ def run_project(
     try:
         with staged_folder(out, overwrite=overwrite) as folder:
             solution = _adjust_and_log(block, folder, callback, Path(out))
-            record = _record(solution, Path(project), Path(out), command)
+            models = corrected_models(solution)
+            record = _record(solution, models, Path(project), Path(out), command)
             phases = asdict(solution.seconds) | {"read": read_s, "jit": jit_s + solution.seconds.jit}
             with writing(out):
-                _write(folder, solution, record, phases, start)
+                _write(folder, solution, models, record, phases, start)
     except RankDeficientError as error:
         seconds = {"read": read_s, "total": time.perf_counter() - start}
         return deficient_summary(error, block) | {"seconds": seconds}
@@ -102,7 +104,9 @@ def _adjust_and_log(block: Block, folder: Path, callback: Callback | None, out: 
         return adjust(block, callback=note)
 
 
-def _record(solution: Solution, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:
+def _record(
+    solution: Solution, models: dict[str, Corrected], project: Path, out: Path, command: Sequence[str]
+) -> dict[str, Any]:
     """Everything of ``result.json`` but the times."""
     folder = project.parent
     notes = [note.replace(f"{folder}/", "").replace(f"{folder.absolute()}/", "") for note in solution.block.notes]
@@ -123,20 +127,23 @@ def _record(solution: Solution, project: Path, out: Path, command: Sequence[str]
         "name": solution.block.name,
         **record,
         "out": out.name,
-        "notes": [*notes, *left_out(solution)],
+        "notes": [*notes, *fitted_notes(models)],
         "images": images,
         "observability": plain(observability),
         "provenance": provenance(solution.block, folder, command),
     }
 
 
-def _write(folder: Path, solution: Solution, record: dict[str, Any], phases: dict[str, float], start: float) -> None:
+def _write(
+    folder: Path, solution: Solution, models: dict[str, Corrected], record: dict[str, Any], phases: dict[str, float],
+    start: float,
+) -> None:  # fmt: skip
     """Write tables, report and, last, the record with the times of all phases."""
     from fg_orient.report import write_report
 
     mark = time.perf_counter()
     write_tables(folder, solution)
-    write_corrected_rpc(folder / "rpc", solution)
+    write_corrected_rpc(folder / "rpc", models)
     phases["write"] = time.perf_counter() - mark
     record["seconds"] = {**phases, "total": time.perf_counter() - start}
     (folder / RESULT_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")

@@ -3,53 +3,46 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
-
 from fg_orient.io.rpc import write_rpc
-from fg_orient.sensors.rpc import RpcModel
-from fg_orient.sensors.rpc_corrected import corrected, is_exact
+from fg_orient.rpc.corrected import Corrected, corrected
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
 if TYPE_CHECKING:
     from fg_orient.solution import Solution
 
 
-def write_corrected_rpc(folder: Path, solution: Solution) -> None:
-    """Write ``<image>_RPC.TXT`` of every RPC image whose compensation goes into the model exactly.
+def corrected_models(solution: Solution) -> dict[str, Corrected]:
+    """Model of every RPC image with its compensation put in, by image id."""
+    return {
+        image.id: corrected(image.sensor.model, solution.correction(image.id))
+        for image in solution.block.images
+        if isinstance(image.sensor, RpcSensor)
+    }
 
-    Parameters
-    ----------
-    folder : Path
-        Made if there is anything to write.
-    solution : Solution
+
+def write_corrected_rpc(folder: Path, models: dict[str, Corrected]) -> None:
+    """Write ``<image>_RPC.TXT`` of every model; the folder is made if there is any.
+
+    Characters of an id that a file name should not have become ``_``; names that meet are numbered.
     """
     used: set[str] = set()
-    for name, model, compensation in _rpc_images(solution):
-        if not is_exact(model, compensation):
-            continue
+    for name, found in models.items():
         folder.mkdir(exist_ok=True)
         stem = plain = re.sub(r"[^\w.-]", "_", name)
-        while stem in used:
+        while stem.lower() in used:
             stem = f"{plain}_{len(used)}"
-        used.add(stem)
-        write_rpc(folder / f"{stem}_RPC.TXT", corrected(model, compensation))
+        used.add(stem.lower())
+        write_rpc(folder / f"{stem}_RPC.TXT", found.model)
 
 
-def left_out(solution: Solution) -> list[str]:
-    """Name the RPC images without a corrected file, and why."""
+def fitted_notes(models: dict[str, Corrected]) -> list[str]:
+    """Say of models that hold their compensation approximately only how well they do."""
     return [
-        f"image {name}: no corrected RPC file, its compensation has mixed terms that need a new fit of the model"
-        for name, model, compensation in _rpc_images(solution)
-        if not is_exact(model, compensation)
+        f"image {name}: its corrected RPC is fitted, it differs from model and compensation by up to "
+        f"{found.errors['max_line_px']:.2g} px in line, {found.errors['max_sample_px']:.2g} px in sample"
+        for name, found in models.items()
+        if not found.exact
     ]
-
-
-def _rpc_images(solution: Solution) -> Iterator[tuple[str, RpcModel, npt.NDArray[np.float64]]]:
-    for image in solution.block.images:
-        if isinstance(image.sensor, RpcSensor):
-            yield image.id, image.sensor.model, solution.correction(image.id)

@@ -18,11 +18,10 @@ from fg_orient.errors import InputError, RankDeficientError
 from fg_orient.names import Role, Status
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.quality.parallax import rms_px, y_parallaxes
-from fg_orient.sensors.rpc import RpcModel
-from fg_orient.sensors.rpc_corrected import corrected, is_exact
+from fg_orient.rpc.corrected import corrected
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from tests.support.rpc_block import RpcTwin, rpc_twin, twin_with_models, without_control
-from tests.support.rpc_model import reference_project, synthetic_model
+from tests.support.rpc_model import reference_project
 
 KINDS = ("shift", "shift_drift", "affine")
 
@@ -217,7 +216,7 @@ def test_parallax_is_what_one_image_is_off() -> None:
     """Noise-free block, right image moved across its epipolar lines: the parallax is that movement."""
     twin = rpc_twin("shift", noise_px=0.0)
     block = relative(twin.block)
-    images = tuple(Image(i.id, RpcSensor(corrected(i.sensor.model, twin.compensation[k])))
+    images = tuple(Image(i.id, RpcSensor(corrected(i.sensor.model, twin.compensation[k]).model))
                    for k, i in enumerate(block.images))  # fmt: skip
     exact = compile_problem(replace(block, images=images))
     assert y_parallaxes(exact, exact.start)[1].max() < 1e-5
@@ -284,43 +283,6 @@ def test_sensor_without_model_is_refused() -> None:
         fg.adjust(other)
     assert caught.value.problems[0].code == "adjust.no_model"
     assert caught.value.problems[0].place == "image right"
-
-
-# --- corrected models ---------------------------------------------------------------------------
-
-
-def common_denominators() -> RpcModel:
-    """Both coordinates over the same denominator, as some vendors fit."""
-    model = synthetic_model()
-    coefficients = model.coefficients.copy()
-    coefficients[3] = coefficients[1]
-    return replace(model, coefficients=coefficients)
-
-
-@pytest.mark.parametrize(("model", "c"), [
-    (synthetic_model(), [3.5, -7.25, 0.0, 0.0, 0.0, 0.0]), (synthetic_model(), [3.5, -7.25, 1.5, 0.0, 0.0, -0.5]),
-    (common_denominators(), [1.0, 2.0, 3.0, -4.0, 5.0, -6.0]),
-])  # fmt: skip
-def test_corrected_model_projects_as_the_compensated_one(model: RpcModel, c: list[float]) -> None:
-    lon, lat, h = (
-        model.offsets[2 + k] + model.scales[2 + k] * np.random.default_rng(k).uniform(-1, 1, 99) for k in range(3)
-    )
-    assert is_exact(model, c)
-    found = corrected(model, c)
-    assert np.abs(np.stack(found.project(lon, lat, h)) - np.stack(model.project(lon, lat, h, c))).max() < 1e-9
-    assert found.validity == model.validity
-    assert "corrected by" in found.notes[-1]
-
-
-def test_mixed_terms_need_a_refit() -> None:
-    model, c = synthetic_model(), np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0])
-    assert not is_exact(model, c)
-    with pytest.raises(InputError) as caught:
-        corrected(model, c)
-    assert caught.value.problems[0].code == "rpc.not_exact"
-    asked = []
-    assert corrected(model, c, lambda m, b: (asked.append(b), m)[1]) is model
-    assert asked[0].tolist() == c.tolist()
 
 
 def test_cofactors_are_the_inverse_of_the_normal_matrix() -> None:
