@@ -24,6 +24,13 @@ NOT_MET = {
 }
 
 
+#: Parts that may fail in a single seed; all others hold in every one.
+MAY_FAIL = NOT_MET | {
+    "C12": {"four of five above 100 m", "their check points within 0.5 m"},
+    "C14": {"OD: control points"},
+}
+
+
 def test_every_claim_is_there_once() -> None:
     assert [c.id for c in all_claims()] == IDS
 
@@ -40,10 +47,13 @@ def test_claim_holds(one_seed: dict[str, claims.ClaimResult], name: str) -> None
 
 
 @pytest.mark.parametrize("name", sorted(ROUNDING))
-def test_rounding_claim_is_judged(one_seed: dict[str, claims.ClaimResult], name: str) -> None:
+def test_rounding_claim_fails_only_in_parts_that_are_rounding(
+    one_seed: dict[str, claims.ClaimResult], name: str
+) -> None:
     result = one_seed[name]
-    assert result.of == 1
-    assert (result.passed < 1) == bool(result.reason)
+    failed = {part.rpartition(": not in ")[0] for part in filter(None, result.reason.split("; "))}
+    assert failed <= MAY_FAIL[name]
+    assert result.passed == (0 if failed else 1)
 
 
 @pytest.mark.slow
