@@ -147,7 +147,9 @@ def reproduce(
     ) if source.real else {}  # fmt: skip
     about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
     judged = run_claims(seeds, tell(n_seeds, "claims"), about_it) if about_it else []
-    options = {"tables": list(chosen), "seeds": list(seeds), "as_run": as_run}
+    options: dict[str, Any] = {"tables": list(chosen), "seeds": list(seeds), "as_run": as_run}
+    if set(chosen) & set(source.real_tables):
+        options["permutations"] = permutations
     titles = {table: printed.titles[table] for table in chosen}
     rows = pair(printed, computed, source, chosen, on_points)
     return Reproduction(source, titles, rows, tuple(judged), options, printed.sha256)
