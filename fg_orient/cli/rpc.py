@@ -58,9 +58,9 @@ def check(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Judge an RPC: what the file is, denominators, its two directions, points, another model.
+    """Judge an RPC: the file, denominators, its two directions, points, another model.
 
-    Ends with 4 if the model should not be used as it is. Residuals are observed minus projected, pixels.
+    Residuals are observed minus projected, pixels. Ends with 4 if something is wrong.
     """
     with outcome(as_json, debug):
         if heights is not None and dem is not None:
@@ -136,8 +136,8 @@ def refine(
 ) -> None:
     """Remove the bias of an RPC with control points; check points judge, gross errors are named.
 
-    The corrected RPC is exact for shift, and refitted with its error stated where an affine
-    compensation leaves the form. Ends with 4 if too many points are suspicious.
+    The corrected RPC is exact for shift, else refitted with its error stated.
+    Ends with 4 if the points do not fit the model.
     """
     with outcome(as_json, debug):
         from fg_orient.rpc.files import describe, open_rpc, require_free, target_of
@@ -220,8 +220,8 @@ def fit(
 ) -> None:
     """Fit an RPC to control points, or to a rigorous model over --heights.
 
-    Errors are those of the image in pixels at points that took no part. Ends with 4 if a
-    denominator comes near zero or the points do not carry the coefficients.
+    Errors are those of the image, pixels, at points that took no part. Ends with 4
+    if a denominator comes near zero or the points do not carry the coefficients.
     """
     with outcome(as_json, debug):
         from fg_orient.rpc.files import require_free, target_of

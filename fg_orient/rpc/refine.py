@@ -9,14 +9,14 @@ import numpy.typing as npt
 from scipy.special import fdtri
 
 from fg_orient.errors import InputError
-from fg_orient.rpc.compensate import LEVEL, Compensation, compensate, design, misclosures
+from fg_orient.rpc.compensate import LEVEL, RANK, Compensation, compensate, design, misclosures
 from fg_orient.rpc.points import MeasuredPoints, statistics
 from fg_orient.sensors.rpc import RpcModel, span
 
 Array = npt.NDArray[np.float64]
 
-#: Redundancy that a compensation must have before its sigma0 says anything.
-LEAST_REDUNDANCY: Final = 1
+#: Largest sigma0, pixels or given sigmas: what is worse is no measurement of points in this image.
+LARGEST_SIGMA0: Final = 5.0
 
 
 def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate: bool = False) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
     -------
     dict
         status, warnings, compensation, terms (name, px, sd_px), covariance_px2, values_px (6), sigma0, redundancy,
-        outliers, control and check (before, after), leave_one_out, check_suspicious, residuals.
+        height_dependence, outliers, control and check (before, after), leave_one_out, check_suspicious, residuals.
 
     Raises
     ------
@@ -51,14 +51,14 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
     control, check = measured.take(~measured.check), measured.take(measured.check)
     found = compensate(model, control, kind)
     used = control.take(np.isin(control.ids, found.used))
-    suspicious = _suspicious(model, used, check, found)
+    suspicious, height = _suspicious(model, used, check, found), height_dependence(model, used)
     doubts = _doubts(found)
     return {
         "status": "not_trustworthy" if doubts else "good",
-        "warnings": doubts + _remarks(found, suspicious),
+        "warnings": doubts + _remarks(found, suspicious, height),
         "compensation": kind, "terms": found.terms(), "values_px": found.values.tolist(),
         "covariance_px2": found.covariance[np.ix_(found.codes, found.codes)].tolist(),
-        "sigma0": found.sigma0, "redundancy": found.redundancy,
+        "sigma0": found.sigma0, "redundancy": found.redundancy, "height_dependence": height,
         "outliers": [suspect.record() for suspect in found.suspects],
         "control": _both(model, used, found), "check": _both(model, check, found),
         "leave_one_out": statistics(found.left_out_px[np.isfinite(found.left_out_px).all(axis=1)]),
@@ -96,7 +96,7 @@ def _both(model: RpcModel, points: MeasuredPoints, found: Compensation) -> dict[
 
 def _suspicious(model: RpcModel, used: MeasuredPoints, check: MeasuredPoints, found: Compensation) -> list[str]:
     """Check points whose residuals the compensation does not explain: F(2, f) of the predicted residuals."""
-    if not len(check) or found.redundancy < LEAST_REDUNDANCY:
+    if not len(check) or found.redundancy == 0:
         return []
     a = design(model, check, found.kind)
     v = misclosures(model, check, found.values)
@@ -123,19 +123,53 @@ def _residuals(model: RpcModel, measured: MeasuredPoints, found: Compensation) -
 
 def _doubts(found: Compensation) -> list[str]:
     """What makes a compensation unfit for use."""
-    if found.complete:
-        return []
-    return [
-        f"{len(found.suspects)} control points were left out and more are suspicious: too many for gross errors; "
-        "take another compensation, or check coordinates, heights and order of the file"
-    ]
+    out = []
+    if not found.complete:
+        out.append(
+            f"{len(found.suspects)} control points were left out and more are suspicious: too many for gross errors; "
+            "take another compensation, or check coordinates, heights and order of the file"
+        )
+    if found.sigma0 > LARGEST_SIGMA0:
+        out.append(
+            f"sigma0 is {found.sigma0:.1f}: the points do not fit the model; is it the RPC of this image, "
+            "and do its pixels and heights mean what they should?"
+        )
+    return out
 
 
-def _remarks(found: Compensation, suspicious: list[str]) -> list[str]:
+def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
+    """Change of the misclosures with the height beside an affine compensation, px per 1000 m.
+
+    No compensation has such a term: it is a sign of a wrong height system, or of the RPC of another image. F(2, f) of one
+    more column for each coordinate, f the redundancy with it; None where it is not significant or not determined.
+    """
+    a = np.column_stack([design(model, used, "affine"), used.ground[:, 2] / 1000.0])
+    n, k = a.shape
+    if n <= k or np.linalg.matrix_rank(a / np.linalg.norm(a, axis=0), tol=RANK) < k:
+        return None
+    rows = a[None] / used.sigma_px.T[:, :, None]
+    observed = (misclosures(model, used) / used.sigma_px).T
+    slopes, squares = [], np.zeros(2)
+    for design_px, l in zip(rows, observed, strict=True):  # noqa: E741
+        fits = [np.linalg.lstsq(design_px[:, :m], l, rcond=None)[0] for m in (k - 1, k)]
+        squares += [float(np.sum((l - design_px[:, : len(x)] @ x) ** 2)) for x in fits]
+        slopes.append(float(fits[1][-1]))
+    free = 2 * (n - k)
+    statistic = (squares[0] - squares[1]) / 2.0 / max(squares[1] / free, np.finfo(float).tiny)
+    if statistic <= float(fdtri(2, free, 1.0 - LEVEL)):
+        return None
+    return {"line_px_per_km": slopes[0], "sample_px_per_km": slopes[1], "statistic": float(statistic)}
+
+
+def _remarks(found: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[str]:
     """What a user should know beside."""
     out = [suspect.sentence() for suspect in found.suspects]
-    if found.redundancy < LEAST_REDUNDANCY:
+    if found.redundancy == 0:
         out.append("no redundancy: standard deviations are null and gross errors cannot be found")
+    if height is not None:
+        line, sample = height["line_px_per_km"], height["sample_px_per_km"]
+        out.append(f"misclosures change with the height by {line:+.1f} (line), {sample:+.1f} (sample) px per 1000 m: "
+                   "a wrong height system, or the RPC of another image?")  # fmt: skip
     if suspicious:
         out.append(f"check points that do not fit: {', '.join(suspicious)}")
     return out
