@@ -46,6 +46,17 @@ def test_ill_conditioning(repository: Path, tmp_path: Path) -> None:
     assert len(list((tmp_path / "figures").glob("*.svg"))) == 3
 
 
+def test_rpc_bundle(repository: Path) -> None:
+    out = run(repository, "rpc_bundle.py")
+    found = re.search(r"left: line (\S+) \(\S+\), sample (\S+)", out).groups()
+    assert [float(v) for v in found] == pytest.approx([3.0, -16.0], abs=0.2)
+    assert float(re.search(r"differ by (\S+) prior sigmas", out).group(1)) < 1e-9
+    assert re.findall(r"gross error: (.*?):", out) == ["point 06 in image right"]
+    before, after = (float(v) for v in re.search(r"y-parallax (\S+) px before, (\S+) px after", out).groups())
+    assert after < 0.6 < 5.0 < before
+    assert out.count("shifted together") == 3
+
+
 @pytest.mark.real_data
 @pytest.mark.parametrize(
     "name", ["geocosicorr3d/SPOT5.DIM", "geocosicorr3d/SPOT6.XML", "geoetrim-pleiades/DIM_PHR1A_derived_img1.XML"]
