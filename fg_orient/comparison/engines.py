@@ -12,7 +12,8 @@ import numpy.typing as npt
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.block import Block
-from fg_orient.classical.two_stage import Bundle, Kind, TwoStage
+from fg_orient.classical.two_stage import Kind, TwoStage
+from fg_orient.classical.two_stage_results import Bundle
 from fg_orient.comparison.model import AXES, GRAPH_SOLVER, Row, Spectrum
 from fg_orient.errors import FgOrientError, problem
 from fg_orient.linear import registry

@@ -8,7 +8,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.classical.two_stage import Bundle, Kind, PreAdjustment, TwoStage
+from fg_orient.classical.two_stage import Kind, TwoStage
+from fg_orient.classical.two_stage_results import Bundle, PreAdjustment
 from fg_orient.linear.registry import solvers
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
