@@ -110,6 +110,7 @@ PUBLISHED: Final = {
     "published.not_a_number": ("not a number", "write it as 123.4, 1.2e-3 or nan; nothing where nothing is printed"),
     "published.table": ("no such table in this file", "known: {known}"),
     "published.twice": ("the cell stands twice; first in {first}", "remove the wrong one"),
+    "published.unknown_cell": ("the publication has no such cell", "alter values only; copy the original file again"),
     "published.count": ("the table must hold {count} cells", "copy the original file again"),
 }
 

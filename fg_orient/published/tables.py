@@ -134,6 +134,8 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
         records, digest = _records(where / name, _KINDS[_kind(entries, name)][0])
         sha256[name] = digest
         cells += _cells_of(records, [entry for entry in entries if entry.file == name], lines)
+    if folder is not None:
+        _refuse_unknown(cells, lines, source)
     order = {table: k for k, table in enumerate(titles)}
     return PublishedTables(source, titles, tuple(sorted(cells, key=lambda c: order[c.key.table])), sha256)
 
@@ -228,6 +230,22 @@ def _cells_of(records: list[_Record], entries: list[_Entry], seen: dict[CellKey,
                 "published.count", file=file, place=f"table {table}", value=f"{counts[table]} cells", count=count
             )
     return out
+
+
+def _refuse_unknown(cells: list[PublishedCell], lines: dict[CellKey, str], source: str) -> None:
+    """Refuse addresses that the package's own tables do not have: only values of a copy may be altered.
+
+    Raises
+    ------
+    InputError
+        Names the first one and where it stands.
+    """
+    own = {cell.key for cell in load(source).cells}
+    for cell in cells:
+        if cell.key not in own:
+            file, _, place = lines[cell.key].partition(", ")
+            value = f"table {cell.key.table} {cell.key}"
+            raise InputError.of("published.unknown_cell", file=file, place=place, value=value)
 
 
 # --- one reader per kind of file -----------------------------------------------------------------

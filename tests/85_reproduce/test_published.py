@@ -91,6 +91,8 @@ def edit(path: Path, line: int, old: str, new: str) -> None:
         (4, "4.3,1,", "4.33,1,", "published.table", "line 4"),
         (4, "pre-right", "pre-left", "published.twice", "line 4"),
         (4, "4.3,", "4.4,", "published.count", "table 4.3"),
+        (4, "pre-right", "pre-rihgt", "published.unknown_cell", "line 4"),
+        (4, "n_observations", "n_obs", "published.unknown_cell", "line 4"),
     ],
 )
 def test_damage_is_refused_with_file_and_line(
