@@ -238,9 +238,10 @@ def _bic(reduced: Reduced, chosen: Indices) -> float:
 
 @register_selection("nested", "nested regression", source="after Long & Jiao 2012; Tengfei et al. 2014 (NRBOS)")
 def nested(reduced: Reduced) -> Selection:
-    """Nested models by orthogonal least squares, each one more coefficient; the one with the least BIC is taken.
+    """Nested models by orthogonal least squares, each one more coefficient, until BIC rises.
 
-    A column joins if, orthogonal to those before it, it explains most of what is left.
+    A column joins if, orthogonal to those before it, it explains most of what is left. (The least BIC of all lies far
+    behind: the linear form pays for denominators near zero.)
     """
     left, work = reduced.observed.copy(), reduced.design / np.linalg.norm(reduced.design, axis=0)
     order: list[int] = []
@@ -258,8 +259,9 @@ def nested(reduced: Reduced) -> Selection:
         work = work - np.outer(q, q @ work)
         order.append(j)
         bic = _bic(reduced, np.sort(order))
-        if bic < best_bic:
-            best, best_bic = np.sort(order), bic
+        if bic >= best_bic:
+            break
+        best, best_bic = np.sort(order), bic
     return Selection(best)
 
 
