@@ -140,8 +140,8 @@ def _doubts(found: Compensation) -> list[str]:
 def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
     """Change of the misclosures with the height beside an affine compensation, px per 1000 m.
 
-    No compensation has such a term: it is a sign of a wrong height system, or of the RPC of another image. F(2, f) of one
-    more column for each coordinate, f the redundancy with it; None where it is not significant or not determined.
+    No compensation has such a term: it is a sign of a wrong height system, or of the RPC of another image. F(2, f) of
+    one more column for each coordinate, f the redundancy with it; None where it is not significant or not determined.
     """
     a = np.column_stack([design(model, used, "affine"), used.ground[:, 2] / 1000.0])
     n, k = a.shape
