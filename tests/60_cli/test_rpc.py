@@ -5,20 +5,25 @@ from __future__ import annotations
 import csv
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import fg_orient as fg
 from fg_orient.errors import InputError
+from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.io.rpc import read_rpc, write_rpc
+from fg_orient.names import Role
 from fg_orient.rpc.compensate import LEVEL, compensate
 from fg_orient.rpc.corrected import corrected
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.rpc.points import MeasuredPoints
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
+from tests.support.rpc_block import rpc_twin
 from tests.support.rpc_model import ground_points, reference_project, synthetic_model
 
 Run = Callable[..., Any]
@@ -339,6 +344,36 @@ def test_gross_errors_are_named_and_left_out(run: Run, file: Path, model: RpcMod
     assert [r["id"] for r in record["residuals"] if r["role"] == "control" and not r["used"]] == ["p7", "p21"]
     assert np.abs(np.array(record["values_px"][:2]) - TRUE[:2]).max() <= 4 * 0.3 / np.sqrt(48)
     assert any("point p7: gross error" in text for text in record["warnings"])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_compensation_equals_the_bundle_of_one_image(kind: str) -> None:
+    """The factor graph with fixed ground points and priors that say nothing: terms and covariance."""
+    twin = rpc_twin(kind)
+    block, o, known = twin.block, twin.block.observations, twin.block.points.known
+    control = np.zeros(len(block.points.ids), bool)
+    control[block.points.where(Role.CONTROL)] = True
+    rows = (o.image == 0) & control[o.point]
+    fixed = replace(known, fixed=control)
+    options = replace(block.options, rpc_compensation=kind, rpc_shift_sigma_px=1e5, rpc_linear_sigma_px=1e5)
+    solution = fg.adjust(replace(
+        block, images=block.images[:1], observations=o.take(rows), points=replace(block.points, known=fixed),
+        options=options, withheld=replace(block.withheld, ids=()),
+    ))  # fmt: skip
+    sensor = block.images[0].sensor
+    assert isinstance(sensor, RpcSensor)
+    at, sigma = o.point[rows], np.column_stack([o.sigma_line_px, o.sigma_sample_px])[rows]
+    image, ground = np.column_stack([o.line, o.sample])[rows], np.column_stack(ecef_to_geodetic(known.ecef_m[at]))
+    ids = tuple(map(str, at))
+    points = MeasuredPoints(ids, np.zeros(len(ids), bool), image, ground, sigma)
+    found = compensate(sensor.model, points, kind, level=1e-12)
+    assert found.suspects == ()
+    # the priors pull by (0.3/1e5)^2 of a value
+    assert np.abs(found.values - solution.correction(block.images[0].id)).max() <= 1e-7
+    ours = found.covariance[np.ix_(found.codes, found.codes)]
+    theirs = solution.covariance(f"image:{block.images[0].id}").values
+    scale = solution.sigma0**2 / found.sigma0**2  # the priors count as observations there
+    assert np.abs(theirs - scale * ours).max() <= 1e-6 * np.abs(ours).max()
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:
