@@ -31,8 +31,8 @@ SIGNIFICANCE: Final = 0.05
 #: Columns whose correlation exceeds this share are duplicates of each other (USS).
 CORRELATION: Final = 0.9
 #: LASSO path: number of lambdas and smallest share of the largest.
-LAMBDAS: Final = 60
-LEAST_LAMBDA: Final = 1e-4
+LAMBDAS: Final = 40
+LEAST_LAMBDA: Final = 1e-3
 SWEEPS: Final = 10_000
 CONVERGED: Final = 1e-8
 #: Kappas of :func:`press`: from a model that is affine in practice to one that is not held.
