@@ -1,7 +1,8 @@
 """Cofactors of images and points, in prior scale, from the linearisation at the solution.
 
-Two computations that share nothing but the Jacobians: GTSAM Marginals with back-substitution for the
-points (graph backend), and the triangular factor of the full Jacobian (dense backend). Unknowns are
+Computations that share nothing but the Jacobians: GTSAM Marginals with back-substitution for the
+points (graph backend), the triangular factor of the full Jacobian (dense backend), the inverse of the reduced camera
+system (``fg_orient.adjustment.schur_cofactors``). Unknowns are
 prior sigmas (images) and metres (points); :func:`named_cofactors` turns them into physical units.
 Points located after the adjustment: ``fg_orient.adjustment.located``.
 """
@@ -17,6 +18,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.errors import InputError
+from fg_orient.linear.threads import one_blas_thread
 
 if TYPE_CHECKING:
     import gtsam
@@ -61,9 +63,17 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
         The normal equations are too close to singular.
     """
     from fg_orient.adjustment.dense import DenseSystem
+    from fg_orient.adjustment.schur import SchurSystem
+    from fg_orient.adjustment.schur_cofactors import SchurCofactors
 
     if isinstance(estimate.linear, DenseSystem):
         return DenseCofactors(problem, estimate.linear.design)
+    if isinstance(estimate.linear, SchurSystem):
+        try:
+            with one_blas_thread():
+                return SchurCofactors(problem, estimate.linear)
+        except RuntimeError as error:
+            raise Indeterminate(str(error)) from error
     try:
         return GraphCofactors(problem, estimate.state, estimate.linear.linear, estimate.linear.zero)
     except RuntimeError as error:
@@ -159,6 +169,7 @@ class GraphCofactors:
         self._images: dict[int, Array] = {}
         self.image(0)  # GTSAM finds an indeterminate system when first asked, not when made
         self._points: dict[int, Array] = {}
+        self._follows: dict[int, Array] = {}
 
     def image(self, k: int) -> Array:
         """See :class:`Cofactors`."""
@@ -177,16 +188,16 @@ class GraphCofactors:
         if not self._problem.active[j]:
             return np.zeros((3, 3))
         if self._all is not None and not self._points:
-            self._points = self._substituted(self._all)
+            self._points, self._follows = self._substituted(self._all)
         if j not in self._points:
             self._points[j] = np.asarray(self._marginals.marginalCovariance(point_key(j)))
         return self._points[j]
 
-    def _substituted(self, q_images: Array) -> dict[int, Array]:
-        """Cofactors of all unknown points from those of all images."""
+    def _substituted(self, q_images: Array) -> tuple[dict[int, Array], dict[int, Array]]:
+        """Cofactors of all unknown points, and theirs with all images (3, u), from those of all images."""
         problem, first = self._problem, self._problem.first
         _, j_image, j_ground = problem.image_residuals(self._state, jacobian=True)
-        out = {}
+        own, follows = {}, {}
         for j, rows in problem.rows_by_point():
             if not problem.active[j]:
                 continue
@@ -199,18 +210,32 @@ class GraphCofactors:
             images = [int(problem.observations.image[r]) for r in rows]
             columns = np.concatenate([np.arange(first[k], first[k + 1]) for k in images])
             g = inverse @ np.hstack([j_ground[r].T @ j_image[r] for r in rows])
-            out[j] = inverse + g @ q_images[np.ix_(columns, columns)] @ g.T
-        return out
+            own[j] = inverse + g @ q_images[np.ix_(columns, columns)] @ g.T
+            follows[j] = -g @ q_images[columns]
+        return own, follows
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
-        """See :class:`Cofactors`."""
+        """See :class:`Cofactors`; one point with its images follows from those of all images, if these are known."""
         from fg_orient.adjustment.graph import image_key, point_key
 
+        if self._all is not None and len(points) <= 1:
+            return self._with_point(self._all, images, points)
         keys = [image_key(k) for k in images] + [point_key(j) for j in points if self._problem.active[j]]
         if len(keys) == 1:
             return np.asarray(self._marginals.marginalCovariance(keys[0]))
         found = self._marginals.jointMarginalCovariance(keys)
         return np.block([[np.asarray(found.at(a, b)) for b in keys] for a in keys])
+
+    def _with_point(self, q_images: Array, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """Joint cofactors of images and at most one point, by back-substitution."""
+        first = self._problem.first
+        index = np.concatenate([np.arange(first[k], first[k + 1]) for k in images] or [np.zeros(0, np.intp)])
+        q = np.asarray(q_images[np.ix_(index, index)])
+        if not points or not self._problem.active[points[0]]:
+            return q
+        own = self.point(points[0])
+        cross = self._follows[points[0]][:, index]
+        return np.block([[q, cross.T], [cross, own]])
 
 
 @dataclass(frozen=True)

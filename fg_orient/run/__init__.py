@@ -79,9 +79,11 @@ def run_project(
     try:
         with staged_folder(out, overwrite=overwrite) as folder:
             solution = _adjust_and_log(block, folder, callback, Path(out))
+            mark = time.perf_counter()
             models = corrected_models(solution)
             record = _record(solution, models, Path(project), Path(out), command)
             phases = asdict(solution.seconds) | {"read": read_s, "jit": jit_s + solution.seconds.jit}
+            phases["record"] = time.perf_counter() - mark
             with writing(out):
                 _write(folder, solution, models, record, phases, start)
     except RankDeficientError as error:

@@ -6,7 +6,7 @@ exist is null and a warning says why.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from fg_orient.errors import RankDeficientError
     from fg_orient.quality.accuracy import PointDifferences
     from fg_orient.solution import Solution
+
+
+#: Image points up to which every observation is tested for a gross error (0.5 ms each).
+MAX_TESTED: Final = 2000
 
 
 def summary(solution: Solution) -> dict[str, Any]:
@@ -60,8 +64,20 @@ def summary(solution: Solution) -> dict[str, Any]:
             "check": _check(solution.accuracy.check),
         },
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
+        "suspicious_observations": _suspicious(solution),
         **_parallax(solution),
     }
+
+
+def _suspicious(solution: Solution) -> list[dict[str, Any]] | None:
+    """Observations with a gross error, least probable first; null where they are not tested."""
+    if solution.cofactors is None or len(solution.problem.observations) > MAX_TESTED:
+        return None
+    return [
+        {"image": test.image or None, "id": test.point, "part": test.part, "error": test.error.tolist(),
+         "statistic": test.statistic, "limit": test.critical, "sentence": test.sentence()}
+        for test in solution.suspicious()
+    ]  # fmt: skip
 
 
 def _parallax(solution: Solution) -> dict[str, Any]:
@@ -95,6 +111,10 @@ def _missing(solution: Solution) -> list[str]:
         out.append("sigma0 is null: there is no redundancy; standard deviations are in prior scale")
     elif not np.isfinite(solution.sigma0_interval[0]):
         out.append("sigma0_interval_99_9 is null: the adjustment did not converge")
+    if len(solution.problem.observations) > MAX_TESTED:
+        out.append(f"suspicious_observations is null: more than {MAX_TESTED} image points are not tested one by one")
+    elif solution.cofactors is None:
+        out.append("suspicious_observations is null: the test needs the covariance")
     if not solution.problem.n_images * solution.iterations:
         out.append("us_per_observation_iteration is null: nothing was iterated")
     return out

@@ -70,9 +70,10 @@ def test_graph_equals_dense(name: str) -> None:
     assert graph.chi2 == pytest.approx(dense.chi2, rel=1e-9)
     assert graph.cofactors is not None and dense.cofactors is not None
     points = tuple(int(j) for j in np.flatnonzero(graph.problem.active)[:3])
-    a, b = (s.cofactors.joint((0, 1), points) for s in (graph, dense))
-    scale = np.sqrt(np.outer(np.diag(b), np.diag(b)))
-    assert np.abs((a - b) / scale).max() < 1e-7
+    for images, some in (((0, 1), points), ((0, 1), points[:1]), ((1,), points[1:2]), ((1, 0), ()), ((), points[:1])):
+        a, b = (s.cofactors.joint(images, some) for s in (graph, dense))
+        scale = np.sqrt(np.outer(np.diag(b), np.diag(b)))
+        assert np.abs((a - b) / scale).max() < 1e-7
     assert graph.cofactors.point(points[0]) == pytest.approx(dense.cofactors.point(points[0]), rel=1e-6)
     c, d = (s.accuracy.check.predicted_sigma_enu_m for s in (graph, dense))
     assert np.allclose(c, d, rtol=1e-6, atol=0.0)

@@ -151,6 +151,23 @@ def test_people_are_told_what_was_adjusted(tmp_path: Path, run: Run) -> None:
     assert "EOP set" not in text
 
 
+def test_gross_errors_are_listed(tmp_path: Path, run: Run) -> None:
+    """A point measured 10 px off in one image leads the list of the record, and stands in the report."""
+    twin = rpc_twin("shift")
+    block, o = twin.block, twin.block.observations
+    j = int(block.points.where(Role.CONTROL)[8])
+    wrong = replace(o, line=o.line + 10.0 * ((o.point == j) & (o.image == 1)))
+    project = write_folder(tmp_path / "twin", replace(twin, block=replace(block, observations=wrong)))
+    record = run("adjust", project, "--json").json
+    worst = record["suspicious_observations"][0]
+    assert (worst["image"], worst["id"], worst["part"]) == ("right", block.points.ids[j], "image")
+    assert worst["error"] == pytest.approx([10.0, 0.0], abs=1.5)
+    assert worst["statistic"] > worst["limit"]
+    html = (project.parent / "result" / "report.html").read_text("utf-8")
+    assert "Observations to look at" in html
+    assert f"point {block.points.ids[j]} in image right" in html
+
+
 def test_relative_adjustment_from_the_command_line(tmp_path: Path, run: Run) -> None:
     """Refused without its option; with it: parallaxes, the datum in words, no accuracy."""
     project = write_folder(tmp_path / "twin", rpc_twin("shift", seed=5), control=False)
