@@ -66,6 +66,10 @@ RPC: Final = {
         "give the image itself, or a name that ends with _RPC.TXT, .RPB or .XML",
     ),
     "rpc.target_name": ("no such format to write", "known: {known}"),
+    "rpc.sidecar": (
+        "an RPC file beside the image would hide its tags: GDAL prefers the file",
+        "move it away, or write it instead of the tags",
+    ),
     "rpc.role": ("unknown role", "write control or check"),
     "rpc.sigma": ("a sigma must be positive", "give the standard deviation of the measurement, pixels"),
     "rpc.heights": ("no range of heights", "give the lower and the higher one, m above the ellipsoid"),

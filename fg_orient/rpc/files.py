@@ -26,6 +26,8 @@ TARGETS: Final = {
 SUFFIXES: Final = {
     ".TXT": "rpc-txt", ".RPB": "rpb", ".XML": "dimap", ".TIF": "geotiff-tags", ".TIFF": "geotiff-tags",
 }  # fmt: skip
+#: Ends of the names of RPC files that GDAL prefers to the tags of the image beside them.
+SIDECARS: Final = ("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb")
 #: Values per axis of the cube of normalised coordinates in which two models are compared.
 CUBE: Final = 7
 
@@ -111,9 +113,11 @@ def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False
     Raises
     ------
     InputError
-        The file exists, or cannot be written.
+        The file exists, or cannot be written, or an RPC file beside the image would hide its tags.
     """
     require_free(out, overwrite)
+    if target == "geotiff-tags":
+        _require_no_sidecar(out)
     form = next(f for f in FORMATS if f.name == TARGETS[target])
     assert form.write is not None
     form.write(out, model)
@@ -124,6 +128,20 @@ def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False
         "round_trip_line_px": float(line), "round_trip_sample_px": float(sample),
         "not_kept": not_kept(model, back.model),
     }  # fmt: skip
+
+
+def _require_no_sidecar(image: Path) -> None:
+    """Refuse tags that nobody would read: GDAL prefers RPC files beside an image.
+
+    Raises
+    ------
+    InputError
+        Names the file.
+    """
+    for end in SIDECARS:
+        beside = image.with_name(image.stem + end)
+        if beside.exists():
+            raise InputError.of("rpc.sidecar", file=image, value=beside.name)
 
 
 def projected_differences(one: RpcModel, other: RpcModel) -> Array:

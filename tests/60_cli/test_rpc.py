@@ -198,7 +198,7 @@ def test_convert(
 def test_convert_to_tags_of_an_image(run: Run, file: Path, model: RpcModel, tmp_path: Path) -> None:
     import rasterio
 
-    path = tmp_path / "image.tif"  # GDAL would take scene_RPC.TXT for the RPC of scene.tif
+    path = tmp_path / "image.tif"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         with rasterio.open(path, "w", driver="GTiff", width=3, height=2, count=1, dtype="uint8") as image:
@@ -211,6 +211,8 @@ def test_convert_to_tags_of_an_image(run: Run, file: Path, model: RpcModel, tmp_
     # GDAL hands tags over with 15 digits: 1e-15 x 1e4 px, times a few terms
     assert max(out["round_trip_line_px"], out["round_trip_sample_px"]) <= 1e-9
     assert np.allclose(read_rpc(path).coefficients, model.coefficients, rtol=1e-13, atol=0.0)
+    hidden = run("rpc", "convert", file, "--out", path.rename(tmp_path / "scene.tif"), "--overwrite", "--json")
+    assert (hidden.code, hidden.json["errors"][0]["code"]) == (2, "rpc.sidecar")
     gone = run("rpc", "convert", file, "--out", tmp_path / "none.tif", "--json")
     assert (gone.code, gone.json["errors"][0]["code"]) == (2, "rpc.tags_target")
 
@@ -423,6 +425,13 @@ def test_too_few_or_badly_spread_points(
     points = write_points(tmp_path / "p.csv", image, ground)
     ended = run("rpc", "refine", file, "--points", points, "--compensation", kind, "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (status, code)
+
+
+def test_check_points_only_are_no_control(run: Run, file: Path, model: RpcModel, tmp_path: Path) -> None:
+    points = write_points(tmp_path / "p.csv", *measured(model, 5), check=5)
+    for words, code in ((("refine", file, "--points", points), "rpc.few_control"), (("fit", points), "rfm.points")):
+        ended = run("rpc", *words, "--json")
+        assert (ended.code, ended.json["errors"][0]["code"]) == (2, code)
 
 
 def test_points_outside_the_validity_range_are_refused(run: Run, file: Path, model: RpcModel, tmp_path: Path) -> None:
@@ -705,3 +714,25 @@ def test_real_files_that_contradict_themselves(run: Run, real_data: Path) -> Non
     assert run("rpc", "check", real_data / "asp" / "sample.RPB").code == 4
     for name in ("rpcm/rpc_SPOT6.xml", "rpcm/rpc_IKONOS.txt", "otb/qb-1.geom"):
         assert run("rpc", "check", real_data / name).code == 0
+
+
+@pytest.mark.real_data
+def test_gross_error_of_pleiades_neo_is_named(run: Run, real_data: Path, tmp_path: Path) -> None:
+    """Point 53 is wrong in one image; it lies below the height range, too."""
+    folder, image = real_data / "micmac-pneo-pair", "PNEO3_202309051055194"
+    with (folder / "gcp_ground.csv").open() as stream:
+        ground = {row["gcp_id"]: row for row in csv.DictReader(stream)}
+    with (folder / "gcp_image.csv").open() as stream:
+        rows = [row for row in csv.DictReader(stream) if row["image"] == image and row["gcp_id"] in ground]
+    lines = [
+        ",".join([r["gcp_id"], r["line"], r["col"], *(ground[r["gcp_id"]][k] for k in ("lon_deg", "lat_deg", "h_m"))])
+        for r in rows
+    ]
+    points = tmp_path / "p.csv"
+    points.write_text("\n".join(["id,line,sample,lon_deg,lat_deg,height_m", *lines]) + "\n")
+    (model,) = folder.glob(f"RPC_{image}*.XML")
+    words = ("rpc", "refine", model, "--points", points, "--json")
+    assert run(*words).json["errors"][0]["place"] == "point 53"
+    record = run(*words, "--extrapolate").json
+    assert [found["id"] for found in record["outliers"]] == ["53"]
+    assert record["outliers"][0]["statistic"] > 30.0 * record["outliers"][0]["limit"]
