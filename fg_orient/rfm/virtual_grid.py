@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from factors import ellipsoid
 from fg_orient.errors import InputError
+from fg_orient.linear.threads import one_blas_thread
 from fg_orient.rfm.estimate import fit_true
 from fg_orient.rfm.fit import RfmFit, rms
 from fg_orient.rfm.form import Denominators, RfmForm
@@ -146,7 +147,8 @@ def fit_sensor(
     draws = [rng.uniform(a, b, count) for a, b in zip((*first, low), (*last, high), strict=True)]
     check = _located(sensor, *draws)
     form = RfmForm(degree, denominators)
-    forward, inverse = fit_true(grid, form, kappa=kappa), fit_true(_exchanged(grid), form, kappa=kappa)
+    with one_blas_thread():  # small matrices: on a busy machine a second thread only waits
+        forward, inverse = fit_true(grid, form, kappa=kappa), fit_true(_exchanged(grid), form, kappa=kappa)
     ranges = np.stack([grid.columns.min(axis=0), grid.columns.max(axis=0)], axis=1)
     validity = RpcValidity(*((float(a), float(b)) for a, b in ranges))
     back = inverse.residuals_px(_exchanged(check))
