@@ -18,7 +18,6 @@ import numpy.typing as npt
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.errors import InputError
-from fg_orient.linear.threads import one_blas_thread
 
 if TYPE_CHECKING:
     import gtsam
@@ -63,17 +62,9 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
         The normal equations are too close to singular.
     """
     from fg_orient.adjustment.dense import DenseSystem
-    from fg_orient.adjustment.schur import SchurSystem
-    from fg_orient.adjustment.schur_cofactors import SchurCofactors
 
     if isinstance(estimate.linear, DenseSystem):
         return DenseCofactors(problem, estimate.linear.design)
-    if isinstance(estimate.linear, SchurSystem):
-        try:
-            with one_blas_thread():
-                return SchurCofactors(problem, estimate.linear)
-        except RuntimeError as error:
-            raise Indeterminate(str(error)) from error
     try:
         return GraphCofactors(problem, estimate.state, estimate.linear.linear, estimate.linear.zero)
     except RuntimeError as error:
@@ -169,7 +160,7 @@ class GraphCofactors:
         self._images: dict[int, Array] = {}
         self.image(0)  # GTSAM finds an indeterminate system when first asked, not when made
         self._points: dict[int, Array] = {}
-        self._follows: dict[int, Array] = {}
+        self._gains: dict[int, tuple[Array, npt.NDArray[np.intp]]] = {}
 
     def image(self, k: int) -> Array:
         """See :class:`Cofactors`."""
@@ -188,16 +179,16 @@ class GraphCofactors:
         if not self._problem.active[j]:
             return np.zeros((3, 3))
         if self._all is not None and not self._points:
-            self._points, self._follows = self._substituted(self._all)
+            self._points = self._substituted(self._all)
         if j not in self._points:
             self._points[j] = np.asarray(self._marginals.marginalCovariance(point_key(j)))
         return self._points[j]
 
-    def _substituted(self, q_images: Array) -> tuple[dict[int, Array], dict[int, Array]]:
-        """Cofactors of all unknown points, and theirs with all images (3, u), from those of all images."""
+    def _substituted(self, q_images: Array) -> dict[int, Array]:
+        """Cofactors of all unknown points from those of all images; G and its columns are kept."""
         problem, first = self._problem, self._problem.first
         _, j_image, j_ground = problem.image_residuals(self._state, jacobian=True)
-        own, follows = {}, {}
+        out = {}
         for j, rows in problem.rows_by_point():
             if not problem.active[j]:
                 continue
@@ -210,9 +201,9 @@ class GraphCofactors:
             images = [int(problem.observations.image[r]) for r in rows]
             columns = np.concatenate([np.arange(first[k], first[k + 1]) for k in images])
             g = inverse @ np.hstack([j_ground[r].T @ j_image[r] for r in rows])
-            own[j] = inverse + g @ q_images[np.ix_(columns, columns)] @ g.T
-            follows[j] = -g @ q_images[columns]
-        return own, follows
+            out[j] = inverse + g @ q_images[np.ix_(columns, columns)] @ g.T
+            self._gains[j] = g, columns
+        return out
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`; one point with its images follows from those of all images, if these are known."""
@@ -234,7 +225,8 @@ class GraphCofactors:
         if not points or not self._problem.active[points[0]]:
             return q
         own = self.point(points[0])
-        cross = self._follows[points[0]][:, index]
+        g, columns = self._gains[points[0]]
+        cross = -g @ q_images[np.ix_(columns, index)]
         return np.block([[q, cross.T], [cross, own]])
 
 
