@@ -14,16 +14,21 @@ from fg_orient.adjustment.loop import OPTIMIZERS, ROUNDING_STEP, Callback, Itera
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.block import Options
 from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.linear.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.dense import DenseSystem
     from fg_orient.adjustment.graph import GraphSystem
+    from fg_orient.adjustment.schur import SchurSystem
 
 #: Names of ``--optimizer``; the native ones are GTSAM's own, for equality tests on small blocks.
 NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
 OPTIMIZER_NAMES = (*OPTIMIZERS, *NATIVE)
-#: "auto" is the graph: dense matrices are for comparison and are asked for by name.
-BACKENDS = ("auto", "graph", "dense")
+#: "auto" is the Schur complement for blocks it was made for (:func:`chosen_backend`), else the graph; dense
+#: matrices are for comparison and are asked for by name.
+BACKENDS = ("auto", "graph", "schur", "dense")
+#: Image points from which "auto" takes the Schur complement.
+SCHUR_FROM = 100
 
 
 @dataclass(frozen=True)
@@ -36,10 +41,10 @@ class Estimate:
     chi2 : float
         Weighted sum of squares.
     backend : str
-        "graph" or "dense".
+        "graph", "schur" or "dense".
     solver : str
-        Linear solver of the dense backend; "" for the graph.
-    linear : GraphSystem or DenseSystem
+        Linear solver of the dense backend; "" for the others.
+    linear : GraphSystem, SchurSystem or DenseSystem
         The undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
         Wall-clock seconds: building the graph, optimising.
@@ -53,7 +58,7 @@ class Estimate:
     iterations: int
     backend: str
     solver: str
-    linear: GraphSystem | DenseSystem
+    linear: GraphSystem | SchurSystem | DenseSystem
     structure_s: float
     solve_s: float
 
@@ -65,12 +70,12 @@ def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
     ------
     InputError
         Unknown backend, optimiser or solver; a native optimiser on too large a block; a dense
-        adjustment of too many unknowns.
+        adjustment of too many unknowns; a block that the Schur backend cannot take.
     NoSolutionError
         The equations become singular or not finite on the way.
     """
     _judge(problem.block.options)
-    run = _run_dense if problem.block.options.backend == "dense" else _run_graph
+    run = {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[chosen_backend(problem)]
     try:
         with _garbage_collection_off():
             return run(problem, callback)
@@ -78,12 +83,28 @@ def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
         raise NoSolutionError.of("adjust.broken_down", place=problem.block.name, why=first_sentence(error)) from error
 
 
+def chosen_backend(problem: Problem) -> str:
+    """Backend of the options; for "auto" the Schur complement if it can take the block and pays, else the graph.
+
+    Without priors the graph is taken: its QR does not square the condition.
+    """
+    options = problem.block.options
+    if options.backend != "auto":
+        return options.backend
+    from fg_orient.adjustment.schur_structure import reason_against
+
+    large = len(problem.observations) >= SCHUR_FROM and bool(problem.active.any())
+    possible = options.priors and options.optimizer in OPTIMIZERS and not reason_against(problem)
+    return "schur" if large and possible else "graph"
+
+
 def _judge(options: Options) -> None:
     """Refuse names that do not exist and choices that do not go together."""
     if options.backend not in BACKENDS:
         raise InputError.of("adjust.backend", place="backend", value=options.backend, known=", ".join(BACKENDS))
-    names = tuple(OPTIMIZERS) if options.backend == "dense" else OPTIMIZER_NAMES
-    if options.optimizer in NATIVE and options.backend == "dense":
+    own = options.backend in ("dense", "schur")
+    names = tuple(OPTIMIZERS) if own else OPTIMIZER_NAMES
+    if options.optimizer in NATIVE and own:
         raise InputError.of("adjust.native_dense", place="optimizer", value=options.optimizer, known=", ".join(names))
     if options.optimizer not in names:
         raise InputError.of("adjust.optimizer", place="optimizer", value=options.optimizer, known=", ".join(names))
@@ -149,4 +170,22 @@ def _run_dense(problem: Problem, callback: Callback | None) -> Estimate:
     return Estimate(
         result.state, 2.0 * result.error, result.converged, result.reason, result.log, len(result.log), backend.name,
         backend.solver, backend.linearise(result.state), marks[1] - marks[0], marks[2] - marks[1],
+    )  # fmt: skip
+
+
+def _run_schur(problem: Problem, callback: Callback | None) -> Estimate:
+    """Compile to arrays, optimise, linearise at the end."""
+    options = problem.block.options
+    from fg_orient.adjustment.schur import SchurBackend
+
+    marks = [time.perf_counter()]
+    backend = SchurBackend(problem)
+    marks.append(time.perf_counter())
+    with one_blas_thread():
+        result = OPTIMIZERS[options.optimizer](backend, backend.initial(), options.max_iterations, callback)
+        marks.append(time.perf_counter())
+        linear = backend.linearise(result.state)
+    return Estimate(
+        result.state, 2.0 * result.error, result.converged, result.reason, result.log, len(result.log), backend.name,
+        "", linear, marks[1] - marks[0], marks[2] - marks[1],
     )  # fmt: skip

@@ -27,7 +27,9 @@ WORKING = ("gtsam", "fg_orient.run", "fg_orient.adjustment.graph", "fg_orient.ad
 
 def adjust(
     project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
-    backend: Annotated[str | None, typer.Option(help="auto, graph or dense (full matrices).")] = None,
+    backend: Annotated[
+        str | None, typer.Option(help="auto, graph, schur (on arrays) or dense (full matrices).")
+    ] = None,
     solver: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="Linear solver of the dense backend, such as qr or cramer_inverse."),

@@ -162,9 +162,6 @@ def _options(project: ProjectFile, file: str) -> tuple[Options, list[Problem]]:
     problems: list[Problem] = []
     values = {**dict(project.orientation), **dict(project.adjustment)}
     values.pop("points_seen_once")
-    if project.adjustment.backend not in ("auto", "graph", "dense"):
-        place, value = "adjustment.backend", project.adjustment.backend
-        problems.append(problem("project.backend_later", file=file, place=place, value=value))
     try:
         values["eop_set"] = eop_set_number(project.orientation.eop_set)
     except InputError as error:

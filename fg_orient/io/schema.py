@@ -74,7 +74,7 @@ class Adjustment(_Table):
     """The ``[adjustment]`` table: how the block is solved."""
 
     backend: Literal["auto", "graph", "schur", "dense"] = Field(
-        default="auto", description='"auto", "graph" or "dense"'
+        default="auto", description='"auto", "graph", "schur" or "dense"'
     )
     solver: Text | None = Field(default=Options.solver, description=EXPECTED["solver"])
     optimizer: Literal["gauss-newton", "levenberg-marquardt", "dogleg", "native"] = Field(

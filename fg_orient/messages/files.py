@@ -264,7 +264,6 @@ PROJECT: Final = {
     "project.unknown_key": ("unknown entry", "{hint}"),
     "project.value": ("the value is not allowed", "give {expected}"),
     "project.image_twice": ("the image id is used twice", "give every image its own id"),
-    "project.backend_later": ("the backend comes with a later version", 'write "auto", "graph" or "dense"'),
 }
 
 #: Remarks: worth a line in the report and in ``validate``, but no reason to stop.

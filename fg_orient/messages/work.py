@@ -47,6 +47,7 @@ ADJUST: Final = {
         "a linear solver can be chosen for the dense backend only; the backend is {backend}",
         "add --backend dense, or leave the solver out",
     ),
+    "adjust.schur": ("the Schur backend cannot take this block: {value}", "choose --backend graph, or auto"),
     "adjust.native_limit": (
         "GTSAM's own optimisers copy all values at each callback of a Python factor and are refused above "
         "{limit} image points; the block has {count}",

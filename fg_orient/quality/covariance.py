@@ -18,6 +18,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.errors import InputError
+from fg_orient.linear.threads import one_blas_thread
 
 if TYPE_CHECKING:
     import gtsam
@@ -65,6 +66,15 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
 
     if isinstance(estimate.linear, DenseSystem):
         return DenseCofactors(problem, estimate.linear.design)
+    from fg_orient.adjustment.schur import SchurSystem
+    from fg_orient.adjustment.schur_cofactors import SchurCofactors
+
+    if isinstance(estimate.linear, SchurSystem):
+        try:
+            with one_blas_thread():
+                return SchurCofactors(problem, estimate.linear)
+        except RuntimeError as error:
+            raise Indeterminate(str(error)) from error
     try:
         return GraphCofactors(problem, estimate.state, estimate.linear.linear, estimate.linear.zero)
     except RuntimeError as error:

@@ -279,7 +279,9 @@ def test_values_that_are_not_finite_name_the_observation(twin: Block) -> None:
         ({"solver": "none_such", "backend": "dense"}, "linear.solver"),
         ({"optimizer": "native", "backend": "dense"}, "adjust.native_dense"),
         ({"optimizer": "newton", "backend": "dense"}, "adjust.optimizer"),
-        ({"backend": "schur"}, "adjust.backend"),
+        ({"backend": "sparse"}, "adjust.backend"),
+        ({"optimizer": "native", "backend": "schur"}, "adjust.native_dense"),
+        ({"solver": "qr", "backend": "schur"}, "adjust.solver_dense"),
         ({"backend": "dense", "solver": ""}, "options.value"),
     ],
 )

@@ -153,7 +153,7 @@ def test_dense_backend_and_its_solver(run: Any, twin: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "seen"),
     [(("--eop-set", "21"), "21"), (("--optimizer", "newton"), "newton"), (("--check-points", "perhaps"), "perhaps"),
-     (("--backend", "schur"), "schur"), (("--solver", "qr"), "qr"),
+     (("--backend", "sparse"), "sparse"), (("--solver", "qr"), "qr"),
      (("--max-iterations", "0"), "0"), (("--look-polynomial", "9"), "9")],
 )  # fmt: skip
 def test_bad_option_is_one_line_and_exit_2(run: Any, twin: Path, words: tuple[str, str], seen: str) -> None:

@@ -98,8 +98,6 @@ CASES = {
         T, "eop_set = 15", "position_sigma_m = [10, 0, 1]", "project.value", "orientation.position_sigma_m[2]", "0"),
     "two sigmas": (
         T, "eop_set = 15", "position_sigma_m = [1, 2]", "project.missing", "orientation.position_sigma_m", ""),
-    "later backend": (
-        T, "[adjustment]", '[adjustment]\nbackend = "schur"', "project.backend_later", "adjustment.backend", "schur"),
     "no such backend": (T, "[adjustment]", '[adjustment]\nbackend = "x"', "project.value", "adjustment.backend", "x"),
     "text for a switch": (T, "eop_set = 15", 'priors = "no"', "project.value", "orientation.priors", "no"),
     "points file missing": (T, "points.csv", "pts.csv", "table.missing_file", "", ""),

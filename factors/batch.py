@@ -1,0 +1,190 @@
+"""Image points by the hundred thousand: the registered equations over arrays, without a Python call each.
+
+An image unknown acts on an observation as one of a few *components* (a coordinate of the orbit, an angle, a
+look angle) times a *basis* value that never changes (1, tau, tau^2, powers of the sample), so that the
+Jacobian is a Kronecker product with columns left out. Equations are evaluated with the components as their
+unknowns: at most 11 columns are computed and kept, whatever the set of unknowns. *Wide* numbers of an image are its
+values over (basis, component), basis by basis.
+
+Kernels take a range ``[lo, hi)`` and write what belongs to it only: any division among threads gives the
+same bits. Observations are sorted by ground point; ``factors.batch_points`` and ``factors.batch_pairs`` go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, cast
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from factors import pushbroom, rfm_equation
+from factors._contract import Array, Equation, F
+
+Index = npt.NDArray[np.int64]
+
+#: A basis value of the look polynomial has its degree plus this as its number.
+_LOOK: Final = 10
+
+
+def threaded(function: F) -> F:
+    """Compile with numba so that threads run side by side; products and sums may fuse, sums keep their order."""
+    return cast(F, njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})(function))
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Image unknowns of one setup as components times basis values.
+
+    Parameters
+    ----------
+    setup : (2, c) array
+        Setup of the equation with the components as unknowns.
+    component, basis : (k,) int arrays
+        Component and basis value of each unknown.
+    scale : (k,) array
+        Its factor.
+    values : callable
+        Basis values (n, b) from records (n, d).
+    """
+
+    setup: Array
+    component: Index
+    basis: Index
+    scale: Array
+    values: Callable[[Array], Array]
+
+    @property
+    def n_components(self) -> int:
+        """Number of components."""
+        return int(self.setup.shape[1])
+
+    @property
+    def wide(self) -> Index:
+        """Place (k,) of each unknown among the wide numbers."""
+        return self.basis * self.n_components + self.component
+
+
+def _pushbroom_columns(setup: Array) -> Columns:
+    """Components: the 9 EOP and the two look angles as far as present; basis: powers of tau and of the sample."""
+    codes, n_eop = setup[0].astype(np.int64), pushbroom.N_EOP
+    eop, look = codes < n_eop, codes - n_eop
+    constants = np.where(eop, codes - codes % 3, n_eop + look % 2)
+    degree = np.where(eop, codes % 3, look // 2)
+    names, basis = np.unique(degree + _LOOK * (~eop & (degree > 0)), return_inverse=True)
+    present, component = np.unique(constants, return_inverse=True)
+
+    def values(records: Array) -> Array:
+        tau, s = records[:, 18], records[:, 21]
+        return np.stack([s ** (name - _LOOK) if name > _LOOK else tau**name for name in names.tolist()], axis=1)
+
+    compact = np.stack([present.astype(np.float64), np.ones(len(present))])
+    return Columns(compact, component.astype(np.int64), basis.astype(np.int64), setup[1].copy(), values)
+
+
+def _plain_columns(setup: Array) -> Columns:
+    """Every unknown its own component."""
+    k = setup.shape[1]
+    return Columns(
+        np.ascontiguousarray(setup), np.arange(k), np.zeros(k, np.int64), np.ones(k),
+        lambda records: np.ones((len(records), 1)),
+    )  # fmt: skip
+
+
+@threaded
+def _components(n_basis: int, basis: Array, wide: Array, x: Array) -> None:
+    """Write the components of one observation from the wide unknowns of its image."""
+    c = len(x)
+    for k in range(c):
+        x[k] = 0.0
+        for b in range(n_basis):
+            x[k] += basis[b] * wide[b * c + k]
+
+
+@threaded
+def _store(out: Array, value: Array, d_image: Array, d_ground: Array, want: bool) -> None:
+    """Copy what an equation wrote to the arrays of one observation."""
+    c = out.shape[1] - 4
+    for r in range(2):
+        value[r] = out[r, 0]
+        if want:
+            for k in range(c):
+                d_image[r, k] = out[r, 1 + k]
+            for k in range(3):
+                d_ground[r, k] = out[r, 1 + c + k]
+
+
+@threaded
+def pushbroom_rows(
+    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
+    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
+) -> int:  # fmt: skip
+    """Look-angle collinearity of members lo to hi.
+
+    Parameters
+    ----------
+    members : (m,) int array
+        Observations of the group, by their place in the sorted arrays.
+    records : (n, d) array
+    row, image, point : (n,) int arrays
+        Row of ``records``, image and ground point of each sorted observation.
+    setup : (2, c) array
+        Of :class:`Columns`.
+    n_basis : int
+    basis : (n, b) array
+        Basis values; ``n_basis`` of them are the group's.
+    wide : (M, w) array
+        Wide unknowns of the images.
+    ground : (N, 3) array, m
+    value, d_image, d_ground : (n, 2), (n, 2, c), (n, 2, 3) arrays
+        Written, whitened; the Jacobians with ``want`` only.
+
+    Returns
+    -------
+    int
+        The first observation that is not finite, or -1.
+    """
+    x, out, bad = np.empty(setup.shape[1]), np.empty((2, setup.shape[1] + 4)), -1
+    for m in range(lo, hi):
+        a = members[m]
+        _components(n_basis, basis[a], wide[image[a]], x)
+        if not pushbroom.fill(records, row[a], setup, x, ground[point[a]], out, want) and bad < 0:
+            bad = a
+        _store(out, value[a], d_image[a], d_ground[a], want)
+    return bad
+
+
+@threaded
+def rational_rows(
+    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
+    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
+) -> int:  # fmt: skip
+    """Rational function of members lo to hi; see :func:`pushbroom_rows`."""
+    x, out, bad = np.empty(setup.shape[1]), np.empty((2, setup.shape[1] + 4)), -1
+    for m in range(lo, hi):
+        a = members[m]
+        _components(n_basis, basis[a], wide[image[a]], x)
+        if not rfm_equation.fill(records, row[a], setup, x, ground[point[a]], out, want) and bad < 0:
+            bad = a
+        _store(out, value[a], d_image[a], d_ground[a], want)
+    return bad
+
+
+#: Rows and columns of the equations that have a batch; a further equation is a row here.
+_BATCHES: Final[dict[str, tuple[Callable[..., int], Callable[[Array], Columns]]]] = {
+    pushbroom.LOOK_ANGLE_COLLINEARITY.name: (pushbroom_rows, _pushbroom_columns),
+    rfm_equation.RATIONAL_FUNCTION.name: (rational_rows, _plain_columns),
+}
+
+
+def has_batch(equation: Equation) -> bool:
+    """Whether the equation can be evaluated in batches."""
+    return equation.name in _BATCHES
+
+
+def batch(equation: Equation, setup: Array) -> tuple[Callable[..., int], Columns]:
+    """Row kernel (see :func:`pushbroom_rows`) and columns of an equation that has a batch."""
+    rows, columns = _BATCHES[equation.name]
+    return rows, columns(setup)

@@ -1,0 +1,97 @@
+"""Cofactors of images and points from the reduced camera system.
+
+The inverse of the reduced system holds the cofactors Q of the images. A point follows from the images it is seen
+in: with ``K = H^-1 sum G^T J`` its cofactors are ``H^-1 + K Q K^T``, those with the images ``-K Q``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.schur import SchurSystem
+
+Array = npt.NDArray[np.float64]
+
+
+class SchurCofactors:
+    """Joint cofactors at the solution; see ``fg_orient.quality.covariance.Cofactors``.
+
+    Parameters
+    ----------
+    problem : Problem
+    system : SchurSystem
+        The linearisation at the solution.
+
+    Raises
+    ------
+    RuntimeError
+        The normal equations are too close to singular.
+    """
+
+    def __init__(self, problem: Problem, system: SchurSystem) -> None:
+        self._problem, self._system = problem, system
+        self._structure = system.structure
+        self._reduced = system.reduced(0.0)
+        self._root = system.buffers().root.copy()
+        self._known: dict[tuple[int, ...], Array] = {}
+        self._of((0,))  # an ill-conditioned system is found when first asked, not when made
+
+    def _of(self, images: tuple[int, ...]) -> Array:
+        """Cofactors of images in ascending order; points that are seen in the same images share them."""
+        if images not in self._known:
+            self._known[images] = self._reduced.covariance(images)
+        return self._known[images]
+
+    def image(self, k: int) -> Array:
+        """See ``Cofactors``."""
+        return self._of((k,))
+
+    def point(self, j: int) -> Array:
+        """See ``Cofactors``."""
+        if not self._problem.active[j]:
+            return np.zeros((3, 3))
+        images, inverse, gain = self._gain(j)
+        found = inverse + gain @ self._of(images) @ gain.T
+        return np.asarray(0.5 * (found + found.T))
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """See ``Cofactors``."""
+        unknown = [j for j in points if self._problem.active[j]]
+        gains = [self._gain(j) for j in unknown]
+        needed = tuple(sorted({*images}.union(*(seen for seen, _, _ in gains))))
+        columns = self._columns(needed)
+        rows = [np.eye(sum(len(c) for c in columns.values()))[columns[k]] for k in images]
+        for seen, _, gain in gains:
+            row = np.zeros((3, sum(len(c) for c in columns.values())))
+            row[:, np.concatenate([columns[k] for k in seen])] = -gain
+            rows.append(row)
+        select = np.vstack(rows)
+        found = select @ self._of(needed) @ select.T
+        first = len(found) - 3 * len(unknown)
+        for a, j in enumerate(unknown):
+            for b, other in enumerate(unknown):
+                if j == other:
+                    found[first + 3 * a : first + 3 * a + 3, first + 3 * b : first + 3 * b + 3] += gains[a][1]
+        return np.asarray(0.5 * (found + found.T))
+
+    def _columns(self, images: tuple[int, ...]) -> dict[int, npt.NDArray[np.intp]]:
+        """Columns of images among the unknowns of these images."""
+        first = np.concatenate([[0], np.cumsum([len(self._problem.parameters[k]) for k in images])])
+        return {k: np.arange(first[n], first[n + 1]) for n, k in enumerate(images)}
+
+    def _gain(self, j: int) -> tuple[tuple[int, ...], Array, Array]:
+        """Images that see an unknown point, in ascending order, its H^-1 and K (3, u)."""
+        s, b = self._structure, self._system.buffers()
+        p = int(np.searchsorted(s.number, j))
+        r = np.zeros((3, 3))
+        r[np.tril_indices(3)] = self._root[p]
+        inverse = r.T @ r
+        parts: dict[int, Array] = {}
+        for a in range(int(s.first[p]), int(s.first[p + 1])):
+            k = int(s.image[a])
+            basis, component = np.divmod(s.wide[k, : s.size[k]], s.n_components[k])
+            jacobian = b.d_image[a][:, component] * (s.basis[a, basis] * s.scale[k, : s.size[k]])
+            parts[k] = parts.get(k, 0.0) + b.d_ground[a].T @ jacobian
+        return tuple(parts), inverse, inverse @ np.hstack(list(parts.values()))

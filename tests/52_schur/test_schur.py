@@ -1,0 +1,392 @@
+"""The Schur backend against the graph and the dense backend: steps, solutions, cofactors, bits, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fg_orient as fg
+from factors.control import CONTROL_POINT
+from fg_orient.adjustment import schur
+from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
+from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.schur import SchurBackend, SchurSystem
+from fg_orient.adjustment.schur_cofactors import SchurCofactors
+from fg_orient.adjustment.schur_reduced import Singular
+from fg_orient.adjustment.schur_structure import SEGMENT, Workers
+from fg_orient.adjustment.solve import chosen_backend, solve
+from fg_orient.block import Block, ExtraObservation, Image, ImagePoints
+from fg_orient.names import Role
+from fg_orient.quality.covariance import cofactors_of
+from fg_orient.simulate.block import BlockOptions, grid_block
+from tests.support.rpc_block import rpc_twin, twin_with_models
+
+#: Both backends go on to this scaled step, or until it stops shrinking.
+TOLERANCE = 1e-9
+
+
+@lru_cache
+def grid(rows: int, columns: int, points: int) -> Block:
+    return grid_block(BlockOptions(rows=rows, columns=columns, points=points, seed=3))[0]
+
+
+def with_options(block: Block, **options: object) -> Block:
+    return replace(block, options=replace(block.options, **options))
+
+
+def fixed_control(block: Block, count: int) -> Block:
+    fixed = block.points.known.fixed.copy()
+    fixed[block.points.where(Role.CONTROL)[:count]] = True
+    return replace(block, points=replace(block.points, known=replace(block.points.known, fixed=fixed)))
+
+
+def mixed(kind: str) -> Block:
+    """The left image with its rigorous model, the right one with an RPC, and the RPC of the left one as a third."""
+    rigorous, _, _ = twin_with_models()
+    twin = rpc_twin(kind).block
+    o, p = rigorous.observations, twin.observations
+    left = o.image == 0
+    parts = [(o, left, 0), (p, p.image == 1, 1), (p, p.image == 0, 2)]
+    names = ("line", "sample", "sigma_line_px", "sigma_sample_px")
+    columns = {n: np.concatenate([getattr(a, n)[rows] for a, rows, _ in parts]) for n in names}
+    image = np.concatenate([np.full(int(rows.sum()), k, a.image.dtype) for a, rows, k in parts])
+    point = np.concatenate([a.point[rows] for a, rows, _ in parts])
+    images = (rigorous.images[0], twin.images[1], Image("third", twin.images[0].sensor))
+    options = replace(rigorous.options, rpc_compensation=kind)
+    return replace(rigorous, images=images, observations=ImagePoints(image, point, **columns), options=options)
+
+
+def measured_twice(block: Block, count: int) -> Block:
+    """The first rays a second time, 0.1 px beside: a point then has two rays of one image."""
+    o = block.observations
+    again = o.take(np.arange(count))
+    names = ("line", "sample", "sigma_line_px", "sigma_sample_px")
+    columns = {n: np.concatenate([getattr(o, n), getattr(again, n)]) for n in names}
+    columns["line"][-count:] += 0.1
+    ids = (np.concatenate([o.image, again.image]), np.concatenate([o.point, again.point]))
+    return replace(block, observations=ImagePoints(*ids, **columns))
+
+
+def gapped(block: Block, seed: int) -> Block:
+    """Leave out every fifth ray of points that keep two others."""
+    o, rng = block.observations, np.random.default_rng(seed)
+    keep = np.ones(len(o), dtype=bool)
+    for row in rng.permutation(len(o))[: len(o) // 5]:
+        keep[row] = np.count_nonzero(keep & (o.point == o.point[row])) <= 2
+    return replace(block, observations=o.take(keep))
+
+
+def moved(problem: Problem, seed: int) -> State:
+    """A state away from the start, the same for all backends."""
+    rng = np.random.default_rng(seed)
+    image = problem.image_matrix(rng.normal(scale=0.3, size=problem.n_image_unknowns))
+    ground = problem.start.ground.copy()
+    ground[problem.active] += rng.normal(scale=3.0, size=(int(problem.active.sum()), 3))
+    return State(image, ground)
+
+
+def largest(problem: Problem, a: State, b: State) -> tuple[float, float]:
+    """Largest differences of two states: image unknowns (sigmas), unknown points (m)."""
+    ground = np.abs(a.ground - b.ground)[problem.active]
+    return float(np.abs(a.image - b.image).max()), float(ground.max(initial=0.0))
+
+
+def assert_same_step(problem: Problem, state: State, damping: float) -> None:
+    """One step against the dense rows, within 100 eps of the condition of the normal equations."""
+    residual, design = assemble(problem, state)
+    normal = design.T @ design + damping * np.eye(design.shape[1])
+    condition = np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal))))
+    assert condition < 1e10, "ill-conditioned: not compared"
+    dense = DenseBackend(problem)
+    expected = dense.linearise(state).solve(damping)
+    reference = dense.retract(state, expected)
+    for reduced in ("dense", "graph"):
+        backend = SchurBackend(problem, reduced=reduced)
+        system = backend.linearise(state)
+        assert 2.0 * system.error == pytest.approx(residual @ residual, rel=1e-13)
+        step = system.solve(damping)
+        size = max(1.0, step.length)
+        image, ground = largest(problem, backend.retract(state, step), reference)
+        assert max(image, ground) <= size * max(1e-12, 100.0 * np.finfo(float).eps * condition), (reduced, condition)
+        assert step.predicted_error == pytest.approx(expected.predicted_error, rel=1e-8)
+        assert step.length == pytest.approx(expected.length, rel=1e-6)
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(st.data())
+def test_random_blocks_step_as_the_dense_rows(data: st.DataObject) -> None:
+    """Sets, look polynomials, roles, fixed points, gaps, points measured twice, two to six images."""
+    block = grid(*data.draw(st.sampled_from([(1, 2, 24), (2, 2, 40), (2, 3, 50)]), label="grid"))
+    block = fixed_control(block, data.draw(st.integers(0, 4), label="fixed"))
+    if data.draw(st.booleans(), label="gaps"):
+        block = gapped(block, 1)
+    if data.draw(st.booleans(), label="twice"):
+        block = measured_twice(block, 9)
+    problem = compile_problem(with_options(
+        block, eop_set=data.draw(st.integers(1, 20), label="set"),
+        look_polynomial=data.draw(st.sampled_from([None, None, 0, 2]), label="look"),
+        check_points=data.draw(st.sampled_from(["use", "exclude"]), label="check"),
+        small_angle=data.draw(st.booleans(), label="small angle"),
+    ))  # fmt: skip
+    assert_same_step(problem, moved(problem, 1), data.draw(st.sampled_from([0.0, 1e-2, 10.0]), label="damping"))
+
+
+@pytest.mark.parametrize("kind", ["shift", "shift_drift", "affine"])
+def test_images_of_two_kinds_step_as_the_dense_rows(kind: str) -> None:
+    problem = compile_problem(with_options(fixed_control(mixed(kind), 3), eop_set=20))
+    assert len({m.equation.name for m in problem.models}) == 2
+    assert_same_step(problem, problem.start, 0.0)
+    assert_same_step(problem, moved(problem, 2), 0.1)
+
+
+def blocks() -> dict[str, Block]:
+    """What is solved to the end by all backends."""
+    return {
+        "set 20": with_options(grid(2, 2, 60), eop_set=20),
+        "look": with_options(measured_twice(grid(2, 2, 60), 5), eop_set=10, look_polynomial=2),
+        "fixed": with_options(fixed_control(gapped(grid(2, 3, 60), 2), 6), eop_set=15),
+        "RPC": rpc_twin("affine").block,
+        "mixed": with_options(mixed("shift_drift"), eop_set=15),
+    }
+
+
+@pytest.mark.parametrize("name", blocks())
+@pytest.mark.parametrize("optimizer", OPTIMIZERS)
+def test_solutions_equal_those_of_the_graph_and_the_dense_backend(name: str, optimizer: str) -> None:
+    """Image unknowns within 1e-9 prior sigma, points within 1e-7 m, chi2 within 1e-11."""
+    problem = compile_problem(blocks()[name])
+    loop, graph = OPTIMIZERS[optimizer], GraphBackend(problem)
+    a = loop(SchurBackend(problem), problem.start, 50, tolerance=TOLERANCE)
+    b = loop(graph, graph.initial(), 50, tolerance=TOLERANCE)
+    assert a.converged
+    assert a.error == pytest.approx(b.error, rel=1e-11)
+    image, ground = largest(problem, a.state, graph.state(b.state))
+    assert image <= 1e-9
+    assert ground <= 1e-7
+    c = loop(SchurBackend(problem, reduced="graph"), problem.start, 50, tolerance=TOLERANCE)
+    d = loop(DenseBackend(problem), problem.start, 50, tolerance=TOLERANCE)
+    for other in (c, d):
+        image, ground = largest(problem, a.state, other.state)
+        assert image <= 1e-9
+        assert ground <= 1e-7
+
+
+def test_dogleg_inside_a_small_region_equals_the_dense_one() -> None:
+    """Steepest descent alone, and the blend."""
+    problem = compile_problem(with_options(fixed_control(grid(2, 2, 40), 2), eop_set=15))
+    state, dense = moved(problem, 4), DenseBackend(problem)
+    expected = dense.linearise(state)
+    backend = SchurBackend(problem)
+    system = backend.linearise(state)
+    newton = system.solve(0.0).norm
+    image, ground = system._steepest()
+    shortest = float(np.sqrt(np.sum(image**2) + np.sum(ground**2)))
+    assert shortest < 0.5 * newton
+    for radius in (0.5 * shortest, 0.5 * (shortest + newton), 2.0 * newton):
+        a, b = system.dogleg(radius), expected.dogleg(radius)
+        assert min(radius, newton) == pytest.approx(a.norm, rel=1e-9)
+        assert max(largest(problem, backend.retract(state, a), dense.retract(state, b))) < 1e-8 * newton
+        assert a.predicted_error == pytest.approx(b.predicted_error, rel=1e-9)
+
+
+@pytest.mark.parametrize("reduced", ["dense", "graph"])
+@pytest.mark.parametrize("name", blocks())
+def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
+    """Images, points, and a joint block in an order of its own, against numpy's inverse of J^T J."""
+    problem = compile_problem(blocks()[name])
+    backend = SchurBackend(problem, reduced=reduced)
+    state = OPTIMIZERS["gauss-newton"](backend, problem.start, 50).state
+    found = SchurCofactors(problem, backend.linearise(state))
+    backend.linearise(problem.start)  # takes the arrays away: they must be made again
+    _, design = assemble(problem, state)
+    q, columns = np.linalg.inv(design.T @ design), Columns.of(problem)
+    scale = np.sqrt(np.diag(q))
+
+    def assert_block(block: np.ndarray, slices: list[slice]) -> None:
+        index = np.concatenate([np.arange(s.start, s.stop) for s in slices])
+        assert block.shape == (len(index), len(index))
+        error = (block - q[np.ix_(index, index)]) / np.outer(scale[index], scale[index])
+        assert np.abs(error).max() < 1e-7
+
+    for k in range(problem.n_images):
+        assert_block(found.image(k), [columns.image(k)])
+    active = [int(j) for j in np.flatnonzero(problem.active)]
+    for j in active:
+        assert_block(found.point(j), [columns.point(j)])
+    some = (active[3], active[-1], active[0])
+    assert_block(found.joint((1, 0), some), [columns.image(1), columns.image(0), *(columns.point(j) for j in some)])
+    assert_block(found.joint((), some), [columns.point(j) for j in some])
+    for j in np.flatnonzero(~problem.active)[:1]:
+        assert not found.point(int(j)).any()
+
+
+def test_same_bits_for_one_and_two_threads() -> None:
+    """Several segments in a block, both reduced solvers, step and error and state after the loop."""
+    problem = compile_problem(with_options(mixed_size(), eop_set=20))
+    structure = SchurBackend(problem).structure
+    assert np.diff(structure.segments).max() > 1
+    assert np.diff(structure.cut).max() == SEGMENT
+    for reduced in ("dense", "graph"):
+        ends = []
+        for threads in (1, 2, 3):
+            backend = SchurBackend(problem, threads=threads, reduced=reduced)
+            assert backend.workers.threads == threads
+            result = OPTIMIZERS["levenberg-marquardt"](backend, problem.start, 50)
+            ends.append((result.error, result.state.image.tobytes(), result.state.ground.tobytes()))
+        assert ends[0] == ends[1] == ends[2]
+
+
+def mixed_size() -> Block:
+    return grid(1, 2, 2500)
+
+
+def test_order_of_the_observations_does_not_matter() -> None:
+    """Sorted inside: a permuted file gives the same bits."""
+    block = with_options(grid(2, 2, 60), eop_set=15)
+    order = np.random.default_rng(0).permutation(len(block.observations))
+    a, b = (compile_problem(x) for x in (block, replace(block, observations=block.observations.take(order))))
+    start = State(b.start.image, a.start.ground)
+    records = a.records[order]
+    found = [SchurBackend(p).linearise(start).solve(0.0) for p in (a, replace(b, records=records, start=start))]
+    assert np.array_equal(found[0].image, found[1].image)
+    assert np.array_equal(found[0].ground, found[1].ground)
+
+
+def test_a_system_whose_arrays_were_taken_is_made_again() -> None:
+    problem = compile_problem(with_options(grid(2, 2, 60), eop_set=15))
+    backend = SchurBackend(problem)
+    first = backend.linearise(problem.start)
+    expected = backend.linearise(problem.start).solve(0.5)
+    backend.linearise(moved(problem, 1)).solve(0.5)
+    assert np.array_equal(first.solve(0.5).image, expected.image)
+
+
+def test_workers_cover_the_range_once() -> None:
+    for threads in (1, 2, 5):
+        parts = Workers(threads).run(lambda lo, hi, shift: (lo + shift, hi + shift), 7, 1)
+        assert [lo for lo, _ in parts] == [1, *(hi for _, hi in parts[:-1])]
+        assert parts[-1][1] == 8
+        costly = Workers(threads).run(lambda lo, hi: (lo, hi), np.array([0, 100, 101, 101]))
+        assert [lo for lo, _ in costly] == [0, *(hi for _, hi in costly[:-1])]
+        assert costly[-1][1] == 3
+
+
+def test_auto_takes_what_the_block_asks_for() -> None:
+    block = grid(2, 2, 60)
+    assert chosen_backend(compile_problem(block)) == "schur"
+    assert chosen_backend(compile_problem(with_options(block, priors=False, eop_set=2))) == "graph"
+    assert chosen_backend(compile_problem(with_options(block, optimizer="native"))) == "graph"
+    assert chosen_backend(compile_problem(with_options(block, backend="dense"))) == "dense"
+    assert chosen_backend(compile_problem(with_own_observation(block))) == "graph"
+    assert chosen_backend(compile_problem(grid(1, 2, 24))) == "graph"  # 48 image points
+    control = np.isin(block.observations.point, block.points.where(Role.CONTROL))
+    points = block.points.where(Role.CONTROL)
+    only = fixed_control(replace(block, observations=block.observations.take(control)), len(points))
+    only = measured_twice(only, len(only.observations))
+    while len(only.observations) < 100:
+        only = measured_twice(only, len(only.observations))
+    assert chosen_backend(compile_problem(only)) == "graph"
+
+
+def with_own_observation(block: Block) -> Block:
+    record = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+    name = f"point:{block.points.ids[int(block.points.where(Role.CONTROL)[0])]}"
+    return replace(block, extra=(ExtraObservation(CONTROL_POINT, (name,), record, np.zeros((2, 0)), 3, "own"),))
+
+
+def test_own_observations_are_refused_by_name() -> None:
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(with_own_observation(grid(2, 2, 60)), backend="schur")
+    assert caught.value.problems[0].code == "adjust.schur"
+    with pytest.raises(ValueError, match="reduced"):
+        SchurBackend(compile_problem(grid(2, 2, 60)), reduced="sparse")
+
+
+def test_whole_adjustment_equals_the_graph() -> None:
+    """Status, statistics, residuals, cofactors and named covariance through the public function."""
+    block = grid(2, 2, 60)
+    a, b = (fg.adjust(block, eop_set=20, backend=name) for name in ("schur", "graph"))
+    assert (a.backend, a.solver, a.status) == ("schur", "", b.status)
+    assert a.chi2 == pytest.approx(b.chi2, rel=1e-10)
+    assert a.residuals_px == pytest.approx(b.residuals_px, abs=1e-7)
+    assert a.accuracy.check.predicted_sigma_enu_m == pytest.approx(b.accuracy.check.predicted_sigma_enu_m, rel=1e-7)
+    image = block.images[2].id
+    assert a.covariance(f"image:{image}").values == pytest.approx(b.covariance(f"image:{image}").values, rel=1e-5)
+    assert (a.warnings, a.unobservable) == (b.warnings, b.unobservable)
+
+
+def test_without_priors_a_well_posed_block_is_solved() -> None:
+    block = with_options(grid(2, 2, 200), eop_set=2, priors=False)
+    problem = compile_problem(block)
+    a = OPTIMIZERS["gauss-newton"](SchurBackend(problem), problem.start, 50)
+    graph = GraphBackend(problem)
+    b = OPTIMIZERS["gauss-newton"](graph, graph.initial(), 50)
+    assert a.converged
+    assert a.error == pytest.approx(b.error, rel=1e-9)
+
+
+@pytest.mark.parametrize("reduced", ["dense", "graph"])
+def test_singular_systems_are_refused(reduced: str) -> None:
+    """Velocity acts on nothing along the track: without priors there is no solution, and no covariance."""
+    problem = compile_problem(with_options(grid(2, 2, 60), eop_set=20, priors=False))
+    backend = SchurBackend(problem, reduced=reduced)
+    with pytest.raises(RuntimeError):
+        backend.linearise(problem.start).solve(0.0)
+    with pytest.raises(RuntimeError):
+        SchurCofactors(problem, backend.linearise(problem.start))
+
+
+def test_covariance_of_an_ill_conditioned_system_is_withheld(monkeypatch: pytest.MonkeyPatch) -> None:
+    from fg_orient.quality.covariance import Indeterminate
+
+    estimate = solve(compile_problem(with_options(grid(2, 2, 60), eop_set=15, backend="schur")))
+    assert isinstance(estimate.linear, SchurSystem)
+    problem = estimate.linear._backend.problem
+    cofactors_of(problem, estimate)
+    monkeypatch.setattr("fg_orient.adjustment.schur_reduced.CONDITION_LIMIT", 1.0)
+    with pytest.raises(Indeterminate, match="condition"):
+        cofactors_of(problem, estimate)
+
+
+def test_a_point_on_one_ray_is_named() -> None:
+    """One ray does not determine a tie point; nor does a second one that is the same."""
+    problem = compile_problem(with_options(grid(1, 2, 24), eop_set=2))
+    tie = next(int(j) for j in np.flatnonzero(problem.active & ~problem.observed))
+    row = int(np.flatnonzero(problem.observations.point == tie)[0])
+    keep = (problem.observations.point != tie) | (np.arange(len(problem.observations)) == row)
+    lonely = replace(problem, observations=problem.observations.take(keep), records=problem.records[keep])
+    with pytest.raises(Singular, match=f"point {problem.block.points.ids[tie]} "):
+        SchurBackend(lonely).linearise(lonely.start).solve(0.0)
+
+
+def test_values_that_are_not_finite_name_the_image_point() -> None:
+    problem = compile_problem(with_options(grid(1, 2, 24), eop_set=2))
+    records = problem.records.copy()
+    records[7, 0] = np.nan
+    broken = replace(problem, records=records)
+    label = broken.label(7)
+    with pytest.raises(schur.NotFiniteError, match=label):
+        SchurBackend(broken).linearise(broken.start)
+    with pytest.raises(fg.NoSolutionError) as caught:
+        solve(replace(broken, block=with_options(broken.block, backend="schur")))
+    assert caught.value.problems[0].code == "adjust.broken_down"
+    assert label in str(caught.value)
+
+
+def test_an_image_without_points_keeps_its_priors() -> None:
+    """Its unknowns stay zero with the prior's cofactors; without priors the system is singular."""
+    block = with_options(grid(1, 2, 24), eop_set=2)
+    problem = compile_problem(replace(block, images=(*block.images, Image("idle", block.images[0].sensor))))
+    for reduced in ("dense", "graph"):
+        backend = SchurBackend(problem, reduced=reduced)
+        system = backend.linearise(problem.start)
+        step = system.solve(0.0)
+        assert not step.image[problem.first[2] :].any()
+        assert np.allclose(SchurCofactors(problem, system).image(2), np.eye(len(problem.parameters[2])))
