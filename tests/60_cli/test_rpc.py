@@ -21,9 +21,10 @@ from fg_orient.rpc.compensate import LEVEL, compensate
 from fg_orient.rpc.corrected import corrected
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.rpc.points import MeasuredPoints
-from fg_orient.sensors.rpc import RpcModel
+from fg_orient.sensors.rpc import RpcModel, RpcValidity
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from tests.support.rpc_block import rpc_twin
+from tests.support.rpc_block import terms as monomials_of
 from tests.support.rpc_model import ground_points, reference_project, synthetic_model
 
 Run = Callable[..., Any]
@@ -129,6 +130,28 @@ def test_a_pole_in_the_image_is_not_trustworthy(run: Run, tmp_path: Path) -> Non
     assert (refused.code, refused.json["errors"][0]["code"]) == (2, "rpc.pole")
 
 
+def near_zero() -> RpcModel:
+    """f2 = 1 + 0.95 z, positive and 0.05 at the lowest height; the rest is affine."""
+    c = np.zeros((4, 20))
+    c[0, :4], c[2, :4], c[[1, 3], 0], c[1, 3] = [0.0, 0.05, -1.0, 0.02], [0.0, 1.0, 0.05, -0.03], 1.0, 0.95
+    return synthetic_model(coefficients=c)
+
+
+def test_a_denominator_near_zero_is_not_trustworthy(run: Run, tmp_path: Path) -> None:
+    model = near_zero()
+    write_rpc(tmp_path / "a.RPB", model)
+    ended = run("rpc", "check", tmp_path / "a.RPB", "--json")
+    assert (ended.code, ended.json["denominators"]["pole"]) == (4, None)
+    assert ended.json["warnings"][0] == "a denominator comes near zero inside the image: 0.05"
+    ground = np.stack(ground_points(model, 60), axis=1)
+    ground[0, 2] = 0.0
+    image = np.stack(reference_project(model, *ground.T), axis=1).astype(float)
+    points = write_points(tmp_path / "p.csv", image, ground)
+    fitted = run("rpc", "fit", points, "--degree", 1, "--select", "none", "--json")
+    assert fitted.code == 4
+    assert any("comes near zero among the points" in text for text in fitted.json["warnings"])
+
+
 def test_check_points_are_observed_minus_projected(run: Run, file: Path, tmp_path: Path, model: RpcModel) -> None:
     image, ground = measured(model, values=np.array([3.0, -16.0, 0.0, 0.0, 0.0, 0.0]))
     ground[4, 2] += 5000.0
@@ -217,6 +240,16 @@ def test_convert_to_tags_of_an_image(run: Run, file: Path, model: RpcModel, tmp_
     assert (gone.code, gone.json["errors"][0]["code"]) == (2, "rpc.tags_target")
 
 
+def test_convert_says_what_is_not_kept(run: Run, tmp_path: Path) -> None:
+    direct = synthetic_model(seed=4).coefficients[[2, 3, 0, 1]]
+    ranges = RpcValidity((0.0, 900.0), (0.0, 800.0), (31.75, 31.85), (41.37, 41.43), (0.0, 1000.0))
+    write_rpc(tmp_path / "a.xml", synthetic_model(direct=direct, stated_validity=ranges))
+    out = run("rpc", "convert", tmp_path / "a.xml", "--out", tmp_path / "b.RPB", "--json").json["out"]
+    assert out["not_kept"] == ["coefficients from image to ground", "validity range"]
+    out = run("rpc", "convert", tmp_path / "a.xml", "--out", tmp_path / "b.xml", "--json").json["out"]
+    assert out["not_kept"] == []
+
+
 def test_convert_of_a_list_needs_the_first_pixel(run: Run, model: RpcModel, tmp_path: Path) -> None:
     order = [0, 1, 3, 2, 4]
     numbers = [*(model.offsets + np.array([1, 1, 0, 0, 0]))[order], *model.scales[order], *model.coefficients.ravel()]
@@ -302,6 +335,25 @@ def test_corrected_file_projects_as_the_compensated_model(
     assert np.abs(found - image).max() <= largest
     assert run(*words).json["errors"][0]["code"] == "output.exists"
     assert "the written model is" in run(*words[:-1], "--overwrite").stdout
+
+
+def test_the_fitted_product_is_nearly_the_best_one() -> None:
+    """The error at random points is hardly above that of the best numerator for these points, found here.
+
+    Chebyshev nodes keep the largest error low, not the RMS, which may be twice the best; f3 itself would be far worse.
+    """
+    model = synthetic_model()
+    new = corrected(model, TRUE).model
+    ground = np.stack(ground_points(model, 2000), axis=1)
+    error = np.stack(new.project(*ground.T), axis=1) - np.stack(model.project(*ground.T, TRUE), axis=1)
+    monomials = monomials_of(*((ground - model.offsets[2:]) / model.scales[2:]).T)
+    f = monomials @ model.coefficients.T
+    for axis, value, own, other in ((0, TRUE[4], 0, 2), (1, TRUE[3], 2, 0)):
+        design, wanted = monomials / f[:, own + 1, None], f[:, other] / f[:, other + 1]
+        left = value * (wanted - design @ np.linalg.lstsq(design, wanted, rcond=None)[0])
+        assert np.linalg.norm(error[:, axis]) <= 2.0 * np.linalg.norm(left)
+        plain = value * (wanted - f[:, other] / f[:, own + 1])
+        assert np.linalg.norm(plain) >= 5.0 * np.linalg.norm(left)
 
 
 def test_affine_compensation_is_exact_with_a_common_denominator() -> None:
@@ -497,6 +549,16 @@ def test_fit_says_that_m0_of_the_linear_form_is_not_the_accuracy(run: Run, model
     assert good.code == 0
     assert good.json["choice"].keys() == {"kappa"}
     assert sum(good.json["cross_validation"]["choices"].values()) == 10
+
+
+def test_more_coefficients_than_the_points_carry(run: Run, model: RpcModel, tmp_path: Path) -> None:
+    """Polynomials have no pole: only the points left out tell."""
+    points = write_points(tmp_path / "p.csv", *measured(model, 12, values=np.zeros(6), noise=0.5))
+    words = ("--degree", 2, "--denominators", "one", "--select", "none")
+    ended = run("rpc", "fit", points, *words, "--json")
+    assert ended.code == 4
+    assert len(ended.json["warnings"]) == 1
+    assert "more coefficients than the points carry" in ended.json["warnings"][0]
 
 
 def test_fewer_points_than_coefficients(run: Run, model: RpcModel, tmp_path: Path) -> None:
