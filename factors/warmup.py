@@ -85,7 +85,7 @@ def _compile_batches() -> None:
     batch_pairs.count_pairs(first, ends[:2], one[:1])
     batch_pairs.list_pairs(first, ends[:2], zero[:1], left, right)
     batch_pairs.sort_pairs(left, right, True, ends[:2], counts, *other)
-    sums, blocks = np.zeros((2, 1600)), np.zeros((2, 6, 6))
+    sums, blocks = np.zeros((2, 1, 36)), np.zeros((2, 6, 6))
     batch_pairs.pair_blocks(0, 2, ends, left, right, ends[:2], zero, one, components, basis, d_image, d_ground, root,
                             sums)  # fmt: skip
     batch_pairs.gather_blocks(0, 2, ends, ends[:2], ends[:2], sums, np.zeros((2, 6), np.int64), np.ones((2, 6)), one,

@@ -64,7 +64,7 @@ class _Buffers:
         self.value, self.after = np.empty((n, 2)), np.empty((n, 2))
         self.d_image, self.d_ground = np.zeros((n, 2, int(s.n_components.max()))), np.zeros((n, 2, 3))
         self.root, self.gradient = np.empty((p, 6)), np.empty((p, 3))
-        self.sums = np.empty((len(s.cut) - 1, s.width**2))
+        self.sums = np.empty((len(s.cut) - 1, int(s.n_basis.max()) ** 2, int(s.n_components.max()) ** 2))
         self.blocks = np.zeros((len(s.block_row), s.wide.shape[1], s.wide.shape[1]))
         self.wide = np.empty((len(s.size), s.width))
 
