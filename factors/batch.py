@@ -14,24 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, cast
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
-from numba import njit
 
 from factors import pushbroom, rfm_equation
-from factors._contract import Array, Equation, F
-
-Index = npt.NDArray[np.int64]
+from factors._contract import Array, Equation
+from factors.batch_rows import Index, pushbroom_rows, rational_rows
 
 #: A basis value of the look polynomial has its degree plus this as its number.
 _LOOK: Final = 10
-
-
-def threaded(function: F) -> F:
-    """Compile with numba so that threads run side by side; products and sums may fuse, sums keep their order."""
-    return cast(F, njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})(function))
 
 
 @dataclass(frozen=True)
@@ -91,85 +83,6 @@ def _plain_columns(setup: Array) -> Columns:
         np.ascontiguousarray(setup), np.arange(k), np.zeros(k, np.int64), np.ones(k),
         lambda records: np.ones((len(records), 1)),
     )  # fmt: skip
-
-
-@threaded
-def _components(n_basis: int, basis: Array, wide: Array, x: Array) -> None:
-    """Write the components of one observation from the wide unknowns of its image."""
-    c = len(x)
-    for k in range(c):
-        x[k] = 0.0
-        for b in range(n_basis):
-            x[k] += basis[b] * wide[b * c + k]
-
-
-@threaded
-def _store(out: Array, value: Array, d_image: Array, d_ground: Array, want: bool) -> None:
-    """Copy what an equation wrote to the arrays of one observation."""
-    c = out.shape[1] - 4
-    for r in range(2):
-        value[r] = out[r, 0]
-        if want:
-            for k in range(c):
-                d_image[r, k] = out[r, 1 + k]
-            for k in range(3):
-                d_ground[r, k] = out[r, 1 + c + k]
-
-
-@threaded
-def pushbroom_rows(
-    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
-    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
-) -> int:  # fmt: skip
-    """Look-angle collinearity of members lo to hi.
-
-    Parameters
-    ----------
-    members : (m,) int array
-        Observations of the group, by their place in the sorted arrays.
-    records : (n, d) array
-    row, image, point : (n,) int arrays
-        Row of ``records``, image and ground point of each sorted observation.
-    setup : (2, c) array
-        Of :class:`Columns`.
-    n_basis : int
-    basis : (n, b) array
-        Basis values; ``n_basis`` of them are the group's.
-    wide : (M, w) array
-        Wide unknowns of the images.
-    ground : (N, 3) array, m
-    value, d_image, d_ground : (n, 2), (n, 2, c), (n, 2, 3) arrays
-        Written, whitened; the Jacobians with ``want`` only.
-
-    Returns
-    -------
-    int
-        The first observation that is not finite, or -1.
-    """
-    x, out, bad = np.empty(setup.shape[1]), np.empty((2, setup.shape[1] + 4)), -1
-    for m in range(lo, hi):
-        a = members[m]
-        _components(n_basis, basis[a], wide[image[a]], x)
-        if not pushbroom.fill(records, row[a], setup, x, ground[point[a]], out, want) and bad < 0:
-            bad = a
-        _store(out, value[a], d_image[a], d_ground[a], want)
-    return bad
-
-
-@threaded
-def rational_rows(
-    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
-    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
-) -> int:  # fmt: skip
-    """Rational function of members lo to hi; see :func:`pushbroom_rows`."""
-    x, out, bad = np.empty(setup.shape[1]), np.empty((2, setup.shape[1] + 4)), -1
-    for m in range(lo, hi):
-        a = members[m]
-        _components(n_basis, basis[a], wide[image[a]], x)
-        if not rfm_equation.fill(records, row[a], setup, x, ground[point[a]], out, want) and bad < 0:
-            bad = a
-        _store(out, value[a], d_image[a], d_ground[a], want)
-    return bad
 
 
 #: Rows and columns of the equations that have a batch; a further equation is a row here.

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from factors._contract import Array
-from factors.batch import Index, threaded
+from factors.batch_rows import Index, threaded
 
 Small = np.ndarray[tuple[int], np.dtype[np.int32]]
 
@@ -73,7 +73,9 @@ def _scaled_ray(d_ground: Array, a: int, root: Array, p: int) -> tuple[float, fl
 
 
 @threaded
-def _pair(a: int, b: int, p: int, d_image: Array, d_ground: Array, root: Array, turned: Array, u: int, t: Array) -> None:
+def _pair(
+    a: int, b: int, p: int, d_image: Array, d_ground: Array, root: Array, turned: Array, u: int, t: Array
+) -> None:  # fmt: skip
     """Write ``D_a^T M D_b`` of two rays of point p into t[u], (4, c_a, c_b); ``turned`` is scratch space."""
     x, y = _scaled_ray(d_ground, a, root, p), _scaled_ray(d_ground, b, root, p)
     same = 1.0 if a == b else 0.0

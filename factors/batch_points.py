@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from factors._contract import Array
-from factors.batch import Index, threaded
+from factors.batch_rows import Index, threaded
 
 #: A point whose pivot falls below this part of its diagonal element is not determined.
 SINGULAR = 1e-14
