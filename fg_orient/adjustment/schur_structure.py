@@ -201,9 +201,13 @@ class Workers:
         """
         bounds = self._bounds(cuts)
         results: list[Any] = [None] * (len(bounds) - 1)
+        failures: list[BaseException] = []
 
         def part(k: int) -> None:
-            results[k] = kernel(int(bounds[k]), int(bounds[k + 1]), *arguments)
+            try:
+                results[k] = kernel(int(bounds[k]), int(bounds[k + 1]), *arguments)
+            except BaseException as failure:  # of another thread: raised again below
+                failures.append(failure)
 
         others = [threading.Thread(target=part, args=(k,)) for k in range(1, len(results))]
         for thread in others:
@@ -211,6 +215,8 @@ class Workers:
         part(0)
         for thread in others:
             thread.join()
+        if failures:
+            raise failures[0]
         return results
 
     def _bounds(self, cuts: int | Index) -> Index:

@@ -75,10 +75,9 @@ def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
         The equations become singular or not finite on the way.
     """
     _judge(problem.block.options)
-    run = {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[chosen_backend(problem)]
     try:
         with _garbage_collection_off():
-            return run(problem, callback)
+            return _run(problem, callback)
     except (NotFiniteError, RuntimeError) as error:
         raise NoSolutionError.of("adjust.broken_down", place=problem.block.name, why=first_sentence(error)) from error
 
@@ -127,6 +126,17 @@ def _garbage_collection_off() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
+
+
+def _run(problem: Problem, callback: Callback | None) -> Estimate:
+    """Run the backend; what "auto" gave to the Schur complement in vain gets the graph and its QR."""
+    backend = chosen_backend(problem)
+    try:
+        return {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[backend](problem, callback)
+    except RuntimeError:
+        if (problem.block.options.backend, backend) != ("auto", "schur"):
+            raise
+    return _run_graph(problem, callback)
 
 
 def _run_graph(problem: Problem, callback: Callback | None) -> Estimate:

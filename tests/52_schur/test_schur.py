@@ -278,6 +278,43 @@ def test_workers_cover_the_range_once() -> None:
         assert costly[-1][1] == 3
 
 
+def test_a_failure_in_any_thread_is_raised() -> None:
+    def fail(lo: int, hi: int) -> int:
+        if hi == 4:
+            raise MemoryError("no room")
+        return lo
+
+    for threads in (1, 2):
+        with pytest.raises(MemoryError, match="no room"):
+            Workers(threads).run(fail, 4)
+
+
+def test_auto_falls_back_on_the_graph(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the Schur complement gives up, QR may not; asked for by name it is refused in words."""
+
+    def give_up(*_: object) -> None:
+        raise Singular("not positive definite")
+
+    block = grid(2, 2, 60)
+    monkeypatch.setattr(schur, "DenseReduced", give_up)
+    estimate = solve(compile_problem(block))
+    assert (estimate.backend, estimate.converged) == ("graph", True)
+    with pytest.raises(fg.NoSolutionError) as caught:
+        solve(compile_problem(with_options(block, backend="schur")))
+    assert caught.value.problems[0].code == "adjust.broken_down"
+
+
+def test_resection_on_fixed_points_alone() -> None:
+    """No ground point is unknown: the reduced system is the whole one."""
+    block = grid(2, 2, 60)
+    control = block.points.where(Role.CONTROL)
+    rows = np.isin(block.observations.point, control)
+    only = fixed_control(replace(block, observations=block.observations.take(rows)), len(control))
+    problem = compile_problem(with_options(only, eop_set=2))
+    assert not problem.active.any()
+    assert_same_step(problem, moved(problem, 5), 0.0)
+
+
 def test_auto_takes_what_the_block_asks_for() -> None:
     block = grid(2, 2, 60)
     assert chosen_backend(compile_problem(block)) == "schur"
