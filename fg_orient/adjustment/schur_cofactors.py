@@ -34,6 +34,8 @@ class SchurCofactors:
         self._problem, self._system = problem, system
         self._structure = system.structure
         self._reduced = system.reduced(0.0)
+        self._place = np.full(len(problem.active), -1)
+        self._place[self._structure.number] = np.arange(len(self._structure.number))
         self._root = system.buffers().root.copy()
         self._known: dict[tuple[int, ...], Array] = {}
         self._of((0,))  # an ill-conditioned system is found when first asked, not when made
@@ -84,7 +86,7 @@ class SchurCofactors:
     def _gain(self, j: int) -> tuple[tuple[int, ...], Array, Array]:
         """Images that see an unknown point, in ascending order, its H^-1 and K (3, u)."""
         s, b = self._structure, self._system.buffers()
-        p = int(np.searchsorted(s.number, j))
+        p = int(self._place[j])
         r = np.zeros((3, 3))
         r[np.tril_indices(3)] = self._root[p]
         inverse = r.T @ r

