@@ -29,8 +29,12 @@ Array = npt.NDArray[np.float64]
 
 #: More threads are of no use: memory is shared.
 MAX_THREADS: Final = 2
-#: Reduced unknowns up to which the full matrix is taken (benchmarks/schur_cost.py --reduced).
-DENSE_LIMIT: Final = 3000
+#: Reduced unknowns up to which the full matrix is always taken, and at all. Between them GTSAM gets systems with fewer
+#: than SPARSE of the blocks. Dense against GTSAM: about equal at 972 unknowns with 0.46 of the blocks, 68 and 42 ms at
+#: 1728 and 0.22, 219 and 102 ms at 2700 and 0.15 (measured; benchmarks/schur_cost.py --reduced).
+DENSE_LIMIT: Final = 1000
+FULL_LIMIT: Final = 3000
+SPARSE: Final = 1.0 / 3.0
 REDUCED: Final = ("auto", "dense", "graph")
 
 
@@ -209,6 +213,13 @@ class SchurSystem:
         return SchurStep(image, ground, length, error)
 
 
+def _sparse(problem: Problem, structure: Structure) -> bool:
+    """Whether the reduced system is left to GTSAM."""
+    unknowns, images = problem.n_image_unknowns, problem.n_images
+    share = 2.0 * len(structure.block_row) / (images * (images + 1))
+    return unknowns > FULL_LIMIT or (unknowns > DENSE_LIMIT and share < SPARSE)
+
+
 class SchurBackend:
     """The problem as arrays, driven by ``fg_orient.adjustment.loop``.
 
@@ -239,9 +250,8 @@ class SchurBackend:
         automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
         self.workers = Workers(automatic if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
-        small = problem.n_image_unknowns <= DENSE_LIMIT
-        self._dense = small if reduced == "auto" else reduced == "dense"
-        self._ordering: gtsam.Ordering | None = None if self._dense else elimination_order(self.structure)
+        sparse = _sparse(problem, self.structure) if reduced == "auto" else reduced == "graph"
+        self._ordering: gtsam.Ordering | None = elimination_order(self.structure) if sparse else None
         self.buffers = _Buffers(self)
 
     def initial(self) -> State:

@@ -278,6 +278,25 @@ def test_workers_cover_the_range_once() -> None:
         assert costly[-1][1] == 3
 
 
+def test_large_sparse_reduced_systems_are_left_to_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By unknowns and by the share of images that see common points; both give the same step."""
+    problem = compile_problem(with_options(grid(2, 3, 60), eop_set=15))  # 6 images, 108 unknowns
+    share = len(SchurBackend(problem).structure.block_row) / 21.0
+
+    def kind() -> str:
+        backend = SchurBackend(problem)
+        return type(backend.linearise(problem.start).reduced(0.0)).__name__
+
+    for full, dense, sparse, expected in (
+        (3000, 1000, 1.0, "DenseReduced"), (107, 1000, 0.0, "GraphReduced"), (3000, 107, share, "DenseReduced"),
+        (3000, 107, share + 0.01, "GraphReduced"), (3000, 108, 1.0, "DenseReduced"),
+    ):  # fmt: skip
+        monkeypatch.setattr(schur, "FULL_LIMIT", full)
+        monkeypatch.setattr(schur, "DENSE_LIMIT", dense)
+        monkeypatch.setattr(schur, "SPARSE", sparse)
+        assert kind() == expected
+
+
 def test_a_failure_in_any_thread_is_raised() -> None:
     def fail(lo: int, hi: int) -> int:
         if hi == 4:
