@@ -26,6 +26,9 @@ POLYNOMIALS = ("line numerator", "line denominator", "sample numerator", "sample
 CONSTANT_PRINT = 1e-12
 #: Pixels and heights at which denominators are looked at, per axis.
 POLE_GRID = 11
+#: Normalised ground coordinates beyond which a located corner lies on another branch of the model, behind a pole: real
+#: products reach 1.45.
+OTHER_BRANCH = 2.0
 NO_COMPENSATION = np.zeros(rfm_equation.N_COMPENSATION)
 
 
@@ -262,10 +265,12 @@ class RpcModel:
             z = np.full(4, (h - self.offsets[4]) / self.scales[4])
             image = self._without_compensation(line, sample, NO_COMPENSATION)
             corner = rfm_project.locate(self.coefficients, self.scales, image, z, np.zeros((4, 2)))
-            if not np.isfinite(corner).all():  # a pole bars the way to a corner: look at the whole cube
-                corner = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
-            xy = (1 - w) * ((1 - u) * corner[0] + u * corner[1]) + w * ((1 - u) * corner[2] + u * corner[3])
-            layers.append(np.column_stack([xy, np.full(len(xy), z[0])]))
+            looked_at = [corner] if np.isfinite(corner).all() else []
+            if not np.abs(corner).max() <= OTHER_BRANCH:  # a pole bars the way to a corner: look at the whole cube too
+                looked_at.append(np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]))
+            for c in looked_at:
+                xy = (1 - w) * ((1 - u) * c[0] + u * c[1]) + w * ((1 - u) * c[2] + u * c[3])
+                layers.append(np.column_stack([xy, np.full(len(xy), z[0])]))
         return np.ascontiguousarray(np.vstack(layers))
 
 

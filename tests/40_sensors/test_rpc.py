@@ -211,6 +211,15 @@ def test_a_pole_inside_the_image_is_refused_unless_taken() -> None:
     assert np.isfinite([line[0], sample[0]]).all()
 
 
+@pytest.mark.parametrize(("seed", "row", "term", "value"), [(51, 1, 2, -1.1), (50, 3, 1, 1.7), (53, 3, 1, 1.1)])
+def test_a_pole_before_a_corner_is_refused(seed: int, row: int, term: int, value: float) -> None:
+    """Newton steps over the pole and finds corners 20 to 130 times the model's range away, denominators positive."""
+    c = synthetic_model(seed).coefficients.copy()
+    c[row, term] = value
+    with pytest.raises(InputError, match="not positive everywhere"):
+        RpcSensor(synthetic_model(coefficients=c))
+
+
 def test_a_pole_outside_the_image_does_no_harm() -> None:
     """The cube of normalised coordinates may be wider than the image: the pole lies where no pixel looks."""
     c = np.zeros((4, 20))
