@@ -38,6 +38,8 @@ COUNTED: Final = ("n_observations", "n_unknowns", "matrix_order", "rank")
 ELIMINATIONS: Final = ("gauss_partial_pivot_elimination", "cholesky_elimination")
 #: Factor beyond the smallest and largest permutation that still counts as their noise.
 MARGIN: Final = 30.0
+#: Spread of the permutations, as a share, below which a number is no noise.
+STEADY: Final = 0.01
 #: Inverses formed from the normalised N of degree 3 (condition 4e12) lose digits of [vv]: it comes out 0 to 0.7 px^2
 #: above its minimum 2.94, whichever the method and the order of the points (printed 2.9 to 3.1).
 INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_penrose_inverse")
@@ -149,6 +151,9 @@ def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
     half = 0.0 if cell.text == "0" else 0.5 * last_digit(cell.text)
     least, most = max(0.0, abs(cell.value) - half), abs(cell.value) + half
     if most >= sizes.min() / MARGIN and least <= sizes.max() * MARGIN:
+        spread, gap = float(sizes.max() - sizes.min()), max(sizes.min() - most, least - sizes.max())
+        if gap > spread and spread < STEADY * sizes.max():
+            return "rounding", f"within the limits, but steady here and not as printed: {noise}"
         return "rounding", f"rounding noise: {noise}"
     return "differs", f"{_why(cell)} ({noise})"
 

@@ -155,6 +155,15 @@ def test_rules(value: float, text: str, runs: list[float], key: dict[str, str], 
     assert judged(value, text, runs, **key) == kind
 
 
+def test_a_steady_number_is_not_called_noise() -> None:
+    """Within the limits, but all orders of the points agree and print does not."""
+    key = CellKey("4.45", stage="rfm degree 1", quantity="kappa", method="tikhonov_od")
+    for runs, words in (([7.567e-3, 7.567e-3, 7.568e-3], "steady"), ([7.567e-3, 7.5e-3, 7.9e-3], "rounding noise")):
+        verdict = spot6.judge(PublishedCell(key, 7.7e-3, "7.7e-3", "7.7e-3"), {key: np.array(runs)})
+        assert verdict.kind == "rounding"
+        assert words in verdict.reason
+
+
 def test_without_points_the_command_works_and_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv(spot6.VARIABLE, raising=False)
     words = ["reproduce", "terlemezoglu2019", "--tables", "4.35-4.55", "--no-claims", "--out", str(tmp_path / "out")]
