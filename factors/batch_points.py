@@ -100,14 +100,16 @@ def _inverse_root(h: Array, out: Array) -> bool:
 
 
 @threaded
-def along(d_image: Array, basis: Array, wide: Array, n_basis: int, n_components: int) -> tuple[float, float]:
-    """Product of an observation's image Jacobian with wide unknowns."""
+def _along(
+    a: int, d_image: Array, basis: Array, i: int, wide: Array, n_basis: int, n_components: int
+) -> tuple[float, float]:
+    """Product of the image Jacobian of observation a with the wide unknowns of image i."""
     y0, y1 = 0.0, 0.0
     for b in range(n_basis):
         for c in range(n_components):
-            x = basis[b] * wide[b * n_components + c]
-            y0 += d_image[0, c] * x
-            y1 += d_image[1, c] * x
+            x = basis[a, b] * wide[i, b * n_components + c]
+            y0 += d_image[a, 0, c] * x
+            y1 += d_image[a, 1, c] * x
     return y0, y1
 
 
@@ -120,20 +122,19 @@ def back_substitute(
     for p in range(lo, hi):
         t0, t1, t2 = gradient[p, 0], gradient[p, 1], gradient[p, 2]
         for a in range(first[p], first[p + 1]):
-            i, g = image[a], d_ground[a]
-            y0, y1 = along(d_image[a], basis[a], wide[i], n_basis[i], n_components[i])
+            i = image[a]
+            y0, y1 = _along(a, d_image, basis, i, wide, n_basis[i], n_components[i])
             after[a, 0], after[a, 1] = value[a, 0] + y0, value[a, 1] + y1
-            t0 += g[0, 0] * y0 + g[1, 0] * y1
-            t1 += g[0, 1] * y0 + g[1, 1] * y1
-            t2 += g[0, 2] * y0 + g[1, 2] * y1
-        r = root[p]
-        u0, u1, u2 = r[0] * t0, r[1] * t0 + r[2] * t1, r[3] * t0 + r[4] * t1 + r[5] * t2
-        x0, x1, x2 = -(r[0] * u0 + r[1] * u1 + r[3] * u2), -(r[2] * u1 + r[4] * u2), -r[5] * u2
+            t0 += d_ground[a, 0, 0] * y0 + d_ground[a, 1, 0] * y1
+            t1 += d_ground[a, 0, 1] * y0 + d_ground[a, 1, 1] * y1
+            t2 += d_ground[a, 0, 2] * y0 + d_ground[a, 1, 2] * y1
+        r0, r1, r2, r3, r4, r5 = root[p, 0], root[p, 1], root[p, 2], root[p, 3], root[p, 4], root[p, 5]
+        u0, u1, u2 = r0 * t0, r1 * t0 + r2 * t1, r3 * t0 + r4 * t1 + r5 * t2
+        x0, x1, x2 = -(r0 * u0 + r1 * u1 + r3 * u2), -(r2 * u1 + r4 * u2), -r5 * u2
         step[p, 0], step[p, 1], step[p, 2] = x0, x1, x2
         for a in range(first[p], first[p + 1]):
-            g = d_ground[a]
-            after[a, 0] += g[0, 0] * x0 + g[0, 1] * x1 + g[0, 2] * x2
-            after[a, 1] += g[1, 0] * x0 + g[1, 1] * x1 + g[1, 2] * x2
+            after[a, 0] += d_ground[a, 0, 0] * x0 + d_ground[a, 0, 1] * x1 + d_ground[a, 0, 2] * x2
+            after[a, 1] += d_ground[a, 1, 0] * x0 + d_ground[a, 1, 1] * x1 + d_ground[a, 1, 2] * x2
 
 
 @threaded
@@ -144,10 +145,10 @@ def product(
     """Write the Jacobian times a given step (wide unknowns, points (P, 3)) for the rays of points lo to hi."""
     for p in range(lo, hi):
         for a in range(first[p], first[p + 1]):
-            i, g = image[a], d_ground[a]
-            y0, y1 = along(d_image[a], basis[a], wide[i], n_basis[i], n_components[i])
+            i = image[a]
+            y0, y1 = _along(a, d_image, basis, i, wide, n_basis[i], n_components[i])
             if free[p] > 0:
                 for k in range(3):
-                    y0 += g[0, k] * step[p, k]
-                    y1 += g[1, k] * step[p, k]
+                    y0 += d_ground[a, 0, k] * step[p, k]
+                    y1 += d_ground[a, 1, k] * step[p, k]
             out[a, 0], out[a, 1] = y0, y1

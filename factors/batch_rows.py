@@ -25,26 +25,37 @@ def threaded(function: F) -> F:
 
 
 @threaded
-def _components(n_basis: int, basis: Array, wide: Array, x: Array) -> None:
-    """Write the components of one observation from the wide unknowns of its image."""
+def _fetch(
+    records: Array, row: int, ground: Array, j: int, n_basis: int, basis: Array, a: int, wide: Array, i: int,
+    record: Array, place: Array, x: Array,
+) -> None:  # fmt: skip
+    """Copy record (1, d) and ground point (3,), and write the components of one observation.
+
+    Copies, because a view of a shared array counts references in one place for all threads: they would wait for each
+    other (two threads were no faster than one).
+    """
+    for k in range(records.shape[1]):
+        record[0, k] = records[row, k]
+    for k in range(3):
+        place[k] = ground[j, k]
     c = len(x)
     for k in range(c):
         x[k] = 0.0
         for b in range(n_basis):
-            x[k] += basis[b] * wide[b * c + k]
+            x[k] += basis[a, b] * wide[i, b * c + k]
 
 
 @threaded
-def _store(out: Array, value: Array, d_image: Array, d_ground: Array, want: bool) -> None:
+def _store(out: Array, a: int, value: Array, d_image: Array, d_ground: Array, want: bool) -> None:
     """Copy what an equation wrote to the arrays of one observation."""
     c = out.shape[1] - 4
     for r in range(2):
-        value[r] = out[r, 0]
+        value[a, r] = out[r, 0]
         if want:
             for k in range(c):
-                d_image[r, k] = out[r, 1 + k]
+                d_image[a, r, k] = out[r, 1 + k]
             for k in range(3):
-                d_ground[r, k] = out[r, 1 + c + k]
+                d_ground[a, r, k] = out[r, 1 + c + k]
 
 
 @threaded
@@ -90,14 +101,15 @@ def pushbroom_rows(
     """
     c, bad = setup.shape[1], -1
     x, d, (slot, column) = np.empty(c), np.empty(11), _pushbroom_places(setup)
+    copy, place = np.empty((1, records.shape[1])), np.empty(3)
+    record = copy[0]
     for m in range(lo, hi):
         a = members[m]
-        record = records[row[a]]
-        _components(n_basis, basis[a], wide[image[a]], x)
+        _fetch(records, row[a], ground, point[a], n_basis, basis, a, wide, image[a], copy, place, x)
         d[:] = 0.0
         for k in range(c):
             d[slot[k]] = x[k]
-        frame, w, f, df = pushbroom._sight(record, d, ground[point[a]])
+        frame, w, f, df = pushbroom._sight(record, d, place)
         value[a, 0], value[a, 1] = pushbroom._misclosure(record, d, f, df)
         total = 0.0 * value[a, 0] + 0.0 * value[a, 1]
         if want:
@@ -121,10 +133,11 @@ def rational_rows(
 ) -> int:  # fmt: skip
     """Rational function of members lo to hi; see :func:`pushbroom_rows`."""
     x, out, bad = np.empty(setup.shape[1]), np.empty((2, setup.shape[1] + 4)), -1
+    record, place = np.empty((1, records.shape[1])), np.empty(3)
     for m in range(lo, hi):
         a = members[m]
-        _components(n_basis, basis[a], wide[image[a]], x)
-        if not rfm_equation.fill(records, row[a], setup, x, ground[point[a]], out, want) and bad < 0:
+        _fetch(records, row[a], ground, point[a], n_basis, basis, a, wide, image[a], record, place, x)
+        if not rfm_equation.fill(record, 0, setup, x, place, out, want) and bad < 0:
             bad = a
-        _store(out, value[a], d_image[a], d_ground[a], want)
+        _store(out, a, value, d_image, d_ground, want)
     return bad

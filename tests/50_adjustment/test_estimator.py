@@ -96,16 +96,17 @@ def test_solution_equals_scipy(twin: Block) -> None:
 def test_own_and_native_optimisers_agree(twin: Block, eop_set: int, look: int | None) -> None:
     """Equality of the issue: image unknowns within 1e-9 prior sigma, points within 1e-7 m."""
     base = fg.adjust(twin, eop_set=eop_set, look_polynomial=look)
-    for optimizer in (*OWN, *NATIVE):
-        other = fg.adjust(twin, eop_set=eop_set, look_polynomial=look, optimizer=optimizer)
+    for optimizer, backend in (*((name, "graph") for name in (*OWN, *NATIVE)), *((name, "schur") for name in OWN)):
+        other = fg.adjust(twin, eop_set=eop_set, look_polynomial=look, optimizer=optimizer, backend=backend)
         assert other.status is base.status
         assert np.abs(other.state.image - base.state.image).max() <= 1e-9, optimizer
         assert np.abs(other.ground_m - base.ground_m).max() <= 1e-7, optimizer
 
 
-def test_cofactors_equal_the_dense_inverse(twin: Block) -> None:
-    """GTSAM Marginals, joint over both images and three points, against inv(A^T A)."""
-    solution = fg.adjust(twin, eop_set=20)
+@pytest.mark.parametrize("backend", ["graph", "schur"])
+def test_cofactors_equal_the_dense_inverse(twin: Block, backend: str) -> None:
+    """GTSAM Marginals or the reduced system, joint over both images and three points, against inv(A^T A)."""
+    solution = fg.adjust(twin, eop_set=20, backend=backend)
     problem = solution.problem
     a = dense_jacobian(problem, solution.state)
     q = np.linalg.inv(a.T @ a)

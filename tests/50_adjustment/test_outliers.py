@@ -42,7 +42,7 @@ def with_error(block: Block, point: str, image: str = "", error: tuple[float, ..
     return replace(block, points=replace(block.points, known=replace(known, ecef_m=ecef)))
 
 
-@pytest.mark.parametrize("backend", ["graph", "dense"])
+@pytest.mark.parametrize("backend", ["graph", "dense", "schur"])
 def test_statistic_is_what_the_removal_of_the_observation_gains(backend: str) -> None:
     """T = chi2 before minus chi2 without the image point: what the formula predicts, done."""
     block = all_control()

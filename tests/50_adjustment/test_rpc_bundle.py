@@ -60,10 +60,11 @@ def relative(block: Block) -> Block:
 @pytest.mark.parametrize(
     "name", ["shift", "shift_drift", "affine", "mixed", "mixed shift", "fixed", "excluded", "relative"]
 )
-def test_graph_equals_dense(name: str) -> None:
+@pytest.mark.parametrize("backend", ["graph", "schur"])
+def test_graph_and_schur_equal_dense(name: str, backend: str) -> None:
     """Unknowns to 1e-9 prior sigma, points to 1e-7 m, cofactors to 1e-7 of their size."""
     block = blocks()[name]
-    graph, dense = fg.adjust(block, backend="graph"), fg.adjust(block, backend="dense")
+    graph, dense = fg.adjust(block, backend=backend), fg.adjust(block, backend="dense")
     assert graph.status is dense.status is Status.CONVERGED, graph.reason
     assert np.abs(graph.state.image - dense.state.image).max() <= 1e-9
     assert np.nanmax(np.abs(graph.ground_m - dense.ground_m)) <= 1e-7
