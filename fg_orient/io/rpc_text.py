@@ -96,10 +96,10 @@ def read_rpc_list(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
         ``first_pixel`` is not given, which such a list cannot say, or there are not 90 numbers.
     """
     file, words = os.fspath(path), read_text(path).split()
-    if reading.first_pixel is None:
-        raise InputError.of("rpc.origin", file=file)
     if len(words) != 90:
         raise InputError.of("rpc.list_count", file=file, value=f"{len(words)} numbers")
+    if reading.first_pixel is None:
+        raise InputError.of("rpc.origin", file=file)
     fields = RpcFields(file)
     for k, axis in enumerate(_LIST_AXES):
         fields.add(f"{axis}_OFF", words[k], f"number {k + 1}")
