@@ -220,8 +220,8 @@ def fit(
 ) -> None:
     """Fit an RPC to control points, or to a rigorous model over --heights.
 
-    Errors are those of the image, pixels, at points that took no part. Ends with 4
-    if a denominator comes near zero or the points do not carry the coefficients.
+    Errors are those of the image, pixels, at points that took no part.
+    Ends with 4 if a denominator comes near zero or the points do not carry the coefficients.
     """
     with outcome(as_json, debug):
         from fg_orient.rpc.files import require_free, target_of

@@ -65,6 +65,6 @@ def verdict(found: Reproduction) -> dict[str, str]:
         f"{counts['equal']} agree to the printed digits (counts and definitions among them), {counts['order']} within "
         f"a factor of ten, {counts['rounding']} are rounding noise inside the spread of the runs, "
         f"{counts['pattern']} lie on the same side of the limit. {counts['differs']} differ; "
-        f"{counts['not_reproducible']} cannot be reproduced without the unpublished data."
+        f"{counts['not_reproducible']} cannot be reproduced, each for the reason beside it."
     )
     return {"kind": "good" if met == len(found.claims) else "warn", "title": title, "text": text}
