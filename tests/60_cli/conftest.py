@@ -2,52 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from fg_orient.cli import app
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
-
-
-@dataclass(frozen=True)
-class Ended:
-    """How a command ended."""
-
-    code: int
-    stdout: str
-    stderr: str
-
-    @property
-    def json(self) -> Any:
-        """Standard output as exactly one JSON object, nan refused."""
-
-        def refuse(word: str) -> float:
-            raise AssertionError(f"{word} in JSON")
-
-        return json.loads(self.stdout, parse_constant=refuse)
-
-
-Run = Callable[..., Ended]
+from tests.support.command import Ended, Run, in_process
 
 
 @pytest.fixture(scope="session")
 def run() -> Run:
     """Run a command in this process."""
-
-    def call(*words: object) -> Ended:
-        result = CliRunner().invoke(app, [str(word) for word in words])
-        return Ended(result.exit_code, result.stdout, result.stderr)
-
-    return call
+    return in_process
 
 
 @pytest.fixture(scope="session")

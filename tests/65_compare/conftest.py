@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from fg_orient.block import Block
-from fg_orient.cli import app
 from fg_orient.comparison.compare import compare
 from fg_orient.comparison.model import Comparison
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak, zonguldak_block
+from tests.support.command import Ended, Run, in_process
 
 #: Well conditioned; velocity (a mere yaw); velocity and attitude.
 SETS = (2, 5, 17)
@@ -23,36 +18,10 @@ SETS = (2, 5, 17)
 SOLVERS = ("moore_penrose_inverse", "cholesky_inverse", "qr", "cramer_inverse", "tikhonov_od")
 
 
-@dataclass(frozen=True)
-class Ended:
-    """How a command ended."""
-
-    code: int
-    stdout: str
-    stderr: str
-
-    @property
-    def json(self) -> Any:
-        """Standard output as exactly one JSON object, nan refused."""
-
-        def refuse(word: str) -> float:
-            raise AssertionError(f"{word} in JSON")
-
-        return json.loads(self.stdout, parse_constant=refuse)
-
-
-Run = Callable[..., Ended]
-
-
 @pytest.fixture(scope="session")
 def run() -> Run:
     """Run a command in this process."""
-
-    def call(*words: object) -> Ended:
-        result = CliRunner().invoke(app, [str(word) for word in words])
-        return Ended(result.exit_code, result.stdout, result.stderr)
-
-    return call
+    return in_process
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,39 @@
+"""Commands run in this process, and how they ended."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from typer.testing import CliRunner
+
+from fg_orient.cli import app
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int
+    stdout: str
+    stderr: str
+
+    @property
+    def json(self) -> Any:
+        """Standard output as exactly one JSON object, nan refused."""
+
+        def refuse(word: str) -> float:
+            raise AssertionError(f"{word} in JSON")
+
+        return json.loads(self.stdout, parse_constant=refuse)
+
+
+Run = Callable[..., Ended]
+
+
+def in_process(*words: object) -> Ended:
+    """Run a command in this process."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    return Ended(result.exit_code, result.stdout, result.stderr)
