@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
-import gtsam
 import numpy as np
 import numpy.typing as npt
 
@@ -21,7 +20,7 @@ from factors.batch_pairs import gather_blocks, image_gradients, pair_blocks
 from factors.batch_points import back_substitute, point_blocks, product
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.schur_reduced import DenseReduced, GraphReduced, Reduced, Singular, elimination_order
+from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Structure, Workers, compile_structure, reason_against
 from fg_orient.errors import InputError
 
@@ -29,13 +28,6 @@ Array = npt.NDArray[np.float64]
 
 #: More threads are of no use: memory is shared.
 MAX_THREADS: Final = 2
-#: Reduced unknowns up to which the full matrix is always taken, and at all. Between them GTSAM gets systems with fewer
-#: than SPARSE of the blocks. Dense against GTSAM: about equal at 972 unknowns with 0.46 of the blocks, 68 and 42 ms at
-#: 1728 and 0.22, 219 and 102 ms at 2700 and 0.15 (measured; benchmarks/schur_cost.py --reduced).
-DENSE_LIMIT: Final = 1000
-FULL_LIMIT: Final = 3000
-SPARSE: Final = 1.0 / 3.0
-REDUCED: Final = ("auto", "dense", "graph")
 
 
 @dataclass(frozen=True)
@@ -105,6 +97,23 @@ class SchurSystem:
         Singular
             A ground point, or the reduced system, is not determined.
         """
+        return self._backend.reduced(self._eliminated(damping), self._backend.prior + damping)
+
+    def partial(self, damping: float) -> tuple[Array, Array]:
+        """Eliminate the points: blocks (B, k, k) without priors and damping of the images, and gradient (u,).
+
+        They are what these points add to the reduced normal equations of a larger block.
+
+        Raises
+        ------
+        Singular
+            A ground point is not determined.
+        """
+        blocks = self._eliminated(damping)
+        return blocks, self._image_gradient(True)
+
+    def _eliminated(self, damping: float) -> Array:
+        """Blocks (B, k, k) of the reduced system; leaves the point blocks in the buffers."""
         backend, s, problem, b = self._backend, self._backend.structure, self._backend.problem, self.buffers()
         bad = backend.workers.run(
             point_blocks, len(s.number), s.first, s.number, s.free, problem.control_records, self.state.ground, b.value,
@@ -121,7 +130,7 @@ class SchurSystem:
             0, len(s.block_row), s.segments, s.block_row, s.block_column, b.sums, s.wide, s.scale, s.size, s.n_basis,
             s.n_components, b.blocks,
         )  # fmt: skip
-        return backend.reduced(b.blocks, backend.prior + damping)
+        return b.blocks
 
     def _image_gradient(self, reduced: bool) -> Array:
         """Gradient (u,) of the image unknowns; needs the point blocks."""
@@ -142,18 +151,21 @@ class SchurSystem:
         """
         if damping == 0.0 and self._newton is not None:
             return self._newton
-        backend, s = self._backend, self._backend.structure
-        system, b = self.reduced(damping), self.buffers()
-        image, ground = system.solve(self._image_gradient(True)), np.zeros((len(s.number), 3))
-        wide = s.widened(backend.problem.image_matrix(image))
+        blocks, gradient = self.partial(damping)
+        step = self.substitute(self._backend.reduced(blocks, self._backend.prior + damping).solve(gradient))
+        if damping == 0.0:
+            self._newton = step
+        return step
+
+    def substitute(self, image: Array) -> SchurStep:
+        """Step of the points after one (u,) of the images; the points must have been eliminated last."""
+        backend, s, b = self._backend, self._backend.structure, self.buffers()
+        ground, wide = np.zeros((len(s.number), 3)), s.widened(backend.problem.image_matrix(image))
         backend.workers.run(
             back_substitute, len(s.number), s.first, s.image, s.n_basis, s.n_components, s.basis, wide, b.value,
             b.d_image, b.d_ground, b.root, b.gradient, ground, b.after,
         )  # fmt: skip
-        step = self._step(image, ground, b.after)
-        if damping == 0.0:
-            self._newton = step
-        return step
+        return self._step(image, ground, b.after)
 
     def dogleg(self, radius: float) -> SchurStep:
         """Blend of the steepest-descent and the Gauss-Newton step."""
@@ -164,26 +176,34 @@ class SchurSystem:
         squares = np.sum(image**2) + np.sum(ground**2)
         length = float(np.sqrt(squares))
         if length >= radius:
-            return self._given(image * (radius / length), ground * (radius / length))
+            return self.given(image * (radius / length), ground * (radius / length))
         d_image, d_ground = newton.image - image, newton.ground - ground
         across = float(np.sum(d_image**2) + np.sum(d_ground**2))
         dot = float(np.sum(image * d_image) + np.sum(ground * d_ground))
         share = share_at_radius(across, dot, length, radius)
-        return self._given(image + share * d_image, ground + share * d_ground)
+        return self.given(image + share * d_image, ground + share * d_ground)
 
     def _steepest(self) -> tuple[Array, Array]:
         """Minimum along the negative gradient."""
+        image, ground = self.gradient()
+        factor = -float((np.sum(image**2) + np.sum(ground**2)) / self.curvature(image, ground))
+        return image * factor, ground * factor
+
+    def gradient(self) -> tuple[Array, Array]:
+        """Gradient of the images (u,) and of the points (P, 3)."""
         b, state = self.buffers(), self.state
         self._backend.workers.run(
             point_blocks, len(self._backend.structure.number), self._backend.structure.first,
             self._backend.structure.number, self._backend.structure.free, self._backend.problem.control_records,
             state.ground, b.value, b.d_ground, 0.0, b.root, b.gradient,
         )  # fmt: skip
-        image, ground = self._image_gradient(False), b.gradient.copy()
+        return self._image_gradient(False), b.gradient.copy()
+
+    def curvature(self, image: Array, ground: Array) -> float:
+        """Squares of the whitened Jacobian times a direction (u,), (P, 3)."""
         along = self._product(image, ground)
-        curvature = np.sum(along**2) + self._backend.prior * np.sum(image**2) + self._whitened_squares(ground)
-        factor = -float((np.sum(image**2) + np.sum(ground**2)) / curvature)
-        return image * factor, ground * factor
+        own = self._backend.prior * np.sum(image**2)
+        return float(np.sum(along**2) + own + self._whitened_squares(ground))
 
     def _product(self, image: Array, ground: Array) -> Array:
         """Jacobian of the image points times a step; overwritten by the next."""
@@ -201,7 +221,8 @@ class SchurSystem:
         w = self._backend.problem.control_records[s.number[s.free == 2], :9].reshape(-1, 3, 3)
         return float(np.sum(np.einsum("nij,nj->ni", w, ground[s.free == 2]) ** 2))
 
-    def _given(self, image: Array, ground: Array) -> SchurStep:
+    def given(self, image: Array, ground: Array) -> SchurStep:
+        """The step (u,), (P, 3) with what the linear model predicts after it."""
         after = self._product(image, ground)
         after += self.buffers().value
         return self._step(image, ground, after)
@@ -211,13 +232,6 @@ class SchurSystem:
         error = backend.half_squares(after, backend.moved(self.state, image, ground))
         length = max(float(np.abs(image).max()), float(np.abs(ground).max(initial=0.0)))
         return SchurStep(image, ground, length, error)
-
-
-def _sparse(problem: Problem, structure: Structure) -> bool:
-    """Whether the reduced system is left to GTSAM."""
-    unknowns, images = problem.n_image_unknowns, problem.n_images
-    share = 2.0 * len(structure.block_row) / (images * (images + 1))
-    return unknowns > FULL_LIMIT or (unknowns > DENSE_LIMIT and share < SPARSE)
 
 
 class SchurBackend:
@@ -250,8 +264,7 @@ class SchurBackend:
         automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
         self.workers = Workers(automatic if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
-        sparse = _sparse(problem, self.structure) if reduced == "auto" else reduced == "graph"
-        self._ordering: gtsam.Ordering | None = elimination_order(self.structure) if sparse else None
+        self.reduced = ReducedSystems(self.structure, problem.first, reduced)
         self.buffers = _Buffers(self)
 
     def initial(self) -> State:
@@ -305,9 +318,3 @@ class SchurBackend:
         control = np.einsum("nij,nj->ni", records[observed, :9].reshape(-1, 3, 3), difference)
         squares = np.vdot(value, value) + np.sum(control**2) + self.prior * np.sum(state.image**2)
         return 0.5 * float(squares)
-
-    def reduced(self, blocks: Array, diagonal: float) -> Reduced:
-        """The reduced system of its blocks."""
-        if self._ordering is None:
-            return DenseReduced(self.structure, self.problem.first, blocks, diagonal)
-        return GraphReduced(self.structure, self.problem.first, blocks, diagonal, self._ordering)

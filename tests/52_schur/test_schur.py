@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import fg_orient as fg
 from factors.control import CONTROL_POINT
-from fg_orient.adjustment import schur
+from fg_orient.adjustment import schur, schur_reduced
 from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
@@ -291,9 +291,9 @@ def test_large_sparse_reduced_systems_are_left_to_gtsam(monkeypatch: pytest.Monk
         (3000, 1000, 1.0, "DenseReduced"), (107, 1000, 0.0, "GraphReduced"), (3000, 107, share, "DenseReduced"),
         (3000, 107, share + 0.01, "GraphReduced"), (3000, 108, 1.0, "DenseReduced"),
     ):  # fmt: skip
-        monkeypatch.setattr(schur, "FULL_LIMIT", full)
-        monkeypatch.setattr(schur, "DENSE_LIMIT", dense)
-        monkeypatch.setattr(schur, "SPARSE", sparse)
+        monkeypatch.setattr(schur_reduced, "FULL_LIMIT", full)
+        monkeypatch.setattr(schur_reduced, "DENSE_LIMIT", dense)
+        monkeypatch.setattr(schur_reduced, "SPARSE", sparse)
         assert kind() == expected
 
 
@@ -315,7 +315,7 @@ def test_auto_falls_back_on_the_graph(monkeypatch: pytest.MonkeyPatch) -> None:
         raise Singular("not positive definite")
 
     block = grid(2, 2, 60)
-    monkeypatch.setattr(schur, "DenseReduced", give_up)
+    monkeypatch.setattr(schur_reduced, "DenseReduced", give_up)
     estimate = solve(compile_problem(block))
     assert (estimate.backend, estimate.converged) == ("graph", True)
     with pytest.raises(fg.NoSolutionError) as caught:
