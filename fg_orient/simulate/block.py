@@ -20,9 +20,10 @@ import numpy.typing as npt
 from fg_orient.block import Block
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.names import Role
-from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.sensors.correction import Correction
 from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.orbit import find_pass
+from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
     ERRORS,
@@ -43,8 +44,8 @@ FIRST_DAY = np.datetime64("2004-07-05")
 HALF_MINUTES = 1041
 #: Points this close to a border are not measured there: noise never leaves the image.
 MARGIN_PX = 200.0
-#: A scene sees nothing farther than this from its ground centre.
-REACH_M = 70e3
+#: Closer to that limit than this, the exact projection decides.
+DOUBT_PX = 1.0
 #: The box of points reaches this far beyond the outer ground centres.
 BORDER_M = 25e3
 LEAST_CONTROL = 6
@@ -149,14 +150,15 @@ def simulate(options: BlockOptions) -> Simulation:
     streams = random_streams(options.seed)
     centres = _centres(options)
     scenes = _scenes(options, centres)
-    lon_lat_height, visible = _points(options, scenes, centres, streams["points"])
+    lon_lat_height, visible = _points(options, scenes, streams["points"])
     roles = _roles(options, streams["roles"])
     width = len(str(options.points))
     ids = tuple(f"{k + 1:0{width}d}" for k in range(options.points))
     ground = ground_points(ids, roles, lon_lat_height, options.ground_noise_m, streams["ground_noise"])
     errors = draw_errors(options.errors, streams["orientation"], len(scenes))
     name, noise = f"block of {len(scenes)} images", options.image_noise_px
-    return observe(name, scenes, ground, visible, errors, np.zeros((2, 0)), noise, streams["image_noise"])
+    look, image_noise = np.zeros((2, 0)), streams["image_noise"]
+    return observe(name, scenes, ground, visible, errors, look, noise, image_noise, options.max_height_m)
 
 
 def _centres(options: BlockOptions) -> Array:
@@ -189,30 +191,33 @@ def _scenes(options: BlockOptions, centres: Array) -> tuple[Scene, ...]:
 
 
 def _points(
-    options: BlockOptions, scenes: tuple[Scene, ...], centres: Array, rng: np.random.Generator
+    options: BlockOptions, scenes: tuple[Scene, ...], rng: np.random.Generator
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Points seen twice or more: longitude, latitude (degrees), height (m), (n, 3); who sees them (m, n)."""
     sensors = [as_read(scene.metadata()) for scene in scenes]
+    cameras = [QuickProjection(sensor, Correction(), options.max_height_m) for sensor in sensors]
     half = BORDER_M + options.spacing_m * (np.array([options.columns, options.rows]) - 1) / 2.0
     found, visible = np.empty((0, 3)), np.empty((len(scenes), 0), bool)
     while len(found) < options.points:
         unit = rng.random((options.points + 100, 3))
         lon_lat = _shifted((2.0 * unit[:, :2] - 1.0) * half)
         drawn = np.column_stack([lon_lat, options.max_height_m * unit[:, 2]])
-        seen = _visible(sensors, centres, geodetic_to_ecef(*drawn.T))
+        seen = _visible(cameras, geodetic_to_ecef(*drawn.T), drawn[:, 2])
         kept = seen.sum(axis=0) >= 2
         found, visible = np.vstack([found, drawn[kept]]), np.hstack([visible, seen[:, kept]])
     return found[: options.points], visible[:, : options.points]
 
 
-def _visible(sensors: list[PushbroomSensor], centres: Array, ecef_m: Array) -> npt.NDArray[np.bool_]:
-    """Which of N points lies well inside which image: (m, N)."""
-    size = np.array([N_LINES, N_SAMPLES])
-    out = np.zeros((len(sensors), len(ecef_m)), bool)
-    for k, (sensor, centre) in enumerate(zip(sensors, centres, strict=True)):
-        near = np.flatnonzero(np.linalg.norm(ecef_m - centre, axis=1) < REACH_M)
-        pixels = np.stack(sensor.project(ecef_m[near]), axis=1)
-        out[k, near] = ((pixels >= MARGIN_PX) & (pixels <= size - 1 - MARGIN_PX)).all(axis=1)
+def _visible(cameras: list[QuickProjection], ecef_m: Array, height_m: Array) -> npt.NDArray[np.bool_]:
+    """Which of N points lies well inside which image: (m, N). Near the limit the exact projection decides."""
+    last = np.array([N_LINES, N_SAMPLES]) - 1.0
+    out = np.zeros((len(cameras), len(ecef_m)), bool)
+    for k, camera in enumerate(cameras):
+        near = camera.near(ecef_m)
+        pixels = camera.estimate(ecef_m[near], height_m[near])
+        doubt = np.abs(np.minimum(pixels, last - pixels).min(axis=1) - MARGIN_PX) < DOUBT_PX + 10.0 * camera.error_px
+        pixels[doubt] = camera.project(ecef_m[near[doubt]], height_m[near[doubt]])
+        out[k, near] = ((pixels >= MARGIN_PX) & (pixels <= last - MARGIN_PX)).all(axis=1)
     return out
 
 

@@ -21,6 +21,7 @@ from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.names import Role
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.metadata import PushbroomMetadata
+from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import Scene, as_read
 
 Array = npt.NDArray[np.float64]
@@ -199,6 +200,7 @@ def observe(
     look: Array,
     image_noise_px: float,
     rng: np.random.Generator,
+    max_height_m: float | None = None,
 ) -> Simulation:
     """Take the images: metadata with errors, true pixels through them, noise.
 
@@ -212,6 +214,9 @@ def observe(
         True look-angle polynomial of every image, not in the files.
     image_noise_px : float
         Sigma of the noise of line and of sample.
+    max_height_m : float, optional
+        Heights lie between 0 and this: the images are projected by polynomials and a few steps on the same conditions,
+        which pays from some thousand points per image. Without it each sensor projects.
     """
     metadata = tuple(scene.metadata(error) for scene, error in zip(scenes, errors, strict=True))
     corrections = tuple(Correction(error, look) for error in errors)
@@ -219,7 +224,12 @@ def observe(
     pixels = np.empty((len(image), 2))
     for k, (written, correction) in enumerate(zip(metadata, corrections, strict=True)):
         rows = image == k
-        pixels[rows] = np.stack(as_read(written).project(ground.ecef_m[point[rows]], correction), axis=1)
+        sensor, seen = as_read(written), point[rows]
+        if max_height_m is None:
+            pixels[rows] = np.stack(sensor.project(ground.ecef_m[seen], correction), axis=1)
+        else:
+            camera = QuickProjection(sensor, correction, max_height_m)
+            pixels[rows] = camera.project(ground.ecef_m[seen], ground.lon_lat_height[seen, 2])
     observed = pixels + image_noise_px * rng.standard_normal(pixels.shape)
     ids = tuple(scene.id for scene in scenes)
     truth = Truth(ids, corrections, ground.ids, ground.lon_lat_height, ground.ecef_m, pixels)
