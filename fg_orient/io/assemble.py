@@ -40,7 +40,8 @@ def assemble(
     problems: list[Problem] = []
     remarks: list[Problem] = []
     rays = np.bincount(observations.observations.point, minlength=len(points.points.ids))
-    control = np.array([role is Role.CONTROL for role in points.points.roles], bool)
+    control = np.zeros(len(rays), bool)
+    control[points.points.where(Role.CONTROL)] = True
     lonely = (rays == 1) & ~control
     file, point_file = str(observations.path), str(points.path)
     if lonely.any():
@@ -58,7 +59,7 @@ def assemble(
         problems.append(problem("block.no_control", file=point_file, place="column role", value=value))
     kept = np.flatnonzero((rays > 0) & ~lonely)
     taken = _renumber(observations.observations, kept, len(rays))
-    for k in sorted(set(range(len(image_ids))) - set(taken.image.tolist())):
+    for k in np.flatnonzero(np.bincount(taken.image, minlength=len(image_ids)) == 0).tolist():
         problems.append(problem("observations.image_unused", file=file, place="column image", value=image_ids[k]))
     left = take_points(points.points, kept)
     withheld = points.withheld([left.ids[k] for k in left.where(Role.CHECK)])

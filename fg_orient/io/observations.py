@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.block import ImagePoints
+from fg_orient.block import ImagePoints, Index
 from fg_orient.errors import Problem, problem
-from fg_orient.io.tables import Faults, Row, did_you_mean, number, read_table
+from fg_orient.io.tables import Faults, Row, Table, did_you_mean, number, read_table
 
 COLUMNS: Final = ("image", "id", "line", "sample", "sigma_line_px", "sigma_sample_px")
 #: Standard deviations outside this range are more likely a wrong unit than a measurement.
@@ -59,18 +59,54 @@ def read_observations(
         return None
     image_row = {name: k for k, name in enumerate(sizes)} if sizes is not None else None
     point_row = {name: k for k, name in enumerate(point_ids)} if point_ids is not None else None
-    first: dict[tuple[str, str], int] = {}
-    values = np.full((len(table.rows), 4), np.nan)
-    for k, row in enumerate(table.rows):
-        _check_names(row, image_row, point_row, first, faults)
-        values[k] = _values(row, (sizes or {}).get(row.cells["image"]), faults)
-    if faults or point_row is None or image_row is None:
+    observations = None if faults or sizes is None else _converted(table, sizes, image_row, point_row)
+    if observations is None:
+        _complain(table, sizes, image_row, point_row, faults)
         return None
-    image = np.array([image_row[row.cells["image"]] for row in table.rows], np.intp)
-    point = np.array([point_row[row.cells["id"]] for row in table.rows], np.intp)
-    columns = (np.ascontiguousarray(column) for column in values.T)
-    observations = ImagePoints(image, point, *columns)
-    return ObservationFile(path, table.sha256, observations, _remarks(faults.file, table.rows, observations))
+    return ObservationFile(path, table.sha256, observations, _remarks(faults.file, table, observations))
+
+
+def _converted(
+    table: Table,
+    sizes: Mapping[str, tuple[int, int] | None],
+    image_row: Mapping[str, int] | None,
+    point_row: Mapping[str, int] | None,
+) -> ImagePoints | None:
+    """The whole table at once; None if the names are unknown or anything is wrong with it."""
+    values = table.numbers(*COLUMNS[2:])
+    image, point = _positions(table.cells["image"], image_row), _positions(table.cells["id"], point_row)
+    if values is None or image is None or point is None or point_row is None:
+        return None
+    size = np.array([n or (np.inf, np.inf) for n in sizes.values()], float).reshape(-1, 2)[image]
+    inside = (values[:, :2] >= -0.5) & (values[:, :2] <= size - 0.5)
+    key = image * max(len(point_row), 1) + point
+    if not (inside.all() and (values[:, 2:] > 0.0).all() and len(np.unique(key)) == len(key)):
+        return None
+    return ImagePoints(image, point, *values.T)
+
+
+def _positions(names: Sequence[str], known: Mapping[str, int] | None) -> Index | None:
+    """Place of each name; None if one is unknown, or all are."""
+    if known is None:
+        return None
+    try:
+        return np.fromiter(map(known.__getitem__, names), np.intp, len(names))
+    except KeyError:
+        return None
+
+
+def _complain(
+    table: Table,
+    sizes: Mapping[str, tuple[int, int] | None] | None,
+    image_row: Mapping[str, int] | None,
+    point_row: Mapping[str, int] | None,
+    faults: Faults,
+) -> None:
+    """Note what is wrong, record by record."""
+    first: dict[tuple[str, str], int] = {}
+    for row in table.rows:
+        _check_names(row, image_row, point_row, first, faults)
+        _check_values(row, (sizes or {}).get(row.cells["image"]), faults)
 
 
 def _check_names(
@@ -93,8 +129,8 @@ def _check_names(
     first.setdefault((image, name), row.line)
 
 
-def _values(row: Row, size: tuple[int, int] | None, faults: Faults) -> tuple[float, ...]:
-    """Line, sample and their sigmas of one record; faults are noted."""
+def _check_values(row: Row, size: tuple[int, int] | None, faults: Faults) -> None:
+    """Note faults of line, sample and their sigmas of one record."""
     values = tuple(number(row, column, faults) for column in COLUMNS[2:])
     for axis, value, n in zip(("line", "sample"), values[:2], size or (), strict=False):
         if not -0.5 <= value <= n - 0.5 and not np.isnan(value):
@@ -103,14 +139,13 @@ def _values(row: Row, size: tuple[int, int] | None, faults: Faults) -> tuple[flo
     for column, value in zip(COLUMNS[4:], values[2:], strict=True):
         if value <= 0.0:
             faults.add("observations.sigma_not_positive", place=row.place(column), value=row.cells[column])
-    return values
 
 
-def _remarks(file: str, rows: Sequence[Row], o: ImagePoints) -> tuple[Problem, ...]:
+def _remarks(file: str, table: Table, o: ImagePoints) -> tuple[Problem, ...]:
     low, high = PLAUSIBLE_SIGMA_PX
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
     odd = np.flatnonzero(((sigma < low) | (sigma > high)).any(axis=1))
     if not len(odd):
         return ()
-    place, value = f"{rows[odd[0]].place()}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
+    place, value = f"{table.row(int(odd[0])).place()}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
     return (problem("remark.sigma_image", file=file, place=place, value=value, low=low, high=high, count=len(odd)),)

@@ -102,8 +102,8 @@ def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = 
     parsed = _parse(path, crs, faults)
     if parsed is None:
         return None
-    check_positions(scenes, crs, parsed.given, parsed.coordinates.ecef_m, parsed.places, faults)
-    known = np.array([role is Role.CONTROL for role in parsed.roles], bool)
+    check_positions(scenes, crs, parsed.given, parsed.coordinates.ecef_m, parsed.lines, faults)
+    known = _are(parsed.roles, Role.CONTROL)
     points = GroundPoints(parsed.ids, parsed.roles, _mask(parsed.coordinates, known))
     return PointFile(path, crs, parsed.sha256, points, parsed.operation, _remarks(str(path), parsed))
 
@@ -115,7 +115,7 @@ def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = 
 class _Parsed:
     ids: tuple[str, ...]
     roles: tuple[Role, ...]
-    places: tuple[str, ...]
+    lines: npt.NDArray[np.int64]
     given: Array  # (n, 3) coordinates as in the file, nan where none
     coordinates: Coordinates  # of control and check points
     operation: Operation | None
@@ -134,21 +134,34 @@ def _parse(path: Path, crs: str, faults: Faults) -> _Parsed | None:
     if table is None or not _columns_fit(table, kind, faults):
         return None
     ids = _ids(table, faults)
-    roles = tuple(_role(row, faults) for row in table.rows)
+    roles = _roles(table, faults)
     given, sigma = np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.nan)
     fixed = np.zeros(len(ids), bool)
-    for k, (row, role) in enumerate(zip(table.rows, roles, strict=True)):
+    for k in _worth_a_look(table, roles, kind):
+        row, role = table.row(int(k)), roles[int(k)]
         if role is Role.TIE:
             _require_empty(row, COORDINATE_COLUMNS[kind], faults)
         elif role is not None:
             given[k] = _coordinates(row, role, kind, faults)
             sigma[k], fixed[k] = _sigmas(row, role, faults)
-    places = tuple(row.place() for row in table.rows)
-    control = np.array([role is Role.CONTROL for role in roles], bool)
-    ecef, operation = _ecef(crs, given, control, places, faults)
+    control = _are(roles, Role.CONTROL)
+    ecef, operation = _ecef(crs, given, control, table.lines, faults)
     coordinates = Coordinates(ecef, sigma, fixed)
     known_roles = tuple(role or Role.TIE for role in roles)
-    return _Parsed(ids, known_roles, places, given, coordinates, operation, table.sha256)
+    return _Parsed(ids, known_roles, table.lines, given, coordinates, operation, table.sha256)
+
+
+def _are(roles: Sequence[Role | None], wanted: Role) -> npt.NDArray[np.bool_]:
+    """Tell which points have a role."""
+    return np.fromiter((role is wanted for role in roles), bool, len(roles))
+
+
+def _worth_a_look(table: Table, roles: Sequence[Role | None], kind: Kind) -> npt.NDArray[np.intp]:
+    """Records with something in a cell beside id and role; a tie point has nothing there."""
+    filled = ~_are(roles, Role.TIE)
+    for name in (*COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS):
+        filled |= np.fromiter(map(bool, table.cells[name]), bool, len(table))
+    return np.flatnonzero(filled)
 
 
 def _columns_fit(table: Table, kind: Kind, faults: Faults) -> bool:
@@ -164,6 +177,9 @@ def _columns_fit(table: Table, kind: Kind, faults: Faults) -> bool:
 
 
 def _ids(table: Table, faults: Faults) -> tuple[str, ...]:
+    ids = tuple(table.cells["id"])
+    if all(ids) and len(set(ids)) == len(ids):
+        return ids
     first: dict[str, int] = {}
     for row in table.rows:
         name = row.cells["id"]
@@ -173,15 +189,16 @@ def _ids(table: Table, faults: Faults) -> tuple[str, ...]:
             faults.add("points.id_twice", place=row.place("id"), value=name, first=first[name])
         else:
             first[name] = row.line
-    return tuple(row.cells["id"] for row in table.rows)
+    return ids
 
 
-def _role(row: Row, faults: Faults) -> Role | None:
-    text = row.cells["role"]
-    if text not in list(Role):
-        faults.add("points.role", place=row.place("role"), value=repr(text))
-        return None
-    return Role(text)
+def _roles(table: Table, faults: Faults) -> tuple[Role | None, ...]:
+    words: dict[str, Role] = {str(role): role for role in Role}
+    roles = tuple(map(words.get, table.cells["role"]))
+    for k in np.flatnonzero([role is None for role in roles]):
+        row = table.row(int(k))
+        faults.add("points.role", place=row.place("role"), value=repr(row.cells["role"]))
+    return roles
 
 
 def _require_empty(row: Row, columns: Sequence[str], faults: Faults) -> None:
@@ -231,7 +248,7 @@ def _sigmas(row: Row, role: Role, faults: Faults) -> tuple[Array, bool]:
 
 
 def _ecef(
-    crs: str, given: Array, control: npt.NDArray[np.bool_], places: Sequence[str], faults: Faults
+    crs: str, given: Array, control: npt.NDArray[np.bool_], lines: npt.NDArray[np.int64], faults: Faults
 ) -> tuple[Array, Operation | None]:
     """ECEF of rows with coordinates; control alone decides on the operation: check points decide nothing."""
     ecef = np.full_like(given, np.nan)
@@ -240,7 +257,7 @@ def _ecef(
         return ecef, None
     try:
         xyz, operation = to_ecef_with_operation(
-            crs, *given[rows].T, labels=[places[int(k)] for k in rows], deciding=control[rows]
+            crs, *given[rows].T, labels=[f"line {k}" for k in lines[rows]], deciding=control[rows]
         )
     except InputError as error:
         faults.take(*(replace(p, file=faults.file) for p in error.problems))
@@ -275,7 +292,7 @@ def _remarks(file: str, parsed: _Parsed) -> tuple[Problem, ...]:
     sigma = parsed.coordinates.sigma_enu_m
     odd = np.flatnonzero(((sigma < low) | (sigma > high)).any(axis=1))
     if len(odd):
-        place, value = f"{parsed.places[odd[0]]}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
+        place, value = f"line {parsed.lines[odd[0]]}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
         remarks.append(
             problem("remark.sigma_ground", file=file, place=place, value=value, low=low, high=high, count=len(odd))
         )

@@ -43,7 +43,7 @@ class Scene:
 
 
 def check_positions(
-    scenes: Sequence[Scene], crs: str, given: Array, ecef_m: Array, places: Sequence[str], faults: Faults
+    scenes: Sequence[Scene], crs: str, given: Array, ecef_m: Array, lines: npt.NDArray[np.int64], faults: Faults
 ) -> None:
     """Note points far from every image; if exchanging two columns brings them in, say that instead.
 
@@ -55,8 +55,8 @@ def check_positions(
         CRS of ``given``.
     given, ecef_m : (n, 3) array
         Coordinates as in the file and in ECEF m; nan rows are skipped.
-    places : sequence of str
-        Line of each point.
+    lines : (n,) int array
+        Line of each point in its file.
     faults : Faults
         Takes what is found.
     """
@@ -72,7 +72,7 @@ def check_positions(
         first, second = COORDINATE_COLUMNS[kind][:2]
         example = " ".join(f"{v:.10g}" for v in given[far[mended]][0, :2])
         faults.add(
-            "points.swapped", place=f"{places[far[mended][0]]}, columns {first} and {second}", value=example,
+            "points.swapped", place=f"line {lines[far[mended][0]]}, columns {first} and {second}", value=example,
             first=first, second=second, count=int(mended.sum()), total=len(rows),
         )  # fmt: skip
         far = far[~mended]
@@ -80,7 +80,7 @@ def check_positions(
         nearest = min(scenes, key=lambda scene: float(np.linalg.norm(ecef_m[k] - scene.centre_m)))
         distance = float(np.linalg.norm(ecef_m[k] - nearest.centre_m))
         faults.add(
-            "points.far", place=places[k], value=" ".join(f"{v:.10g}" for v in given[k]),
+            "points.far", place=f"line {lines[k]}", value=" ".join(f"{v:.10g}" for v in given[k]),
             distance_km=distance / 1e3, size_km=nearest.diagonal_m / 1e3, image=nearest.image,
         )  # fmt: skip
 

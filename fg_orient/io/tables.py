@@ -12,18 +12,26 @@ import csv
 import difflib
 import hashlib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
 from fg_orient.errors import InputError, Problem, problem
+
+Array = npt.NDArray[np.float64]
 
 #: Faults listed per file; the rest is counted.
 MAX_FAULTS: Final = 20
 #: A longer line than this is not a record of ours.
 MAX_LINE: Final = 100_000
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+#: Characters that no number has: of text without them, ``float`` takes what :data:`_NUMBER` describes and nothing else.
+_FOREIGN = re.compile(r"[^0-9eE+.-]")
+_SPACE = re.compile(r"\s")
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+")
 
 
@@ -93,14 +101,52 @@ class Row:
         return f"line {self.line}, column {column}" if column else f"line {self.line}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Table:
-    """A table as read: column names, records in file order and the SHA-256 of the file."""
+    """A table as read.
+
+    Parameters
+    ----------
+    file : str
+    columns : tuple of str
+    cells : dict of str to sequence of str
+        Text of the records in file order, by column.
+    lines : (n,) int array
+        Line number of each record in the file, from 1.
+    sha256 : str
+        Of the file.
+    """
 
     file: str
     columns: tuple[str, ...]
-    rows: tuple[Row, ...]
+    cells: dict[str, Sequence[str]]
+    lines: npt.NDArray[np.int64]
     sha256: str
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def row(self, k: int) -> Row:
+        """One record."""
+        return Row(int(self.lines[k]), {name: self.cells[name][k] for name in self.columns})
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """All records, each made anew: for small tables, and to say what is wrong with a large one."""
+        return tuple(self.row(k) for k in range(len(self)))
+
+    def numbers(self, *columns: str) -> Array | None:
+        """Columns as finite numbers (n, k); None if a cell is none: :func:`number` then says which."""
+        out = np.empty((len(self), len(columns)))
+        for k, name in enumerate(columns):
+            cells = self.cells[name]
+            if _FOREIGN.search("".join(cells)):
+                return None
+            try:
+                out[:, k] = np.fromiter(map(float, cells), np.float64, len(cells))
+            except ValueError:
+                return None
+        return out if np.isfinite(out).all() else None
 
 
 def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> Table | None:
@@ -125,18 +171,21 @@ def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> 
     text = None if data is None else _decode(data, faults)
     if data is None or text is None:
         return None
-    records = _records(text, faults)
-    header = next(records, None)
+    numbers, lines = _lines(text, faults)
+    header = next(filter(None, (_cells(n, line, faults) for n, line in zip(numbers, lines, strict=True))), None)
     if header is None:
         faults.add("table.empty", place="line 1", columns=", ".join(columns[0]))
         return None
-    names = _header(*header, columns, faults)
+    first, cells = header
+    names = _header(first, cells, columns, faults)
     if names is None:
         return None
-    rows = tuple(row for row in (_row(line, cells, names, faults) for line, cells in records) if row)
-    if not rows and not faults:
-        faults.add("table.no_records", place=f"line {header[0]}")
-    return Table(faults.file, names, rows, hashlib.sha256(data).hexdigest())
+    start = numbers.index(first) + 1
+    kept, found = _records(numbers[start:], lines[start:], names, faults)
+    if not kept and not faults:
+        faults.add("table.no_records", place=f"line {first}")
+    digest = hashlib.sha256(data).hexdigest()
+    return Table(faults.file, names, found, np.array(kept, np.int64), digest)
 
 
 def number(row: Row, column: str, faults: Faults) -> float:
@@ -194,21 +243,49 @@ def _decode(data: bytes, faults: Faults) -> str | None:
         return None
 
 
-def _records(text: str, faults: Faults) -> Iterator[tuple[int, list[str]]]:
-    """Line number and stripped cells of each line that is neither blank nor a comment."""
+def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
+    """Numbers and text of the lines that are neither blank nor a comment."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    for n, line in enumerate(lines, start=1):
-        if line.startswith("#") or not line.strip(" \t,"):
-            continue
-        if len(line) > MAX_LINE:
-            faults.add("table.long_line", place=f"line {n}", value=f"{len(line)} characters", limit=MAX_LINE)
-            continue
-        try:
-            cells = next(csv.reader([line], strict=True))
-        except csv.Error as error:
-            faults.add("table.quotes", place=f"line {n}", value=str(error))
-            continue
-        yield n, [cell.strip() for cell in cells]
+    kept = [n for n, line in enumerate(lines, start=1) if not line.startswith("#") and line.strip(" \t,")]
+    long = [n for n in kept if len(lines[n - 1]) > MAX_LINE]
+    for n in long:
+        faults.add("table.long_line", place=f"line {n}", value=f"{len(lines[n - 1])} characters", limit=MAX_LINE)
+    if long:
+        kept = sorted(set(kept) - set(long))
+    return kept, [lines[n - 1] for n in kept]
+
+
+def _cells(number: int, line: str, faults: Faults) -> tuple[int, list[str]] | None:
+    """Number and stripped cells of a line; None, with the fault noted, if its quotes are wrong."""
+    try:
+        cells = next(csv.reader([line], strict=True))
+    except csv.Error as error:
+        faults.add("table.quotes", place=f"line {number}", value=str(error))
+        return None
+    return number, [cell.strip() for cell in cells]
+
+
+def _records(
+    numbers: list[int], lines: list[str], names: tuple[str, ...], faults: Faults
+) -> tuple[list[int], dict[str, Sequence[str]]]:
+    """Line numbers and cells by column of the records; those with a wrong number of cells are left out, and noted.
+
+    A table without quotes and with the right number of commas everywhere is split at once.
+    """
+    width, text = len(names), ",".join(lines)
+    if '"' not in text and all(line.count(",") == width - 1 for line in lines):
+        flat = text.split(",") if lines else []
+        if _SPACE.search(text):
+            flat = [cell.strip() for cell in flat]
+        return numbers, {name: flat[k::width] for k, name in enumerate(names)}
+    kept, rows = [], []
+    for n, line in zip(numbers, lines, strict=True):
+        found = _cells(n, line, faults)
+        cells = None if found is None else _fitting(*found, width, faults)
+        if cells is not None:
+            kept.append(n)
+            rows.append(cells)
+    return kept, {name: [cells[k] for cells in rows] for k, name in enumerate(names)}
 
 
 def _header(line: int, cells: list[str], layouts: Sequence[Sequence[str]], faults: Faults) -> tuple[str, ...] | None:
@@ -236,10 +313,11 @@ def _header(line: int, cells: list[str], layouts: Sequence[Sequence[str]], fault
     return None if len(faults.problems) > before else tuple(cells)
 
 
-def _row(line: int, cells: list[str], names: tuple[str, ...], faults: Faults) -> Row | None:
-    while len(cells) > len(names) and not cells[-1]:
+def _fitting(line: int, cells: list[str], width: int, faults: Faults) -> list[str] | None:
+    """Cells without empty ones beyond the last column; None, with the fault noted, if their number is wrong."""
+    while len(cells) > width and not cells[-1]:
         cells.pop()
-    if len(cells) != len(names):
-        faults.add("table.cell_count", place=f"line {line}", value=f"{len(cells)} cells", count=len(names))
+    if len(cells) != width:
+        faults.add("table.cell_count", place=f"line {line}", value=f"{len(cells)} cells", count=width)
         return None
-    return Row(line, dict(zip(names, cells, strict=True)))
+    return cells
