@@ -18,8 +18,9 @@ from typing import Final
 
 import numpy as np
 
-from factors import pushbroom, rfm_equation
+from factors import frame, pushbroom, rfm_equation
 from factors._contract import Array, Equation
+from factors.batch_frame import frame_rows
 from factors.batch_rows import Index, pushbroom_rows, rational_rows
 
 #: A basis value of the look polynomial has its degree plus this as its number.
@@ -89,6 +90,7 @@ def _plain_columns(setup: Array) -> Columns:
 _BATCHES: Final[dict[str, tuple[Callable[..., int], Callable[[Array], Columns]]]] = {
     pushbroom.LOOK_ANGLE_COLLINEARITY.name: (pushbroom_rows, _pushbroom_columns),
     rfm_equation.RATIONAL_FUNCTION.name: (rational_rows, _plain_columns),
+    frame.FRAME_BROWN_IDEAL_TO_MEASURED.name: (frame_rows, _plain_columns),
 }
 
 

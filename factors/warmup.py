@@ -1,4 +1,4 @@
-"""Compile the kernels of pushbroom and RPC images once, so that their time is not counted as work.
+"""Compile the kernels of pushbroom, RPC and frame images once, so that their time is not counted as work.
 
 The first call of a numba function compiles it (10 s in all) or loads it from the cache
 (0.2 s). Commands call :func:`compile_kernels` before their clocks start.
@@ -16,6 +16,8 @@ from factors import (
     batch_points,
     ellipsoid,
     ephemeris,
+    frame,
+    frame_camera,
     pushbroom,
     rfm,
     rfm_equation,
@@ -41,6 +43,7 @@ def compile_kernels() -> float:
     ellipsoid.geodetic_array(ellipsoid.intersect(p, -p / np.linalg.norm(p, axis=1, keepdims=True), np.zeros(2)))
     ephemeris.lagrange(np.arange(4.0), np.ones((4, 6)), np.array([1.5]))
     _compile_rational_function()
+    _compile_frame()
     _compile_batches()
     return time.perf_counter() - start
 
@@ -60,6 +63,17 @@ def _compile_rational_function() -> None:
     rfm_project.project(c, np.ones(5), np.ones(5), np.zeros(6), *ground.T.copy())
 
 
+def _compile_frame() -> None:
+    e = frame.example(np.random.default_rng(0))
+    x, point = e.unknowns
+    for want in (False, True):
+        frame.kernel(e.record, e.setup, x, point, want)
+    frame.fill(e.record[None].copy(), 0, e.setup, x, point, np.empty((2, len(x) + 4)), True)
+    camera = frame.camera(e.record, e.setup, x)
+    frame_camera.project(camera, point[None].copy())
+    frame_camera.ideal_directions(camera, np.zeros(1), np.zeros(1))
+
+
 def _compile_batches() -> None:
     """Two rays of one point in two images, and their reduced system."""
     rng, one, first = np.random.default_rng(0), np.ones(2, np.int64), np.array([0, 2])
@@ -69,6 +83,7 @@ def _compile_batches() -> None:
     for equation, example in (
         (pushbroom.LOOK_ANGLE_COLLINEARITY, pushbroom.example(rng)),
         (rfm_equation.RATIONAL_FUNCTION, rfm_equation.example(rng)),
+        (frame.FRAME_BROWN_IDEAL_TO_MEASURED, frame.example(rng)),
     ):
         rows, columns = batch.batch(equation, example.setup)
         records, ground = np.stack([example.record] * 2), np.stack([example.unknowns[1]] * 2)

@@ -48,6 +48,9 @@ EXPECTED: Final = {
     "datum": " or ".join(f'"{word}"' for word in get_args(Datum)),
     "small_angle": "true or false",
     "solver": "the name of a linear solver in quotes; leave it out for the default",
+    "loss": 'the name of a robust loss in quotes; "none" for least squares',
+    "gnc": "true or false",
+    "inlier_probability": "a number above 0 and below 1",
     "max_iterations": f"a whole number from {ITERATION_RANGE[0]} to {ITERATION_RANGE[1]}",
     "check_points": " or ".join(f'"{word}"' for word in get_args(CheckPoints)),
 }
@@ -71,6 +74,11 @@ class Sensor(Protocol):
     n_lines: int
     n_samples: int
     notes: tuple[str, ...]
+
+    @property
+    def georeferenced(self) -> bool:
+        """Whether ground points are Earth-fixed; else metres of a local Cartesian system."""
+        ...
 
     @property
     def file(self) -> str:
@@ -151,7 +159,8 @@ class GroundPoints:
     roles : tuple of Role
         Control, check or tie, one per id.
     known : Coordinates
-        One row per id; only rows of control points hold coordinates, the others are nan.
+        One row per id; rows of control points hold coordinates, those of check points never, those of tie points
+        start values or nan.
     """
 
     ids: tuple[str, ...]
@@ -249,6 +258,14 @@ class Options:
         when the block is adjusted.
     optimizer : str
         "gauss-newton", "levenberg-marquardt", "dogleg" or "native"; judged when the block is adjusted.
+    loss : str
+        Robust loss of image points and control points by its name in the registry (``factors.losses``); "none" is
+        least squares. Judged when the block is adjusted.
+    gnc : bool
+        Graduated non-convexity: the loss "tls" or "geman_mcclure" is approached from a convex one, so that many
+        gross errors do not lead into a wrong minimum. Their limits then follow from ``inlier_probability``.
+    inlier_probability : float
+        Probability that a good observation lies within the limit of GNC (chi-square of its dimension).
     max_iterations : int
         Give up after so many, 1 to 10000.
     check_points : str
@@ -275,6 +292,9 @@ class Options:
     backend: str = "auto"
     solver: str | None = None
     optimizer: str = "gauss-newton"
+    loss: str = "none"
+    gnc: bool = False
+    inlier_probability: float = 0.99
     max_iterations: int = 50
     check_points: CheckPoints = "use"
 
@@ -299,7 +319,11 @@ def _allowed(name: str, value: Any) -> bool:
             return value is None or (isinstance(value, str) and bool(value))
         case "max_iterations":
             return _whole(value, ITERATION_RANGE)
-        case "priors" | "small_angle":
+        case "loss":
+            return isinstance(value, str) and bool(value)
+        case "inlier_probability":
+            return _positive(value) and value < 1.0
+        case "priors" | "small_angle" | "gnc":
             return isinstance(value, bool | np.bool_)
         case "check_points":
             return isinstance(value, str) and value in get_args(CheckPoints)
@@ -367,7 +391,8 @@ class Block:
         Name of the project, for the report.
     images : tuple of Image
     points : GroundPoints
-        All ground points; their rows are what ``observations.point`` counts.
+        All ground points; their rows are what ``observations.point`` counts. Coordinates of tie points are start
+        values and nothing else; those without are intersected.
     observations : ImagePoints
     withheld : WithheldCoordinates
         Coordinates of the check points, not to be opened before the solution stands.
@@ -389,6 +414,11 @@ class Block:
     sources: tuple[Source, ...] = ()
     notes: tuple[str, ...] = ()
     extra: tuple[ExtraObservation, ...] = ()
+
+    @property
+    def georeferenced(self) -> bool:
+        """Whether coordinates are Earth-fixed; else metres of a local Cartesian system."""
+        return all(image.sensor.georeferenced for image in self.images)
 
     def image_index(self, image_id: str) -> int:
         """Position of the image with this id."""

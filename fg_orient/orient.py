@@ -17,7 +17,7 @@ from factors.warmup import compile_kernels
 from fg_orient import initial
 from fg_orient.adjustment.located import LocatedPoint, locate_point
 from fg_orient.adjustment.loop import Callback
-from fg_orient.adjustment.problem import Problem, State, compile_problem, enu_from_ecef
+from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.errors import RankDeficientError, problem
@@ -230,4 +230,4 @@ def _differences(
             q[k] = cofactors.point(j) if point is None else point.cofactors(cofactors.joint(point.images, ()))
     sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
     # East, North, Up of the adjusted point: no estimated sigma may depend on a check coordinate
-    return differences(ids, index, ground[index], measured_m, sigma, q, enu_from_ecef(ground[index].reshape(-1, 3)))
+    return differences(ids, index, ground[index], measured_m, sigma, q, compiled.axes(ground[index].reshape(-1, 3)))

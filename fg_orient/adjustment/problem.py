@@ -138,6 +138,15 @@ class Problem:
         """Observations minus unknowns."""
         return self.n_observations - self.n_unknowns
 
+    def axes(self, ground_m: Array) -> Array:
+        """Rotations (N, 3, 3) from coordinates (N, 3) to East, North, Up; identities in a local system."""
+        return _axes(self.block, ground_m)
+
+    @property
+    def axis_names(self) -> tuple[str, str, str]:
+        """Names of the axes that :meth:`axes` leads to."""
+        return ("East", "North", "Up") if self.block.georeferenced else ("X", "Y", "Z")
+
     def label(self, row: int) -> str:
         """Name an image point for messages."""
         image = self.block.images[self.observations.image[row]].id
@@ -210,8 +219,8 @@ def compile_problem(block: Block) -> Problem:
     Raises
     ------
     InputError
-        No control point (unless the priors hold the datum), an image whose sensor has no model, nothing
-        to adjust, points that cannot be intersected.
+        No control point (unless the priors hold the datum), an image whose sensor has no model, images in
+        different coordinate systems, nothing to adjust, points that cannot be intersected.
     """
     options = block.options
     control_rows = block.points.where(Role.CONTROL)
@@ -223,6 +232,8 @@ def compile_problem(block: Block) -> Problem:
     models = image_models(block.images, options)
     observations = _participating(block)
     _require_finite(block, observations, control_rows)
+    if not block.georeferenced and any(image.sensor.georeferenced for image in block.images):
+        raise InputError.of("frame.mixed", file=block.name, place="images")
     origin = np.asarray(np.mean([image.sensor.centre_m for image in block.images], axis=0))
     known = block.points.known
     start_ecef = known.ecef_m.copy()
@@ -239,7 +250,7 @@ def compile_problem(block: Block) -> Problem:
     start = State(np.zeros((len(models), widest)), np.where(part[:, None], start_ecef - origin, np.nan))
     return Problem(
         block, models, observations, records, origin, start, active, observed,
-        _control_records(known.sigma_enu_m, start_ecef, origin, observed),
+        _control_records(block, start_ecef, origin, observed),
     )  # fmt: skip
 
 
@@ -289,17 +300,24 @@ def whitened_records(
     return out
 
 
-def _control_records(sigma_enu_m: Array, ecef_m: Array, origin_m: Array, observed: npt.NDArray[np.bool_]) -> Array:
+def _control_records(block: Block, ecef_m: Array, origin_m: Array, observed: npt.NDArray[np.bool_]) -> Array:
     """Records (N, 12) of the control-point equations: W for ECEF axes from E/N/U sigmas."""
-    out = np.full((len(ecef_m), 12), np.nan)
+    out, sigma_enu_m = np.full((len(ecef_m), 12), np.nan), block.points.known.sigma_enu_m
     rows = np.flatnonzero(observed)
-    enu = enu_from_ecef(ecef_m[rows])
+    enu = _axes(block, ecef_m[rows])
     for k, row in enumerate(rows):
         # W^T W = C^-1 by QR of the scaled axes: no covariance is formed, so any ratio of sigmas is exact
         w = np.linalg.qr(enu[k] / sigma_enu_m[row][:, None]).R
         out[row, :9] = (w * np.where(np.diag(w) < 0.0, -1.0, 1.0)[:, None]).ravel()
         out[row, 9:] = ecef_m[row] - origin_m
     return out
+
+
+def _axes(block: Block, ground_m: Array) -> Array:
+    """See :meth:`Problem.axes`."""
+    if block.georeferenced:
+        return enu_from_ecef(ground_m)
+    return np.tile(np.eye(3), (len(ground_m), 1, 1))
 
 
 def enu_from_ecef(ecef_m: Array) -> Array:

@@ -8,7 +8,7 @@ in every adjustment of the image.
 
 Dead directions are named by matching them with physical candidates, which the image's model
 gives (``silent_directions``). A block without control points is asked, besides, what holds it
-in the world: its images may be shifted together.
+in the world: its images may be shifted, turned or scaled together.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.models.contract import ImageModel
-from fg_orient.adjustment.problem import Problem, enu_from_ecef
+from fg_orient.adjustment.problem import Problem
 from fg_orient.parameters import ImageParameters
 
 Array = npt.NDArray[np.float64]
@@ -116,7 +116,7 @@ class BlockObservability:
     weak : int
         Directions determined 100 times worse than their prior sigma, dead ones not counted.
     datum : tuple of str
-        One per common shift of all images that no control point fixes.
+        One per common shift, turn or change of scale of all images that no control point fixes.
     """
 
     singular_values: Array
@@ -127,7 +127,7 @@ class BlockObservability:
 
 #: Without priors, directions below this singular value are pointed out.
 WEAK_WITHOUT_PRIORS = 1e-2
-#: A shift of all images by this much shows whether anything but the priors holds them.
+#: A motion of all images by this much shows whether anything but the priors holds them.
 DATUM_SHIFT_M = 10.0
 
 
@@ -174,27 +174,42 @@ def _eliminated(problem: Problem, j_image: list[Array], j_ground: list[Array]) -
 
 
 def _datum(problem: Problem, rest: Array, j_image: list[Array], j_ground: list[Array]) -> tuple[str, ...]:
-    """Common shifts East, North, Up that the block itself does not resist.
+    """Common shifts, turns and change of scale that the block itself does not resist.
 
-    For each axis every image takes the unknowns that best follow the shifted ground; what the block then
+    For each of them every image takes the unknowns that best follow the moved ground; what the block then
     still feels is the change of its residuals with the ground points free to follow.
     """
-    turn = enu_from_ecef(problem.origin_m[None])[0]
+    image, point = problem.observations.image, problem.observations.point
+    by_image = [np.flatnonzero(image == k) for k in range(problem.n_images)]
     out = []
-    for axis, name in enumerate(("East", "North", "Up")):
-        shift = DATUM_SHIFT_M * turn[axis]
+    for words, shift in _motions(problem):
         move = np.zeros(problem.n_image_unknowns)
-        for k in range(problem.n_images):
-            rows = np.flatnonzero(problem.observations.image == k)
-            a, b = np.vstack([j_image[r] for r in rows]), np.concatenate([j_ground[r] @ shift for r in rows])
+        for k, rows in enumerate(by_image):
+            a = np.vstack([j_image[r] for r in rows])
+            b = np.concatenate([j_ground[r] @ shift[point[r]] for r in rows])
             move[problem.first[k] : problem.first[k + 1]] = -np.linalg.lstsq(a, b, rcond=None)[0]
         felt = float(np.linalg.norm(rest @ move) / np.sqrt(2 * len(problem.observations)))
         if felt < WEAK:
             out.append(
-                f"block: the images may be shifted together {name}: no control point; {DATUM_SHIFT_M:g} m change the "
+                f"block: the images may be {words}: no control point; {DATUM_SHIFT_M:g} m change the "
                 f"residuals by {felt:.1g} of their sigma (root mean square), the priors alone hold it"
             )
     return tuple(out)
+
+
+def _motions(problem: Problem) -> list[tuple[str, Array]]:
+    """The seven motions of a similarity in words, with the shift (N, 3) m of every ground point.
+
+    Turns and change of scale are about the middle of the points, large enough for half of them to go
+    :data:`DATUM_SHIFT_M` or more.
+    """
+    ground, seen = problem.start.ground, np.unique(problem.observations.point)
+    arm = ground - np.median(ground[seen], axis=0)
+    turn, names = problem.axes(problem.origin_m[None])[0], problem.axis_names
+    whole = [(f"shifted together {name}", np.tile(axis, (len(arm), 1))) for name, axis in zip(names, turn, strict=True)]
+    whole += [(f"turned together about {name}", np.cross(axis, arm)) for name, axis in zip(names, turn, strict=True)]
+    whole.append(("scaled together", arm))
+    return [(words, DATUM_SHIFT_M / np.median(np.linalg.norm(d[seen], axis=1)) * d) for words, d in whole]
 
 
 def _block_sentence(direction: Array, names: list[tuple[str, str]]) -> str:

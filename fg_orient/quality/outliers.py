@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import fdtrc, fdtri, gammaincinv
 
-from fg_orient.adjustment.problem import Problem, State, enu_from_ecef
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.quality.covariance import Cofactors
 
 Array = npt.NDArray[np.float64]
@@ -155,7 +155,7 @@ def residual_groups(problem: Problem, state: State, cofactors: Cofactors) -> lis
     rays = problem.image_residuals(state, jacobian=True)
     turn = np.full((len(problem.active), 3, 3), np.nan)
     seen = np.flatnonzero(problem.observed)
-    turn[seen] = enu_from_ecef(problem.control_records[seen, 9:] + problem.origin_m)
+    turn[seen] = problem.axes(problem.control_records[seen, 9:] + problem.origin_m)
     out: list[ResidualGroup] = []
     for j, rows in problem.rows_by_point():
         joint, found = _image_groups(problem, cofactors, j, rows, rays)

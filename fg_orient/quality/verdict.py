@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincinv
 
-from fg_orient.adjustment.problem import Problem, enu_from_ecef
+from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.names import Status
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
@@ -89,7 +89,7 @@ def warnings(
         east, north, up = _moved(problem, estimate)
         out.append(
             "relative adjustment: no control point tells where the block lies, the priors hold it; it moved by "
-            f"{east:+.1f}, {north:+.1f}, {up:+.1f} m East, North, Up. No figure of it is an accuracy; "
+            f"{east:+.1f}, {north:+.1f}, {up:+.1f} m {', '.join(problem.axis_names)}. No figure of it is an accuracy; "
             "if it moved farther than the vendor's own location error, give that error as prior sigma"
         )
     dead = sum(o.rank_defect for o in observability)
@@ -113,10 +113,10 @@ def warnings(
 
 
 def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:
-    """Mean movement East, North, Up of the unknown ground points from their start, m."""
+    """Mean movement East, North, Up (or along the local axes) of the unknown ground points from their start, m."""
     j = problem.active
     mean = (estimate.state.ground[j] - problem.start.ground[j]).mean(axis=0)
-    east, north, up = enu_from_ecef(problem.origin_m[None])[0] @ mean
+    east, north, up = problem.axes(problem.origin_m[None])[0] @ mean
     return float(east), float(north), float(up)
 
 

@@ -26,7 +26,6 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid
-from fg_orient.adjustment.problem import enu_from_ecef
 from fg_orient.quality.accuracy import PointDifferences
 
 if TYPE_CHECKING:
@@ -124,7 +123,8 @@ def point_rows(solution: Solution) -> list[tuple[object, ...]]:
     rays = np.bincount(solution.block.observations.point, minlength=len(points.ids))
     known = np.asarray(~np.isnan(ground).any(axis=1))
     geodetic = np.full_like(ground, np.nan)
-    geodetic[known] = ellipsoid.geodetic_array(np.ascontiguousarray(ground[known]))
+    if solution.block.georeferenced:
+        geodetic[known] = ellipsoid.geodetic_array(np.ascontiguousarray(ground[known]))
     lon, lat = np.degrees(geodetic[:, 0]), np.degrees(geodetic[:, 1])
     factor, name = sigma_scale(solution)
     sigma = factor * point_sigmas(solution, known)
@@ -145,7 +145,7 @@ def point_sigmas(solution: Solution, known: npt.NDArray[np.bool_]) -> Array:
     if solution.cofactors is None:
         return out
     rows = np.flatnonzero(known)
-    turn = enu_from_ecef(np.ascontiguousarray(solution.ground_m[rows]))
+    turn = solution.problem.axes(np.ascontiguousarray(solution.ground_m[rows]))
     for k, j in enumerate(rows):
         q = turn[k] @ solution.cofactors.point(int(j)) @ turn[k].T
         out[j] = np.sqrt(np.maximum(np.diag(q), 0.0))

@@ -67,6 +67,8 @@ class PushbroomSensor:
         The ephemeris does not cover the image, or the attitudes leave more than 0.2 s open.
     """
 
+    georeferenced = True
+
     def __init__(self, metadata: PushbroomMetadata) -> None:
         self.metadata = metadata
         self.n_lines, self.n_samples = metadata.n_lines, metadata.n_samples

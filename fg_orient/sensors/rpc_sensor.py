@@ -44,6 +44,8 @@ class RpcSensor:
         A denominator is not positive somewhere inside the image, and ``poles`` is False.
     """
 
+    georeferenced = True
+
     def __init__(self, model: RpcModel, *, poles: bool = False) -> None:
         if not poles:
             model.require_no_pole()

@@ -28,6 +28,7 @@ Array = npt.NDArray[np.float64]
 MODELS: Final[dict[str, tuple[str, str]]] = {
     "PushbroomSensor": ("fg_orient.adjustment.models.pushbroom", "PushbroomModel"),
     "RpcSensor": ("fg_orient.adjustment.models.rpc", "RpcImageModel"),
+    "FrameSensor": ("fg_orient.adjustment.models.frame", "FrameImageModel"),
 }
 
 
