@@ -18,6 +18,7 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError, check_blocks
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import Robust, control_squares
 from fg_orient.block import ExtraObservation
 from fg_orient.errors import InputError
 from fg_orient.linear.registry import solve
@@ -175,11 +176,13 @@ class DenseSystem:
         J.
     solver : str
         Name in the registry of linear solvers.
+    excess : float
+        By how much the cost under a loss exceeds half the squares of the weighted residuals.
     """
 
-    def __init__(self, residual: Array, design: Array, solver: str) -> None:
-        self.residual, self.design, self._solver = residual, design, solver
-        self.error = 0.5 * float(residual @ residual)
+    def __init__(self, residual: Array, design: Array, solver: str, excess: float = 0.0) -> None:
+        self.residual, self.design, self._solver, self._excess = residual, design, solver, excess
+        self.error = excess + 0.5 * float(residual @ residual)
 
     def solve(self, damping: float) -> DenseStep:
         """Solve with ``damping`` times the identity added to the normal equations.
@@ -213,7 +216,7 @@ class DenseSystem:
 
     def _step(self, x: Array) -> DenseStep:
         after = self.residual + self.design @ x
-        return DenseStep(x, float(np.abs(x).max()), 0.5 * float(after @ after))
+        return DenseStep(x, float(np.abs(x).max()), self._excess + 0.5 * float(after @ after))
 
 
 class DenseBackend:
@@ -238,6 +241,7 @@ class DenseBackend:
             raise InputError.of("linear.too_large", place="backend", value=problem.n_unknowns, limit=MAX_UNKNOWNS)
         self.problem, self.solver = problem, find_solver(solver).name
         self.columns = Columns.of(problem)
+        self.robust: Robust | None = None
 
     def initial(self) -> State:
         """Start values."""
@@ -245,12 +249,34 @@ class DenseBackend:
 
     def linearise(self, state: State) -> DenseSystem:
         """Linearise at a state."""
-        return DenseSystem(*assemble(self.problem, state), self.solver)
+        residual, design = assemble(self.problem, state)
+        if self.robust is None:
+            return DenseSystem(residual, design, self.solver)
+        root, excess = self._weights(self.robust, residual, state)
+        return DenseSystem(residual * root, design * root[:, None], self.solver, excess)
 
     def error(self, state: State) -> float:
-        """Half the weighted sum of squares."""
+        """Half the weighted sum of squares, or the cost under the loss."""
         residual, _ = assemble(self.problem, state, jacobian=False)
-        return 0.5 * float(residual @ residual)
+        if self.robust is None:
+            return 0.5 * float(residual @ residual)
+        root, excess = self._weights(self.robust, residual, state)
+        return excess + 0.5 * float(np.sum((root * residual) ** 2))
+
+    def squares(self, state: State) -> tuple[Array, Array]:
+        """See ``robust.RobustBackend``."""
+        residual, _, _ = self.problem.image_residuals(state)
+        return np.sum(residual**2, axis=1), control_squares(self.problem, state)
+
+    def _weights(self, robust: Robust, residual: Array, state: State) -> tuple[Array, float]:
+        """Roots of the weights of all rows (n,); excess of the cost over half the weighted squares."""
+        n = 2 * len(self.problem.observations)
+        image_squares = np.sum(residual[:n].reshape(-1, 2) ** 2, axis=1)
+        observed_squares = control_squares(self.problem, state)
+        image, control, cost = robust.weigh(image_squares, observed_squares)
+        weights = np.ones(len(residual))
+        weights[: n + 3 * len(control)] = np.concatenate([np.repeat(image, 2), np.repeat(control, 3)])
+        return np.sqrt(weights), cost - 0.5 * float(image @ image_squares + control @ observed_squares)
 
     def retract(self, state: State, step: DenseStep) -> State:
         """State after a step."""

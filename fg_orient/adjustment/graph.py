@@ -20,6 +20,7 @@ from factors.graph import factor, image_point_factors
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.models.contract import groups
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import Robust, ScaledLoss, control_squares
 from fg_orient.block import ExtraObservation
 from fg_orient.errors import InputError
 
@@ -39,17 +40,17 @@ def point_key(j: int) -> int:
     return int(gtsam.symbol("p", j))
 
 
-def build_graph(problem: Problem) -> gtsam.NonlinearFactorGraph:
-    """One factor per image point, control point and image prior."""
+def build_graph(problem: Problem, image_loss: Any = None, control_loss: Any = None) -> gtsam.NonlinearFactorGraph:
+    """One factor per image point, control point and image prior; losses are GTSAM's (``noiseModel.mEstimator``)."""
     graph = gtsam.NonlinearFactorGraph()
-    _add_image_points(graph, problem)
-    _add_priors(graph, problem)
+    _add_image_points(graph, problem, image_loss)
+    _add_priors(graph, problem, control_loss)
     for extra in problem.block.extra:
         graph.add(_extra_factor(extra, problem))
     return graph
 
 
-def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
+def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) -> None:
     """Add one factor per image point, point by point: neighbours in the graph share a ground point.
 
     Values, records and linear factors of one point then lie together in memory.
@@ -62,7 +63,7 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> No
     for images in groups(models):
         equation, parameters = models[images[0]].equation, models[images[0]].parameters
         make = image_point_factors(
-            equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n])
+            equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n]), loss=loss
         )
         makers |= dict.fromkeys(images, make)
     image_keys = [image_key(i) for i in range(problem.n_images)]
@@ -78,7 +79,7 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> No
             setup = models[i].parameters.setup
             graph.add(factor(
                 models[i].equation, (image_keys[i], constant), (setup.shape[1], 3), records[n], setup,
-                label=problem.label(row),
+                label=problem.label(row), loss=loss,
             ))  # fmt: skip
 
 
@@ -97,10 +98,12 @@ def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFact
     )  # fmt: skip
 
 
-def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem) -> None:
+def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) -> None:
     for j in np.flatnonzero(problem.observed):
         whitening = problem.control_records[j, :9].reshape(3, 3)
-        noise = gtsam.noiseModel.Gaussian.SqrtInformation(whitening)
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(whitening)
+        if loss is not None:
+            noise = gtsam.noiseModel.Robust.Create(loss, noise)
         graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, 9:], noise)
     if problem.block.options.priors:
         for i, parameters in enumerate(problem.parameters):
@@ -123,7 +126,9 @@ class GraphSystem:
     def __init__(self, backend: GraphBackend, values: gtsam.Values) -> None:
         self._backend = backend
         self.linear: gtsam.GaussianFactorGraph = backend.graph.linearize(values)
-        self.error = float(self.linear.error(backend.zero))
+        quadratic = float(self.linear.error(backend.zero))
+        self.error = quadratic if backend.robust is None else backend.error(values)
+        self._excess = self.error - quadratic
 
     @property
     def zero(self) -> gtsam.VectorValues:
@@ -158,7 +163,7 @@ class GraphSystem:
         return self._step(steepest.add(across.scale(share)))
 
     def _step(self, delta: gtsam.VectorValues) -> GraphStep:
-        return GraphStep(delta, float(np.abs(delta.vector()).max()), float(self.linear.error(delta)))
+        return GraphStep(delta, float(np.abs(delta.vector()).max()), self._excess + float(self.linear.error(delta)))
 
 
 class GraphBackend:
@@ -167,13 +172,16 @@ class GraphBackend:
     Parameters
     ----------
     problem : Problem
+    robust : Robust, optional
+        Losses; may be exchanged for others between linearisations, but neither added nor taken away later.
     """
 
     name = "graph"
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.graph = build_graph(problem)
+    def __init__(self, problem: Problem, robust: Robust | None = None) -> None:
+        self.problem, self.robust = problem, robust
+        losses = () if robust is None else (self._estimator("image"), self._estimator("control"))
+        self.graph = build_graph(problem, *losses)
         # without priors the normal equations may be too ill-conditioned for Cholesky; rank was judged before
         self.use_qr = not problem.block.options.priors
         self._points = [int(j) for j in np.flatnonzero(problem.active)]
@@ -187,6 +195,17 @@ class GraphBackend:
             self.zero.insert(image_key(i), np.zeros(len(problem.parameters[i])))
         for j in self._points:
             self.zero.insert(point_key(j), np.zeros(3))
+
+    def _estimator(self, kind: str) -> Any:
+        """GTSAM's form of a loss: it asks for the one in force at each call."""
+
+        def loss() -> ScaledLoss:
+            return getattr(self.robust, kind)  # type: ignore[no-any-return]
+
+        whole = gtsam.noiseModel.mEstimator.Base.ReweightScheme.Block
+        return gtsam.noiseModel.mEstimator.Custom(
+            lambda norm: float(loss().weights(float(norm))), lambda norm: float(loss().costs(float(norm))), whole, kind
+        )
 
     def initial(self) -> gtsam.Values:
         """Start values."""
@@ -214,8 +233,14 @@ class GraphBackend:
         return GraphSystem(self, state)
 
     def error(self, state: gtsam.Values) -> float:
-        """Half the weighted sum of squares."""
+        """Half the weighted sum of squares, or the cost under the losses."""
         return float(self.graph.error(state))
+
+    def squares(self, state: gtsam.Values) -> tuple[Array, Array]:
+        """See ``robust.RobustBackend``."""
+        arrays = self.state(state)
+        residual, _, _ = self.problem.image_residuals(arrays)
+        return np.sum(residual**2, axis=1), control_squares(self.problem, arrays)
 
     def retract(self, state: gtsam.Values, step: Any) -> gtsam.Values:
         """State after a step."""

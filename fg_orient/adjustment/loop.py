@@ -5,6 +5,9 @@ The state belongs to Python; a backend only linearises, solves and retracts
 Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so one step
 length speaks for all. The loop ends when the scaled step is below the tolerance, or below
 1e-6 and no longer shrinking (rounding); never on a relative cost. ``tolerance`` replaces the default one.
+
+All that one iteration hands to the next is in :class:`Carried`: a loop that starts from it goes on as if it had never
+stopped, bit by bit.
 """
 
 from __future__ import annotations
@@ -12,13 +15,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 S = TypeVar("S")
 
 STEP_TOLERANCE = 1e-8
 ROUNDING_STEP = 1e-6
+#: A step below ROUNDING_STEP that is not below this part of the last one is rounding. Newton's steps shrink faster;
+#: reweighted ones shrink by a constant factor, rounding alone does not let them shrink at all.
+SHRINK = 0.5
+SHRINK_REWEIGHTED = 1.0
 MAX_REJECTED = 20
 SMALL = "the scaled step is below the tolerance"
 
@@ -65,9 +72,9 @@ class Backend(Protocol[S]):
 class IterationRecord:
     """One iteration, as the log and the callback see it.
 
-    ``step`` is the largest scaled element; ``chi2`` and ``chi2_after`` are weighted sums of
-    squares; ``ratio`` is actual over predicted decrease (nan where the predicted decrease is rounding:
-    such a step is taken).
+    ``step`` is the largest scaled element; ``chi2`` and ``chi2_after`` are weighted sums of squares (under a loss
+    twice the cost); ``ratio`` is actual over predicted decrease (nan where the predicted decrease is rounding: such a
+    step is taken); ``mu`` is the stage of graduated non-convexity (nan without).
     """
 
     iteration: int
@@ -79,9 +86,43 @@ class IterationRecord:
     damping: float
     accepted: bool
     seconds: float
+    mu: float = math.nan
 
 
 Callback = Callable[[IterationRecord], None]
+
+
+@dataclass(frozen=True)
+class Carried(Generic[S]):
+    """What one iteration hands to the next.
+
+    Parameters
+    ----------
+    state : S
+    control : float
+        Damping or radius; nan: the optimiser's first.
+    growth : float
+        Factor of the damping after the next rejected step.
+    previous : float
+        Largest scaled element of the last step taken.
+    rejected, rising : int
+        Steps refused, or errors risen, in a row.
+    log : tuple of IterationRecord
+    begun_at : int
+        Iterations of earlier stages.
+    mu : float
+        Stage of graduated non-convexity (``fg_orient.adjustment.gnc``); nan without.
+    """
+
+    state: S
+    control: float = math.nan
+    growth: float = 2.0
+    previous: float = math.inf
+    rejected: int = 0
+    rising: int = 0
+    log: tuple[IterationRecord, ...] = ()
+    begun_at: int = 0
+    mu: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -95,27 +136,55 @@ class LoopResult(Generic[S]):
     reason: str
 
 
-class _Log:
-    """Collect the records and pass each one on."""
+class Course(Generic[S]):
+    """Where a loop stands, and how it tells.
 
-    def __init__(self, callback: Callback | None) -> None:
-        self.records: list[IterationRecord] = []
-        self._callback = callback
-        self._start = time.perf_counter()
+    Parameters
+    ----------
+    start : S or Carried
+        A state, or what an earlier loop carried when it was stopped.
+    callback : callable or None
+        Called with each record.
+    keep : callable or None
+        Called with what is carried after each iteration but the last.
+    """
 
-    def add(self, before: float, after: float, step: Step, damping: float, always: bool = False) -> IterationRecord:
+    def __init__(
+        self, start: S | Carried[S], callback: Callback | None, keep: Callable[[Carried[S]], None] | None
+    ) -> None:
+        self.carried: Carried[S] = start if isinstance(start, Carried) else Carried(start)
+        self._callback, self._keep = callback, keep
+        log = self.carried.log
+        self._start = time.perf_counter() - (log[-1].seconds if log else 0.0)
+
+    def remaining(self, max_iterations: int) -> range:
+        """Iterations left of this stage."""
+        return range(max_iterations - len(self.carried.log) + self.carried.begun_at)
+
+    def judge(self, before: float, after: float, step: Step, control: float, always: bool = False) -> IterationRecord:
         """Judge a step: taken if the error falls, or if the predicted decrease is rounding (or always)."""
         predicted = before - step.predicted_error
         ratio = (before - after) / predicted if predicted > 1e-12 * max(before, 1.0) else math.nan
         accepted = always or (math.isfinite(after) and (math.isnan(ratio) or ratio > 0.0))
+        log = self.carried.log
         record = IterationRecord(
-            len(self.records) + 1, 2.0 * before, 2.0 * after, 2.0 * predicted, ratio, step.length, damping, accepted,
-            time.perf_counter() - self._start,
+            len(log) + 1, 2.0 * before, 2.0 * after, 2.0 * predicted, ratio, step.length, control, accepted,
+            time.perf_counter() - self._start, self.carried.mu,
         )  # fmt: skip
-        self.records.append(record)
+        self.carried = replace(self.carried, log=(*log, record))
         if self._callback:
             self._callback(record)
         return record
+
+    def go_on(self, **changed: Any) -> None:
+        """Carry on to the next iteration."""
+        self.carried = replace(self.carried, **changed)
+        if self._keep:
+            self._keep(self.carried)
+
+    def end(self, state: S, error: float, converged: bool, reason: str) -> LoopResult[S]:
+        """End of the loop."""
+        return LoopResult(state, error, self.carried.log, converged, reason)
 
 
 def _exhausted(max_iterations: int) -> str:
@@ -128,114 +197,121 @@ def share_at_radius(across_squared: float, steepest_dot_across: float, length: f
     return (-b + math.sqrt(b * b - across_squared * c)) / across_squared
 
 
-def _small(step: float, previous: float, tolerance: float) -> bool:
-    return step < tolerance or (step < ROUNDING_STEP and step > 0.5 * previous)
+def _small(step: float, previous: float, tolerance: float, shrink: float) -> bool:
+    return step < tolerance or (step < ROUNDING_STEP and step > shrink * previous)
 
 
 def gauss_newton(
     backend: Backend[S],
-    start: S,
+    start: S | Carried[S],
     max_iterations: int,
     callback: Callback | None = None,
     tolerance: float = STEP_TOLERANCE,
+    *,
+    shrink: float = SHRINK,
+    keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
-    """Full steps; ends unconverged when the error rises three times running or is not finite."""
-    log, state, previous, rising = _Log(callback), start, math.inf, 0
-    system = backend.linearise(state)
-    for _ in range(max_iterations):
-        step = system.solve(0.0)
-        state = backend.retract(state, step)
-        last = _small(step.length, previous, tolerance)
+    """Full steps; ends unconverged when the error rises three times running or is not finite.
+
+    ``start`` and ``keep``: see :class:`Course`. A step shrinks if it is below ``shrink`` times the last one.
+    """
+    course = Course(start, callback, keep)
+    system = backend.linearise(course.carried.state)
+    for _ in course.remaining(max_iterations):
+        carried, step = course.carried, system.solve(0.0)
+        state = backend.retract(carried.state, step)
+        last = _small(step.length, carried.previous, tolerance, shrink)
         following = None if last else backend.linearise(state)
         error = following.error if following else backend.error(state)
-        log.add(system.error, error, step, 0.0, always=True)
-        rising = rising + 1 if error > system.error * (1.0 + 1e-9) + 1e-9 else 0
+        course.judge(system.error, error, step, 0.0, always=True)
+        rising = carried.rising + 1 if error > system.error * (1.0 + 1e-9) + 1e-9 else 0
         if not math.isfinite(error) or rising >= 3:
-            return LoopResult(
-                state, error, tuple(log.records), False, "the error rises: try --optimizer levenberg-marquardt"
-            )
+            return course.end(state, error, False, "the error rises: try --optimizer levenberg-marquardt")
         if following is None:
             reason = SMALL if rising == 0 else "the last step raised the error: try --optimizer levenberg-marquardt"
-            return LoopResult(state, error, tuple(log.records), rising == 0, reason)
-        system, previous = following, step.length
-    return LoopResult(state, system.error, tuple(log.records), False, _exhausted(max_iterations))
+            return course.end(state, error, rising == 0, reason)
+        system = following
+        course.go_on(state=state, previous=step.length, rising=rising)
+    return course.end(course.carried.state, system.error, False, _exhausted(max_iterations))
+
+
+@dataclass(frozen=True)
+class _Control:
+    """How damping or radius rules the steps: its first value, the step under it, what follows from a record."""
+
+    first: float
+    solve: Callable[[System, float], Step]
+    follow: Callable[[float, float, IterationRecord], tuple[float, float]]
 
 
 def levenberg_marquardt(
     backend: Backend[S],
-    start: S,
+    start: S | Carried[S],
     max_iterations: int,
     callback: Callback | None = None,
     tolerance: float = STEP_TOLERANCE,
+    *,
+    shrink: float = SHRINK,
+    keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
     """Damped steps; the damping follows the ratio of actual to predicted decrease (Nielsen 1999)."""
-    growth = 2.0
 
-    def solve(system: System, damping: float) -> Step:
-        return system.solve(damping)
-
-    def follow(damping: float, record: IterationRecord) -> float:
-        nonlocal growth
+    def follow(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
         if not record.accepted:
-            damping, growth = damping * growth, 2.0 * growth
-            return damping
-        growth = 2.0
+            return damping * growth, 2.0 * growth
         ratio = 1.0 if math.isnan(record.ratio) else record.ratio
-        return max(damping * max(1e-3, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-14)
+        return max(damping * max(1e-3, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-14), 2.0
 
-    return _controlled(backend, start, max_iterations, callback, tolerance, solve, follow, 1e-4)
+    rule = _Control(1e-4, lambda system, damping: system.solve(damping), follow)
+    return _controlled(backend, Course(start, callback, keep), max_iterations, tolerance, shrink, rule)
 
 
 def dogleg(
     backend: Backend[S],
-    start: S,
+    start: S | Carried[S],
     max_iterations: int,
     callback: Callback | None = None,
     tolerance: float = STEP_TOLERANCE,
+    *,
+    shrink: float = SHRINK,
+    keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
     """Powell's dogleg in a trust region of the scaled unknowns."""
 
-    def solve(system: System, radius: float) -> Step:
-        return system.dogleg(radius)
-
-    def follow(radius: float, record: IterationRecord) -> float:
+    def follow(radius: float, growth: float, record: IterationRecord) -> tuple[float, float]:
         if not record.accepted or record.ratio < 0.25:
-            return 0.25 * radius
-        return max(radius, 3.0 * record.step) if record.ratio > 0.75 else radius
+            return 0.25 * radius, growth
+        return max(radius, 3.0 * record.step) if record.ratio > 0.75 else radius, growth
 
-    return _controlled(backend, start, max_iterations, callback, tolerance, solve, follow, 1e3)
+    rule = _Control(1e3, lambda system, radius: system.dogleg(radius), follow)
+    return _controlled(backend, Course(start, callback, keep), max_iterations, tolerance, shrink, rule)
 
 
 def _controlled(
-    backend: Backend[S],
-    start: S,
-    max_iterations: int,
-    callback: Callback | None,
-    tolerance: float,
-    solve: Callable[[System, float], Step],
-    follow: Callable[[float, IterationRecord], float],
-    control: float,
+    backend: Backend[S], course: Course[S], max_iterations: int, tolerance: float, shrink: float, rule: _Control
 ) -> LoopResult[S]:
-    """Take steps that lower the error; ``control`` (damping or radius) follows each record."""
-    log, state, previous, rejected = _Log(callback), start, math.inf, 0
-    system = backend.linearise(state)
-    for _ in range(max_iterations):
-        step = solve(system, control)
-        trial = backend.retract(state, step)
+    """Take steps that lower the error; the control (damping or radius) follows each record."""
+    if math.isnan(course.carried.control):
+        course.carried = replace(course.carried, control=rule.first)
+    system = backend.linearise(course.carried.state)
+    for _ in course.remaining(max_iterations):
+        carried, step = course.carried, rule.solve(system, course.carried.control)
+        trial = backend.retract(carried.state, step)
         error = backend.error(trial)
-        record = log.add(system.error, error, step, control)
-        control = follow(control, record)
+        record = course.judge(system.error, error, step, carried.control)
+        control, growth = rule.follow(carried.control, carried.growth, record)
         if not record.accepted:
-            rejected += 1
-            if rejected >= MAX_REJECTED:
-                return LoopResult(state, system.error, tuple(log.records), False, "no step lowers the error")
+            if carried.rejected + 1 >= MAX_REJECTED:
+                return course.end(carried.state, system.error, False, "no step lowers the error")
+            course.go_on(control=control, growth=growth, rejected=carried.rejected + 1)
             continue
-        state, rejected = trial, 0
         # a damped step may be small because of the damping: the undamped one decides
-        if _small(step.length, previous, tolerance) and system.solve(0.0).length < ROUNDING_STEP:
-            return LoopResult(state, error, tuple(log.records), True, SMALL)
-        system, previous = backend.linearise(state), step.length
-    return LoopResult(state, system.error, tuple(log.records), False, _exhausted(max_iterations))
+        small = _small(step.length, carried.previous, tolerance, shrink)
+        if small and system.solve(0.0).length < ROUNDING_STEP:
+            return course.end(trial, error, True, SMALL)
+        system = backend.linearise(trial)
+        course.go_on(state=trial, control=control, growth=growth, previous=step.length, rejected=0)
+    return course.end(course.carried.state, system.error, False, _exhausted(max_iterations))
 
 
 OPTIMIZERS: dict[str, Callable[..., LoopResult[Any]]] = {

@@ -18,8 +18,10 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors.batch_pairs import gather_blocks, image_gradients, pair_blocks
 from factors.batch_points import back_substitute, point_blocks, product
+from factors.batch_weights import scale_rows
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Structure, Workers, compile_structure, reason_against
 from fg_orient.errors import InputError
@@ -63,6 +65,7 @@ class _Buffers:
         self.sums = np.empty((len(s.cut) - 1, int(s.n_basis.max()) ** 2, int(s.n_components.max()) ** 2))
         self.blocks = np.zeros((len(s.block_row), s.wide.shape[1], s.wide.shape[1]))
         self.wide = np.empty((len(s.size), s.width))
+        self.control = backend.problem.control_records  # under a loss, a copy with weights: see SchurSystem
 
 
 class SchurSystem:
@@ -71,8 +74,9 @@ class SchurSystem:
     def __init__(self, backend: SchurBackend, state: State) -> None:
         self._backend, self.state = backend, state
         self._newton: SchurStep | None = None
+        self._robust, self._excess = backend.robust, 0.0
         self._fill()
-        self.error = backend.half_squares(backend.buffers.value, state)
+        self.error = self._excess + backend.half_squares(backend.buffers.value, state, backend.buffers.control)
 
     @property
     def structure(self) -> Structure:
@@ -80,8 +84,22 @@ class SchurSystem:
         return self._backend.structure
 
     def _fill(self) -> None:
-        self._backend.evaluate(self.state, self._backend.buffers.value, want=True)
-        self._backend.buffers.owner = self
+        b = self._backend.buffers
+        self._backend.evaluate(self.state, b.value, want=True)
+        b.control = self._backend.problem.control_records
+        if self._robust is not None:
+            self._weigh(self._robust, b)
+        b.owner = self
+
+    def _weigh(self, robust: Robust, b: _Buffers) -> None:
+        """Multiply all rows by the roots of their weights; keep by how much the cost exceeds half their squares."""
+        s, observed = self._backend.structure, self._backend.structure.observed
+        image_squares, control_squares = self._backend.squares_of(b.value, self.state)
+        image, control, cost = robust.weigh(image_squares, control_squares)
+        self._excess = cost - 0.5 * float(np.vdot(image, image_squares) + np.vdot(control, control_squares))
+        self._backend.workers.run(scale_rows, len(s.row), np.sqrt(image), b.value, b.d_image, b.d_ground)
+        b.control = b.control.copy()
+        b.control[observed, :9] *= np.sqrt(control)[:, None]
 
     def buffers(self) -> _Buffers:
         """Arrays that hold this linearisation."""
@@ -116,7 +134,7 @@ class SchurSystem:
         """Blocks (B, k, k) of the reduced system; leaves the point blocks in the buffers."""
         backend, s, problem, b = self._backend, self._backend.structure, self._backend.problem, self.buffers()
         bad = backend.workers.run(
-            point_blocks, len(s.number), s.first, s.number, s.free, problem.control_records, self.state.ground, b.value,
+            point_blocks, len(s.number), s.first, s.number, s.free, b.control, self.state.ground, b.value,
             b.d_ground, damping, b.root, b.gradient,
         )  # fmt: skip
         for p in bad:
@@ -194,7 +212,7 @@ class SchurSystem:
         b, state = self.buffers(), self.state
         self._backend.workers.run(
             point_blocks, len(self._backend.structure.number), self._backend.structure.first,
-            self._backend.structure.number, self._backend.structure.free, self._backend.problem.control_records,
+            self._backend.structure.number, self._backend.structure.free, b.control,
             state.ground, b.value, b.d_ground, 0.0, b.root, b.gradient,
         )  # fmt: skip
         return self._image_gradient(False), b.gradient.copy()
@@ -218,7 +236,7 @@ class SchurSystem:
     def _whitened_squares(self, ground: Array) -> float:
         """Sum of squares of the control-point rows times a step (P, 3)."""
         s = self._backend.structure
-        w = self._backend.problem.control_records[s.number[s.free == 2], :9].reshape(-1, 3, 3)
+        w = self.buffers().control[s.observed, :9].reshape(-1, 3, 3)
         return float(np.sum(np.einsum("nij,nj->ni", w, ground[s.free == 2]) ** 2))
 
     def given(self, image: Array, ground: Array) -> SchurStep:
@@ -229,7 +247,8 @@ class SchurSystem:
 
     def _step(self, image: Array, ground: Array, after: Array) -> SchurStep:
         backend = self._backend
-        error = backend.half_squares(after, backend.moved(self.state, image, ground))
+        moved = backend.moved(self.state, image, ground)
+        error = self._excess + backend.half_squares(after, moved, self.buffers().control)
         length = max(float(np.abs(image).max()), float(np.abs(ground).max(initial=0.0)))
         return SchurStep(image, ground, length, error)
 
@@ -266,6 +285,7 @@ class SchurBackend:
         self.prior = 1.0 if problem.block.options.priors else 0.0
         self.reduced = ReducedSystems(self.structure, problem.first, reduced)
         self.buffers = _Buffers(self)
+        self.robust: Robust | None = None
 
     def initial(self) -> State:
         """Start values."""
@@ -282,8 +302,21 @@ class SchurBackend:
         return SchurSystem(self, state)
 
     def error(self, state: State) -> float:
-        """Half the weighted sum of squares; see :meth:`linearise`."""
-        return self.half_squares(self.evaluate(state, self.buffers.after, want=False), state)
+        """Half the weighted sum of squares, or the cost under the loss; see :meth:`linearise`."""
+        value = self.evaluate(state, self.buffers.after, want=False)
+        if self.robust is None:
+            return self.half_squares(value, state)
+        _, _, cost = self.robust.weigh(*self.squares_of(value, state))
+        return cost + 0.5 * self.prior * float(np.sum(state.image**2))
+
+    def squares(self, state: State) -> tuple[Array, Array]:
+        """See ``robust.RobustBackend``; image points in the order of the structure."""
+        return self.squares_of(self.evaluate(state, self.buffers.after, want=False), state)
+
+    def squares_of(self, value: Array, state: State) -> tuple[Array, Array]:
+        """Squared norms of image points from their residuals (n, 2), and of control points."""
+        control = self._control_residuals(state, self.problem.control_records)
+        return np.einsum("ni,ni->n", value, value), np.asarray(np.sum(control**2, axis=1))
 
     def retract(self, state: State, step: SchurStep) -> State:
         """State after a step."""
@@ -311,10 +344,14 @@ class SchurBackend:
                     raise NotFiniteError(f"{label}: residual or Jacobian is not finite")
         return value
 
-    def half_squares(self, value: Array, state: State) -> float:
-        """Half the weighted sum of squares, from the whitened residuals of the image points."""
-        records, observed = self.problem.control_records, self.structure.number[self.structure.free == 2]
+    def _control_residuals(self, state: State, records: Array) -> Array:
+        """Whitened residuals (m, 3) of the observed control points, by their records (N, 12)."""
+        observed = self.structure.observed
         difference = state.ground[observed] - records[observed, 9:]
-        control = np.einsum("nij,nj->ni", records[observed, :9].reshape(-1, 3, 3), difference)
+        return np.asarray(np.einsum("nij,nj->ni", records[observed, :9].reshape(-1, 3, 3), difference))
+
+    def half_squares(self, value: Array, state: State, records: Array | None = None) -> float:
+        """Half the weighted sum of squares, from whitened residuals of the image points and control records."""
+        control = self._control_residuals(state, self.problem.control_records if records is None else records)
         squares = np.vdot(value, value) + np.sum(control**2) + self.prior * np.sum(state.image**2)
         return 0.5 * float(squares)

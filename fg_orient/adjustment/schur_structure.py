@@ -101,6 +101,11 @@ class Structure:
     block_column: Index
 
     @property
+    def observed(self) -> Index:
+        """Ground points with control-point equations."""
+        return np.asarray(self.number[self.free == 2])
+
+    @property
     def width(self) -> int:
         """Largest number of wide numbers of an image."""
         return int((self.n_basis * self.n_components).max())

@@ -23,7 +23,8 @@ from fg_orient.names import Role
 
 Array = npt.NDArray[np.float64]
 
-_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "max_iterations", "check_points", "datum")
+_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "loss", "gnc", "inlier_probability", "max_iterations",
+                      "check_points", "datum")  # fmt: skip
 
 
 def write_points(

@@ -38,6 +38,7 @@ _TABLE_OF = {
     "rpc_shift_sigma_px": "orientation", "rpc_linear_sigma_px": "orientation", "datum": "adjustment",
     "backend": "adjustment", "solver": "adjustment",
     "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment",
+    "loss": "adjustment", "gnc": "adjustment", "inlier_probability": "adjustment",
     "points_seen_once": "adjustment",
 }  # fmt: skip
 
@@ -52,7 +53,8 @@ def read_project(path: str | Path, **overrides: object) -> Block:
     **overrides
         Options that replace those of the file: ``eop_set``, ``look_polynomial``,
         ``priors``, ``backend``, ``solver``, ``optimizer``, ``max_iterations``,
-        ``check_points``, ``points_seen_once``, ``small_angle``, ``rpc_compensation``, ``datum`` and the
+        ``check_points``, ``points_seen_once``, ``small_angle``, ``rpc_compensation``, ``datum``,
+        ``loss``, ``gnc``, ``inlier_probability`` and the
         prior sigmas. None keeps the file's.
 
     Returns

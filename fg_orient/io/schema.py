@@ -80,6 +80,11 @@ class Adjustment(_Table):
     optimizer: Literal["gauss-newton", "levenberg-marquardt", "dogleg", "native"] = Field(
         default="gauss-newton", description='"gauss-newton", "levenberg-marquardt", "dogleg" or "native"'
     )
+    loss: Text = Field(default=Options.loss, description=EXPECTED["loss"])
+    gnc: Switch = Field(default=Options.gnc, description=EXPECTED["gnc"])
+    inlier_probability: Annotated[Positive, Field(lt=1.0)] = Field(
+        default=Options.inlier_probability, description=EXPECTED["inlier_probability"]
+    )
     max_iterations: Annotated[int, Field(strict=True, ge=ITERATION_RANGE[0], le=ITERATION_RANGE[1])] = Field(
         default=Options.max_iterations, description=EXPECTED["max_iterations"]
     )

@@ -47,6 +47,15 @@ ADJUST: Final = {
         "a linear solver can be chosen for the dense backend only; the backend is {backend}",
         "add --backend dense, or leave the solver out",
     ),
+    "adjust.loss": ("there is no such robust loss", "choose one of {known}"),
+    "adjust.gnc": (
+        "graduated non-convexity leads to a bounded loss; the loss is {value}",
+        "choose one of {known}, or leave gnc out",
+    ),
+    "adjust.native_loss": (
+        "GTSAM's own optimisers are offered for least squares only",
+        "use --optimizer gauss-newton, levenberg-marquardt or dogleg",
+    ),
     "adjust.schur": ("the Schur backend cannot take this block: {value}", "choose --backend graph, or auto"),
     "adjust.native_limit": (
         "GTSAM's own optimisers copy all values at each callback of a Python factor and are refused above "

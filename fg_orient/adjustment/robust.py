@@ -1,0 +1,147 @@
+"""Robust losses on an adjustment: what a backend weights its rows with.
+
+The cost is the sum of rho(t) over image points (t: whitened norm of 2 residuals) and control points (3), half the
+squares of priors and own observations. Rows times the root of their weight give Gauss-Newton steps that are those of
+iteratively reweighted least squares (Holland & Welsch 1977); the gradient is that of the cost.
+
+Each loss is mixed with :data:`FLOOR` parts of the square, so that a ground point whose rays have lost all weight keeps
+a place: the rays' own intersection. With the weights held fixed the problem is an ordinary one
+(:func:`weighted_problem`); covariances are those of that one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import gammaincinv
+
+from factors.losses import Curve, Loss, losses
+from fg_orient.adjustment.problem import Problem, State, whitened_records
+from fg_orient.block import ImagePoints, Options
+from fg_orient.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+#: Share of the square in every loss: an observation 1000 sigmas off pulls like one of 0.001 sigma. Smaller, and the
+#: cofactors of a point with one good ray drown in rounding (its pivots differ by this factor).
+FLOOR: Final = 1e-6
+IMAGE, CONTROL = 2, 3
+NONE: Final = "none"
+
+
+@dataclass(frozen=True)
+class ScaledLoss:
+    """A loss and its constant c: weight and cost of whitened norms t.
+
+    Parameters
+    ----------
+    weight, cost : callables
+        See :class:`factors.losses.Loss`.
+    constant : float
+        c, in sigmas.
+    """
+
+    weight: Curve
+    cost: Curve
+    constant: float
+
+    def weights(self, norm: npt.ArrayLike) -> Array:
+        """Weights of whitened norms, from FLOOR to 1."""
+        return np.asarray(FLOOR + (1.0 - FLOOR) * self.weight(np.asarray(norm) / self.constant))
+
+    def costs(self, norm: npt.ArrayLike) -> Array:
+        """Integrals of ``t * weights(t)`` from 0."""
+        u = np.asarray(norm) / self.constant
+        return np.asarray(self.constant**2 * (0.5 * FLOOR * u**2 + (1.0 - FLOOR) * self.cost(u)))
+
+
+@dataclass(frozen=True)
+class Robust:
+    """The losses of an adjustment: of image points and of control points."""
+
+    image: ScaledLoss
+    control: ScaledLoss
+
+    def weigh(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array, float]:
+        """Weights of image points (n,) and control points (m,) from their squared norms, and the cost of both."""
+        image, control = np.sqrt(image_squares), np.sqrt(control_squares)
+        cost = float(np.sum(self.image.costs(image)) + np.sum(self.control.costs(control)))
+        return self.image.weights(image), self.control.weights(control), cost
+
+
+S_contra = TypeVar("S_contra", contravariant=True)
+
+
+class RobustBackend(Protocol[S_contra]):
+    """A backend that weights its rows."""
+
+    robust: Robust | None
+
+    def squares(self, state: S_contra) -> tuple[Array, Array]:
+        """Squared whitened norms of image points (n,) and control points (m,), in any order."""
+        ...
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights at a state: of image points (n,) and, 1 for all others, control points (N,)."""
+
+    image: Array
+    control: Array
+
+
+def find_loss(name: str) -> Loss:
+    """Find a loss.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    known = losses()
+    if name not in known:
+        raise InputError.of("adjust.loss", place="loss", value=name, known=", ".join((NONE, *known)))
+    return known[name]
+
+
+def robust_of(options: Options) -> Robust | None:
+    """Losses with their constants for 95 % efficiency; None for least squares."""
+    if options.loss == NONE:
+        return None
+    loss = find_loss(options.loss)
+    return Robust(*(ScaledLoss(loss.weight, loss.cost, loss.constant(d)) for d in (IMAGE, CONTROL)))
+
+
+def inlier_limit(probability: float, dimension: int) -> float:
+    """Whitened norm that a good observation keeps with this probability: root of the chi-square quantile."""
+    return float(np.sqrt(2.0 * gammaincinv(0.5 * dimension, probability)))
+
+
+def control_squares(problem: Problem, state: State) -> Array:
+    """Squared whitened norms (m,) of the observed control points, in their order."""
+    rows = np.flatnonzero(problem.observed)
+    w = problem.control_records[rows, :9].reshape(-1, 3, 3)
+    residual = np.einsum("nij,nj->ni", w, state.ground[rows] - problem.control_records[rows, 9:])
+    return np.asarray(np.sum(residual**2, axis=1))
+
+
+def weights_at(problem: Problem, state: State, robust: Robust) -> Weights:
+    """Weights at a state, in the order of the problem."""
+    residual, _, _ = problem.image_residuals(state)
+    image, observed, _ = robust.weigh(np.sum(residual**2, axis=1), control_squares(problem, state))
+    control = np.ones(len(problem.observed))
+    control[problem.observed] = observed
+    return Weights(image, control)
+
+
+def weighted_problem(problem: Problem, weights: Weights) -> Problem:
+    """The problem whose least squares has these weights: sigmas divided by their roots, the same whitening else."""
+    o, root = problem.observations, np.sqrt(weights.image)
+    scaled = ImagePoints(o.image, o.point, o.line, o.sample, o.sigma_line_px / root, o.sigma_sample_px / root)
+    control = problem.control_records.copy()
+    control[:, :9] *= np.sqrt(weights.control)[:, None]
+    records = whitened_records(problem.models, scaled, problem.start.ground + problem.origin_m, problem.origin_m)
+    return replace(problem, observations=scaled, records=records, control_records=control)
