@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import factors.control
+import factors.frame
+import factors.line_scanner
+import factors.plane
 import factors.pushbroom
 import factors.rfm_equation  # noqa: F401  (registers)
 from factors._contract import Equation, Example, evaluate, register, registered
