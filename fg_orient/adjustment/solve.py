@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from factors._contract import NotFiniteError
 from fg_orient.adjustment.loop import OPTIMIZERS, ROUNDING_STEP, Callback, IterationRecord
@@ -63,8 +63,13 @@ class Estimate:
     solve_s: float
 
 
-def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
+def solve(
+    problem: Problem, callback: Callback | None = None, schur: Callable[[Problem], Any] | None = None
+) -> Estimate:
     """Adjust through the backend of the block's options.
+
+    ``schur`` makes another backend that does what the Schur backend does, and is then taken whatever the options say
+    (``fg_orient.parallel``).
 
     Raises
     ------
@@ -77,7 +82,7 @@ def solve(problem: Problem, callback: Callback | None = None) -> Estimate:
     _judge(problem.block.options)
     try:
         with _garbage_collection_off():
-            return _run(problem, callback)
+            return _run(problem, callback) if schur is None else _run_schur(problem, callback, schur)
     except (NotFiniteError, RuntimeError) as error:
         raise NoSolutionError.of("adjust.broken_down", place=problem.block.name, why=first_sentence(error)) from error
 
@@ -183,13 +188,13 @@ def _run_dense(problem: Problem, callback: Callback | None) -> Estimate:
     )  # fmt: skip
 
 
-def _run_schur(problem: Problem, callback: Callback | None) -> Estimate:
+def _run_schur(problem: Problem, callback: Callback | None, make: Callable[[Problem], Any] | None = None) -> Estimate:
     """Compile to arrays, optimise, linearise at the end."""
     options = problem.block.options
     from fg_orient.adjustment.schur import SchurBackend
 
     marks = [time.perf_counter()]
-    backend = SchurBackend(problem)
+    backend = (make or SchurBackend)(problem)
     marks.append(time.perf_counter())
     with one_blas_thread():
         result = OPTIMIZERS[options.optimizer](backend, backend.initial(), options.max_iterations, callback)

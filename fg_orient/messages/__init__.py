@@ -13,6 +13,8 @@ from typing import Final
 from fg_orient.messages.dense import CLASSICAL, COMPARE, LINEAR, PUBLISHED, REPRODUCE
 from fg_orient.messages.files import DEM, DIMAP, GEODESY, OBSERVATIONS, POINTS, PROJECT, SENSOR, TABLE, XML
 from fg_orient.messages.frame import FRAME
+from fg_orient.messages.parallel import PARALLEL
+from fg_orient.messages.rectify import RECTIFY
 from fg_orient.messages.rfm import RFM
 from fg_orient.messages.rpc import RPC
 from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPORT, SIMULATE
@@ -42,5 +44,7 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **COMPARE,
     **RPC,
     **RFM,
+    **RECTIFY,
     **FRAME,
+    **PARALLEL,
 }
