@@ -79,8 +79,8 @@ def _converted(
         return None
     size = np.array([n or (np.inf, np.inf) for n in sizes.values()], float).reshape(-1, 2)[image]
     inside = (values[:, :2] >= -0.5) & (values[:, :2] <= size - 0.5)
-    key = image * max(len(point_row), 1) + point
-    if not (inside.all() and (values[:, 2:] > 0.0).all() and len(np.unique(key)) == len(key)):
+    key = np.sort(image * max(len(point_row), 1) + point)
+    if not (inside.all() and (values[:, 2:] > 0.0).all() and np.diff(key).all()):
         return None
     return ImagePoints(image, point, *values.T)
 

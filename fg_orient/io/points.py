@@ -135,15 +135,7 @@ def _parse(path: Path, crs: str, faults: Faults) -> _Parsed | None:
         return None
     ids = _ids(table, faults)
     roles = _roles(table, faults)
-    given, sigma = np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.nan)
-    fixed = np.zeros(len(ids), bool)
-    for k in _worth_a_look(table, roles, kind):
-        row, role = table.row(int(k)), roles[int(k)]
-        if role is Role.TIE:
-            _require_empty(row, COORDINATE_COLUMNS[kind], faults)
-        elif role is not None:
-            given[k] = _coordinates(row, role, kind, faults)
-            sigma[k], fixed[k] = _sigmas(row, role, faults)
+    given, sigma, fixed = _converted(table, roles, kind) or _checked(table, roles, kind, faults)
     control = _are(roles, Role.CONTROL)
     ecef, operation = _ecef(crs, given, control, table.lines, faults)
     coordinates = Coordinates(ecef, sigma, fixed)
@@ -156,12 +148,42 @@ def _are(roles: Sequence[Role | None], wanted: Role) -> npt.NDArray[np.bool_]:
     return np.fromiter((role is wanted for role in roles), bool, len(roles))
 
 
-def _worth_a_look(table: Table, roles: Sequence[Role | None], kind: Kind) -> npt.NDArray[np.intp]:
-    """Records with something in a cell beside id and role; a tie point has nothing there."""
-    filled = ~_are(roles, Role.TIE)
-    for name in (*COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS):
+def _converted(
+    table: Table, roles: Sequence[Role | None], kind: Kind
+) -> tuple[Array, Array, npt.NDArray[np.bool_]] | None:
+    """Coordinates, sigmas (n, 3) and fixed (n,) of the whole table at once; None if anything is wrong with it."""
+    columns = COORDINATE_COLUMNS[kind]
+    measured = ~_are(roles, Role.TIE)
+    filled = np.zeros(len(table), bool)
+    for name in (*columns, *SIGMA_COLUMNS):
         filled |= np.fromiter(map(bool, table.cells[name]), bool, len(table))
-    return np.flatnonzero(filled)
+    words = [np.fromiter((cell == FIXED for cell in table.cells[name]), bool, len(table)) for name in SIGMA_COLUMNS]
+    fixed = np.logical_and.reduce(words)
+    rows, weighted = np.flatnonzero(measured), np.flatnonzero(measured & ~fixed)
+    coordinates, sigmas = table.numbers(*columns, rows=rows), table.numbers(*SIGMA_COLUMNS, rows=weighted)
+    if coordinates is None or sigmas is None or None in roles or (filled & ~measured).any():
+        return None
+    on_earth = kind != "geographic" or bool((np.abs(coordinates[:, :2]) <= (180.0, 90.0)).all())
+    if not (on_earth and (sigmas > 0.0).all() and not (fixed & ~_are(roles, Role.CONTROL)).any()):
+        return None
+    given, sigma = np.full((len(table), 3), np.nan), np.full((len(table), 3), np.nan)
+    given[rows], sigma[weighted] = coordinates, sigmas
+    return given, sigma, fixed
+
+
+def _checked(
+    table: Table, roles: Sequence[Role | None], kind: Kind, faults: Faults
+) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """The same record by record; notes what is wrong."""
+    given, sigma = np.full((len(table), 3), np.nan), np.full((len(table), 3), np.nan)
+    fixed = np.zeros(len(table), bool)
+    for k, (row, role) in enumerate(zip(table.rows, roles, strict=True)):
+        if role is Role.TIE:
+            _require_empty(row, COORDINATE_COLUMNS[kind], faults)
+        elif role is not None:
+            given[k] = _coordinates(row, role, kind, faults)
+            sigma[k], fixed[k] = _sigmas(row, role, faults)
+    return given, sigma, fixed
 
 
 def _columns_fit(table: Table, kind: Kind, faults: Faults) -> bool:

@@ -29,9 +29,12 @@ MAX_FAULTS: Final = 20
 #: A longer line than this is not a record of ours.
 MAX_LINE: Final = 100_000
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
-#: Characters that no number has: of text without them, ``float`` takes what :data:`_NUMBER` describes and nothing else.
-_FOREIGN = re.compile(r"[^0-9eE+.-]")
-_SPACE = re.compile(r"\s")
+#: Of text made of these, ``float`` takes what :data:`_NUMBER` describes and nothing else.
+_OF_NUMBERS: Final = b"0123456789eE+.-"
+#: What ``strip`` takes from the ends of ASCII text, but for the ends of lines.
+_SPACES: Final = "\t\v\f\x1c\x1d\x1e\x1f "
+#: Lines that start otherwise are neither blank nor a comment.
+_ODD_STARTS: Final = frozenset(("", "#", " ", "\t", ","))
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+")
 
 
@@ -135,12 +138,15 @@ class Table:
         """All records, each made anew: for small tables, and to say what is wrong with a large one."""
         return tuple(self.row(k) for k in range(len(self)))
 
-    def numbers(self, *columns: str) -> Array | None:
-        """Columns as finite numbers (n, k); None if a cell is none: :func:`number` then says which."""
-        out = np.empty((len(self), len(columns)))
+    def numbers(self, *columns: str, rows: npt.NDArray[np.intp] | None = None) -> Array | None:
+        """Columns as finite numbers (n, k), of all records or some.
+
+        None if a cell is no finite number; :func:`number` then says which.
+        """
+        out = np.empty((len(self) if rows is None else len(rows), len(columns)))
         for k, name in enumerate(columns):
-            cells = self.cells[name]
-            if _FOREIGN.search("".join(cells)):
+            cells = self.cells[name] if rows is None else [self.cells[name][j] for j in rows.tolist()]
+            if "".join(cells).encode().translate(None, _OF_NUMBERS):
                 return None
             try:
                 out[:, k] = np.fromiter(map(float, cells), np.float64, len(cells))
@@ -246,7 +252,10 @@ def _decode(data: bytes, faults: Faults) -> str | None:
 def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
     """Numbers and text of the lines that are neither blank nor a comment."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    kept = [n for n, line in enumerate(lines, start=1) if not line.startswith("#") and line.strip(" \t,")]
+    kept = [
+        n for n, line in enumerate(lines, start=1)
+        if line[:1] not in _ODD_STARTS or (not line.startswith("#") and line.strip(" \t,"))
+    ]  # fmt: skip
     long = [n for n in kept if len(lines[n - 1]) > MAX_LINE]
     for n in long:
         faults.add("table.long_line", place=f"line {n}", value=f"{len(lines[n - 1])} characters", limit=MAX_LINE)
@@ -275,7 +284,7 @@ def _records(
     width, text = len(names), ",".join(lines)
     if '"' not in text and all(line.count(",") == width - 1 for line in lines):
         flat = text.split(",") if lines else []
-        if _SPACE.search(text):
+        if not text.isascii() or any(space in text for space in _SPACES):
             flat = [cell.strip() for cell in flat]
         return numbers, {name: flat[k::width] for k, name in enumerate(names)}
     kept, rows = [], []
