@@ -6,23 +6,31 @@ in: with ``K = H^-1 sum G^T J`` its cofactors are ``H^-1 + K Q K^T``, those with
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.schur import SchurSystem
+from fg_orient.adjustment.schur_reduced import Reduced
 
 Array = npt.NDArray[np.float64]
 
 
-class SchurCofactors:
-    """Joint cofactors at the solution; see ``fg_orient.quality.covariance.Cofactors``.
+#: Images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u).
+Gain = tuple[tuple[int, ...], Array, Array]
+
+
+class ReducedCofactors:
+    """Joint cofactors from a reduced system; see ``fg_orient.quality.covariance.Cofactors``.
 
     Parameters
     ----------
     problem : Problem
-    system : SchurSystem
-        The linearisation at the solution.
+    reduced : Reduced
+    gain : callable
+        Of an unknown point.
 
     Raises
     ------
@@ -30,13 +38,8 @@ class SchurCofactors:
         The normal equations are too close to singular.
     """
 
-    def __init__(self, problem: Problem, system: SchurSystem) -> None:
-        self._problem, self._system = problem, system
-        self._structure = system.structure
-        self._reduced = system.reduced(0.0)
-        self._place = np.full(len(problem.active), -1)
-        self._place[self._structure.number] = np.arange(len(self._structure.number))
-        self._root = system.buffers().root.copy()
+    def __init__(self, problem: Problem, reduced: Reduced, gain: Callable[[int], Gain]) -> None:
+        self._problem, self._reduced, self._gain = problem, reduced, gain
         self._known: dict[tuple[int, ...], Array] = {}
         self._of((0,))  # an ill-conditioned system is found when first asked, not when made
 
@@ -83,8 +86,32 @@ class SchurCofactors:
         first = np.concatenate([[0], np.cumsum([len(self._problem.parameters[k]) for k in images])])
         return {k: np.arange(first[n], first[n + 1]) for n, k in enumerate(images)}
 
-    def _gain(self, j: int) -> tuple[tuple[int, ...], Array, Array]:
-        """Images that see an unknown point, in ascending order, its H^-1 and K (3, u)."""
+
+class SchurCofactors(ReducedCofactors):
+    """Joint cofactors at the solution.
+
+    Parameters
+    ----------
+    problem : Problem
+    system : SchurSystem
+        The linearisation at the solution.
+
+    Raises
+    ------
+    RuntimeError
+        The normal equations are too close to singular.
+    """
+
+    def __init__(self, problem: Problem, system: SchurSystem) -> None:
+        self._system, self._structure = system, system.structure
+        self._place = np.full(len(problem.active), -1)
+        self._place[self._structure.number] = np.arange(len(self._structure.number))
+        reduced = system.reduced(0.0)
+        self._root = system.buffers().root.copy()
+        super().__init__(problem, reduced, self._gain_of)
+
+    def _gain_of(self, j: int) -> Gain:
+        """See :data:`Gain`."""
         s, b = self._structure, self._system.buffers()
         p = int(self._place[j])
         r = np.zeros((3, 3))
