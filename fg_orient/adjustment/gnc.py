@@ -9,13 +9,16 @@ same cost. The limit between good and bad observations is a quantile of chi-squa
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.losses import Curve, losses
+from factors.losses.geman_mcclure import GEMAN_MCCLURE
 from fg_orient.adjustment.loop import STEP_TOLERANCE, Backend, Carried, LoopResult
 from fg_orient.adjustment.robust import CONTROL, IMAGE, Robust, RobustBackend, ScaledLoss, inlier_limit
 from fg_orient.block import Options
@@ -68,8 +71,7 @@ class GemanMcClure:
 
     def curves(self, mu: float) -> tuple[Curve, Curve]:
         """See :class:`Schedule`."""
-        plain, root = losses()["geman_mcclure"], math.sqrt(mu)
-        return lambda u: plain.weight(u / root), lambda u: mu * plain.cost(u / root)
+        return partial(_geman_mcclure_weight, mu), partial(_geman_mcclure_cost, mu)
 
     def stages(self, mu: float) -> float:
         """See :class:`Schedule`."""
@@ -90,16 +92,7 @@ class TruncatedLeastSquares:
 
     def curves(self, mu: float) -> tuple[Curve, Curve]:
         """See :class:`Schedule`."""
-        low, high, root = math.sqrt(mu / (mu + 1.0)), math.sqrt((mu + 1.0) / mu), math.sqrt(mu * (mu + 1.0))
-
-        def weight(u: Array) -> Array:
-            return np.asarray(np.where(u <= low, 1.0, np.where(u < high, root / np.maximum(u, low) - mu, 0.0)))
-
-        def cost(u: Array) -> Array:
-            band = 2.0 * root * u - mu * (1.0 + u**2)
-            return np.asarray(0.5 * np.where(u <= low, u**2, np.where(u < high, band, 1.0)))
-
-        return weight, cost
+        return partial(_truncated_weight, mu), partial(_truncated_cost, mu)
 
     def stages(self, mu: float) -> float:
         """See :class:`Schedule`."""
@@ -153,6 +146,33 @@ class Graduated:
         return schedule.first(float(excess.max(initial=0.0))) if mu == PLAIN else schedule.next(mu, excess)
 
 
+# curves are functions of this module with their mu bound: workers in other processes receive them
+
+
+def _geman_mcclure_weight(mu: float, u: Array) -> Array:
+    return GEMAN_MCCLURE.weight(u / math.sqrt(mu))
+
+
+def _geman_mcclure_cost(mu: float, u: Array) -> Array:
+    return mu * GEMAN_MCCLURE.cost(u / math.sqrt(mu))
+
+
+def _band(mu: float) -> tuple[float, float, float]:
+    """Ends of the band of falling weights, and the slope's constant."""
+    return math.sqrt(mu / (mu + 1.0)), math.sqrt((mu + 1.0) / mu), math.sqrt(mu * (mu + 1.0))
+
+
+def _truncated_weight(mu: float, u: Array) -> Array:
+    low, high, root = _band(mu)
+    return np.asarray(np.where(u <= low, 1.0, np.where(u < high, root / np.maximum(u, low) - mu, 0.0)))
+
+
+def _truncated_cost(mu: float, u: Array) -> Array:
+    low, high, root = _band(mu)
+    band = 2.0 * root * u - mu * (1.0 + u**2)
+    return np.asarray(0.5 * np.where(u <= low, u**2, np.where(u < high, band, 1.0)))
+
+
 def _half_square(u: Array) -> Array:
     return np.asarray(0.5 * u**2)
 
@@ -161,19 +181,16 @@ class GraduatedBackend(Backend[S], RobustBackend[S], Protocol[S]):
     """What the stages need of a backend."""
 
 
-class Optimise(Protocol):
-    """An optimiser of the loop with its callbacks."""
-
-    def __call__(self, start: Carried[S], max_iterations: int, tolerance: float) -> LoopResult[S]:
-        """Run it from what is carried."""
-        ...
-
-
 def graduate(
-    backend: GraduatedBackend[S], optimise: Optimise, plan: Graduated, carried: Carried[S], max_iterations: int
+    backend: GraduatedBackend[S],
+    optimise: Callable[[Carried[S], int, float], LoopResult[S]],
+    plan: Graduated,
+    carried: Carried[S],
+    max_iterations: int,
 ) -> LoopResult[S]:
     """Run the stages from the one that ``carried.mu`` names; the last one's convergence is that of the whole.
 
+    ``optimise`` is an optimiser of the loop: from what is carried, at most so many iterations, to this step;
     ``max_iterations`` bounds the last stage.
     """
     while True:

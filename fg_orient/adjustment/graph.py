@@ -137,7 +137,7 @@ class GraphSystem:
 
     def solve(self, damping: float) -> GraphStep:
         """Eliminate points first, then images; damped by ``damping`` times the identity."""
-        linear = self.linear
+        linear, damping = self.linear, max(damping, self._backend.problem.least_damping)
         if damping > 0.0:
             linear = gtsam.GaussianFactorGraph()
             linear.push_back(self.linear)
@@ -145,8 +145,8 @@ class GraphSystem:
         if not self._backend.use_qr:
             try:
                 return self._step(linear.optimize(self._backend.ordering))
-            except RuntimeError:  # GTSAM's Cholesky gives up on well-posed but badly scaled systems
-                self._backend.use_qr = True
+            except RuntimeError:  # GTSAM's Cholesky gives up on well-posed but badly scaled systems; QR does not
+                pass  # and is not taken for the next one, too: no iteration may depend on what is not carried
         return self._step(linear.optimize(self._backend.ordering, gtsam.EliminateQR))
 
     def dogleg(self, radius: float) -> GraphStep:

@@ -127,13 +127,14 @@ class Carried(Generic[S]):
 
 @dataclass(frozen=True)
 class LoopResult(Generic[S]):
-    """End of the loop: state, its error, the log, and why it ended."""
+    """End of the loop: state, its error, the log, and why it ended; ``iterations`` where there is no log."""
 
     state: S
     error: float
     log: tuple[IterationRecord, ...]
     converged: bool
     reason: str
+    iterations: int = 0
 
 
 class Course(Generic[S]):
@@ -237,11 +238,41 @@ def gauss_newton(
 
 @dataclass(frozen=True)
 class _Control:
-    """How damping or radius rules the steps: its first value, the step under it, what follows from a record."""
+    """How damping or radius rules the steps: its first value, the step under it, what follows from a record.
+
+    ``regular``: a larger value makes singular equations regular, so they are no end.
+    """
 
     first: float
     solve: Callable[[System, float], Step]
     follow: Callable[[float, float, IterationRecord], tuple[float, float]]
+    regular: bool = False
+
+    def step(self, system: System, control: float) -> Step:
+        """The step under a control; of infinite length if the equations are singular under so little damping."""
+        try:
+            return self.solve(system, control)
+        except RuntimeError:
+            if not self.regular:
+                raise
+            return _NoStep(system.error)
+
+
+@dataclass
+class _NoStep:
+    """In place of a step that singular equations do not give."""
+
+    predicted_error: float
+    length: float = math.inf
+    data: Any = None
+
+
+def _undamped(system: System, step: Step) -> float:
+    """Length of the step without damping; of the damped one where a free datum makes the equations singular."""
+    try:
+        return system.solve(0.0).length
+    except RuntimeError:
+        return step.length
 
 
 def levenberg_marquardt(
@@ -262,7 +293,7 @@ def levenberg_marquardt(
         ratio = 1.0 if math.isnan(record.ratio) else record.ratio
         return max(damping * max(1e-3, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-14), 2.0
 
-    rule = _Control(1e-4, lambda system, damping: system.solve(damping), follow)
+    rule = _Control(1e-4, lambda system, damping: system.solve(damping), follow, regular=True)
     return _controlled(backend, Course(start, callback, keep), max_iterations, tolerance, shrink, rule)
 
 
@@ -295,9 +326,10 @@ def _controlled(
         course.carried = replace(course.carried, control=rule.first)
     system = backend.linearise(course.carried.state)
     for _ in course.remaining(max_iterations):
-        carried, step = course.carried, rule.solve(system, course.carried.control)
-        trial = backend.retract(carried.state, step)
-        error = backend.error(trial)
+        carried, step = course.carried, rule.step(system, course.carried.control)
+        found = math.isfinite(step.length)
+        trial = backend.retract(carried.state, step) if found else carried.state
+        error = backend.error(trial) if found else math.inf
         record = course.judge(system.error, error, step, carried.control)
         control, growth = rule.follow(carried.control, carried.growth, record)
         if not record.accepted:
@@ -307,7 +339,7 @@ def _controlled(
             continue
         # a damped step may be small because of the damping: the undamped one decides
         small = _small(step.length, carried.previous, tolerance, shrink)
-        if small and system.solve(0.0).length < ROUNDING_STEP:
+        if small and _undamped(system, step) < ROUNDING_STEP:
             return course.end(trial, error, True, SMALL)
         system = backend.linearise(trial)
         course.go_on(state=trial, control=control, growth=growth, previous=step.length, rejected=0)

@@ -128,13 +128,14 @@ def control_squares(problem: Problem, state: State) -> Array:
     return np.asarray(np.sum(residual**2, axis=1))
 
 
-def weights_at(problem: Problem, state: State, robust: Robust) -> Weights:
-    """Weights at a state, in the order of the problem."""
+def weights_at(problem: Problem, state: State, robust: Robust) -> tuple[Weights, float]:
+    """Weights at a state, in the order of the problem; excess of the cost over half the weighted squares."""
     residual, _, _ = problem.image_residuals(state)
-    image, observed, _ = robust.weigh(np.sum(residual**2, axis=1), control_squares(problem, state))
+    image_squares, observed_squares = np.sum(residual**2, axis=1), control_squares(problem, state)
+    image, observed, cost = robust.weigh(image_squares, observed_squares)
     control = np.ones(len(problem.observed))
     control[problem.observed] = observed
-    return Weights(image, control)
+    return Weights(image, control), cost - 0.5 * float(image @ image_squares + observed @ observed_squares)
 
 
 def weighted_problem(problem: Problem, weights: Weights) -> Problem:

@@ -3,23 +3,41 @@
 from __future__ import annotations
 
 import gc
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from factors._contract import NotFiniteError
-from fg_orient.adjustment.loop import OPTIMIZERS, ROUNDING_STEP, Callback, IterationRecord
+from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.gnc import PLAIN, SCHEDULES, Graduated, graduate
+from fg_orient.adjustment.loop import (
+    OPTIMIZERS,
+    ROUNDING_STEP,
+    SHRINK,
+    SHRINK_REWEIGHTED,
+    STEP_TOLERANCE,
+    Callback,
+    Carried,
+    IterationRecord,
+    LoopResult,
+)
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import NONE, Robust, Weights, find_loss, robust_of, weights_at
 from fg_orient.block import Options
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.linear.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.dense import DenseSystem
-    from fg_orient.adjustment.graph import GraphSystem
+    from fg_orient.adjustment.graph import GraphBackend, GraphSystem
     from fg_orient.adjustment.schur import SchurSystem
+
+S = TypeVar("S")
 
 #: Names of ``--optimizer``; the native ones are GTSAM's own, for equality tests on small blocks.
 NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
@@ -39,7 +57,7 @@ class Estimate:
     ----------
     state : State
     chi2 : float
-        Weighted sum of squares.
+        Weighted sum of squares; under a loss with the weights at the state held fixed.
     backend : str
         "graph", "schur" or "dense".
     solver : str
@@ -48,6 +66,10 @@ class Estimate:
         The undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
         Wall-clock seconds: building the graph, optimising.
+    weights : Weights or None
+        Under a loss the weights at the state.
+    resumed_at : int
+        Iterations of the run that was stopped, which this one went on with.
     """
 
     state: State
@@ -61,28 +83,50 @@ class Estimate:
     linear: GraphSystem | SchurSystem | DenseSystem
     structure_s: float
     solve_s: float
+    weights: Weights | None = None
+    resumed_at: int = 0
 
 
 def solve(
-    problem: Problem, callback: Callback | None = None, schur: Callable[[Problem], Any] | None = None
+    problem: Problem,
+    callback: Callback | None = None,
+    schur: Callable[[Problem], Any] | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Estimate:
     """Adjust through the backend of the block's options.
 
-    ``schur`` makes another backend that does what the Schur backend does, and is then taken whatever the options say
-    (``fg_orient.parallel``).
+    Parameters
+    ----------
+    problem : Problem
+    callback : callable, optional
+        Called with each record; those of a run that is resumed come first.
+    schur : callable, optional
+        Makes another backend that does what the Schur backend does, and is then taken whatever the options say
+        (``fg_orient.parallel``).
+    checkpoint : Checkpoint, optional
+        Keeps the run, or is what it goes on from. The caller removes it when the result is safe.
 
     Raises
     ------
     InputError
         Unknown backend, optimiser or solver; a native optimiser on too large a block; a dense
-        adjustment of too many unknowns; a block that the Schur backend cannot take.
+        adjustment of too many unknowns; a block that the Schur backend cannot take; no such loss; a checkpoint
+        of another problem.
     NoSolutionError
         The equations become singular or not finite on the way.
+    KeyboardInterrupt
+        Its text says whether a checkpoint was written.
     """
     _judge(problem.block.options)
     try:
         with _garbage_collection_off():
-            return _run(problem, callback) if schur is None else _run_schur(problem, callback, schur)
+            return _run(_Job(problem, callback, checkpoint), schur)
+    except KeyboardInterrupt:
+        done = None if checkpoint is None else checkpoint.write()
+        if checkpoint is None or done is None:
+            raise
+        kept = f"interrupted after iteration {done}, which {checkpoint.path.name} keeps: --resume goes on from there"
+        raise KeyboardInterrupt(kept) from None
     except (NotFiniteError, RuntimeError) as error:
         raise NoSolutionError.of("adjust.broken_down", place=problem.block.name, why=first_sentence(error)) from error
 
@@ -98,7 +142,8 @@ def chosen_backend(problem: Problem) -> str:
     from fg_orient.adjustment.schur_structure import reason_against
 
     large = len(problem.observations) >= SCHUR_FROM and bool(problem.active.any())
-    possible = options.priors and options.optimizer in OPTIMIZERS and not reason_against(problem)
+    regular = options.priors or problem.least_damping > 0.0
+    possible = regular and options.optimizer in OPTIMIZERS and not reason_against(problem)
     return "schur" if large and possible else "graph"
 
 
@@ -112,6 +157,12 @@ def _judge(options: Options) -> None:
         raise InputError.of("adjust.native_dense", place="optimizer", value=options.optimizer, known=", ".join(names))
     if options.optimizer not in names:
         raise InputError.of("adjust.optimizer", place="optimizer", value=options.optimizer, known=", ".join(names))
+    if options.loss != NONE:
+        find_loss(options.loss)
+        if options.optimizer in NATIVE:
+            raise InputError.of("adjust.native_loss", place="optimizer", value=options.optimizer)
+    if options.gnc and options.loss not in SCHEDULES:
+        raise InputError.of("adjust.gnc", place="gnc", value=options.loss, known=", ".join(SCHEDULES))
     if options.solver is not None and options.backend != "dense":
         raise InputError.of("adjust.solver_dense", place="solver", value=options.solver, backend=options.backend)
 
@@ -133,74 +184,131 @@ def _garbage_collection_off() -> Iterator[None]:
             gc.enable()
 
 
-def _run(problem: Problem, callback: Callback | None) -> Estimate:
+class _Job:
+    """A problem, who is told of its iterations, and where it goes on from."""
+
+    def __init__(self, problem: Problem, callback: Callback | None, checkpoint: Checkpoint | None) -> None:
+        self.problem, self.options = problem, problem.block.options
+        self._callback, self._checkpoint = callback, checkpoint
+        found = None if checkpoint is None else checkpoint.read(problem)
+        self.backend = chosen_backend(problem) if found is None else found[0]
+        self._found = None if found is None else found[1]
+        self._marks = [time.perf_counter()]
+
+    def robust(self) -> Robust | None:
+        """Losses of the first iteration; None for least squares."""
+        return Graduated.of(self.options).robust(PLAIN) if self.options.gnc else robust_of(self.options)
+
+    def start_again(self, backend: str) -> None:
+        """Begin from the start with another backend."""
+        self.backend, self._found, self._marks = backend, None, [time.perf_counter()]
+
+    def mark(self) -> None:
+        """Note the time at which a phase ends."""
+        self._marks.append(time.perf_counter())
+
+    def optimise(self, backend: Any, to_state: Callable[[S], State], of_state: Callable[[State], S]) -> LoopResult[S]:
+        """Drive a backend; its states are translated for the checkpoint."""
+        options, found = self.options, self._found or Carried(self.problem.start)
+        carried: Carried[S] = _with_state(found, of_state(found.state))
+        if self._callback is not None:
+            for record in carried.log:
+                self._callback(record)
+
+        def keep(carried: Carried[S]) -> None:
+            if self._checkpoint is not None:
+                self._checkpoint.keep(self.problem, self.backend, _with_state(carried, to_state(carried.state)))
+
+        def run(start: Carried[S], max_iterations: int, tolerance: float) -> LoopResult[S]:
+            return OPTIMIZERS[options.optimizer](
+                backend, start, max_iterations, self._callback, tolerance,
+                shrink=SHRINK if backend.robust is None else SHRINK_REWEIGHTED, keep=keep,
+            )  # fmt: skip
+
+        backend.robust = self.robust()
+        if not options.gnc:
+            return run(carried, options.max_iterations, STEP_TOLERANCE)
+        first = replace(carried, mu=PLAIN) if math.isnan(carried.mu) else carried
+        return graduate(backend, run, Graduated.of(options), first, options.max_iterations)
+
+    def estimate(self, backend: Any, result: LoopResult[S], state: State, linear: Any, solver: str = "") -> Estimate:
+        """End of the optimisation; ``linear`` is the undamped linearisation at the state."""
+        error, weights = result.error, None
+        if backend.robust is not None:
+            weights, excess = weights_at(self.problem, state, backend.robust)
+            error -= excess
+        structure, solved = np.diff(self._marks)
+        return Estimate(
+            state, 2.0 * error, result.converged, result.reason, result.log, result.iterations or len(result.log),
+            self.backend, solver, linear, float(structure), float(solved), weights,
+            0 if self._found is None else len(self._found.log),
+        )  # fmt: skip
+
+
+def _with_state(carried: Carried[Any], state: S) -> Carried[S]:
+    """The same with its state in another form."""
+    return Carried(**{**vars(carried), "state": state})
+
+
+def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
     """Run the backend; what "auto" gave to the Schur complement in vain gets the graph and its QR."""
-    backend = chosen_backend(problem)
+    if schur is not None:
+        job.backend = "schur"
+        return _run_schur(job, schur)
     try:
-        return {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[backend](problem, callback)
+        return {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[job.backend](job)
     except RuntimeError:
-        if (problem.block.options.backend, backend) != ("auto", "schur"):
+        if (job.options.backend, job.backend) != ("auto", "schur"):
             raise
-    return _run_graph(problem, callback)
+    job.start_again("graph")
+    return _run_graph(job)
 
 
-def _run_graph(problem: Problem, callback: Callback | None) -> Estimate:
+def _run_graph(job: _Job) -> Estimate:
     """Build the graph, optimise, linearise at the end."""
-    options = problem.block.options
-    from fg_orient.adjustment.graph import GraphBackend, run_native
+    from fg_orient.adjustment.graph import GraphBackend
 
-    marks = [time.perf_counter()]
-    backend = GraphBackend(problem)
-    marks.append(time.perf_counter())
-    log: tuple[IterationRecord, ...] = ()
-    if options.optimizer in NATIVE:
-        values, iterations, error = run_native(backend, options.optimizer, options.max_iterations)
-        # GTSAM does not say whether it converged: one more undamped step tells
-        remaining = backend.linearise(values).solve(0.0).length
-        converged, reason = (
-            remaining < ROUNDING_STEP,
-            f"GTSAM's own optimiser ended with a step of {remaining:.1e} left",
-        )
-    else:
-        result = OPTIMIZERS[options.optimizer](backend, backend.initial(), options.max_iterations, callback)
-        values, iterations, error = result.state, len(result.log), result.error
-        converged, reason, log = result.converged, result.reason, result.log
-    marks.append(time.perf_counter())
-    return Estimate(
-        backend.state(values), 2.0 * error, converged, reason, log, iterations, backend.name, "",
-        backend.linearise(values), marks[1] - marks[0], marks[2] - marks[1],
-    )  # fmt: skip
+    backend = GraphBackend(job.problem, job.robust())
+    job.mark()
+    native = job.options.optimizer in NATIVE
+    result = _native(backend, job.options) if native else job.optimise(backend, backend.state, backend.values)
+    job.mark()
+    return job.estimate(backend, result, backend.state(result.state), backend.linearise(result.state))
 
 
-def _run_dense(problem: Problem, callback: Callback | None) -> Estimate:
+def _native(backend: GraphBackend, options: Options) -> LoopResult[Any]:
+    """Run GTSAM's own optimiser. It does not say whether it converged: one more undamped step tells."""
+    from fg_orient.adjustment.graph import run_native
+
+    values, iterations, error = run_native(backend, options.optimizer, options.max_iterations)
+    remaining = backend.linearise(values).solve(0.0).length
+    reason = f"GTSAM's own optimiser ended with a step of {remaining:.1e} left"
+    return LoopResult(values, error, (), remaining < ROUNDING_STEP, reason, iterations)
+
+
+def _run_dense(job: _Job) -> Estimate:
     """Optimise on full matrices, linearise at the end."""
-    options = problem.block.options
     from fg_orient.adjustment.dense import DEFAULT_SOLVER, DenseBackend
 
-    marks = [time.perf_counter()]
-    backend = DenseBackend(problem, options.solver or DEFAULT_SOLVER)
-    marks.append(time.perf_counter())
-    result = OPTIMIZERS[options.optimizer](backend, backend.initial(), options.max_iterations, callback)
-    marks.append(time.perf_counter())
-    return Estimate(
-        result.state, 2.0 * result.error, result.converged, result.reason, result.log, len(result.log), backend.name,
-        backend.solver, backend.linearise(result.state), marks[1] - marks[0], marks[2] - marks[1],
-    )  # fmt: skip
+    backend = DenseBackend(job.problem, job.options.solver or DEFAULT_SOLVER)
+    job.mark()
+    result = job.optimise(backend, _same, _same)
+    job.mark()
+    return job.estimate(backend, result, result.state, backend.linearise(result.state), backend.solver)
 
 
-def _run_schur(problem: Problem, callback: Callback | None, make: Callable[[Problem], Any] | None = None) -> Estimate:
+def _run_schur(job: _Job, make: Callable[[Problem], Any] | None = None) -> Estimate:
     """Compile to arrays, optimise, linearise at the end."""
-    options = problem.block.options
     from fg_orient.adjustment.schur import SchurBackend
 
-    marks = [time.perf_counter()]
-    backend = (make or SchurBackend)(problem)
-    marks.append(time.perf_counter())
+    backend = (make or SchurBackend)(job.problem)
+    job.mark()
     with one_blas_thread():
-        result = OPTIMIZERS[options.optimizer](backend, backend.initial(), options.max_iterations, callback)
-        marks.append(time.perf_counter())
+        result = job.optimise(backend, _same, _same)
+        job.mark()
         linear = backend.linearise(result.state)
-    return Estimate(
-        result.state, 2.0 * result.error, result.converged, result.reason, result.log, len(result.log), backend.name,
-        "", linear, marks[1] - marks[0], marks[2] - marks[1],
-    )  # fmt: skip
+    return job.estimate(backend, result, result.state, linear)
+
+
+def _same(state: State) -> State:
+    return state

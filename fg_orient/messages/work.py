@@ -37,7 +37,7 @@ ADJUST: Final = {
     ),
     "adjust.relative_priors": (
         "without control points and without priors nothing holds the block in the world",
-        'keep the priors, or leave out datum = "priors" and measure control points',
+        'keep the priors, or leave out datum = "priors" and measure control points; datum = "free" lets the block float',
     ),
     "adjust.native_dense": (
         "GTSAM's own optimisers work on the graph only",
@@ -46,6 +46,14 @@ ADJUST: Final = {
     "adjust.solver_dense": (
         "a linear solver can be chosen for the dense backend only; the backend is {backend}",
         "add --backend dense, or leave the solver out",
+    ),
+    "checkpoint.unreadable": (
+        "this is no checkpoint of this version",
+        "remove the file, or leave --resume out to start from the beginning",
+    ),
+    "checkpoint.other": (
+        "the checkpoint belongs to other input files or options",
+        "give the options of the run that was stopped, or leave --resume out to start from the beginning",
     ),
     "adjust.loss": ("there is no such robust loss", "choose one of {known}"),
     "adjust.gnc": (

@@ -1,0 +1,154 @@
+"""Checkpoints: what a loop carries, on disk, so that a run that is stopped goes on as if it had not been.
+
+The file holds the state, damping or radius, the stage of graduated non-convexity and the log; robust weights follow
+from the state, and nothing here is random. It is written whole or not at all, and knows the problem it belongs to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+import time
+import zipfile
+from dataclasses import asdict, astuple, fields
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.loop import Carried, IterationRecord
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.errors import InputError
+from fg_orient.io.atomic import write_bytes
+
+Array = npt.NDArray[np.float64]
+
+FORMAT: Final = 1
+EVERY_S: Final = 60.0
+#: Options that do not change what an iteration does.
+_FREE: Final = ("max_iterations",)
+_NUMBERS: Final = ("control", "growth", "previous", "rejected", "rising", "begun_at", "mu")
+_WHOLE: Final = ("rejected", "rising", "begun_at")
+
+
+class Checkpoint:
+    """A file that a run keeps and can go on from.
+
+    Parameters
+    ----------
+    path : path
+        Its folder must exist when it is written.
+    every_s : float
+        Seconds between two writings at least; 0 writes after each iteration.
+    resume : bool
+        Go on from the file if it exists; otherwise it is overwritten.
+
+    Raises
+    ------
+    InputError
+        ``every_s`` is negative or not finite.
+    """
+
+    def __init__(self, path: str | Path, *, every_s: float = EVERY_S, resume: bool = False) -> None:
+        if not (math.isfinite(every_s) and every_s >= 0.0):
+            raise InputError.of("options.value", place="checkpoint_every", value=every_s, expected="seconds from 0")
+        self.path, self.every_s, self.resume = Path(path), every_s, resume
+        self._last = time.monotonic()
+        self._pending: tuple[Problem, str, Carried[State]] | None = None
+        self._fingerprint = ""
+
+    def keep(self, problem: Problem, backend: str, carried: Carried[State]) -> None:
+        """Remember what is carried; write it when it is time.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        self._pending = problem, backend, carried
+        if time.monotonic() - self._last >= self.every_s:
+            self.write()
+
+    def write(self) -> int | None:
+        """Write what was remembered last; the number of its iterations, or None if there is nothing.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        if self._pending is None:
+            return None
+        problem, backend, carried = self._pending
+        self._fingerprint = self._fingerprint or fingerprint(problem)
+        stream = io.BytesIO()
+        np.savez(
+            stream, allow_pickle=False, format=np.array(FORMAT), fingerprint=np.array(self._fingerprint),
+            backend=np.array(backend), image=carried.state.image, ground=carried.state.ground,
+            numbers=np.array([float(getattr(carried, name)) for name in _NUMBERS]),
+            log=np.array([astuple(r) for r in carried.log], dtype=np.float64).reshape(-1, len(fields(IterationRecord))),
+        )  # fmt: skip
+        write_bytes(self.path, stream.getvalue())
+        self._last, self._pending = time.monotonic(), None
+        return len(carried.log)
+
+    def read(self, problem: Problem) -> tuple[str, Carried[State]] | None:
+        """Backend and what it carried, where the run shall go on and there is a file.
+
+        Raises
+        ------
+        InputError
+            The file is no checkpoint, or that of another problem.
+        """
+        if not (self.resume and self.path.exists()):
+            return None
+        try:
+            with np.load(self.path, allow_pickle=False) as content:
+                arrays = dict(content)
+            known = int(arrays["format"]) == FORMAT
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError.of("checkpoint.unreadable", file=self.path, value=type(error).__name__) from error
+        if not known:
+            raise InputError.of("checkpoint.unreadable", file=self.path, value=f"format {arrays['format']}")
+        self._fingerprint = fingerprint(problem)
+        if str(arrays["fingerprint"]) != self._fingerprint:
+            raise InputError.of("checkpoint.other", file=self.path, place="--resume")
+        return str(arrays["backend"]), _carried(arrays)
+
+    def remove(self) -> None:
+        """Remove the file; the run has ended."""
+        self._pending = None
+        self.path.unlink(missing_ok=True)
+
+
+def _carried(arrays: dict[str, npt.NDArray[Any]]) -> Carried[State]:
+    numbers = dict(zip(_NUMBERS, arrays["numbers"].tolist(), strict=True))
+    numbers |= {name: int(numbers[name]) for name in _WHOLE}
+    state = State(np.ascontiguousarray(arrays["image"]), np.ascontiguousarray(arrays["ground"]))
+    return Carried(state, log=tuple(_record(row) for row in arrays["log"].tolist()), **numbers)
+
+
+def _record(row: list[float]) -> IterationRecord:
+    values: dict[str, Any] = dict(zip((f.name for f in fields(IterationRecord)), row, strict=True))
+    return IterationRecord(**values | {"iteration": int(values["iteration"]), "accepted": bool(values["accepted"])})
+
+
+def fingerprint(problem: Problem) -> str:
+    """SHA-256 of everything that decides what an iteration does."""
+    digest = hashlib.sha256()
+    options = {name: value for name, value in asdict(problem.block.options).items() if name not in _FREE}
+    digest.update(repr(options).encode())
+    for parameters in problem.parameters:
+        digest.update(repr(parameters.names).encode())
+        digest.update(parameters.setup.tobytes())
+    o = problem.observations
+    for array in (
+        problem.records, problem.control_records, problem.active, problem.observed, problem.origin_m, o.image, o.point,
+        problem.start.image, problem.start.ground,
+        *(part for extra in problem.block.extra for part in (extra.record, extra.setup)),
+    ):  # fmt: skip
+        digest.update(repr(array.shape).encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
