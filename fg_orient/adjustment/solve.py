@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.dense import DenseSystem
     from fg_orient.adjustment.graph import GraphBackend, GraphSystem
     from fg_orient.adjustment.schur import SchurSystem
+    from fg_orient.adjustment.schur_summed import SummedSystem
 
 S = TypeVar("S")
 
@@ -62,7 +63,7 @@ class Estimate:
         "graph", "schur" or "dense".
     solver : str
         Linear solver of the dense backend; "" for the others.
-    linear : GraphSystem, SchurSystem or DenseSystem
+    linear : GraphSystem, SchurSystem, DenseSystem or SummedSystem
         The undamped linearisation at the state, for cofactors.
     structure_s, solve_s : float
         Wall-clock seconds: building the graph, optimising.
@@ -80,7 +81,7 @@ class Estimate:
     iterations: int
     backend: str
     solver: str
-    linear: GraphSystem | SchurSystem | DenseSystem
+    linear: GraphSystem | SchurSystem | DenseSystem | SummedSystem
     structure_s: float
     solve_s: float
     weights: Weights | None = None

@@ -20,6 +20,7 @@ from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur_reduced import Reduced, ReducedSystems
+from fg_orient.adjustment.schur_summed import SummedSystem
 from fg_orient.parallel import tasks
 from fg_orient.parallel.parts import divide, rows_of, write_part
 from fg_orient.parallel.pool import Pool
@@ -80,28 +81,6 @@ class Pattern:
     block_column: Index
 
 
-@dataclass(frozen=True)
-class SummedSystem:
-    """The undamped reduced system at the solution, priors included: what is left when the workers have gone.
-
-    Parameters
-    ----------
-    points : tuple of int arrays
-        Ground points of each part.
-    reduced : callable
-        Factorises it.
-
-    Raises
-    ------
-    Singular
-        The system is not positive definite.
-    """
-
-    state: State
-    points: tuple[npt.NDArray[np.intp], ...]
-    reduced: Callable[[], Reduced]
-
-
 class PartedSystem:
     """One linearisation; see ``loop.System``."""
 
@@ -110,25 +89,26 @@ class PartedSystem:
         self._prior_gradient = backend.prior * backend.problem.image_vector(state)
         self._newton: PartedStep | None = None
         self._known = backend.known_error(state)
+        self._least = backend.problem.least_damping
         self._partial: Partial | None = None
 
     @property
     def error(self) -> float:
         """Half the weighted sum of squares, or the cost under a loss."""
         if self._known is None:
-            self._eliminated(0.0)  # Gauss-Newton's step needs it next
+            self._eliminated(self._least)  # Gauss-Newton's step needs it next
         assert self._known is not None
         return self._known
 
     def _eliminated(self, damping: float) -> Partial:
         """Sum of all parts."""
-        if damping != 0.0 or self._partial is None:
-            found: Partial = self._backend.total(tasks.eliminate, self.state, damping)
-            self._known = found.error + self._backend.prior_error(self.state.image)
-            if damping != 0.0:
-                return found
+        if damping == self._least and self._partial is not None:
+            return self._partial
+        found: Partial = self._backend.total(tasks.eliminate, self.state, damping)
+        self._known = found.error + self._backend.prior_error(self.state.image)
+        if damping == self._least:
             self._partial = found
-        return self._partial
+        return found
 
     def eliminated(self, damping: float) -> tuple[Reduced, Array]:
         """Reduced system and gradient (u,), the sums of all parts and the priors.
@@ -149,12 +129,13 @@ class PartedSystem:
         RuntimeError
             The normal equations are singular.
         """
-        if damping == 0.0 and self._newton is not None:
+        damping = max(damping, self._least)
+        if damping == self._least and self._newton is not None:
             return self._newton
         reduced, gradient = self.eliminated(damping)
         image, target = reduced.solve(gradient), self._backend.new_name()
         step = self._step(image, target, self._backend.total(tasks.substitute, self.state, damping, image, target))
-        if damping == 0.0:
+        if damping == self._least:
             self._newton = step
         return step
 
@@ -166,7 +147,7 @@ class PartedSystem:
         slope = backend.total(tasks.gradient, self.state)
         image = slope.image + self._prior_gradient
         squares = float(np.sum(image**2)) + slope.squares
-        bend = backend.total(tasks.bend, self.state, image, newton.image)
+        bend = backend.total(tasks.bend, self.state, self._least, image, newton.image)
         factor = -squares / (bend.curvature + backend.prior * float(np.sum(image**2)))
         length = abs(factor) * float(np.sqrt(squares))
         along_slope, along_newton = factor * min(1.0, radius / length), 0.0
@@ -177,7 +158,7 @@ class PartedSystem:
             along_slope = factor * (1.0 - along_newton)
         target = backend.new_name()
         moved = backend.total(
-            tasks.blend, self.state, image, newton.image, along_slope, along_newton, target
+            tasks.blend, self.state, self._least, image, newton.image, (along_slope, along_newton), target
         )  # fmt: skip
         return self._step(along_slope * image + along_newton * newton.image, target, moved)
 
@@ -191,7 +172,7 @@ class PartedSystem:
     def summed(self) -> SummedSystem:
         """What the covariance needs."""
         found, state = self._eliminated(0.0), State(self.state.image, self.state.ground)
-        return SummedSystem(state, tuple(self._backend.points), lambda: self._backend.reduced(found, 0.0))
+        return SummedSystem(state, lambda: self._backend.reduced(found, 0.0))
 
 
 class PartedBackend:
@@ -226,6 +207,7 @@ class PartedBackend:
         self._last_error: tuple[str, float] | None = None
         self._robust: Robust | None = None
         self._losses = 0
+        self._foreign: tuple[State, PartedState] | None = None
 
     @property
     def robust(self) -> Robust | None:
@@ -271,9 +253,9 @@ class PartedBackend:
         found: Squares = self.total(tasks.squares, self._parted(state))
         return found.image, found.control
 
-    def retract(self, state: PartedState, step: PartedStep) -> PartedState:
+    def retract(self, state: State, step: PartedStep) -> PartedState:
         """State after a step from this state."""
-        if step.base != state.name:
+        if step.base != self._parted(state).name:
             raise ValueError("this step leads from another state")
         return PartedState(state.image + self.problem.image_matrix(step.image), step.target, self._gathered)
 
@@ -307,10 +289,14 @@ class PartedBackend:
         """The state with its points in files; those of a state from elsewhere are written."""
         if isinstance(state, PartedState):
             return state
-        name = self.new_name()
-        for number, points in enumerate(self.points):
-            tasks.write_ground(self.folder, number, name, state.ground[points])
-        return PartedState(state.image, name, self._gathered)
+        if state is self.problem.start:
+            return self.initial()
+        if self._foreign is None or self._foreign[0] is not state:
+            name = self.new_name()
+            for number, points in enumerate(self.points):
+                tasks.write_ground(self.folder, number, name, state.ground[points])
+            self._foreign = state, PartedState(state.image, name, self._gathered)
+        return self._foreign[1]
 
     def _gathered(self, name: str) -> Array:
         ground = self.problem.start.ground.copy()

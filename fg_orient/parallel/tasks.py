@@ -267,19 +267,20 @@ def gradient(at: At) -> Slope:
     return Slope(image, float(np.sum(ground**2)))
 
 
-def bend(at: At, slope: Array, newton: Array) -> Bend:
-    """What the dogleg needs of a part: ``slope`` and ``newton`` (u,) of the images."""
+def bend(at: At, damping: float, slope: Array, newton: Array) -> Bend:
+    """What the dogleg needs of a part: ``slope`` and ``newton``, which has this damping, (u,) of the images."""
     part = _opened(at)
-    step = part.substitute(at, 0.0, newton).ground.copy()
+    step = part.substitute(at, damping, newton).ground.copy()
     _, ground = part.gradient(at)
     return Bend(part.system(at).curvature(slope, ground), float(np.sum(ground * step)))
 
 
-def blend(at: At, slope: Array, newton: Array, along_slope: float, along_newton: float, target: str) -> Moved:
+def blend(at: At, damping: float, slope: Array, newton: Array, multiples: tuple[float, float], target: str) -> Moved:
     """Move a part by a multiple of the gradient plus a multiple of the Newton step."""
     part = _opened(at)
-    step = part.substitute(at, 0.0, newton).ground.copy()
+    step = part.substitute(at, damping, newton).ground.copy()
     _, ground = part.gradient(at)
+    along_slope, along_newton = multiples
     image = along_slope * slope + along_newton * newton
     return _moved(part, at, part.system(at).given(image, along_slope * ground + along_newton * step), target)
 

@@ -1,0 +1,48 @@
+"""From a problem to an estimate, in parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.loop import Callback
+from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.solve import Estimate, solve
+from fg_orient.errors import InputError
+from fg_orient.parallel.backend import PartedBackend, PartedSystem
+from fg_orient.parallel.parts import default_parts
+from fg_orient.parallel.pool import Execution, opened, work_folder
+
+
+def solve_in_parts(
+    problem: Problem, execution: Execution, callback: Callback | None = None, checkpoint: Checkpoint | None = None
+) -> Estimate:
+    """Adjust a problem in parts; what is started for it has ended when the estimate is there.
+
+    Parameters
+    ----------
+    problem : Problem
+    execution : Execution
+    callback : callable, optional
+        Called with an ``IterationRecord`` after each iteration.
+    checkpoint : Checkpoint, optional
+        See ``fg_orient.adjustment.solve.solve``.
+
+    Raises
+    ------
+    InputError
+        Another backend than the Schur complement is asked for; more parts than points; dask is missing, the
+        scheduler does not answer, or workers do not see the work folder.
+    NoSolutionError
+        The equations become singular or not finite on the way; workers die again and again.
+    """
+    options = problem.block.options
+    if options.backend not in ("auto", "schur"):
+        raise InputError.of("parallel.backend", place="parts", value=options.backend)
+    judged = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
+    with opened(execution) as pool, work_folder(execution, pool) as folder:
+        parts = execution.parts or default_parts(problem)
+        estimate = solve(judged, callback, lambda p: PartedBackend(p, pool, folder, parts), checkpoint)
+        summed = cast(PartedSystem, estimate.linear).summed()
+    return replace(estimate, state=summed.state, linear=summed)
