@@ -267,12 +267,20 @@ class _NoStep:
     data: Any = None
 
 
-def _undamped(system: System, step: Step) -> float:
-    """Length of the step without damping; of the damped one where a free datum makes the equations singular."""
+def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> bool:
+    """Whether the step taken was the last.
+
+    A damped step may be small because of the damping: the undamped one decides. With a free datum the equations are
+    singular without damping, and with very little of it no step need become small: the end is where the predicted
+    decrease is rounding.
+    """
+    rounding = math.isnan(log[-1].ratio)
+    if rounding and len(log) > 1 and math.isinf(log[-2].step):
+        return True
     try:
-        return system.solve(0.0).length
+        return small and system.solve(0.0).length < ROUNDING_STEP
     except RuntimeError:
-        return step.length
+        return rounding
 
 
 def levenberg_marquardt(
@@ -337,9 +345,7 @@ def _controlled(
                 return course.end(carried.state, system.error, False, "no step lowers the error")
             course.go_on(control=control, growth=growth, rejected=carried.rejected + 1)
             continue
-        # a damped step may be small because of the damping: the undamped one decides
-        small = _small(step.length, carried.previous, tolerance, shrink)
-        if small and _undamped(system, step) < ROUNDING_STEP:
+        if _arrived(system, course.carried.log, _small(step.length, carried.previous, tolerance, shrink)):
             return course.end(trial, error, True, SMALL)
         system = backend.linearise(trial)
         course.go_on(state=trial, control=control, growth=growth, previous=step.length, rejected=0)
