@@ -23,7 +23,7 @@ class Distance(Backend):
         jacobian, r = np.concatenate([-unit, unit])[None], self.residuals(state)
 
         def solve(damping: float) -> SimpleNamespace:
-            if damping < 1e-12:  # what rounding leaves of a pivot that is zero may have either sign
+            if damping < 1e-6:  # what rounding leaves of a pivot that is zero may have either sign
                 raise RuntimeError("the normal equations are singular")
             x = -np.linalg.solve(jacobian.T @ jacobian + damping * np.eye(4), jacobian.T @ r)
             after = r + jacobian @ x
