@@ -7,7 +7,9 @@ the backend, and only then opens the coordinates of the check points.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +17,18 @@ import numpy.typing as npt
 
 from factors.warmup import compile_kernels
 from fg_orient import initial
+from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.located import LocatedPoint, locate_point
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.errors import RankDeficientError, problem
 from fg_orient.names import Role
+from fg_orient.parallel.pool import Execution
+from fg_orient.parallel.solve import solve_in_parts
 from fg_orient.parameters import eop_set_number
 from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
@@ -30,6 +37,8 @@ from fg_orient.quality.observability import BlockObservability, ImageObservabili
 from fg_orient.solution import Seconds, Solution
 
 Array = npt.NDArray[np.float64]
+#: Told of each stage of the work: its name, and the number of image points where it is known.
+Stage = Callable[[str, int], None]
 
 
 def adjust(
@@ -45,7 +54,16 @@ def adjust(
     check_points: str | None = None,
     rpc_compensation: str | None = None,
     datum: str | None = None,
+    loss: str | None = None,
+    gnc: bool | None = None,
+    inlier_probability: float | None = None,
+    parts: int | None = None,
+    workers: int | None = None,
+    cluster: Any = None,
+    work_dir: str | Path | None = None,
     callback: Callback | None = None,
+    stage: Stage | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Solution:
     """Adjust a block; arguments override the options of its project file.
 
@@ -64,9 +82,24 @@ def adjust(
     rpc_compensation : str, optional
         Unknowns of RPC images: "shift", "shift_drift" or "affine".
     datum : str, optional
-        "priors" adjusts a block without control points, relatively.
+        "priors" adjusts a block without control points, relatively; "free" does so without priors.
+    parts : int, optional
+        Adjust in so many parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``:
+        by the size of the block. The numbers are the same for any workers.
+    workers : int, optional
+        Processes of this machine that work on the parts; 1: this one.
+    cluster : str or dask.distributed.Client, optional
+        Scheduler of a running cluster instead.
+    work_dir : path, optional
+        Folder for the files of the parts, seen by all workers.
     callback : callable, optional
         Called with an ``IterationRecord`` after each iteration.
+    loss, gnc, inlier_probability : optional
+        Robust adjustment, see :class:`fg_orient.block.Options`; docs/robust.md.
+    stage : callable, optional
+        Called with the name of each stage of the work as it begins, and the number of image points.
+    checkpoint : Checkpoint, optional
+        Keeps the run in a file, or is what it goes on from; to be removed by the caller in the end.
 
     Returns
     -------
@@ -84,34 +117,43 @@ def adjust(
         "look_polynomial": look_polynomial, "priors": priors, "backend": backend, "solver": solver,
         "optimizer": optimizer, "max_iterations": max_iterations, "check_points": check_points,
         "rpc_compensation": rpc_compensation, "datum": datum,
+        "loss": loss, "gnc": gnc, "inlier_probability": inlier_probability,
     }  # fmt: skip
     options = replace(block.options, **{k: v for k, v in given.items() if v is not None})
     jit_s = compile_kernels()
     start = time.perf_counter()
+    tell = stage or (lambda name, count: None)
+    tell("structure", len(block.observations))
     compiled = compile_problem(replace(block, options=options))
     observability = judge_observability(compiled)
     block_view = refuse_deficient(compiled, observability)
     structure = time.perf_counter() - start
-    estimate = solve(compiled, callback)
+    shared = not (parts is None and workers is None and cluster is None)
+    execution = Execution(parts, workers or 1, cluster, work_dir) if shared else None
+    tell("iterations", len(compiled.observations))
+    if execution is None:
+        estimate = solve(compiled, callback, checkpoint=checkpoint)
+    else:
+        estimate = solve_in_parts(compiled, execution, callback, checkpoint)
+    tell("statistics", len(compiled.observations))
     solution = conclude(compiled, observability, block_view, estimate, structure)
     return replace(solution, seconds=replace(solution.seconds, jit=jit_s))
 
 
 def judge_observability(compiled: Problem, state: State | None = None) -> tuple[ImageObservability, ...]:
     """Singular values of each image's whitened Jacobian at a state (default: the start)."""
-    _, j_image, _ = compiled.image_residuals(state or compiled.start, jacobian=True)
     out = []
-    for k, (image, model) in enumerate(zip(compiled.block.images, compiled.models, strict=True)):
-        rows = np.flatnonzero(compiled.observations.image == k)
-        jacobian = np.vstack([j_image[r] for r in rows]) if len(rows) else np.zeros((0, len(model.parameters)))
-        out.append(analyse(image.id, jacobian, model))
+    for k, rows in enumerate(rows_by_image(compiled)):
+        _, jacobian, _ = image_rows(compiled, state or compiled.start, k, rows, jacobian=True)
+        model = compiled.models[k]
+        out.append(analyse(compiled.block.images[k].id, jacobian.reshape(2 * len(rows), -1), model))
     return tuple(out)
 
 
 def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability, ...]) -> BlockObservability | None:
     """Refuse a block whose unknowns nothing determines; give the view of the whole block where it is wanted.
 
-    It is wanted without priors, and where the priors hold the datum.
+    It is wanted without priors, and where no control point need hold the datum.
 
     Raises
     ------
@@ -119,7 +161,7 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
         One problem per direction that no image shows, or that no control point fixes.
     """
     if compiled.block.options.priors:
-        return analyse_block(compiled) if compiled.block.options.datum == "priors" else None
+        return analyse_block(compiled) if compiled.block.options.datum != "control" else None
     defect = {o.image: o.rank_defect for o in observability}
     counts = {
         "n_observations": compiled.n_observations,
@@ -130,7 +172,8 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
     view = None
     if not sentences and compiled.redundancy >= 0:
         view = analyse_block(compiled)
-        sentences = list(view.sentences)
+        free = len(view.datum) if compiled.block.options.datum == "free" else 0
+        sentences = list(view.sentences) if len(view.sentences) > free else []
     if sentences:
         problems = [problem("adjust.rank_deficient", place=sentence) for sentence in sentences]
         raise RankDeficientError(*problems, rank_defect=defect, counts=counts)
@@ -151,7 +194,8 @@ def conclude(
 ) -> Solution:
     """Statistics after convergence; the check points' coordinates are opened here and nowhere before."""
     start = time.perf_counter()
-    cofactors, withheld = _cofactors(compiled, estimate)
+    judged = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
+    cofactors, withheld = _cofactors(judged, estimate)
     located = _located_afterwards(compiled, estimate.state)
     ground = estimate.state.ground + compiled.origin_m
     for j, point in located.items():
@@ -166,12 +210,14 @@ def conclude(
         sigma0_interval=found.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
         accuracy=accuracy,
-        cofactors=cofactors, withheld=withheld, warnings=warnings,
+        cofactors=cofactors, withheld=withheld, warnings=warnings, weights=estimate.weights, resumed_at=estimate.resumed_at,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, time.perf_counter() - start),
     )  # fmt: skip
 
 
 def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[str, ...]]:
+    if compiled.least_damping > 0.0:
+        return None, ("covariance withheld: the datum is free; keep the priors or measure control points",)
     try:
         return cofactors_of(compiled, estimate), ()
     except Indeterminate as reason:
@@ -200,11 +246,11 @@ def _assess(
     """Differences at control points and, after opening their coordinates, at check points."""
     points = compiled.block.points
     used = ~initial.missing_rows(ground)
-    control = np.array([j for j in points.where(Role.CONTROL) if used[j]], dtype=np.intp)
+    control, check = (rows[used[rows]] for rows in (points.where(Role.CONTROL), points.where(Role.CHECK)))
     adjusted = control[compiled.active[control]]  # a fixed point is a constant: it has no difference
-    check = np.array([j for j in points.where(Role.CHECK) if used[j]], dtype=np.intp)
     opened = compiled.block.withheld.open() if len(check) else None
-    order = [compiled.block.withheld.ids.index(points.ids[j]) for j in check]
+    place = {name: k for k, name in enumerate(compiled.block.withheld.ids)}
+    order = [place[points.ids[j]] for j in check]
     at_control = _differences(compiled, ground, adjusted, points.known, adjusted, located, cofactors)
     return Accuracy(
         replace(at_control, n_fixed=len(control) - len(adjusted)),
@@ -225,9 +271,11 @@ def _differences(
     measured_m = measured.ecef_m[rows].reshape(-1, 3)
     q = np.full((len(index), 3, 3), np.nan)
     if cofactors is not None:
+        unknown = [k for k, j in enumerate(index.tolist()) if j not in located]
+        q[unknown] = cofactors.points(index[unknown])
         for k, j in enumerate(index.tolist()):
-            point = located.get(j)
-            q[k] = cofactors.point(j) if point is None else point.cofactors(cofactors.joint(point.images, ()))
+            if j in located:
+                q[k] = located[j].cofactors(cofactors.joint(located[j].images, ()))
     sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
     # East, North, Up of the adjusted point: no estimated sigma may depend on a check coordinate
     return differences(ids, index, ground[index], measured_m, sigma, q, compiled.axes(ground[index].reshape(-1, 3)))

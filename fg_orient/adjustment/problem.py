@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +20,18 @@ from factors import ellipsoid
 from factors._contract import evaluate
 from fg_orient import geodesy, initial
 from fg_orient.adjustment.models.contract import ImageModel, groups, image_models
+from fg_orient.adjustment.rows import residuals
 from fg_orient.block import Block, ExtraObservation, ImagePoints
 from fg_orient.errors import InputError
 from fg_orient.names import Role
 from fg_orient.parameters import ImageParameters
 
 Array = npt.NDArray[np.float64]
+
+
+#: What holds a free datum: as much as priors a thousand times as wide as the given ones (or 1 km for ground points).
+#: It acts on steps, not on the solution; wider ones cost digits.
+FREE_DAMPING: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -122,6 +128,12 @@ class Problem:
         return out
 
     @property
+    def least_damping(self) -> float:
+        """Damping of the normal equations that no step goes without: above zero where nothing holds the datum."""
+        options = self.block.options
+        return FREE_DAMPING if options.datum == "free" and not options.priors else 0.0
+
+    @property
     def n_unknowns(self) -> int:
         """Image unknowns and three per unknown ground point."""
         return self.n_image_unknowns + 3 * int(self.active.sum())
@@ -209,8 +221,8 @@ class Problem:
 
     def pixel_residuals(self, state: State) -> Array:
         """Residuals v = adjusted - observed (n, 2): line, sample in pixels."""
-        whitened, _, _ = self.image_residuals(state)
-        return -whitened * np.stack([self.observations.sigma_line_px, self.observations.sigma_sample_px], axis=1)
+        o = self.observations
+        return -residuals(self, state) * np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
 
 
 def compile_problem(block: Block) -> Problem:
@@ -219,7 +231,7 @@ def compile_problem(block: Block) -> Problem:
     Raises
     ------
     InputError
-        No control point (unless the priors hold the datum), an image whose sensor has no model, images in
+        No control point (unless priors hold the datum or nothing need), an image whose sensor has no model, images in
         different coordinate systems, nothing to adjust, points that cannot be intersected.
     """
     options = block.options
@@ -304,12 +316,10 @@ def _control_records(block: Block, ecef_m: Array, origin_m: Array, observed: npt
     """Records (N, 12) of the control-point equations: W for ECEF axes from E/N/U sigmas."""
     out, sigma_enu_m = np.full((len(ecef_m), 12), np.nan), block.points.known.sigma_enu_m
     rows = np.flatnonzero(observed)
-    enu = _axes(block, ecef_m[rows])
-    for k, row in enumerate(rows):
-        # W^T W = C^-1 by QR of the scaled axes: no covariance is formed, so any ratio of sigmas is exact
-        w = np.linalg.qr(enu[k] / sigma_enu_m[row][:, None]).R
-        out[row, :9] = (w * np.where(np.diag(w) < 0.0, -1.0, 1.0)[:, None]).ravel()
-        out[row, 9:] = ecef_m[row] - origin_m
+    # W^T W = C^-1 by QR of the scaled axes: no covariance is formed, so any ratio of sigmas is exact
+    w = np.linalg.qr(_axes(block, ecef_m[rows]) / sigma_enu_m[rows][:, :, None]).R
+    w *= np.where(np.einsum("nii->ni", w) < 0.0, -1.0, 1.0)[:, :, None]
+    out[rows, :9], out[rows, 9:] = w.reshape(-1, 9), ecef_m[rows] - origin_m
     return out
 
 

@@ -7,17 +7,20 @@ in: with ``K = H^-1 sum G^T J`` its cofactors are ``H^-1 + K Q K^T``, those with
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.point_cofactors import cofactors_of_points
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur import SchurSystem
 from fg_orient.adjustment.schur_reduced import Reduced
 
 Array = npt.NDArray[np.float64]
 
-
+#: Image unknowns up to which all their cofactors are formed to give those of all points: 0.3 GB.
+WHOLE_LIMIT: Final = 6000
 #: Images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u).
 Gain = tuple[tuple[int, ...], Array, Array]
 
@@ -28,6 +31,8 @@ class ReducedCofactors:
     Parameters
     ----------
     problem : Problem
+    state : State
+        The solution.
     reduced : Reduced
     gain : callable
         Of an unknown point.
@@ -38,8 +43,8 @@ class ReducedCofactors:
         The normal equations are too close to singular.
     """
 
-    def __init__(self, problem: Problem, reduced: Reduced, gain: Callable[[int], Gain]) -> None:
-        self._problem, self._reduced, self._gain = problem, reduced, gain
+    def __init__(self, problem: Problem, state: State, reduced: Reduced, gain: Callable[[int], Gain]) -> None:
+        self._problem, self._state, self._reduced, self._gain = problem, state, reduced, gain
         self._known: dict[tuple[int, ...], Array] = {}
         self._of((0,))  # an ill-conditioned system is found when first asked, not when made
 
@@ -60,6 +65,23 @@ class ReducedCofactors:
         images, inverse, gain = self._gain(j)
         found = inverse + gain @ self._of(images) @ gain.T
         return np.asarray(0.5 * (found + found.T))
+
+    def points(self, index: npt.NDArray[np.intp]) -> Array:
+        """See ``Cofactors``."""
+        return cofactors_of_points(self._problem, self._state, index, self._blocks)
+
+    def _blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
+        """Joint blocks (B, k, k) of pairs of images, from all cofactors of the images if these are few."""
+        first, widest = self._problem.first, int(np.diff(self._problem.first).max())
+        out = np.zeros((len(pairs), widest, widest))
+        whole = self._of(tuple(range(self._problem.n_images))) if first[-1] <= WHOLE_LIMIT else None
+        for b, (i, j) in enumerate(pairs.tolist()):
+            n, m = first[i + 1] - first[i], first[j + 1] - first[j]
+            if whole is not None:
+                out[b, :n, :m] = whole[first[i] : first[i + 1], first[j] : first[j + 1]]
+            else:
+                out[b, :n, :m] = self._of((i,) if i == j else (i, j))[:n, -m:]
+        return out
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See ``Cofactors``."""
@@ -108,7 +130,7 @@ class SchurCofactors(ReducedCofactors):
         self._place[self._structure.number] = np.arange(len(self._structure.number))
         reduced = system.reduced(0.0)
         self._root = system.buffers().root.copy()
-        super().__init__(problem, reduced, self._gain_of)
+        super().__init__(problem, system.state, reduced, self._gain_of)
 
     def _gain_of(self, j: int) -> Gain:
         """See :data:`Gain`."""

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import gtsam
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 
 #: Above this many image unknowns their joint cofactors are not formed at once; points are asked one by one.
@@ -49,6 +50,10 @@ class Cofactors(Protocol):
         """Cofactors (3, 3) of a ground point; zero for a fixed one."""
         ...
 
+    def points(self, index: Index) -> Array:
+        """Cofactors (n, 3, 3) of many ground points."""
+        ...
+
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """Joint cofactors of images, then unknown points, in the order given."""
         ...
@@ -68,10 +73,13 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
         return DenseCofactors(problem, estimate.linear.design)
     from fg_orient.adjustment.schur import SchurSystem
     from fg_orient.adjustment.schur_cofactors import SchurCofactors
+    from fg_orient.adjustment.schur_summed import SummedCofactors, SummedSystem
 
-    if isinstance(estimate.linear, SchurSystem):
+    if isinstance(estimate.linear, SchurSystem | SummedSystem):
         try:
             with one_blas_thread():
+                if isinstance(estimate.linear, SummedSystem):
+                    return SummedCofactors(problem, estimate.linear)
                 return SchurCofactors(problem, estimate.linear)
         except RuntimeError as error:
             raise Indeterminate(str(error)) from error
@@ -125,6 +133,10 @@ class DenseCofactors:
             return np.zeros((3, 3))
         part = self._columns.point(j)
         return self._q[part, part]
+
+    def points(self, index: Index) -> Array:
+        """See :class:`Cofactors`."""
+        return np.array([self.point(j) for j in index.tolist()]).reshape(-1, 3, 3)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`."""
@@ -214,6 +226,10 @@ class GraphCofactors:
             out[j] = inverse + g @ q_images[np.ix_(columns, columns)] @ g.T
             self._gains[j] = g, columns
         return out
+
+    def points(self, index: Index) -> Array:
+        """See :class:`Cofactors`."""
+        return np.array([self.point(j) for j in index.tolist()]).reshape(-1, 3, 3)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See :class:`Cofactors`; one point with its images follows from those of all images, if these are known."""

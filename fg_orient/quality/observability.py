@@ -70,7 +70,8 @@ def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservabilit
         Names the unknowns and the directions that physics hides.
     """
     k = len(model.parameters)
-    full = np.vstack([jacobian, np.zeros((max(0, k - len(jacobian)), k))])
+    short = np.asarray(np.linalg.qr(jacobian, mode="r")) if len(jacobian) > k else jacobian
+    full = np.vstack([short, np.zeros((max(0, k - len(short)), k))])
     _, s, vt = np.linalg.svd(full, full_matrices=False)
     dead = s < DEAD
     null = vt[dead].T

@@ -146,9 +146,8 @@ def point_sigmas(solution: Solution, known: npt.NDArray[np.bool_]) -> Array:
         return out
     rows = np.flatnonzero(known)
     turn = solution.problem.axes(np.ascontiguousarray(solution.ground_m[rows]))
-    for k, j in enumerate(rows):
-        q = turn[k] @ solution.cofactors.point(int(j)) @ turn[k].T
-        out[j] = np.sqrt(np.maximum(np.diag(q), 0.0))
+    q = turn @ solution.cofactors.points(rows) @ np.swapaxes(turn, 1, 2)
+    out[rows] = np.sqrt(np.maximum(np.einsum("nii->ni", q), 0.0))
     check: PointDifferences = solution.accuracy.check
     out[check.index] = check.predicted_sigma_enu_m  # excluded ones are propagated, not unknowns
     return out

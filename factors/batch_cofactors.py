@@ -1,0 +1,94 @@
+"""Cofactors of ground points from those of the images that see them.
+
+With the whitened Jacobians J_a (image) and G_a (ground) of the rays a of a point, ``H = sum G_a^T G_a + W^T W`` and
+the joint cofactors Q of the images::
+
+    Q_point = H^-1 + H^-1 (sum_ab G_a^T T_ab G_b) H^-1,     T_ab = J_a Q_ab J_b^T
+
+the back-substitution of the elimination (Brown 1976; Mikhail & Ackermann 1976, 5.9) with two rows per ray instead of
+all columns of its image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors._contract import Array
+from factors.batch_rows import Index, threaded
+
+
+@threaded
+def point_cofactors(
+    lo: int, hi: int, first: Index, image: Index, size: Index, d_image: Array, d_ground: Array, inverse: Array,
+    block: Index, q: Array, out: Array,
+) -> None:  # fmt: skip
+    """Write the cofactors (P, 3, 3) of points lo to hi.
+
+    Parameters
+    ----------
+    first : (P + 1,) int array
+        First ray of each point; its rays are in the order of their images.
+    image : (n,) int array
+    size : (M,) int array
+        Unknowns of each image, at most k.
+    d_image, d_ground : (n, 2, k), (n, 2, 3) arrays
+    inverse : (P, 3, 3) array
+        H^-1.
+    block : (M, M) int array
+        Place in ``q`` of the joint block of two images, row <= column.
+    q : (B, k, k) array
+        Cofactors of the images.
+    """
+    turned, t, total, half = np.empty((2, q.shape[2])), np.empty((2, 2)), np.empty((3, 3)), np.empty((3, 3))
+    for p in range(lo, hi):
+        total[:] = 0.0
+        for a in range(first[p], first[p + 1]):
+            i = image[a]
+            for b in range(a, first[p + 1]):
+                j = image[b]
+                _between(d_image, a, b, q, block[i, j], size[i], size[j], turned, t)
+                _add(total, d_ground, a, b, t)
+        for r in range(3):
+            for c in range(3):
+                half[r, c] = 0.0
+                for k in range(3):
+                    half[r, c] += inverse[p, r, k] * total[k, c]
+        for r in range(3):
+            for c in range(r + 1):
+                value = inverse[p, r, c]
+                for k in range(3):
+                    value += half[r, k] * inverse[p, k, c]
+                out[p, r, c], out[p, c, r] = value, value
+
+
+@threaded
+def _between(
+    d_image: Array, a: int, b: int, q: Array, block: int, n: int, m: int, turned: Array, t: Array
+) -> None:  # fmt: skip
+    """Write ``J_a Q J_b^T`` (2, 2) of two rays."""
+    turned[:] = 0.0
+    for r in range(n):
+        x, y = d_image[a, 0, r], d_image[a, 1, r]
+        for s in range(m):
+            turned[0, s] += x * q[block, r, s]
+            turned[1, s] += y * q[block, r, s]
+    t[:] = 0.0
+    for s in range(m):
+        t[0, 0] += turned[0, s] * d_image[b, 0, s]
+        t[0, 1] += turned[0, s] * d_image[b, 1, s]
+        t[1, 0] += turned[1, s] * d_image[b, 0, s]
+        t[1, 1] += turned[1, s] * d_image[b, 1, s]
+
+
+@threaded
+def _add(total: Array, d_ground: Array, a: int, b: int, t: Array) -> None:
+    """Add ``G_a^T T G_b``, and its transpose for two different rays."""
+    for r in range(3):
+        for c in range(3):
+            value = 0.0
+            for k in range(2):
+                for m in range(2):
+                    value += d_ground[a, k, r] * t[k, m] * d_ground[b, m, c]
+            total[r, c] += value
+            if a != b:
+                total[c, r] += value
