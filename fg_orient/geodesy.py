@@ -1,4 +1,4 @@
-"""Coordinate reference systems: the only module that talks to PROJ, with its guards.
+"""Coordinate reference systems: the module that talks to PROJ (so does rectification.projections), with its guards.
 
 Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in
 metres. Borders speak any EPSG code. What PROJ would do silently is refused here: axis

@@ -1,0 +1,50 @@
+"""Targets of many points by any of the transformations of ``factors.plane`` and ``factors.line_scanner``."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from factors import line_scanner, plane
+from factors._contract import Array, Equation, compiled
+
+#: Number of each transformation in :func:`targets`.
+KINDS: Final[dict[str, int]] = {
+    plane.POLYNOMIAL.name: 0,
+    plane.HELMERT.name: 1,
+    plane.PROJECTIVE.name: 2,
+    line_scanner.AFFINE_PROJECTION.name: 3,
+    line_scanner.PARALLEL_PROJECTION.name: 4,
+    line_scanner.LINE_SCANNER_DLT.name: 5,
+}
+
+
+def targets_of(equation: Equation, sources: Array, setup: Array, coefficients: Array) -> Array:
+    """Target coordinates (n, 2) of source coordinates (n, 3)."""
+    c = np.ascontiguousarray(coefficients, float)
+    return np.asarray(targets(KINDS[equation.name], np.ascontiguousarray(sources, float), setup, c))
+
+
+@compiled
+def targets(kind: int, sources: Array, setup: Array, c: Array) -> Array:
+    """Target coordinates (n, 2); ``kind`` is one of ``KINDS``."""
+    out = np.empty((len(sources), 2))
+    record = np.zeros(plane.RECORD)
+    record[5] = record[7] = 1.0
+    for i in range(len(sources)):
+        for k in range(3):
+            record[k] = sources[i, k]
+        if kind == 0:
+            out[i] = plane.residual_polynomial(record, setup, c)
+        elif kind == 1:
+            out[i] = plane.residual_helmert(record, setup, c)
+        elif kind == 2:
+            out[i] = plane.residual_projective(record, setup, c)
+        elif kind == 3:
+            out[i] = line_scanner.residual_affine(record, setup, c)
+        elif kind == 4:
+            out[i] = line_scanner.residual_parallel(record, setup, c)
+        else:
+            out[i] = line_scanner.residual_dlt(record, setup, c)
+    return out

@@ -1,0 +1,72 @@
+"""Messages about rectification: transformations between image and map, map accuracy, areas."""
+
+from __future__ import annotations
+
+from typing import Final
+
+RECTIFY: Final = {
+    "rectify.points": (
+        "points need finite source coordinates (n, 2) or (n, 3), target coordinates (n, 2) and sigmas (n, 2) above 0",
+        "give one row per point, ids as many as rows",
+    ),
+    "rectify.model": ("no such transformation", "known: {known}"),
+    "rectify.degree": ("the degree of a polynomial is 1 to {most}, and no other transformation has one", "give one"),
+    "rectify.direction": ("no such direction", "image-to-map or map-to-image"),
+    "rectify.few_points": (
+        "{points} control points give {equations} equations for {unknowns} unknowns: no redundancy, so no m0",
+        "at least {least} points are needed; take a transformation with fewer unknowns",
+    ),
+    "rectify.collinear": (
+        "the control points lie on a straight line (or at one place) and do not determine the transformation",
+        "measure points beside this line",
+    ),
+    "rectify.degenerate": (
+        "the control points do not determine {model}: they lie {figure}",
+        "measure points elsewhere, or take a transformation with fewer unknowns",
+    ),
+    "rectify.pole": (
+        "a denominator vanishes or changes its sign among the control points",
+        "look for gross errors in the points, or take another transformation",
+    ),
+    "rectify.not_converged": ("the adjustment does not converge: {reason}", "look for gross errors in the points"),
+    "rectify.heights": (
+        "this transformation needs heights: it relates ground coordinates with heights to the image",
+        "add a column height_m, or take a plane transformation",
+    ),
+    "rectify.no_crs": (
+        "longitude and latitude need a map projection to be fitted in, and none is given",
+        "add --crs with a projected coordinate system, for instance EPSG:32636",
+    ),
+    "rectify.crs_not_projected": (
+        "this coordinate system is not a map projection in metres",
+        "give the code of a projected one, for instance EPSG:32636",
+    ),
+    "rectify.sigmas": (
+        "sigmas of the side that is given, not of the side whose residuals are adjusted",
+        "with {direction} give {columns}, or turn the direction",
+    ),
+    "rectify.role": ("no such role of a point", "control (takes part) or check (compared only)"),
+    "rectify.id_twice": ("the point occurs twice", "give each point one row"),
+    "rectify.no_check_points": (
+        "a design study compares at independent points, and the table has no check points",
+        "give some points the role check",
+    ),
+    "rectify.counts": ("no such number of control points", "give whole numbers from 1 to {most}, for instance 5,10,20"),
+    "rectify.prune": (
+        "the target is not reached with the points that the transformation needs: {reached:.4g} with {points} points",
+        "raise the target, or take another transformation",
+    ),
+    "rectify.positive": ("must be a finite number above 0", "give it in {unit}"),
+    "rectify.standard": ("no such accuracy standard", "known: {known}"),
+    "rectify.differences": (
+        "differences must be finite numbers (n, 2)",
+        "give one row per tested point: measured minus true, east and north",
+    ),
+    "rectify.outline": (
+        "an outline needs three or more vertices (n, 2), finite, not on one line",
+        "check the vertices",
+    ),
+    "rectify.projection": ("not a projection that PROJ knows", "write it as PROJ does: +proj=tmerc +lon_0=27 ..."),
+    "rectify.outside": ("this point lies outside the domain of the projection", "check longitude and latitude"),
+    "rectify.saved": ("not a transformation that was written here", "give transformation.json of a result folder"),
+}

@@ -1,0 +1,294 @@
+"""Adjustment of a transformation: the loop of the bundle adjustment over the points of one transformation.
+
+Residuals are computed minus given, the sign of İpbüker 1994. m0 is per coordinate and divided by the redundancy,
+``m0 = sqrt(sum (v/sigma)^2 / (2n - u))``; it is not the plain RMSE, which divides by n.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import evaluate
+from fg_orient.adjustment.dense import DenseStep, DenseSystem
+from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.linear.threads import one_blas_thread
+from fg_orient.rectification.models import Model
+from fg_orient.rectification.transformation import Scaling, Transformation
+
+Array = npt.NDArray[np.float64]
+
+SOLVER: Final = "qr_scaled"
+MAX_ITERATIONS: Final = 100
+#: Smallest singular value of the design (columns of unit length) by its largest, below which points do not
+#: determine a transformation. Coordinates rounded to 1 mm on 10 km of straight line reach 1e-7.
+RANK_LIMIT: Final = 1e-6
+#: Directions of a residual below this share of a free one are not checked by the other points.
+CHECKED: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Points in both systems, checked.
+
+    Parameters
+    ----------
+    source : (n, 2) or (n, 3) array
+    target : (n, 2) array
+    sigma : (n, 2) array
+        Standard deviations of the target coordinates, in their unit; ones = equal weights.
+    ids : tuple of str
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, values that are not finite, sigmas that are not above 0.
+    """
+
+    source: Array
+    target: Array
+    sigma: Array
+    ids: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.source)
+        shapes = self.source.shape in ((n, 2), (n, 3)) and self.target.shape == (n, 2) == self.sigma.shape
+        if not shapes or len(self.ids) != n or not n:
+            raise InputError.of("rectify.points", value=f"{self.source.shape}, {self.target.shape}")
+        for name, values in (("source", self.source), ("target", self.target), ("sigma", self.sigma)):
+            bad = ~np.isfinite(values).all(axis=1) | (name == "sigma" and (values <= 0.0).any(axis=1))
+            if bad.any():
+                raise InputError.of("rectify.points", place=f"{name} of point {self.ids[int(np.argmax(bad))]}")
+
+    @classmethod
+    def of(
+        cls, source: npt.ArrayLike, target: npt.ArrayLike, sigma: npt.ArrayLike | None = None,
+        ids: Sequence[str] | None = None,
+    ) -> Observations:  # fmt: skip
+        """From array-likes; unit sigmas, ids 1 to n if not given."""
+        start, end = (np.atleast_2d(np.asarray(a, float)) for a in (source, target))
+        names = tuple(str(k + 1) for k in range(len(start))) if ids is None else tuple(ids)
+        size = np.ones(end.shape) if sigma is None else np.broadcast_to(np.asarray(sigma, float), end.shape).copy()
+        return cls(start, end, size, names)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Observations:
+        """Some of the points."""
+        ids = tuple(np.array(self.ids, dtype=object)[index])
+        return Observations(self.source[index], self.target[index], self.sigma[index], ids)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An adjusted transformation.
+
+    Parameters
+    ----------
+    transformation : Transformation
+    points : Observations
+        The control points.
+    residuals : (n, 2) array
+        Computed minus given, in the unit of the target.
+    whitened : (n, 2) array
+        Residuals by their sigmas.
+    design : (2n, u) array
+        Derivatives of the whitened residuals, two rows per point.
+    log : tuple of IterationRecord
+    condition : float
+        Of the design with columns of unit length.
+    """
+
+    transformation: Transformation
+    points: Observations
+    residuals: Array
+    whitened: Array
+    design: Array
+    log: tuple[IterationRecord, ...]
+    condition: float
+
+    @property
+    def model(self) -> Model:
+        """The transformation's family."""
+        return self.transformation.model
+
+    @property
+    def redundancy(self) -> int:
+        """2n minus unknowns."""
+        return 2 * len(self.points) - self.model.n_unknowns
+
+    @property
+    def weighted_squares(self) -> float:
+        """Sum of the squares of the whitened residuals."""
+        return float(np.sum(self.whitened**2))
+
+    @property
+    def m0(self) -> float:
+        """Standard deviation of unit weight; with unit sigmas that of a target coordinate (İpbüker 1994, EK 2)."""
+        return float(np.sqrt(self.weighted_squares / self.redundancy))
+
+    @property
+    def rmse(self) -> tuple[float, float, float]:
+        """Plain RMSE of both target coordinates and radial: divided by n."""
+        return plain_rmse(self.residuals)
+
+    @cached_property
+    def cofactors(self) -> Array:
+        """Cofactors (u, u) of the normalised coefficients; times m0 squared their covariance."""
+        root = np.linalg.inv(np.linalg.qr(self.design, mode="r"))
+        return np.asarray(root @ root.T)
+
+    @cached_property
+    def residual_cofactors(self) -> Array:
+        """Cofactors (n, 2, 2) of the whitened residuals of each point."""
+        left = np.linalg.qr(self.design)[0].reshape(len(self.points), 2, -1)
+        return np.asarray(np.eye(2) - left @ left.transpose(0, 2, 1))
+
+    @property
+    def redundancy_numbers(self) -> Array:
+        """Share (n, 2) of an error of each observation that shows in its own residual; their sum is the redundancy."""
+        return np.asarray(np.einsum("nii->ni", self.residual_cofactors))
+
+    def prediction_sigma(self, source: npt.ArrayLike) -> Array:
+        """Standard deviations (n, 2) of transformed points from those of the coefficients, in the target's unit."""
+        given = np.atleast_2d(np.asarray(source, float))
+        t, zero = self.transformation, np.zeros((len(given), 2))
+        records = _records(t, Observations.of(given, t.target.offset + zero))
+        _, (rows,) = evaluate(self.model.equation, records, [self.model.setup] * len(given),
+                              [t.coefficients] * len(given))  # fmt: skip
+        variance = [np.einsum("ij,jk,ik->i", row, self.cofactors, row) for row in rows]
+        return np.asarray(self.m0 * np.sqrt(np.maximum(np.array(variance), 0.0)))
+
+
+def plain_rmse(residuals: Array) -> tuple[float, float, float]:
+    """RMSE of both axes and radial of residuals (n, 2); nan without points."""
+    if not len(residuals):
+        return np.nan, np.nan, np.nan
+    x, y = np.sqrt(np.mean(residuals**2, axis=0))
+    return float(x), float(y), float(np.hypot(x, y))
+
+
+def fit(
+    points: Observations, model: Model, *, source_names: Sequence[str] = ("x", "y"),
+    target_names: Sequence[str] = ("X", "Y"), crs: str = "", optimizer: str | None = None,
+) -> Fit:  # fmt: skip
+    """Adjust a transformation.
+
+    Parameters
+    ----------
+    points : Observations
+        Control points.
+    model : Model
+        See :func:`fg_orient.rectification.models.find_model`.
+    source_names, target_names : sequence of str
+        For the record.
+    crs : str
+        Of the map side.
+    optimizer : str, optional
+        Of the loop; default Gauss-Newton for linear models, Levenberg-Marquardt for quotients.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    InputError
+        2n <= unknowns; points on a line, a curve or a plane that do not determine the transformation; heights missing.
+    NoSolutionError
+        The iteration does not converge, or a denominator vanishes among the points.
+    """
+    _require(points, model)
+    source = Scaling.of(points.source[:, : model.dimension], shared=model.shared_scale)
+    target = Scaling.of(points.target, shared=model.shared_scale)
+    blank = Transformation(model, np.zeros(model.n_unknowns), source, target, tuple(source_names), tuple(target_names),
+                           crs)  # fmt: skip
+    backend = _Backend(model, _records(blank, points))
+    start = model.start(backend.records[:, :3], backend.records[:, 3:5])
+    with one_blas_thread():
+        _require_determined(points, model, backend.rows(start)[1])
+        name = optimizer or ("gauss-newton" if model.linear else "levenberg-marquardt")
+        found = OPTIMIZERS[name](backend, start, MAX_ITERATIONS)
+        if not found.converged:
+            raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=found.reason)
+        below = model.denominator(backend.records[:, :3], found.state)
+        if not (below > 0.0).all():
+            raise NoSolutionError.of("rectify.pole", place=model.title, value=points.ids[int(np.argmin(below))])
+        residual, design = backend.rows(found.state)
+        condition = _require_determined(points, model, design)
+    whitened = residual.reshape(-1, 2)
+    done = Transformation(model, found.state, source, target, blank.source_names, blank.target_names, crs)
+    return Fit(done, points, whitened * points.sigma, whitened, design, found.log, condition)
+
+
+def _require(points: Observations, model: Model) -> None:
+    equations = 2 * len(points)
+    if points.source.shape[1] < model.dimension:
+        raise InputError.of("rectify.heights", place=model.title)
+    if equations <= model.n_unknowns:
+        raise InputError.of(
+            "rectify.few_points", place=model.title, points=len(points), equations=equations,
+            unknowns=model.n_unknowns, least=model.least_points,
+        )  # fmt: skip
+
+
+def _require_determined(points: Observations, model: Model, design: Array) -> float:
+    """Refuse points that do not determine the transformation; give the condition number of the scaled design."""
+    length = np.linalg.norm(design, axis=0)
+    values = np.linalg.svd(design / np.where(length > 0.0, length, 1.0), compute_uv=False)
+    if values[-1] > RANK_LIMIT * values[0]:
+        return float(values[0] / values[-1])
+    flat = points.source[:, : model.dimension]
+    spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)
+    narrow = spread <= RANK_LIMIT * max(float(spread[0]), np.finfo(float).tiny)
+    if narrow[1]:
+        raise InputError.of("rectify.collinear", place=model.title, value=f"{len(points)} points")
+    figure = "on a curve of its degree" if model.dimension == 2 else "on a surface of its form"
+    if model.dimension == 3 and narrow[2]:
+        figure = "in a plane: heights must differ from it"
+    raise InputError.of("rectify.degenerate", place=model.title, value=f"{len(points)} points", model=model.title,
+                        figure=figure)  # fmt: skip
+
+
+def _records(t: Transformation, points: Observations) -> Array:
+    """Records of the equation (n, 8): normalised coordinates, whitening by sigma in normalised units."""
+    records = np.zeros((len(points), 8))
+    records[:, : t.model.dimension] = t.source.normalised(points.source[:, : t.model.dimension])
+    records[:, 3:5] = t.target.normalised(points.target)
+    records[:, [5, 7]] = t.target.scale / points.sigma
+    return records
+
+
+class _Backend:
+    """What the loop needs, over the registered equation; see ``adjustment.loop.Backend``."""
+
+    def __init__(self, model: Model, records: Array) -> None:
+        self.model, self.records = model, records
+
+    def rows(self, x: Array, *, jacobian: bool = True) -> tuple[Array, Array]:
+        """Whitened residuals (2n,) and their derivatives (2n, u)."""
+        n = len(self.records)
+        values, (blocks,) = evaluate(
+            self.model.equation, self.records, [self.model.setup] * n, [x] * n, jacobian=jacobian
+        )
+        return values.ravel(), np.concatenate(blocks) if jacobian else np.zeros((0, len(x)))
+
+    def linearise(self, state: Array) -> DenseSystem:
+        """Linearise at a state."""
+        return DenseSystem(*self.rows(state), SOLVER)
+
+    def error(self, state: Array) -> float:
+        """Half the weighted sum of squares."""
+        residual, _ = self.rows(state, jacobian=False)
+        return 0.5 * float(residual @ residual)
+
+    def retract(self, state: Array, step: DenseStep) -> Array:
+        """State after a step."""
+        return np.asarray(state + step.data)

@@ -1,0 +1,264 @@
+"""Points in the image and on the map from a CSV file.
+
+Columns: id, line, sample (pixels), easting_m, northing_m (or lon_deg, lat_deg: then a projection is needed); and, if
+wanted, height_m, role (control or check), sigma_easting_m and sigma_northing_m, or sigma_line_px and sigma_sample_px.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.errors import InputError
+from fg_orient.geodesy import crs_kind, from_geographic
+from fg_orient.io.tables import Faults, Row, number, read_table
+from fg_orient.rectification.fit import Fit, Observations, fit, plain_rmse
+from fg_orient.rectification.models import Model
+
+Array = npt.NDArray[np.float64]
+Direction = Literal["image-to-map", "map-to-image"]
+
+DIRECTIONS: Final[tuple[Direction, ...]] = ("image-to-map", "map-to-image")
+IMAGE: Final = ("line", "sample")
+MAP: Final = ("easting_m", "northing_m")
+GEOGRAPHIC: Final = ("lon_deg", "lat_deg")
+SIGMA_MAP: Final = ("sigma_easting_m", "sigma_northing_m")
+SIGMA_IMAGE: Final = ("sigma_line_px", "sigma_sample_px")
+_ROLES: Final = ("control", "check")
+
+
+@dataclass(frozen=True)
+class MapPoints:
+    """Points measured in an image, with their map coordinates.
+
+    Parameters
+    ----------
+    ids : tuple of str
+    check : (n,) bool array
+        Those that take no part in an adjustment.
+    image : (n, 2) array
+        Line, sample (pixels).
+    ground : (n, 2) or (n, 3) array
+        Easting, northing (m), and height (m) if the file has it.
+    sigma_map : (n, 2) array or None
+        Of easting and northing, m.
+    sigma_image : (n, 2) array or None
+        Of line and sample, pixels.
+    crs : str
+        Of the ground coordinates; "" if it is not known.
+    sha256 : str
+        Of the file.
+    """
+
+    ids: tuple[str, ...]
+    check: npt.NDArray[np.bool_]
+    image: Array
+    ground: Array
+    sigma_map: Array | None
+    sigma_image: Array | None
+    crs: str
+    sha256: str
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def read_map_points(path: Path, crs: str = "") -> MapPoints:
+    """Read a table of points.
+
+    Parameters
+    ----------
+    path : Path
+    crs : str
+        Projected coordinate system of the map; needed if the table has longitudes and latitudes (WGS84).
+
+    Raises
+    ------
+    InputError
+        All faults of the file; a coordinate system that is none, is not projected, or is missing.
+    """
+    if crs and crs_kind(crs) != "projected":
+        raise InputError.of("rectify.crs_not_projected", place="--crs", value=crs)
+    faults = Faults(str(path))
+    table = read_table(path, _layouts(), faults)
+    rows = () if table is None else table.rows
+    columns = () if table is None else table.columns
+    geographic = GEOGRAPHIC[0] in columns
+    if geographic and not crs:
+        faults.add("rectify.no_crs", place="--crs")
+    plane = GEOGRAPHIC if geographic else MAP
+    heights = ("height_m",) if "height_m" in columns else ()
+    image, ground = _numbers(rows, IMAGE, faults), _numbers(rows, (*plane, *heights), faults)
+    sigmas = [_sigmas(rows, names, faults) if names[0] in columns else None for names in (SIGMA_MAP, SIGMA_IMAGE)]
+    ids, check = _ids(rows, faults), np.array([_is_check(row, faults) for row in rows], dtype=bool)
+    faults.raise_if_any()
+    if geographic:
+        ground[:, :2] = _projected(path, crs, rows, ground)
+    return MapPoints(ids, check, image, ground, sigmas[0], sigmas[1], crs, table.sha256 if table else "")
+
+
+def _layouts() -> list[tuple[str, ...]]:
+    """All allowed sets of columns."""
+    parts = product((MAP, GEOGRAPHIC), ((), ("height_m",)), ((), ("role",)), ((), SIGMA_MAP, SIGMA_IMAGE))
+    return [("id", *IMAGE, *plane, *height, *role, *sigma) for plane, height, role, sigma in parts]
+
+
+def _numbers(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
+    return np.array([[number(row, name, faults) for name in names] for row in rows], float).reshape(-1, len(names))
+
+
+def _sigmas(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
+    values = _numbers(rows, names, faults)
+    for row, pair in zip(rows, values, strict=True):
+        for name, value in zip(names, pair, strict=True):
+            if value <= 0.0:
+                faults.add("rectify.positive", place=row.place(name), value=value, unit=name.rpartition("_")[2])
+    return values
+
+
+def _ids(rows: Sequence[Row], faults: Faults) -> tuple[str, ...]:
+    seen: dict[str, int] = {}
+    for row in rows:
+        name = row.cells["id"]
+        if name in seen:
+            faults.add("rectify.id_twice", place=row.place("id"), value=name)
+        seen.setdefault(name, row.line)
+    return tuple(row.cells["id"] for row in rows)
+
+
+def _is_check(row: Row, faults: Faults) -> bool:
+    role = row.cells.get("role", _ROLES[0])
+    if role not in _ROLES:
+        faults.add("rectify.role", place=row.place("role"), value=role)
+    return role == _ROLES[1]
+
+
+def _projected(path: Path, crs: str, rows: Sequence[Row], ground: Array) -> Array:
+    """Easting and northing (n, 2) of WGS84 longitudes and latitudes."""
+    plane = np.column_stack(from_geographic(crs, ground[:, 0], ground[:, 1]))
+    bad = ~np.isfinite(plane).all(axis=1)
+    if bad.any():
+        row = rows[int(np.argmax(bad))]
+        raise InputError.of("rectify.outside", file=path, place=row.place(), value=row.cells["id"])
+    return plane
+
+
+def require_direction(model: Model, direction: str | None) -> Direction:
+    """Direction of a fit: as given, by default image to map, for spatial models always map to image.
+
+    Raises
+    ------
+    InputError
+        No such direction, or a spatial model from the image to the map.
+    """
+    usual: Direction = DIRECTIONS[0] if model.dimension == 2 else DIRECTIONS[1]
+    for known in DIRECTIONS:
+        if direction == known and (model.dimension == 2 or known == usual):
+            return known
+    if direction is None:
+        return usual
+    raise InputError.of("rectify.direction", place=f"--direction with {model.name}", value=direction)
+
+
+def observations(points: MapPoints, model: Model, direction: Direction) -> Observations:
+    """Source and target of a fit.
+
+    Plane models take the image as (sample, line) = (x, y), spatial models give (line, sample).
+
+    Raises
+    ------
+    InputError
+        Heights are missing, or sigmas are those of the source.
+    """
+    given, other = points.sigma_map, points.sigma_image
+    if direction == DIRECTIONS[1]:
+        given, other = other, given
+    if given is None and other is not None:
+        columns = SIGMA_MAP if direction == DIRECTIONS[0] else SIGMA_IMAGE
+        raise InputError.of("rectify.sigmas", place="sigmas", direction=direction, columns=" and ".join(columns))
+    if model.dimension == 3:
+        if points.ground.shape[1] < 3:
+            raise InputError.of("rectify.heights", place=model.title)
+        return Observations.of(points.ground, points.image, given, points.ids)
+    image, plane = points.image[:, ::-1], points.ground[:, :2]
+    if direction == DIRECTIONS[0]:
+        return Observations.of(image, plane, given, points.ids)
+    return Observations.of(plane, image, None if given is None else given[:, ::-1], points.ids)
+
+
+@dataclass(frozen=True)
+class PointFit:
+    """A transformation between image and map, with its check points.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of the control points.
+    direction : str
+    check : Observations or None
+        The check points.
+    check_residuals : (n, 2) array
+        Computed minus given, in the unit of the target.
+    """
+
+    fit: Fit
+    direction: Direction
+    check: Observations | None
+    check_residuals: Array
+
+    @property
+    def unit(self) -> str:
+        """Unit of the target: "m" or "px"."""
+        return "m" if self.direction == DIRECTIONS[0] else "px"
+
+    @property
+    def check_rmse(self) -> tuple[float, float, float]:
+        """Plain RMSE at the check points of both axes and radial; nan without any."""
+        return plain_rmse(self.check_residuals)
+
+
+def fit_points(points: MapPoints, model: Model, direction: str | None = None) -> PointFit:
+    """Adjust a transformation between image and map; check points are compared.
+
+    Parameters
+    ----------
+    points : MapPoints
+    model : Model
+    direction : str, optional
+        "image-to-map" or "map-to-image", see :func:`require_direction`.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        See :func:`fg_orient.rectification.fit.fit`.
+    """
+    way = require_direction(model, direction)
+    every = observations(points, model, way)
+    used = ~points.check
+    if not used.any():
+        raise InputError.of("rectify.few_points", place=model.title, points=0, equations=0,
+                            unknowns=model.n_unknowns, least=model.least_points)  # fmt: skip
+    return compared(fit_control(points, every.take(used), model, way), every, points.check, way)
+
+
+def fit_control(points: MapPoints, control: Observations, model: Model, way: Direction) -> Fit:
+    """Fit some control points, with the names of their coordinates."""
+    ground, image = ("easting", "northing"), ("sample", "line")
+    names: tuple[tuple[str, ...], tuple[str, ...]] = (image, ground) if way == DIRECTIONS[0] else (ground, image)
+    if model.dimension == 3:
+        names = ((*ground, "height"), image[::-1])
+    return fit(control, model, source_names=names[0], target_names=names[1], crs=points.crs)
+
+
+def compared(found: Fit, every: Observations, check: npt.NDArray[np.bool_], way: Direction) -> PointFit:
+    """Put the check points beside a fit."""
+    if not check.any():
+        return PointFit(found, way, None, np.zeros((0, 2)))
+    some = every.take(check)
+    return PointFit(found, way, some, found.transformation.apply(some.source[:, : found.model.dimension]) - some.target)

@@ -1,0 +1,142 @@
+"""Map projections by their PROJ definition, and areas and lengths on the ellipsoid.
+
+Unlike ``fg_orient.geodesy`` nothing here changes a datum: longitude and latitude are those of the projection's own
+ellipsoid or sphere. Several definitions of İpbüker 1994 are no EPSG code, such as a geodetic latitude that is taken for
+a spherical one.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.errors import InputError
+
+if TYPE_CHECKING:
+    from pyproj import Proj
+
+Array = npt.NDArray[np.float64]
+
+#: International ellipsoid (Hayford 1909), that of the maps of İpbüker 1994.
+HAYFORD: Final = "intl"
+#: Orbits (paths) per cycle of each Landsat.
+SOM_LANDSAT: Final = {1: 251, 2: 251, 3: 251, 4: 233, 5: 233}
+
+
+def utm(zone: int, *, south: bool = False, ellipsoid: str = "WGS84") -> str:
+    """Definition of a UTM zone, 1 to 60.
+
+    Raises
+    ------
+    InputError
+        No such zone.
+    """
+    if not 1 <= zone <= 60:
+        raise InputError.of("options.value", place="UTM zone", value=zone, expected="1 to 60")
+    return f"+proj=utm +zone={zone} +ellps={ellipsoid}" + (" +south" if south else "")
+
+
+def gauss_krueger(central_meridian_deg: float, *, scale: float = 1.0, ellipsoid: str = HAYFORD) -> str:
+    """Definition of a transverse Mercator projection, no false easting."""
+    return f"+proj=tmerc +lat_0=0 +lon_0={central_meridian_deg!r} +k={scale!r} +ellps={ellipsoid}"
+
+
+def lambert_cylindrical(radius_m: float) -> str:
+    """Definition of the equal-area cylinder of a sphere: ``R lambda, R sin phi``."""
+    return f"+proj=cea +lon_0=0 +lat_ts=0 +R={radius_m!r}"
+
+
+def lambert_polar(radius_m: float) -> str:
+    """Definition of the polar equal-area azimuthal projection of a sphere: ``rho = 2R sin(45 deg - phi/2)``."""
+    return f"+proj=laea +lat_0=90 +lon_0=0 +R={radius_m!r}"
+
+
+def space_oblique_mercator(satellite: int, path: int, *, ellipsoid: str = "clrk66") -> str:
+    """Definition of the Space Oblique Mercator of Landsat 1 to 5 (Snyder 1981).
+
+    Raises
+    ------
+    InputError
+        No such satellite or path.
+    """
+    paths = SOM_LANDSAT.get(satellite, 0)
+    if not 1 <= path <= paths:
+        raise InputError.of("options.value", place="Landsat, path", value=f"{satellite}, {path}",
+                            expected="Landsat 1 to 3 and path 1 to 251, or 4 and 5 and path 1 to 233")  # fmt: skip
+    return f"+proj=lsat +lsat={satellite} +path={path} +ellps={ellipsoid}"
+
+
+def project(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
+    """Plane coordinates (n, 2), m, of longitudes and latitudes.
+
+    Raises
+    ------
+    InputError
+        PROJ does not know the definition, or a point lies outside its domain.
+    """
+    lon, lat = (np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg))
+    return _required(np.column_stack(_proj(definition)(lon, lat)), np.column_stack([lon, lat]), definition)
+
+
+def unproject(definition: str, plane_m: npt.ArrayLike) -> Array:
+    """Longitude and latitude (n, 2), degrees, of plane coordinates (n, 2).
+
+    Raises
+    ------
+    InputError
+        See :func:`project`.
+    """
+    plane = np.atleast_2d(np.asarray(plane_m, float))
+    return _required(np.column_stack(_proj(definition)(plane[:, 0], plane[:, 1], inverse=True)), plane, definition)
+
+
+def scale_factors(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
+    """Scale along the meridian, along the parallel, and of areas (n, 3)."""
+    lon, lat = (np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg))
+    found = _proj(definition).get_factors(lon, lat)
+    return np.column_stack([found.meridional_scale, found.parallel_scale, found.areal_scale])
+
+
+def ellipsoidal_area(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, ellipsoid: str = "WGS84") -> tuple[float, float]:
+    """Area (m2) and perimeter (m) of a polygon whose edges are geodesics (Karney 2013).
+
+    Parameters
+    ----------
+    lon_deg, lat_deg : (n,) array_like
+        Vertices; the last is joined to the first.
+    ellipsoid : str
+        PROJ's name.
+
+    Raises
+    ------
+    InputError
+        Fewer than three vertices, or values that are not finite.
+    """
+    from pyproj import Geod
+
+    from fg_orient.rectification.areas import outline
+
+    vertices = outline(np.column_stack([np.asarray(lon_deg, float), np.asarray(lat_deg, float)]))
+    area, perimeter = Geod(ellps=ellipsoid).polygon_area_perimeter(*vertices.T)
+    return abs(float(area)), float(perimeter)
+
+
+@cache
+def _proj(definition: str) -> Proj:
+    import pyproj
+
+    try:
+        return pyproj.Proj(definition)
+    except pyproj.exceptions.ProjError:
+        raise InputError.of("rectify.projection", value=definition) from None
+
+
+def _required(found: Array, given: Array, definition: str) -> Array:
+    bad = ~np.isfinite(found).all(axis=1)
+    if bad.any():
+        row = given[int(np.argmax(bad))]
+        raise InputError.of("rectify.outside", place=definition, value=" ".join(f"{v:.10g}" for v in row))
+    return np.asarray(found, float)

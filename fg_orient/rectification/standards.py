@@ -1,0 +1,230 @@
+"""Accuracy standards of maps and images: verdict, and the largest admissible scale.
+
+NMAS (US National Map Accuracy Standards 1947): at most 10 % of the tested points off by more than 1/50 inch at
+1:20 000 and smaller, 1/30 inch at larger scales. CMAS: circle of 90 %, 2.1460 times the mean RMSE of both axes (FGDC
+1998, appendix 3-D). NSSDA (FGDC-STD-007.3-1998): circle of 95 %. ASPRS 1990: RMSE of each axis within 0.25 mm at
+scale, classes 2 and 3 twice and three times that. ASPRS 2014 (edition 1): classes by the RMSE of each axis. ASPRS 2023
+(edition 2): classes by the radial RMSE, the error of the check points included, at least 30 of them. EMAS (ASCE 1983)
+is left out: its limits are in no source at hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.errors import InputError
+from fg_orient.rectification.fit import plain_rmse
+
+Array = npt.NDArray[np.float64]
+
+INCH_M: Final = 0.0254
+#: NMAS at map scale: at 1:20 000 and smaller, and at larger scales.
+NMAS_SMALL_M: Final = INCH_M / 50.0
+NMAS_LARGE_M: Final = INCH_M / 30.0
+NMAS_LIMIT_SCALE: Final = 20_000.0
+#: Share of points that may lie beyond the limit of NMAS.
+NMAS_SHARE: Final = 0.1
+#: Radius of 90 % and of 95 % by the standard deviation of each axis of a circular normal distribution.
+CMAS_FACTOR: Final = 2.1460
+NSSDA_FACTOR: Final = 2.4477
+ASPRS_1990_M: Final = 0.25e-3
+#: NSSDA's formula for a circle holds from this ratio of the axes' RMSEs on.
+CIRCULAR_RATIO: Final = 0.6
+#: Least numbers of check points.
+NSSDA_POINTS: Final = 20
+ASPRS_2023_POINTS: Final = 30
+NAMES: Final = ("NMAS", "CMAS", "NSSDA", "ASPRS-1990", "ASPRS-2014", "ASPRS-2023")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a standard says.
+
+    Parameters
+    ----------
+    standard : str
+        One of ``NAMES``.
+    measure : str
+        What is compared, in words.
+    value_m, limit_m : float
+        Compared value and its limit; nan if no scale or class was asked for.
+    passed : bool or None
+        None if there is nothing to pass: no scale or class asked for, or the standard has none.
+    largest_scale : float
+        Denominator of the largest scale that would pass (nan for standards without scales).
+    remarks : tuple of str
+        Doubts, and what the standard asks beside the number.
+    """
+
+    standard: str
+    measure: str
+    value_m: float
+    limit_m: float
+    passed: bool | None
+    largest_scale: float
+    remarks: tuple[str, ...] = ()
+
+
+def nmas_limit_m(scale: float) -> float:
+    """Limit of NMAS on the ground at 1:scale, m."""
+    return scale * (NMAS_SMALL_M if scale >= NMAS_LIMIT_SCALE else NMAS_LARGE_M)
+
+
+def effective_resolution_m(scale: float) -> float:
+    """Half a millimetre at map scale (İpbüker 1994, summary), m."""
+    return 0.5e-3 * scale
+
+
+def cmas_m(rmse_x_m: float, rmse_y_m: float) -> float:
+    """Radius of 90 %: 2.1460 (RMSE_x + RMSE_y)/2, m."""
+    return CMAS_FACTOR * 0.5 * (rmse_x_m + rmse_y_m)
+
+
+def nssda_m(rmse_x_m: float, rmse_y_m: float) -> float:
+    """Radius of 95 %: 2.4477 (RMSE_x + RMSE_y)/2, m."""
+    return NSSDA_FACTOR * 0.5 * (rmse_x_m + rmse_y_m)
+
+
+def _largest_nmas_scale(limit_at_90_m: float) -> tuple[float, str]:
+    """Denominator of the largest scale at which an error is within NMAS, and the scales between that fail."""
+    large, small = limit_at_90_m / NMAS_LARGE_M, limit_at_90_m / NMAS_SMALL_M
+    if large >= NMAS_LIMIT_SCALE:
+        return small, ""
+    gap = f"not from 1:20000 to 1:{small:.0f}, where the limit is 1/50 inch" if small > NMAS_LIMIT_SCALE else ""
+    return large, gap
+
+
+def check_accuracy(
+    differences_m: npt.ArrayLike, *, scale: float | None = None, class_m: float | None = None,
+    check_point_rmse_m: float = 0.0, standards: tuple[str, ...] = NAMES,
+) -> tuple[Verdict, ...]:  # fmt: skip
+    """Judge tested points by the standards.
+
+    Parameters
+    ----------
+    differences_m : (n, 2) array_like
+        Measured minus true, east and north, of well-defined points that took no part in making the map.
+    scale : float, optional
+        Denominator of the map scale to judge (NMAS, CMAS, ASPRS 1990).
+    class_m : float, optional
+        Accuracy class to judge (ASPRS 2014, 2023), m.
+    check_point_rmse_m : float
+        Radial RMSE of the check points' own coordinates (ASPRS 2023).
+    standards : tuple of str
+        Some of ``NAMES``.
+
+    Raises
+    ------
+    InputError
+        Differences that are none, a standard that is none, a scale or class that is not above 0.
+    """
+    d = np.atleast_2d(np.asarray(differences_m, float))
+    if d.ndim != 2 or d.shape[1:] != (2,) or not len(d) or not np.isfinite(d).all():
+        raise InputError.of("rectify.differences", value=f"shape {d.shape}")
+    x, y, _ = plain_rmse(d)
+    found = judge_rmse(x, y, scale=scale, class_m=class_m, check_point_rmse_m=check_point_rmse_m,
+                       standards=tuple(name for name in standards if name != "NMAS"), n_points=len(d))  # fmt: skip
+    if "NMAS" not in standards:
+        return found
+    return tuple(sorted((_nmas(d, scale), *found), key=lambda verdict: NAMES.index(verdict.standard)))
+
+
+def judge_rmse(
+    rmse_x_m: float, rmse_y_m: float, *, scale: float | None = None, class_m: float | None = None,
+    check_point_rmse_m: float = 0.0, standards: tuple[str, ...] = NAMES[1:], n_points: int | None = None,
+) -> tuple[Verdict, ...]:  # fmt: skip
+    """Judge by the RMSEs alone; NMAS needs the points, CMAS stands for it.
+
+    Parameters and errors as in :func:`check_accuracy`; ``n_points`` only adds remarks.
+    """
+    for place, value, unit in (("--scale", scale, "denominator"), ("--class-m", class_m, "m"),
+                               ("RMSE", rmse_x_m + rmse_y_m, "m")):  # fmt: skip
+        if value is not None and not (np.isfinite(value) and (value > 0.0 or place == "RMSE")):
+            raise InputError.of("rectify.positive", place=place, value=value, unit=unit)
+    unknown = [name for name in standards if name not in NAMES[1:]]
+    if unknown:
+        raise InputError.of("rectify.standard", place="--standard", value=unknown[0], known=", ".join(NAMES))
+    out = []
+    for name in standards:
+        if name == "CMAS":
+            out.append(_cmas(rmse_x_m, rmse_y_m, scale))
+        elif name == "NSSDA":
+            out.append(_nssda(rmse_x_m, rmse_y_m, n_points))
+        elif name == "ASPRS-1990":
+            out.append(_asprs_1990(rmse_x_m, rmse_y_m, scale))
+        elif name == "ASPRS-2014":
+            out.append(_asprs_2014(rmse_x_m, rmse_y_m, class_m, n_points))
+        else:
+            out.append(_asprs_2023(rmse_x_m, rmse_y_m, class_m, check_point_rmse_m, n_points))
+    return tuple(out)
+
+
+def _few(n_points: int | None, least: int) -> tuple[str, ...]:
+    return (f"{n_points} points; the standard asks for {least}",) if n_points is not None and n_points < least else ()
+
+
+def _nmas(differences: Array, scale: float | None) -> Verdict:
+    errors = np.sort(np.hypot(*differences.T))
+    beyond = int(np.floor(NMAS_SHARE * len(errors) + 1e-9))
+    value = float(errors[len(errors) - 1 - beyond])
+    largest, gap = _largest_nmas_scale(value)
+    limit = np.nan if scale is None else nmas_limit_m(scale)
+    remarks = (f"{beyond} of {len(errors)} points may lie beyond the limit", *((gap,) if gap else ()))
+    passed = None if scale is None else bool(value <= limit)
+    return Verdict("NMAS", "largest error of the better 90 %", value, limit, passed, largest, remarks)
+
+
+def _cmas(x: float, y: float, scale: float | None) -> Verdict:
+    value = cmas_m(x, y)
+    largest, gap = _largest_nmas_scale(value)
+    limit = np.nan if scale is None else nmas_limit_m(scale)
+    passed = None if scale is None else bool(value <= limit)
+    remarks = (*_round(x, y), *((gap,) if gap else ()))
+    return Verdict("CMAS", "radius of 90 % by the RMSE", value, limit, passed, largest, remarks)
+
+
+def _round(x: float, y: float) -> tuple[str, ...]:
+    """Remark on RMSEs too different for a circle."""
+    low, high = sorted((x, y))
+    return () if low >= CIRCULAR_RATIO * high else (f"RMSEs {x:.3g} and {y:.3g} m: too different for a circle",)
+
+
+def _nssda(x: float, y: float, n_points: int | None) -> Verdict:
+    remarks = ("reported, not passed: the standard has no limit", *_round(x, y), *_few(n_points, NSSDA_POINTS))
+    return Verdict("NSSDA", "radius of 95 % by the RMSE", nssda_m(x, y), np.nan, None, np.nan, remarks)
+
+
+def _asprs_1990(x: float, y: float, scale: float | None) -> Verdict:
+    value = max(x, y)
+    largest, limit = value / ASPRS_1990_M, np.nan
+    remarks: tuple[str, ...] = ()
+    passed = None
+    if scale is not None:
+        limit = scale * ASPRS_1990_M
+        rank = int(np.ceil(value / limit - 1e-12)) if value > 0.0 else 1
+        passed = rank <= 1
+        if rank in (2, 3):
+            remarks = (f"class {rank} is met",)
+        if scale > NMAS_LIMIT_SCALE:
+            remarks = (*remarks, "written for 1:20000 and larger scales")
+    return Verdict("ASPRS-1990", "larger RMSE of an axis, class 1", value, limit, passed, largest, remarks)
+
+
+def _asprs_2014(x: float, y: float, class_m: float | None, n_points: int | None) -> Verdict:
+    value, limit = max(x, y), np.nan if class_m is None else class_m
+    passed = None if class_m is None else bool(value <= limit)
+    remarks = (f"{100 * value:.4g} cm is the smallest class that is met", *_few(n_points, NSSDA_POINTS))
+    return Verdict("ASPRS-2014", "larger RMSE of an axis", value, limit, passed, np.nan, remarks)
+
+
+def _asprs_2023(x: float, y: float, class_m: float | None, own_m: float, n_points: int | None) -> Verdict:
+    value, limit = float(np.sqrt(x * x + y * y + own_m * own_m)), np.nan if class_m is None else class_m
+    passed = None if class_m is None else bool(value <= limit)
+    remarks = (f"{100 * value:.4g} cm is the smallest class that is met", *_few(n_points, ASPRS_2023_POINTS))
+    if own_m == 0.0:
+        remarks = (*remarks, "the error of the check points is taken as 0")
+    return Verdict("ASPRS-2023", "radial RMSE with that of the check points", value, limit, passed, np.nan, remarks)
