@@ -21,8 +21,8 @@ from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.located import LocatedPoint, locate_point
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.problem import Problem, State, compile_problem
-from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.adjustment.robust import weighted_problem
+from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.errors import RankDeficientError, problem
@@ -210,7 +210,8 @@ def conclude(
         sigma0_interval=found.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
         accuracy=accuracy,
-        cofactors=cofactors, withheld=withheld, warnings=warnings, weights=estimate.weights, resumed_at=estimate.resumed_at,
+        cofactors=cofactors, withheld=withheld, warnings=warnings, weights=estimate.weights,
+        resumed_at=estimate.resumed_at,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, time.perf_counter() - start),
     )  # fmt: skip
 

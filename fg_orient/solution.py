@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import Weights
 from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Role, Status
@@ -61,7 +62,7 @@ class Solution:
         Adjusted ECEF coordinates in file order; excluded check points are intersected, points
         without image observations nan.
     chi2 : float
-        Weighted sum of squares of all residuals.
+        Weighted sum of squares of all residuals; under a loss with the weights at the solution.
     residuals_px : (n, 2) array
         Line and sample residuals, adjusted minus observed, of ``problem.observations``.
     sigma0_interval : (float, float)
@@ -74,7 +75,12 @@ class Solution:
     backend, solver : str
         Which backend solved; the linear solver of the dense one, "" otherwise.
     cofactors : Cofactors or None
-        None where the covariance cannot be computed; ``withheld`` says why.
+        None where the covariance cannot be computed; ``withheld`` says why. Under a loss they are those of least
+        squares with the weights at the solution.
+    weights : Weights or None
+        Under a loss: of image points (n,) and ground points (N,).
+    resumed_at : int
+        Iterations of a run that was stopped, which this one went on with.
     """
 
     problem: Problem
@@ -98,6 +104,8 @@ class Solution:
     warnings: tuple[str, ...] = ()
     block_view: BlockObservability | None = None
     seconds: Seconds = field(default_factory=Seconds)
+    weights: Weights | None = None
+    resumed_at: int = 0
 
     @property
     def block(self) -> Block:
@@ -111,8 +119,16 @@ class Solution:
 
     @property
     def sigma0(self) -> float:
-        """A posteriori standard deviation of unit weight (nan without redundancy)."""
+        """A posteriori standard deviation of unit weight (nan without redundancy).
+
+        Under a loss below 1 even where all sigmas hold, since the weights take from the large residuals.
+        """
         return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else float("nan")
+
+    @property
+    def scale(self) -> float:
+        """Factor from roots of cofactors to standard deviations: sigma0, or 1 (prior scale) under a loss."""
+        return self.sigma0 if self.weights is None else 1.0
 
     @property
     def rank_defect(self) -> dict[str, int]:
@@ -154,9 +170,9 @@ class Solution:
         return named_cofactors(self.problem, self.cofactors, names)
 
     def covariance(self, *names: str) -> NamedMatrix:
-        """Joint covariance ``sigma0^2 Q`` of images and points; see :meth:`cofactor_matrix`."""
+        """Joint covariance ``scale^2 Q`` of images and points; see :meth:`cofactor_matrix`."""
         q = self.cofactor_matrix(*names)
-        return NamedMatrix(q.names, q.units, q.values * self.sigma0**2)
+        return NamedMatrix(q.names, q.units, q.values * self.scale**2)
 
     def outlier_tests(self, *, level: float = LEVEL) -> tuple[GroupTest, ...]:
         """Test of every image point and control point for a gross error, most suspicious first.
@@ -170,6 +186,8 @@ class Solution:
         """
         if self.cofactors is None:
             raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
+        if self.weights is not None:
+            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
         return outlier_tests(self.problem, self.state, self.cofactors, self.chi2, level=level)
 
     def suspicious(self, *, level: float = LEVEL) -> tuple[GroupTest, ...]:

@@ -9,7 +9,7 @@ same cost. The limit between good and bad observations is a quantile of chi-squa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol, TypeVar
@@ -53,10 +53,6 @@ class Schedule(Protocol):
         """Weight and cost of the surrogate, of u = residual over limit."""
         ...
 
-    def stages(self, mu: float) -> float:
-        """Stages to come after one of this mu, at most."""
-        ...
-
 
 class GemanMcClure:
     """Surrogate ``mu u^2 / (2 (mu + u^2))``, mu from twice the largest excess down to 1 (Yang et al. 2020, eq. 9)."""
@@ -72,10 +68,6 @@ class GemanMcClure:
     def curves(self, mu: float) -> tuple[Curve, Curve]:
         """See :class:`Schedule`."""
         return partial(_geman_mcclure_weight, mu), partial(_geman_mcclure_cost, mu)
-
-    def stages(self, mu: float) -> float:
-        """See :class:`Schedule`."""
-        return max(math.ceil(math.log(mu) / math.log(FACTOR)), 1)
 
 
 class TruncatedLeastSquares:
@@ -93,10 +85,6 @@ class TruncatedLeastSquares:
     def curves(self, mu: float) -> tuple[Curve, Curve]:
         """See :class:`Schedule`."""
         return partial(_truncated_weight, mu), partial(_truncated_cost, mu)
-
-    def stages(self, mu: float) -> float:
-        """See :class:`Schedule`."""
-        return max(math.ceil(math.log(LARGEST_MU / mu) / math.log(FACTOR)), 1)
 
 
 #: Losses that can be approached.
@@ -175,6 +163,16 @@ def _truncated_cost(mu: float, u: Array) -> Array:
 
 def _half_square(u: Array) -> Array:
     return np.asarray(0.5 * u**2)
+
+
+def stages_left(mus: Sequence[float]) -> int | None:
+    """Stages to come after those of these mus, at most; None before two surrogates show which way they go."""
+    different = list(dict.fromkeys(mu for mu in mus if mu != PLAIN))
+    if len(different) < 2 or different[-1] == EXACT:
+        return None
+    last = different[-1]
+    factor = LARGEST_MU / last if last > different[0] else last
+    return max(math.ceil(math.log(factor) / math.log(FACTOR)), 1)
 
 
 class GraduatedBackend(Backend[S], RobustBackend[S], Protocol[S]):

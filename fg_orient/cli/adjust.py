@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.cli.progress import progress
 from fg_orient.errors import InputError
 from fg_orient.names import EXIT_CODE, Status
-
-if TYPE_CHECKING:
-    from fg_orient.adjustment.loop import IterationRecord
 
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
 WORKING = ("gtsam", "fg_orient.run", "fg_orient.adjustment.graph", "fg_orient.adjustment.dense",
@@ -42,6 +39,15 @@ def adjust(
     optimizer: Annotated[
         str | None, typer.Option(help="gauss-newton, levenberg-marquardt, dogleg or native (GTSAM's own).")
     ] = None,
+    loss: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Robust loss, such as huber, tukey or tls; none: least squares.")
+    ] = None,
+    gnc: Annotated[
+        bool, typer.Option("--gnc", help="Graduated non-convexity: reach the loss tls or geman_mcclure in stages.")
+    ] = False,
+    inlier_probability: Annotated[
+        float | None, typer.Option(metavar="P", help="Of GNC: share of good observations within its limit; 0.99.")
+    ] = None,
     max_iterations: Annotated[int | None, typer.Option(help="Give up after so many iterations.")] = None,
     check_points: Annotated[
         str | None, typer.Option(metavar="use|exclude", help="Let the rays of check points take part, or not.")
@@ -51,12 +57,28 @@ def adjust(
     ] = None,
     datum: Annotated[
         str | None,
-        typer.Option(metavar="control|priors", help="priors: relative adjustment, no control point is needed."),
+        typer.Option(metavar="control|priors|free", help="priors, free: relative, no control point is needed."),
+    ] = None,
+    parts: Annotated[int | None, typer.Option(metavar="N", help="Adjust in so many parts; default: by size.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", help="Processes that work on the parts; the result is the same for any.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Scheduler of a running dask cluster, instead of processes.")
+    ] = None,
+    work_dir: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the parts, seen by all workers of the cluster.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Result folder; default: result, beside the project file.")
     ] = None,
     overwrite: Overwrite = False,
+    checkpoint_every: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Time between two checkpoints; 0: after each iteration.")
+    ] = 60.0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the checkpoint of a run that was stopped.")
+    ] = False,
     quiet: Annotated[
         bool,
         typer.Option(
@@ -74,7 +96,9 @@ def adjust(
         "backend": backend, "solver": solver, "eop_set": eop_set, "look_polynomial": look_polynomial,
         "priors": False if no_priors else None, "optimizer": optimizer, "max_iterations": max_iterations,
         "check_points": check_points, "rpc_compensation": rpc_compensation, "datum": datum,
+        "loss": loss, "gnc": gnc or None, "inlier_probability": inlier_probability,
     }  # fmt: skip
+    execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     with outcome(as_json, debug):
         if not project.is_file():
             raise InputError.of("project.missing_file", file=project, folder="the current folder")
@@ -82,10 +106,12 @@ def adjust(
         from fg_orient.run import run_project
 
         target = out or project.parent / "result"
-        with _named_as_typed(options), _progress(quiet or as_json) as callback:
+        named = {**options, **execution, "scheduler": scheduler, "checkpoint_every": checkpoint_every}
+        with _named_as_typed(named), progress(quiet or as_json) as watch:
             record = run_project(
-                project, target, overwrite=overwrite, options=options, callback=callback,
-                command=["fg-orient", *sys.argv[1:]],
+                project, target, overwrite=overwrite, options=options, callback=watch.iteration,
+                command=["fg-orient", *sys.argv[1:]], execution=execution, stage=watch.stage,
+                checkpoint_every_s=checkpoint_every, resume=resume,
             )  # fmt: skip
         for found in record.get("errors", []):
             note(f"error: {found['place']}: {found['message']}; {found['remedy']}")
@@ -118,25 +144,6 @@ def _load() -> None:
         import_module(name)
 
 
-@contextlib.contextmanager
-def _progress(silent: bool) -> Iterator[Callable[[IterationRecord], None] | None]:
-    """Show a status line on the terminal, if standard error is one."""
-    if silent or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status("reading the project") as status:
-
-        def update(record: IterationRecord) -> None:
-            status.update(
-                f"iteration {record.iteration}: root of chi2 {math.sqrt(max(record.chi2_after, 0.0)):.4g}, "
-                f"largest step {record.step:.2e} (prior sigmas, m)"
-            )
-
-        yield update
-
-
 def show(record: dict[str, Any]) -> None:
     """Print warnings, verdict, accuracy and where the result lies."""
     for text in record["warnings"]:
@@ -146,7 +153,8 @@ def show(record: dict[str, Any]) -> None:
     low, high = record["sigma0_interval_99_9"]
     say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations: {record['n_image_points']} "
         f"image points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}")  # fmt: skip
-    say(f"sigma0 {number(record['sigma0'])} (99.9 % interval {number(low)} .. {number(high)}), "
+    tested = f"99.9 % interval {number(low)} .. {number(high)}" if low is not None else "not tested"
+    say(f"sigma0 {number(record['sigma0'])} ({tested}), "
         f"{orientation_words(record)}")  # fmt: skip
     for text in record["unobservable"]:
         say(f"not observable: {text}")

@@ -70,8 +70,8 @@ def outcome(as_json: bool, debug: bool = False) -> Iterator[None]:
         for found in error.problems:
             note(f"error: {found}")
         raise typer.Exit(error.exit_code) from None
-    except KeyboardInterrupt:
-        note("interrupted: nothing was written")
+    except KeyboardInterrupt as stopped:
+        note(str(stopped) or "interrupted: nothing was written")
         raise typer.Exit(INTERRUPTED) from None
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone; nobody is left to be told

@@ -95,6 +95,10 @@ ADJUST: Final = {
         "{observations} equations cannot determine {unknowns} unknowns",
         "keep the priors, measure more points or choose a smaller EOP set",
     ),
+    "covariance.weighted": (
+        "gross errors are not tested for under a robust loss: it has weighted them down",
+        "look at the weights, or adjust with loss none",
+    ),
     "covariance.withheld": ("no covariance was computed", "see the warnings of the adjustment"),
     "covariance.no_such": ("no such image or point", 'name them as "image:left" or "point:12"'),
     "covariance.not_unknown": ("not an unknown of the adjustment: no covariance", "ask for adjusted points only"),

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.robust import Weights
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.names import Status
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
@@ -20,6 +21,9 @@ from fg_orient.quality.observability import BlockObservability, ImageObservabili
 
 #: Probability of the two-sided interval of sigma0.
 SIGMA0_LEVEL = 0.999
+#: Image points with a smaller weight count as turned down; more than this share of them, and nothing is to be trusted.
+DOWN = 0.5
+MOST_DOWN = 0.5
 #: Points named in one sentence.
 NAMED = 10
 NO_INTERVAL = (float("nan"), float("nan"))
@@ -39,12 +43,17 @@ def judge(problem: Problem, estimate: Estimate, withheld: tuple[str, ...]) -> Ve
     f = problem.redundancy
     if not estimate.converged or not np.isfinite(estimate.chi2):
         return Verdict(Status.NOT_CONVERGED, estimate.reason, NO_INTERVAL)
-    interval = sigma0_interval(f) if f > 0 else NO_INTERVAL
+    interval = sigma0_interval(f) if f > 0 and estimate.weights is None else NO_INTERVAL
+    if problem.least_damping > 0.0:
+        reason = "the datum is free: position, orientation and scale of the block are those of its start values"
+        return Verdict(Status.NOT_TRUSTWORTHY, f"{reason}, only its shape is determined", interval)
     if withheld and not problem.block.options.priors:
         reason = "without priors the control points determine some directions too weakly for a covariance"
         return Verdict(Status.NOT_TRUSTWORTHY, f"{reason}: coordinates must not be trusted", interval)
     if f <= 0:
         return Verdict(Status.CONVERGED, "no redundancy: nothing was checked", interval)
+    if estimate.weights is not None:
+        return _judge_weights(estimate, estimate.weights)
     sigma0 = float(np.sqrt(estimate.chi2 / f))
     if sigma0 > interval[1]:
         reason = (
@@ -55,6 +64,25 @@ def judge(problem: Problem, estimate: Estimate, withheld: tuple[str, ...]) -> Ve
         )
         return Verdict(Status.NOT_TRUSTWORTHY, reason, interval)
     return Verdict(Status.CONVERGED, estimate.reason, interval)
+
+
+def _judge_weights(estimate: Estimate, weights: Weights) -> Verdict:
+    """Under a loss sigma0 follows no chi-square; a loss that turns most of the observations down fits too few."""
+    down = int(np.count_nonzero(weights.image < DOWN))
+    if down > MOST_DOWN * len(weights.image):
+        reason = f"{down} of {len(weights.image)} image points have a weight below {DOWN}: the model does not hold"
+        return Verdict(Status.NOT_TRUSTWORTHY, f"{reason}, or the sigmas are too small", NO_INTERVAL)
+    return Verdict(Status.CONVERGED, estimate.reason, NO_INTERVAL)
+
+
+def weight_sentence(loss: str, weights: Weights) -> str:
+    """Say what the figures of a robust adjustment are."""
+    down, control = (int(np.count_nonzero(w < DOWN)) for w in (weights.image, weights.control))
+    return (
+        f"robust loss {loss}: {down} of {len(weights.image)} image points and {control} control points have a weight "
+        f"below {DOWN}; chi2, sigma0 and standard deviations (prior scale) take the weights at the solution as given, "
+        "and sigma0 is not tested"
+    )
 
 
 def sigma0_interval(redundancy: int) -> tuple[float, float]:
@@ -75,6 +103,8 @@ def warnings(
     """Problems first, in the order a reader should meet them."""
     f = problem.redundancy
     out = [] if verdict.status is Status.CONVERGED and f > 0 else [verdict.reason]
+    if estimate.weights is not None:
+        out.append(weight_sentence(problem.block.options.loss, estimate.weights))
     if f > 0 and np.sqrt(estimate.chi2 / f) < verdict.interval[0]:
         out.append(
             f"sigma0 lies below {verdict.interval[0]:.2f}, the lower end of its 99.9 % interval: the sigmas are too "
@@ -88,7 +118,7 @@ def warnings(
     if block is not None and block.datum:
         east, north, up = _moved(problem, estimate)
         out.append(
-            "relative adjustment: no control point tells where the block lies, the priors hold it; it moved by "
+            "relative adjustment: no control point tells where the block lies; it moved by "
             f"{east:+.1f}, {north:+.1f}, {up:+.1f} m {', '.join(problem.axis_names)}. No figure of it is an accuracy; "
             "if it moved farther than the vendor's own location error, give that error as prior sigma"
         )

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from factors.warmup import compile_kernels
-from fg_orient.errors import RankDeficientError
+from fg_orient.adjustment.checkpoint import EVERY_S, Checkpoint
+from fg_orient.errors import NoSolutionError, RankDeficientError
 from fg_orient.io.folder import RESULT, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
-from fg_orient.orient import adjust
+from fg_orient.orient import Stage, adjust
 from fg_orient.run.json import dumps, plain
 from fg_orient.run.provenance import provenance
 from fg_orient.run.rpc import corrected_models, fitted_notes, write_corrected_rpc
@@ -42,6 +43,10 @@ def run_project(
     options: Mapping[str, object] | None = None,
     callback: Callback | None = None,
     command: Sequence[str] = (),
+    execution: Mapping[str, Any] | None = None,
+    stage: Stage | None = None,
+    checkpoint_every_s: float = EVERY_S,
+    resume: bool = False,
 ) -> dict[str, Any]:
     """Read a project, adjust it and write the result folder.
 
@@ -59,6 +64,14 @@ def run_project(
         Called with an ``IterationRecord`` after each iteration.
     command : sequence of str
         The command line, for the record.
+    execution : mapping, optional
+        ``parts``, ``workers``, ``cluster``, ``work_dir`` of :func:`fg_orient.adjust`.
+    stage : callable, optional
+        Called with the name of each stage as it begins, and the number of image points (0 before they are read).
+    checkpoint_every_s : float
+        Seconds between two writings of the checkpoint, a hidden file beside the result folder; 0: each iteration.
+    resume : bool
+        Go on from the checkpoint of a run that was stopped, if there is one.
 
     Returns
     -------
@@ -73,26 +86,45 @@ def run_project(
     """
     start = time.perf_counter()
     require_free(Path(out), overwrite=overwrite)
+    tell, checkpoint = (
+        stage or (lambda name, count: None),
+        Checkpoint(checkpoint_path(out), every_s=checkpoint_every_s, resume=resume),
+    )
+    tell("compiling", 0)
     jit_s = compile_kernels()
+    tell("reading", 0)
     block = read_project(project, **dict(options or {}))
     read_s = time.perf_counter() - start - jit_s
     try:
         with staged_folder(out, overwrite=overwrite) as folder:
-            solution = _adjust_and_log(block, folder, callback, Path(out))
+            solution = _adjust_and_log(
+                block, folder, callback, Path(out), {**(execution or {}), "stage": stage, "checkpoint": checkpoint}
+            )
             mark = time.perf_counter()
             models = corrected_models(solution)
             record = _record(solution, models, Path(project), Path(out), command)
             phases = asdict(solution.seconds) | {"read": read_s, "jit": jit_s + solution.seconds.jit}
             phases["record"] = time.perf_counter() - mark
+            tell("writing", len(block.observations))
             with writing(out):
                 _write(folder, solution, models, record, phases, start)
     except RankDeficientError as error:
         seconds = {"read": read_s, "total": time.perf_counter() - start}
         return deficient_summary(error, block) | {"seconds": seconds}
+    except NoSolutionError:
+        checkpoint.remove()
+        raise
+    checkpoint.remove()
     return {**record, "out": str(out)}
 
 
-def _adjust_and_log(block: Block, folder: Path, callback: Callback | None, out: Path) -> Solution:
+def checkpoint_path(out: str | Path) -> Path:
+    """Checkpoint of a run that writes this result folder."""
+    target = Path(out).absolute()
+    return target.with_name(f".{target.name[:200]}.checkpoint.npz")
+
+
+def _adjust_and_log(block: Block, folder: Path, callback: Callback | None, out: Path, how: dict[str, Any]) -> Solution:
     """Adjust; each iteration is on disk as soon as it is done."""
     with (folder / "iterations.jsonl").open("w", encoding="utf-8") as stream:
 
@@ -103,7 +135,7 @@ def _adjust_and_log(block: Block, folder: Path, callback: Callback | None, out: 
             if callback is not None:
                 callback(record)
 
-        return adjust(block, callback=note)
+        return adjust(block, callback=note, **how)
 
 
 def _record(

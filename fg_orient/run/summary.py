@@ -13,6 +13,7 @@ import numpy as np
 from fg_orient.names import Status
 from fg_orient.parameters import EOP_SETS
 from fg_orient.quality.parallax import rms_px, y_parallaxes
+from fg_orient.quality.verdict import DOWN
 
 if TYPE_CHECKING:
     from fg_orient.block import Block, Options
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Image points up to which every observation is tested for a gross error (0.5 ms each).
 MAX_TESTED: Final = 2000
+#: Image points of least weight that are named.
+MAX_NAMED: Final = 50
 
 
 def summary(solution: Solution) -> dict[str, Any]:
@@ -40,7 +43,7 @@ def summary(solution: Solution) -> dict[str, Any]:
     """
     problem, options = solution.problem, solution.block.options
     n, iterations = len(problem.observations), solution.iterations
-    work = n * iterations
+    work = n * (iterations - solution.resumed_at)
     return {
         "status": str(solution.status),
         "reason": solution.reason,
@@ -63,6 +66,8 @@ def summary(solution: Solution) -> dict[str, Any]:
             "control": solution.accuracy.control.statistics(),
             "check": _check(solution.accuracy.check),
         },
+        "robust": _robust(solution),
+        "resumed_at_iteration": solution.resumed_at or None,
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
         "suspicious_observations": _suspicious(solution),
         **_parallax(solution),
@@ -71,13 +76,32 @@ def summary(solution: Solution) -> dict[str, Any]:
 
 def _suspicious(solution: Solution) -> list[dict[str, Any]] | None:
     """Observations with a gross error, least probable first; null where they are not tested."""
-    if solution.cofactors is None or len(solution.problem.observations) > MAX_TESTED:
+    if solution.cofactors is None or solution.weights is not None or len(solution.problem.observations) > MAX_TESTED:
         return None
     return [
         {"image": test.image or None, "id": test.point, "part": test.part, "error": test.error.tolist(),
          "statistic": test.statistic, "limit": test.critical, "sentence": test.sentence()}
         for test in solution.suspicious()
     ]  # fmt: skip
+
+
+def _robust(solution: Solution) -> dict[str, Any] | None:
+    """What the loss has turned down, least weight first; null without a loss."""
+    weights, problem = solution.weights, solution.problem
+    if weights is None:
+        return None
+    down, control = np.flatnonzero(weights.image < DOWN), np.flatnonzero(weights.control < DOWN)
+    o, ids = problem.observations, problem.block.points.ids
+    named = down[np.argsort(weights.image[down], kind="stable")][:MAX_NAMED]
+    return {
+        "n_image_points_below_half": len(down),
+        "n_control_points_below_half": len(control),
+        "control_points_below_half": [ids[j] for j in control],
+        "least": [
+            {"image": problem.block.images[o.image[r]].id, "id": ids[o.point[r]], "weight": float(weights.image[r])}
+            for r in named
+        ],
+    }
 
 
 def _parallax(solution: Solution) -> dict[str, Any]:
@@ -109,9 +133,13 @@ def _missing(solution: Solution) -> list[str]:
     out = []
     if solution.redundancy <= 0:
         out.append("sigma0 is null: there is no redundancy; standard deviations are in prior scale")
+    elif solution.weights is not None:
+        out.append("sigma0_interval_99_9 and suspicious_observations are null: the weights of the loss change both")
     elif not np.isfinite(solution.sigma0_interval[0]):
         out.append("sigma0_interval_99_9 is null: the adjustment did not converge")
-    if len(solution.problem.observations) > MAX_TESTED:
+    if solution.weights is not None:
+        pass  # said above
+    elif len(solution.problem.observations) > MAX_TESTED:
         out.append(f"suspicious_observations is null: more than {MAX_TESTED} image points are not tested one by one")
     elif solution.cofactors is None:
         out.append("suspicious_observations is null: the test needs the covariance")
@@ -160,6 +188,8 @@ def _choices(options: Options) -> dict[str, Any]:
     """Options that decide on the result."""
     return {
         "optimizer": options.optimizer,
+        "loss": options.loss,
+        "gnc": options.gnc,
         "eop_set": options.eop_set,
         "eop_set_name": EOP_SETS[options.eop_set][0],
         "look_polynomial": options.look_polynomial,

@@ -3,15 +3,16 @@
 RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.csv``,
 ``eop.csv`` and the input::
 
-    chi2 = sum (v/sigma)^2                    residuals.csv, both coordinates
-         + sum (difference/own sigma)^2       points.csv, East, North, Up of control points not fixed
+    chi2 = sum weight (v/sigma)^2                residuals.csv, both coordinates
+         + sum weight (difference/own sigma)^2   points.csv, East, North, Up of control points not fixed
          + sum (value_per_tau/prior sigma)^2  eop.csv, unless without priors
          + sum of extra observations          in no table: squared whitened residuals of Block.extra
 
 Control points that are ``fixed`` are constants: they have no residual (their own sigma is 0)
-and count neither as observation nor as unknown.
+and count neither as observation nor as unknown. The columns ``weight`` are there under a robust loss only; else
+all weights are 1.
 
-Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy; else in
+Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy and no loss; else in
 prior scale. The column ``sigma_scale`` says which.
 """
 
@@ -27,6 +28,7 @@ import numpy.typing as npt
 
 from factors import ellipsoid
 from fg_orient.quality.accuracy import PointDifferences
+from fg_orient.run.columns import Column, Named, write_columns
 
 if TYPE_CHECKING:
     from fg_orient.solution import Solution
@@ -59,8 +61,10 @@ def write_tables(folder: Path, solution: Solution) -> None:
     solution : Solution
     """
     write_csv(folder / "eop.csv", EOP_COLUMNS, eop_rows(solution))
-    write_csv(folder / "points.csv", POINT_COLUMNS, point_rows(solution))
-    write_csv(folder / "residuals.csv", RESIDUAL_COLUMNS, residual_rows(solution))
+    weights = solution.weights
+    of_points, of_rays = ({}, {}) if weights is None else ({"weight": weights.control}, {"weight": weights.image})
+    write_columns(folder / "points.csv", {**point_columns(solution), **of_points})
+    write_columns(folder / "residuals.csv", {**residual_columns(solution), **of_rays})
     write_csv(folder / "accuracy.csv", ACCURACY_COLUMNS, accuracy_rows(solution))
     _write_arrays(folder / "arrays.npz", solution)
 
@@ -81,7 +85,8 @@ def _cell(value: object) -> str:
 
 def sigma_scale(solution: Solution) -> tuple[float, str]:
     """Factor from the root of a cofactor to a standard deviation, and its name."""
-    return (solution.sigma0, "posterior") if solution.redundancy > 0 else (1.0, "prior")
+    posterior = solution.redundancy > 0 and solution.weights is None
+    return (solution.sigma0, "posterior") if posterior else (1.0, "prior")
 
 
 def image_cofactors(solution: Solution) -> list[Array]:
@@ -117,7 +122,7 @@ def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
     return rows
 
 
-def point_rows(solution: Solution) -> list[tuple[object, ...]]:
+def point_columns(solution: Solution) -> dict[str, Column]:
     """Adjusted coordinates, their standard deviations and the differences at control and check points."""
     points, ground = solution.block.points, solution.ground_m
     rays = np.bincount(solution.block.observations.point, minlength=len(points.ids))
@@ -132,11 +137,10 @@ def point_rows(solution: Solution) -> list[tuple[object, ...]]:
     for group in (solution.accuracy.control, solution.accuracy.check):
         enu[group.index], ecef[group.index] = group.enu_m, group.ecef_m
         own[group.index] = group.own_sigma_enu_m
-    return [
-        (points.ids[j], str(points.roles[j]), int(rays[j]), lon[j], lat[j], geodetic[j, 2], *ground[j],
-         *sigma[j], name if np.isfinite(sigma[j]).all() else "", *enu[j], *ecef[j], *own[j])
-        for j in range(len(points.ids))
-    ]  # fmt: skip
+    scales = Named(("", name), np.isfinite(sigma).all(axis=1).astype(np.intp))
+    coordinates = np.hstack([lon[:, None], lat[:, None], geodetic[:, 2:], ground, sigma])
+    columns: list[Column] = [points.ids, [role.value for role in points.roles], rays, *coordinates.T, scales]
+    return dict(zip(POINT_COLUMNS, [*columns, *enu.T, *ecef.T, *own.T], strict=True))
 
 
 def point_sigmas(solution: Solution, known: npt.NDArray[np.bool_]) -> Array:
@@ -153,14 +157,14 @@ def point_sigmas(solution: Solution, known: npt.NDArray[np.bool_]) -> Array:
     return out
 
 
-def residual_rows(solution: Solution) -> list[tuple[object, ...]]:
+def residual_columns(solution: Solution) -> dict[str, Column]:
     """Observed pixels with residuals v = adjusted minus observed, and their sigmas."""
     o, block = solution.problem.observations, solution.block
-    return [
-        (block.images[o.image[r]].id, block.points.ids[o.point[r]], o.line[r], o.sample[r],
-         *solution.residuals_px[r], o.sigma_line_px[r], o.sigma_sample_px[r])
-        for r in range(len(o))
-    ]  # fmt: skip
+    columns: tuple[Column, ...] = (
+        Named([image.id for image in block.images], o.image), Named(block.points.ids, o.point), o.line, o.sample,
+        *solution.residuals_px.T, o.sigma_line_px, o.sigma_sample_px,
+    )  # fmt: skip
+    return dict(zip(RESIDUAL_COLUMNS, columns, strict=True))
 
 
 def accuracy_rows(solution: Solution) -> list[tuple[object, ...]]:
