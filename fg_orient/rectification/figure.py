@@ -1,0 +1,97 @@
+"""Drawing of the residual vectors: one SVG that also stands alone."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.report.svg import round_down
+
+Array = npt.NDArray[np.float64]
+
+WIDTH: Final = 720.0
+MARGIN: Final = 28.0
+FOOT: Final = 66.0
+#: Length of a large residual (90 % quantile) as a share of the width.
+SHARE: Final = 0.07
+#: More points than this are thinned.
+MAX_POINTS: Final = 3000
+CONTROL: Final = "#0067b0"
+CHECK: Final = "#c65102"
+GREY: Final = "#7b8790"
+
+
+def residual_figure(record: dict[str, Any]) -> str:
+    """Draw the points in the target system with their residuals, enlarged.
+
+    Parameters
+    ----------
+    record : dict
+        See :func:`fg_orient.rectification.record.record_of`.
+
+    Returns
+    -------
+    str
+        An ``<svg>`` element. Maps have north up, images lines downwards; the enlargement is written into it.
+    """
+    (first, second), unit = record["axes"], record["unit"]
+    rows = record["points"][:: max(1, math.ceil(len(record["points"]) / MAX_POINTS))]
+    across, up = (second, first) if first == "line" else (first, second)
+    sign = -1.0 if "line" in (first, second) else 1.0
+    at = _columns(rows, f"{across}_{unit}", f"{up}_{unit}") * np.array([1.0, sign])
+    vector = _columns(rows, f"residual_{across}_{unit}", f"residual_{up}_{unit}") * np.array([1.0, sign])
+    low, size = at.min(axis=0), np.maximum(np.ptp(at, axis=0), 1e-9)
+    per_unit = min((WIDTH - 2 * MARGIN) / size[0], (WIDTH - 2 * MARGIN) / size[1])
+    height = size[1] * per_unit + 2 * MARGIN
+    place = np.column_stack([MARGIN + (at[:, 0] - low[0]) * per_unit, height - MARGIN - (at[:, 1] - low[1]) * per_unit])
+    lengths = np.linalg.norm(vector, axis=1)
+    large = float(np.quantile(lengths, 0.9))
+    scale = WIDTH * SHARE / large if large > 0.0 else 0.0
+    parts = [_point(row, p, v * scale * np.array([1.0, -1.0])) for row, p, v in zip(rows, place, vector, strict=True)]
+    parts.append(_foot(height, per_unit, scale, unit))
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:.0f} {height + FOOT:.1f}" role="img" '
+        f'aria-label="residual vectors" font-family="sans-serif" font-size="14" fill="{GREY}">{"".join(parts)}</svg>'
+    )
+
+
+def _columns(rows: list[dict[str, Any]], *names: str) -> Array:
+    return np.array([[row[name] for name in names] for row in rows], float)
+
+
+def _point(row: dict[str, Any], at: Array, vector: Array) -> str:
+    x, y = (round(float(v), 1) for v in at)
+    colour = CONTROL if row["role"] == "control" else CHECK
+    fill = colour if row["role"] == "control" else "none"
+    end = f"{x + vector[0]:.1f}", f"{y + vector[1]:.1f}"
+    ring = f'<circle cx="{x}" cy="{y}" r="9" fill="none" stroke="{CHECK}"/>' if row["suspicious"] else ""
+    return (
+        f'<line x1="{x}" y1="{y}" x2="{end[0]}" y2="{end[1]}" stroke="{colour}" stroke-width="1.6"/>'
+        f'<circle cx="{x}" cy="{y}" r="3.5" fill="{fill}" stroke="{colour}" stroke-width="1.5"/>{ring}'
+    )
+
+
+def _foot(height: float, per_unit: float, scale: float, unit: str) -> str:
+    """Legend, and the scales of map and vectors."""
+    y = height + 18.0
+    parts = [
+        f'<circle cx="30" cy="{y - 5}" r="3.5" fill="{CONTROL}"/><text x="40" y="{y}">control</text>'
+        f'<circle cx="120" cy="{y - 5}" r="3.5" fill="none" stroke="{CHECK}"/><text x="130" y="{y}">check</text>',
+        _bar(24.0, y + 28.0, round_down(0.2 * WIDTH / per_unit), per_unit, unit, ""),
+    ]
+    if scale > 0.0:
+        enlarged = f" residual, enlarged {float(f'{scale / per_unit:.2g}'):,.0f} times"
+        parts.append(_bar(360.0, y + 28.0, round_down(0.2 * WIDTH / scale), scale, unit, enlarged))
+    return "".join(parts)
+
+
+def _bar(x: float, y: float, length: float, per_unit: float, unit: str, words: str) -> str:
+    drawn = length * per_unit
+    path = f"M{x:.1f} {y - 5:.1f}v5h{drawn:.1f}v-5"
+    return (
+        f'<path d="{path}" fill="none" stroke="{GREY}" stroke-width="1.5"/>'
+        f'<text x="{x:.1f}" y="{y + 16:.1f}">{length:g} {unit}{words}</text>'
+    )

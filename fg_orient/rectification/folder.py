@@ -1,0 +1,57 @@
+"""The result folder of ``rectify fit``: tables, JSON, figure, report."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from fg_orient.io.folder import Contents
+from fg_orient.rectification.figure import residual_figure
+from fg_orient.rectification.points import PointFit
+from fg_orient.report.html import number, printable, scientific
+from fg_orient.run.json import dumps
+
+#: What the folder holds; transformation.json is its mark.
+CONTENTS: Final = Contents(
+    "transformation.json",
+    ("transformation.json", "result.json", "points.csv", "coefficients.csv", "residuals.svg", "report.html"),
+)
+
+
+def write_folder(folder: Path, found: PointFit, record: dict[str, Any]) -> None:
+    """Fill an empty folder with the results of a fit."""
+    figure = residual_figure(record)
+    transformation = found.fit.transformation.as_dict()
+    kept = {key: value for key, value in record.items() if key != "out"}
+    (folder / "transformation.json").write_text(dumps(transformation, indent=1) + "\n", encoding="utf-8")
+    (folder / "result.json").write_text(dumps(kept, indent=1) + "\n", encoding="utf-8")
+    (folder / "residuals.svg").write_text(figure + "\n", encoding="utf-8")
+    (folder / "report.html").write_text(_report(kept, figure), encoding="utf-8")
+    _table(folder / "points.csv", record["points"])
+    _table(folder / "coefficients.csv", record["coefficients"])
+
+
+def _table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write a CSV table; None and nan are empty cells."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(rows[0])
+        for row in rows:
+            values = ["" if v is None or v != v else str(v).lower() if isinstance(v, bool) else v for v in row.values()]
+            writer.writerow(values)
+
+
+def _report(record: dict[str, Any], figure: str) -> str:
+    """Render the HTML report: one file without scripts or anything from elsewhere."""
+    import jinja2
+    from markupsafe import Markup
+
+    loaders = [jinja2.PackageLoader("fg_orient.rectification"), jinja2.PackageLoader("fg_orient.report")]
+    environment = jinja2.Environment(
+        loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters |= {"number": number, "scientific": scientific, "printable": printable}
+    return environment.get_template("rectify.html.j2").render(r=record, figure=Markup(figure))

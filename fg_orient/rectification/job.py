@@ -1,0 +1,173 @@
+"""What the commands do: fit a table of points, plan one, read tested points."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.errors import InputError
+from fg_orient.io.folder import require_free, staged_folder, writing
+from fg_orient.io.tables import Faults, number, read_table
+from fg_orient.rectification.distances import PairDistances, pair_distances
+from fg_orient.rectification.folder import CONTENTS, write_folder
+from fg_orient.rectification.models import Model, find_model
+from fg_orient.rectification.outliers import Pruning, Rule, prune
+from fg_orient.rectification.points import (
+    DIRECTIONS,
+    MapPoints,
+    PointFit,
+    compared,
+    fit_control,
+    fit_points,
+    observations,
+    read_map_points,
+    require_direction,
+)
+from fg_orient.rectification.record import record_of
+from fg_orient.rectification.study import Cell, design_study
+from fg_orient.run.provenance import versions
+
+Array = npt.NDArray[np.float64]
+
+
+def rectify_fit(
+    path: Path, model: Model, *, direction: str | None = None, crs: str = "", pixel_size_m: float | None = None,
+    prune_to: float | None = None, prune_by: Rule = "residual", out: Path | None = None, overwrite: bool = False,
+    command: Sequence[str] = (),
+) -> dict[str, Any]:  # fmt: skip
+    """Fit a transformation to a table of points and write the result folder.
+
+    Parameters
+    ----------
+    path : Path
+        Table of points.
+    model : Model
+    direction : str, optional
+        "image-to-map" or "map-to-image".
+    crs : str
+        Projected coordinate system of the map.
+    pixel_size_m : float, optional
+        Compares pairwise distances of the image, scaled by it, with those of the map.
+    prune_to : float, optional
+        Leaves out the worst point until the radial RMSE is at most this.
+    prune_by : "residual" or "test"
+        What the worst is.
+    out : Path, optional
+        Folder to write.
+    overwrite : bool
+        Replace an existing result.
+    command : sequence of str
+        Words of the command line, for the record.
+
+    Returns
+    -------
+    dict
+        The record, see :func:`fg_orient.rectification.record.record_of`.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        See :func:`fg_orient.rectification.points.read_map_points` and ``fit``.
+    """
+    for place, value, unit in (("--pixel-size", pixel_size_m, "m"), ("--prune-to", prune_to, "the target's unit")):
+        if value is not None and not (np.isfinite(value) and value > 0.0):
+            raise InputError.of("rectify.positive", place=place, value=value, unit=unit)
+    if out is not None:
+        require_free(out, overwrite=overwrite, contents=CONTENTS)
+    points = read_map_points(path, crs)
+    found, pruning = _fitted(points, model, direction, prune_to, prune_by)
+    record = record_of(found, pruning=pruning, distances=_distances(points, found, pixel_size_m))
+    record |= {
+        "input": {"file": path.name, "sha256": points.sha256}, "versions": versions(),
+        "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
+        "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"), "out": None if out is None else str(out),
+    }  # fmt: skip
+    if out is not None:
+        with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
+            write_folder(folder, found, record)
+    return record
+
+
+def _fitted(
+    points: MapPoints, model: Model, direction: str | None, prune_to: float | None, rule: Rule
+) -> tuple[PointFit, Pruning | None]:
+    found = fit_points(points, model, direction)
+    if prune_to is None:
+        return found, None
+    way = require_direction(model, direction)
+    pruning = prune(found.fit.points, model, prune_to, rule=rule,
+                    refit=lambda some: fit_control(points, some, model, way))  # fmt: skip
+    return compared(pruning.fit, observations(points, model, way), points.check, way), pruning
+
+
+def _distances(points: MapPoints, found: PointFit, pixel_size_m: float | None) -> PairDistances | None:
+    """Pairwise check of the control points that are left."""
+    if pixel_size_m is None:
+        return None
+    rows = np.isin(np.array(points.ids, dtype=object), np.array(found.fit.points.ids, dtype=object))
+    return pair_distances(points.image[rows] * pixel_size_m, points.ground[rows, :2])
+
+
+def read_differences(path: Path) -> tuple[Array, str]:
+    """Differences (n, 2), m, of tested points from a table or a result folder, and where they come from in words.
+
+    A table has the columns id and easting_m, northing_m, true_easting_m, true_northing_m, or residual_easting_m,
+    residual_northing_m. Of a result folder the check points are taken, of one without any the control points.
+
+    Raises
+    ------
+    InputError
+        All faults of the file, or a result whose residuals are pixels.
+    """
+    return _of_folder(path) if path.is_dir() else (_of_table(path), "points of the table")
+
+
+def _of_table(path: Path) -> Array:
+    measured, true = ("easting_m", "northing_m"), ("true_easting_m", "true_northing_m")
+    residual = ("residual_easting_m", "residual_northing_m")
+    faults = Faults(str(path))
+    table = read_table(path, [("id", *measured, *true), ("id", *residual)], faults)
+    rows = () if table is None else table.rows
+    names = residual if table is not None and residual[0] in table.columns else (*measured, *true)
+    values = np.array([[number(row, name, faults) for name in names] for row in rows], float)
+    faults.raise_if_any()
+    return values if len(names) == 2 else values[:, :2] - values[:, 2:]
+
+
+def _of_folder(path: Path) -> tuple[Array, str]:
+    try:
+        record = json.loads((path / "result.json").read_text("utf-8"))
+        rows, way = record["points"], record["direction"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError.of("rectify.saved", file=path) from None
+    if way != DIRECTIONS[0]:
+        raise InputError.of("rectify.direction", file=path, value=f"{way}: residuals in pixels")
+    check = [row for row in rows if row["role"] == "check"]
+    words = "check points" if check else "control points, which say less: there are no check points"
+    used = check or rows
+    return np.array([[row["residual_easting_m"], row["residual_northing_m"]] for row in used], float), words
+
+
+def study_points(
+    path: Path, counts: Sequence[int], degrees: Sequence[int], *, layouts: int, seed: int, crs: str = ""
+) -> tuple[Cell, ...]:
+    """Design study over the control points of a table, compared at its check points.
+
+    Raises
+    ------
+    InputError
+        See :func:`fg_orient.rectification.points.read_map_points` and ``design_study``; no check points.
+    """
+    points = read_map_points(path, crs)
+    if not points.check.any() or points.check.all():
+        raise InputError.of("rectify.no_check_points", file=path, place="column role")
+    every = observations(points, find_model("affine"), DIRECTIONS[0])
+    return design_study(
+        every.take(~points.check), every.take(points.check), counts, degrees, layouts=layouts, seed=seed
+    )
