@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
+
 from factors._contract import Argument, Array, Equation, Example, compiled, register
 from factors.frame_camera import (
     CAMERA_SIZE,
@@ -49,8 +50,8 @@ def camera(record: Any, setup: Any, x: Any) -> Any:
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     """Whitened residual (2,); accepts complex unknowns."""
     c = camera(record, setup, x)
-    a, b, _ = direction(c, ground[0], ground[1], ground[2])
-    line, sample = pixel(c, a, b)
+    u, v, _ = direction(c, ground[0], ground[1], ground[2])
+    line, sample = pixel(c, u, v)
     return np.array([record[2] * (record[0] - line), record[3] * (record[1] - sample)])
 
 
@@ -64,34 +65,56 @@ def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
 
 
 @compiled
-def derivatives(c: Array, x: float, y: float, depth: float, out: Array) -> None:
-    """Derivatives of line and sample with respect to the 14 unknowns in physical units and the ground point.
+def _row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, out: Array, row: int) -> float:
+    """Write the derivatives of one pixel coordinate; 0 if they are finite.
 
-    ``out`` (2, 17): line, then sample; columns are the codes of the setup, then the ground point.
+    ``own`` is the coordinate of the direction (x, y, 1/Z) that the pixel coordinate follows, ``u`` and ``v`` are the
+    derivatives of its measured one.
     """
-    f = c[12]
-    a, b, d = brown_derivatives(c, x, y)
-    mx, my = brown_ideal_to_measured(c, x, y)
-    r, xy = x * x + y * y, x * y
-    for row in range(2):
-        # with respect to the point in camera axes, Z being the depth
-        u, v = (b, d) if row == 0 else (a, b)
-        m0, m1 = f * u / depth, f * v / depth
-        m2 = -(m0 * x + m1 * y)
-        # a turn by the small angle e moves the point q = depth (x, y, 1) by e x q
-        w0, w1, w2 = depth * (y * m2 - m1), depth * (m0 - x * m2), depth * (x * m1 - y * m0)
-        for k in range(3):
-            out[row, k] = w0 * c[20 + k] + w1 * c[23 + k] + w2 * c[26 + k]
-            g = m0 * c[k] + m1 * c[3 + k] + m2 * c[6 + k]
-            out[row, 3 + k], out[row, N_UNKNOWNS + k] = -g, g
-        own = y if row == 0 else x
-        out[row, 6] = my if row == 0 else mx
-        out[row, 7], out[row, 8] = float(row), 1.0 - row
-        out[row, 9] = f * own * r
-        out[row, 10] = out[row, 9] * r
-        out[row, 11] = out[row, 10] * r
-    out[0, 12], out[0, 13] = f * (r + 2.0 * y * y), 2.0 * f * xy
-    out[1, 12], out[1, 13] = 2.0 * f * xy, f * (r + 2.0 * x * x)
+    x, y, inverse = direction
+    s = weight * c[12]
+    m0, m1 = s * u, s * v
+    m2 = -(m0 * x + m1 * y)
+    # a turn by the small angle e moves the point q = Z (x, y, 1) by e x q
+    w0, w1, w2 = y * m2 - m1, m0 - x * m2, x * m1 - y * m0
+    m0, m1, m2 = m0 * inverse, m1 * inverse, m2 * inverse
+    g0, g1, g2 = (
+        m0 * c[0] + m1 * c[3] + m2 * c[6], m0 * c[1] + m1 * c[4] + m2 * c[7], m0 * c[2] + m1 * c[5] + m2 * c[8],
+    )  # fmt: skip
+    out[row, 0] = w0 * c[20] + w1 * c[23] + w2 * c[26]
+    out[row, 1] = w0 * c[21] + w1 * c[24] + w2 * c[27]
+    out[row, 2] = w0 * c[22] + w1 * c[25] + w2 * c[28]
+    out[row, 3], out[row, 4], out[row, 5] = -g0, -g1, -g2
+    out[row, 14], out[row, 15], out[row, 16] = g0, g1, g2
+    r = x * x + y * y
+    k1 = s * own * r
+    out[row, 9], out[row, 10], out[row, 11] = k1, k1 * r, k1 * r * r
+    return 0.0 * ((w0 + w1) + (w2 + g0) + (g1 + g2) + k1 * r * r)
+
+
+@compiled
+def rows(record: Any, c: Any, ground: Any, out: Array, want: bool) -> Any:
+    """Whitened residual (a pair), and a number that is 0 if all is finite; derivatives into ``out`` if wanted.
+
+    ``c`` is the camera, an array or a tuple; ``out`` (2, 17) takes the whitened derivatives with respect to the 14 unknowns in physical
+    units and to the ground point.
+    """
+    x, y, inverse = direction(c, ground[0], ground[1], ground[2])
+    line, sample = pixel(c, x, y)
+    line, sample = record[2] * (record[0] - line), record[3] * (record[1] - sample)
+    zero = 0.0 * (line + sample)
+    if want:
+        a_line, a_sample, ray = -record[2], -record[3], (x, y, inverse)
+        mx, my = brown_ideal_to_measured(c, x, y)
+        a, b, d = brown_derivatives(c, x, y)
+        zero += _row(c, y, ray, b, d, a_line, out, 0) + _row(c, x, ray, a, b, a_sample, out, 1)
+        r, xy = x * x + y * y, 2.0 * x * y
+        out[0, 6], out[0, 7], out[0, 8] = a_line * my, 0.0, a_line
+        out[1, 6], out[1, 7], out[1, 8] = a_sample * mx, a_sample, 0.0
+        s_line, s_sample = a_line * c[12], a_sample * c[12]
+        out[0, 12], out[0, 13] = s_line * (r + 2.0 * y * y), s_line * xy
+        out[1, 12], out[1, 13] = s_sample * xy, s_sample * (r + 2.0 * x * x)
+    return line, sample, zero
 
 
 @compiled
@@ -100,25 +123,18 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
 
     Returns False if the sizes do not fit or a value is not finite.
     """
-    k, record = setup.shape[1], records[row]
+    k, record, d = setup.shape[1], records[row], np.empty((2, N_UNKNOWNS + 3))
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
     c = camera(record, setup, x)
-    a, b, depth = direction(c, ground[0], ground[1], ground[2])
-    line, sample = pixel(c, a, b)
-    out[0, 0], out[1, 0] = record[2] * (record[0] - line), record[3] * (record[1] - sample)
+    out[0, 0], out[1, 0], zero = rows(record, c, ground, d, want)
     if want:
-        d = np.empty((2, N_UNKNOWNS + 3))
-        derivatives(c, a, b, depth, d)
         for i in range(2):
             for j in range(k):
-                out[i, 1 + j] = -record[2 + i] * d[i, int(setup[0, j])] * setup[1, j]
+                out[i, 1 + j] = d[i, int(setup[0, j])] * setup[1, j]
             for j in range(3):
-                out[i, 1 + k + j] = -record[2 + i] * d[i, N_UNKNOWNS + j]
-    total = 0.0
-    for j in range(k + 4 if want else 1):
-        total += 0.0 * out[0, j] + 0.0 * out[1, j]
-    return total == 0.0
+                out[i, 1 + k + j] = d[i, N_UNKNOWNS + j]
+    return bool(zero == 0.0)
 
 
 @compiled

@@ -25,6 +25,16 @@ IDEAL_TOLERANCE: Final = 1e-13
 
 
 @compiled
+def row_of(t: Array, i: int) -> Any:
+    """Row of a table (M, 29) of cameras as a tuple: numbers in registers, where an array would be read again."""
+    return (
+        t[i, 0], t[i, 1], t[i, 2], t[i, 3], t[i, 4], t[i, 5], t[i, 6], t[i, 7], t[i, 8], t[i, 9], t[i, 10], t[i, 11],
+        t[i, 12], t[i, 13], t[i, 14], t[i, 15], t[i, 16], t[i, 17], t[i, 18], t[i, 19], t[i, 20], t[i, 21], t[i, 22],
+        t[i, 23], t[i, 24], t[i, 25], t[i, 26], t[i, 27], t[i, 28],
+    )  # fmt: skip
+
+
+@compiled
 def rotation_coefficients(t: Any) -> Any:
     """Coefficients sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3 for t = a^2."""
     if t.real < SMALL_ANGLE_SQUARED:
@@ -63,12 +73,12 @@ def turned(w: Any, start: Any, out: Any) -> None:
 
 @compiled
 def direction(camera: Any, gx: Any, gy: Any, gz: Any) -> Any:
-    """X/Z, Y/Z and Z (m) of a ground point in camera axes."""
+    """X/Z, Y/Z and 1/Z (1/m) of a ground point in camera axes."""
     dx, dy, dz = gx - camera[9], gy - camera[10], gz - camera[11]
-    depth = camera[6] * dx + camera[7] * dy + camera[8] * dz
+    inverse = 1.0 / (camera[6] * dx + camera[7] * dy + camera[8] * dz)
     x = camera[0] * dx + camera[1] * dy + camera[2] * dz
     y = camera[3] * dx + camera[4] * dy + camera[5] * dz
-    return x / depth, y / depth, depth
+    return x * inverse, y * inverse, inverse
 
 
 @compiled
@@ -126,10 +136,9 @@ def ideal_directions(camera: Array, line: Array, sample: Array) -> Array:
 
 @compiled
 def project(camera: Array, ground: Array) -> Array:
-    """Line, sample (px) and depth (m) of N ground points (N, 3): (N, 3)."""
+    """Line, sample (px) and inverse depth (1/m) of N ground points (N, 3): (N, 3)."""
     out = np.empty((len(ground), 3))
     for i in range(len(ground)):
-        x, y, depth = direction(camera, ground[i, 0], ground[i, 1], ground[i, 2])
+        x, y, out[i, 2] = direction(camera, ground[i, 0], ground[i, 1], ground[i, 2])
         out[i, 0], out[i, 1] = pixel(camera, x, y)
-        out[i, 2] = depth
     return out

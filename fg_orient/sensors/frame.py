@@ -221,8 +221,8 @@ class FrameSensor:
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Line and sample of N ground points (N, 3) m; nan for points that are not in front of the camera."""
         ground = np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))
-        line, sample, depth = frame_camera.project(self.camera.corrected(correction), ground).T
-        seen = depth > 0.0
+        line, sample, inverse = frame_camera.project(self.camera.corrected(correction), ground).T
+        seen = inverse > 0.0
         return np.where(seen, line, np.nan), np.where(seen, sample, np.nan)
 
     @cached_property
