@@ -34,6 +34,11 @@ def compiled(function: F) -> F:
     return cast(F, njit(cache=True, error_model="numpy")(function))
 
 
+def inlined(function: F) -> F:
+    """As :func:`compiled`, and always put into its caller: a loop that calls it can become vector instructions."""
+    return cast(F, njit(cache=True, error_model="numpy", forceinline=True)(function))
+
+
 @dataclass(frozen=True)
 class Argument:
     """One unknown of an equation: name, unit of one step, and whether GTSAM holds it as a Point3."""

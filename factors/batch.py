@@ -21,7 +21,8 @@ import numpy as np
 from factors import frame, pushbroom, rfm_equation
 from factors._contract import Array, Equation
 from factors.batch_frame import frame_rows
-from factors.batch_rows import Index, pushbroom_rows, rational_rows
+from factors.batch_pushbroom import pushbroom_rows
+from factors.batch_rows import Index, rational_rows
 
 #: A basis value of the look polynomial has its degree plus this as its number.
 _LOOK: Final = 10
@@ -100,6 +101,6 @@ def has_batch(equation: Equation) -> bool:
 
 
 def batch(equation: Equation, setup: Array) -> tuple[Callable[..., int], Columns]:
-    """Row kernel (see :func:`pushbroom_rows`) and columns of an equation that has a batch."""
+    """Row kernel (see :func:`factors.batch_pushbroom.pushbroom_rows`) and columns of an equation that has a batch."""
     rows, columns = _BATCHES[equation.name]
     return rows, columns(setup)

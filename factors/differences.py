@@ -1,75 +1,80 @@
-"""Rotations as reference plus difference: rounding relative to the correction.
+"""Attitudes applied to vectors as reference plus exact difference.
 
-A rotation applied to ``v + dv`` under angles ``a + da`` is split into its value at the
-reference (a, v) and the exact difference to it, formed from small quantities only. The sum
-equals the plain product to rounding; the difference keeps 16 digits of its own.
+A vector of the orbital frame has 16 digits. Behind them, at 1e-16 of the orbit radius, lies noise of 1e-9 sigma,
+enough to make a sum of squares jitter in its 8th digit. So the attitude applied to ``v + dv`` under angles ``a + da``
+is split into its value at the reference (a, v) and the exact difference to it, formed from small quantities only. The
+sum equals the plain product to rounding; the difference keeps 16 digits of its own.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from factors._contract import compiled
+from factors import rotations
+from factors._contract import inlined
 from factors.rotations import Matrix, Vector
+from factors.sines import sine_cosine
 
 
-@compiled
-def d_ecef_from_orbital(frame: Matrix, state: Any, d: Any) -> Matrix:
-    """Difference of the orbital frame when P and V change by d[0:3] m and d[3:6] m/s.
-
-    ``frame`` belongs to ``state`` = P, V (6). Exact, not linearised: with Z = P/p,
-    n = V x Z, X = n/|n| the differences of p and |n| are formed without cancellation.
-    """
-    xx, yx, zx, xy, yy, zy, xz, yz, zz = frame
-    p = np.sqrt(state[0] ** 2 + state[1] ** 2 + state[2] ** 2)
-    p2 = np.sqrt((state[0] + d[0]) ** 2 + (state[1] + d[1]) ** 2 + (state[2] + d[2]) ** 2)
-    dp = (d[0] * (2.0 * state[0] + d[0]) + d[1] * (2.0 * state[1] + d[1]) + d[2] * (2.0 * state[2] + d[2])) / (p + p2)
-    dzx, dzy, dzz = (d[0] - zx * dp) / p2, (d[1] - zy * dp) / p2, (d[2] - zz * dp) / p2
-    # n = V x Z at the reference has length n along X; its difference:
-    ux, uy, uz = zx + dzx, zy + dzy, zz + dzz
-    dnx = d[4] * uz - d[5] * uy + state[4] * dzz - state[5] * dzy
-    dny = d[5] * ux - d[3] * uz + state[5] * dzx - state[3] * dzz
-    dnz = d[3] * uy - d[4] * ux + state[3] * dzy - state[4] * dzx
-    n = state[3] * yx + state[4] * yy + state[5] * yz
-    ax, ay, az = n * xx + dnx, n * xy + dny, n * xz + dnz
-    n2 = np.sqrt(ax * ax + ay * ay + az * az)
-    dn = (dnx * (n * xx + ax) + dny * (n * xy + ay) + dnz * (n * xz + az)) / (n + n2)
-    dxx, dxy, dxz = (dnx - xx * dn) / n2, (dny - xy * dn) / n2, (dnz - xz * dn) / n2
-    vx, vy, vz = xx + dxx, xy + dxy, xz + dxz
-    dyx = dzy * vz - dzz * vy + zy * dxz - zz * dxy
-    dyy = dzz * vx - dzx * vz + zz * dxx - zx * dxz
-    dyz = dzx * vy - dzy * vx + zx * dxy - zy * dxx
-    return (dxx, dyx, dzx, dxy, dyy, dzy, dxz, dyz, dzz)
+@inlined
+def _sines(a: Any, da: Any) -> Any:
+    """Sine and cosine of ``a``, and their differences to those of ``a + da``."""
+    s, less = sine_cosine(a)
+    ds, dc = sine_cosine(da)
+    c = 1.0 + less
+    return s, c, s * dc + c * ds, c * dc - s * ds
 
 
-@compiled
-def _turn(a: Any, da: Any, u: Any, v: Any, du: Any, dv: Any) -> Any:
+@inlined
+def _turn(sines: Any, u: Any, v: Any, du: Any, dv: Any) -> Any:
     """Pair form of (c u + s v, -s u + c v) with c, s of a + da."""
-    s, c = np.sin(a), np.cos(a)
-    half = np.sin(0.5 * da)
-    ds, dc = 2.0 * np.cos(a + 0.5 * da) * half, -2.0 * np.sin(a + 0.5 * da) * half
+    s, c, ds, dc = sines
     s2, c2 = s + ds, c + dc
-    return c * u + s * v, -s * u + c * v, c2 * du + s2 * dv + dc * u + ds * v, -s2 * du + c2 * dv - ds * u + dc * v
+    return c * u + s * v, c * v - s * u, c2 * du + s2 * dv + (dc * u + ds * v), c2 * dv - s2 * du + (dc * v - ds * u)
 
 
-@compiled
-def body_from_orbital_pair(angles: Any, d: Any, w: Vector, dw: Vector) -> Any:
-    """Reference and difference of ``R_UY(angles + d)^T (w + dw)``: two 3-tuples.
+@inlined
+def body_from_orbital_pair(angles: Vector, d: Vector, w: Vector, dw: Vector) -> tuple[Vector, Vector, Matrix, Matrix]:
+    """Attitude ``f = R_UY(angles + d)^T (w + dw)`` in pair form, and its derivatives.
 
-    ``angles`` and ``d``: roll, pitch, yaw (rad); inverse of ``rotations.orbital_from_body``.
+    Parameters
+    ----------
+    angles, d : tuples of 3
+        Roll, pitch, yaw (rad) and their corrections.
+    w, dw : tuples of 3
+        Vector in the orbital frame, reference and difference.
+
+    Returns
+    -------
+    f, df : tuples of 3
+        Reference and difference.
+    turn : tuple of 9
+        R_UY(angles + d), row-major.
+    d_f : tuple of 9
+        Derivatives of f + df with respect to roll, pitch, yaw, one after the other.
     """
-    y, z, dy, dz = _turn(angles[1], d[1], w[1], w[2], dw[1], dw[2])
-    z, x, dz, dx = _turn(angles[0], d[0], z, w[0], dz, dw[0])
-    x, y, dx, dy = _turn(angles[2], d[2], x, y, dx, dy)
-    return (x, y, z), (dx, dy, dz)
+    roll, pitch, yaw = _sines(angles[0], d[0]), _sines(angles[1], d[1]), _sines(angles[2], d[2])
+    sr, cr, sp, cp = roll[0] + roll[2], roll[1] + roll[3], pitch[0] + pitch[2], pitch[1] + pitch[3]
+    sy, cy = yaw[0] + yaw[2], yaw[1] + yaw[3]
+    y, z, dy, dz = _turn(pitch, w[1], w[2], dw[1], dw[2])
+    y_p, z_p = y + dy, z + dz
+    z, x, dz, dx = _turn(roll, z, w[0], dz, dw[0])
+    x_r, z_r = x + dx, z + dz
+    x, y, dx, dy = _turn(yaw, x, y, dx, dy)
+    d_f = (
+        -cy * z_r, sy * z_r, x_r,
+        cy * sr * y_p + sy * z_p, cy * z_p - sy * sr * y_p, -cr * y_p,
+        y + dy, -(x + dx), 0.0 * dx,
+    )  # fmt: skip
+    return (x, y, z), (dx, dy, dz), rotations.from_sines(sr, cr, sp, cp, sy, cy), d_f
 
 
-@compiled
-def body_from_orbital_small_pair(angles: Any, d: Any, w: Vector, dw: Vector) -> Any:
-    """Pair form of the transposed small-angle matrix, see ``rotations.orbital_from_body_small``."""
-    r, p, y = angles[0], angles[1], angles[2]
+@inlined
+def body_from_orbital_small_pair(
+    angles: Vector, d: Vector, w: Vector, dw: Vector
+) -> tuple[Vector, Vector, Matrix, Matrix]:
+    """As :func:`body_from_orbital_pair`, with the transposed small-angle matrix I + [a]x."""
+    r, p, y = angles
     r2, p2, y2 = r + d[0], p + d[1], y + d[2]
     reference = (w[0] + y * w[1] - r * w[2], w[1] - y * w[0] + p * w[2], w[2] + r * w[0] - p * w[1])
     difference = (
@@ -77,4 +82,7 @@ def body_from_orbital_small_pair(angles: Any, d: Any, w: Vector, dw: Vector) -> 
         dw[1] - y2 * dw[0] + p2 * dw[2] - d[2] * w[0] + d[1] * w[2],
         dw[2] + r2 * dw[0] - p2 * dw[1] + d[0] * w[0] - d[1] * w[1],
     )
-    return reference, difference
+    w1, w2, w3 = w[0] + dw[0], w[1] + dw[1], w[2] + dw[2]
+    zero = 0.0 * w1
+    d_f = (-w3, zero, w1, zero, w3, -w2, w2, -w1, zero)
+    return reference, difference, rotations.orbital_from_body_small(r2, p2, y2), d_f

@@ -24,8 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from factors import differences, orbital, rotations
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors import rotations
+from factors._contract import Argument, Array, Equation, Example, compiled, inlined, register
+from factors.sight import derivatives, sight
 
 #: Record: P 0:3 m, V 3:6 m/s, angles 6:9 rad, M 9:18 row-major, tau 18, psi_x 19, psi_y 20, s 21,
 #: A 22:26 row-major, frame follows P and V 26 (1/0), small-angle form 27 (1/0), reference ground point
@@ -39,59 +40,27 @@ N_EOP = 27
 @compiled
 def corrections(record: Any, setup: Any, x: Any) -> Any:
     """Corrections of the 9 EOP and of psi_x, psi_y at the observation: (11,) physical units."""
-    tau, s = record[18], record[21]
     d = np.zeros(11, x.dtype)
     for j in range(setup.shape[1]):
         code = int(setup[0, j])
-        if code < N_EOP:
-            d[code // 3] += x[j] * setup[1, j] * tau ** (code % 3)
-        else:
-            d[9 + (code - N_EOP) % 2] += x[j] * setup[1, j] * s ** ((code - N_EOP) // 2)
+        slot = code // 3 if code < N_EOP else 9 + (code - N_EOP) % 2
+        d[slot] += x[j] * setup[1, j] * _basis(record, code)
     return d
 
 
-@compiled
-def _sight(record: Any, d: Any, ground: Any) -> Any:
-    """Orbital frame, w in it (total), f in the body frame as reference and difference."""
-    frame = rotations.ecef_from_orbital(record[0], record[1], record[2], record[3], record[4], record[5])
-    ref = rotations.multiply_transposed(frame, record[31], record[32], record[33])
-    gx, gy, gz = ground[0] - record[28] - d[0], ground[1] - record[29] - d[1], ground[2] - record[30] - d[2]
-    dw = rotations.multiply_transposed(frame, gx, gy, gz)
-    if record[26] > 0.5:
-        turned = differences.d_ecef_from_orbital(frame, record[0:6], d)
-        a = rotations.multiply_transposed(turned, record[31] + gx, record[32] + gy, record[33] + gz)
-        dw = (dw[0] + a[0], dw[1] + a[1], dw[2] + a[2])
-        frame = rotations.add(frame, turned)
-    else:
-        frame = rotations.scaled(frame, 1.0 + 0.0 * d[0])
-    w = (ref[0] + dw[0], ref[1] + dw[1], ref[2] + dw[2])
-    if record[27] > 0.5:
-        g0, dg = differences.body_from_orbital_small_pair(record[6:9], d[6:9], ref, dw)
-    else:
-        g0, dg = differences.body_from_orbital_pair(record[6:9], d[6:9], ref, dw)
-    f = rotations.multiply_transposed(record[9:18], g0[0], g0[1], g0[2])
-    return frame, w, f, rotations.multiply_transposed(record[9:18], dg[0], dg[1], dg[2])
-
-
-@compiled
-def _misclosure(record: Any, d: Any, f: Any, df: Any) -> Any:
-    """Whitened conditions from f (reference and difference): a pair."""
-    t_x, t_y = np.tan(record[19]), np.tan(record[20])
-    b_x, b_y = np.tan(d[9]), np.tan(d[10])
-    # tan(psi + b) - tan(psi), exact for small b
-    d_x, d_y = (1.0 + t_x * t_x) * b_x / (1.0 - t_x * b_x), (1.0 + t_y * t_y) * b_y / (1.0 - t_y * b_y)
-    f3 = f[2] + df[2]
-    f_y = ((f[0] - t_y * f[2]) + (df[0] - t_y * df[2])) / f3 - d_y
-    f_x = ((f[1] + t_x * f[2]) + (df[1] + t_x * df[2])) / f3 + d_x
-    return record[22] * f_y + record[23] * f_x, record[24] * f_y + record[25] * f_x
+@inlined
+def _basis(record: Any, code: int) -> Any:
+    """Power of tau or of the sample that a coefficient belongs to."""
+    if code < N_EOP:
+        tau, degree = record[18], code % 3
+        return 1.0 if degree == 0 else tau if degree == 1 else tau * tau
+    return record[21] ** ((code - N_EOP) // 2)
 
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     """Whitened conditions A (F_y, F_x): (2,); accepts complex unknowns."""
-    d = corrections(record, setup, x)
-    _, _, f, df = _sight(record, d, ground)
-    return np.array(_misclosure(record, d, f, df))
+    return np.array(sight(record, corrections(record, setup, x), ground, 0, 1, record[27] > 0.5)[0])
 
 
 @compiled
@@ -112,55 +81,19 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
     k, record = setup.shape[1], records[row]
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
-    e = corrections(record, setup, x)
-    frame, w, f0, f1 = _sight(record, e, ground)
-    out[0, 0], out[1, 0] = _misclosure(record, e, f0, f1)
+    (out[0, 0], out[1, 0]), seen = sight(record, corrections(record, setup, x), ground, 0, 1, record[27] > 0.5)
     if want:
-        f = (f0[0] + f1[0], f0[1] + f1[1], f0[2] + f1[2])
-        d = _line_derivatives(record, e, frame, w, f)
+        d = np.array(derivatives(record, 0, 1, seen))
         for j in range(k):
             code = int(setup[0, j])
-            if code < N_EOP:
-                column, factor = code // 3, record[18] ** (code % 3) * setup[1, j]
-            else:
-                column, factor = 12 + (code - N_EOP) % 2, record[21] ** ((code - N_EOP) // 2) * setup[1, j]
+            column = code // 3 if code < N_EOP else 12 + (code - N_EOP) % 2
+            factor = _basis(record, code) * setup[1, j]
             out[0, 1 + j], out[1, 1 + j] = d[0, column] * factor, d[1, column] * factor
         out[:, k + 1 :] = d[:, 9:12]
     total = 0.0
     for j in range(k + 4 if want else 1):
         total += 0.0 * out[0, j] + 0.0 * out[1, j]
     return total == 0.0
-
-
-@compiled
-def _line_derivatives(record: Array, e: Array, frame: Any, w: Any, f: Any) -> Array:
-    """Whitened derivatives with respect to P, V, attitude (0-8), ground (9-11), psi_x, psi_y: (2, 14)."""
-    for c in range(9):
-        e[c] += record[c]
-    e[9] += record[19]
-    e[10] += record[20]
-    if record[27] > 0.5:
-        attitude = rotations.orbital_from_body_small(e[6], e[7], e[8])
-        d_attitude = rotations.d_orbital_from_body_small()
-    else:
-        attitude = rotations.orbital_from_body(e[6], e[7], e[8])
-        d_attitude = rotations.d_orbital_from_body(e[6], e[7], e[8])
-    dw = orbital.coordinate_derivatives(e, frame, w, record[26] > 0.5)
-    d = np.empty((2, 14))
-    for c in range(12):
-        if 6 <= c < 9:
-            g = rotations.multiply_transposed(d_attitude[c - 6], w[0], w[1], w[2])
-        else:
-            k = c if c < 6 else c - 3
-            g = rotations.multiply_transposed(attitude, dw[0, k], dw[1, k], dw[2, k])
-        df = rotations.multiply_transposed(record[9:18], g[0], g[1], g[2])
-        d_y = (df[0] - f[0] / f[2] * df[2]) / f[2]
-        d_x = (df[1] - f[1] / f[2] * df[2]) / f[2]
-        d[0, c], d[1, c] = record[22] * d_y + record[23] * d_x, record[24] * d_y + record[25] * d_x
-    sec2_x, sec2_y = 1.0 / np.cos(e[9]) ** 2, 1.0 / np.cos(e[10]) ** 2
-    d[0, 12], d[1, 12] = record[23] * sec2_x, record[25] * sec2_x
-    d[0, 13], d[1, 13] = -record[22] * sec2_y, -record[24] * sec2_y
-    return d
 
 
 @compiled

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from factors._contract import Array, compiled
+from factors._contract import Array, compiled, inlined
 
 Matrix = Any  # a tuple of 9 scalars, real or complex
 Vector = Any  # a tuple of 3 scalars
 
 
-@compiled
+@inlined
 def multiply_transposed(a: Matrix, x: Any, y: Any, z: Any) -> Vector:
     """Transposed matrix times vector."""
     return (
@@ -30,24 +30,31 @@ def multiply_transposed(a: Matrix, x: Any, y: Any, z: Any) -> Vector:
     )
 
 
-@compiled
+@inlined
+def multiply(a: Matrix, x: Any, y: Any, z: Any) -> Vector:
+    """Matrix times vector."""
+    return (
+        a[0] * x + a[1] * y + a[2] * z,
+        a[3] * x + a[4] * y + a[5] * z,
+        a[6] * x + a[7] * y + a[8] * z,
+    )
+
+
+@inlined
 def ecef_from_orbital(px: Any, py: Any, pz: Any, vx: Any, vy: Any, vz: Any) -> Matrix:
     """Orbital frame of convention B from position (m) and velocity (m/s) in ECEF."""
-    p = np.sqrt(px * px + py * py + pz * pz)
-    zx, zy, zz = px / p, py / p, pz / p
+    one = 1.0 / np.sqrt(px * px + py * py + pz * pz)
+    zx, zy, zz = px * one, py * one, pz * one
     nx, ny, nz = vy * zz - vz * zy, vz * zx - vx * zz, vx * zy - vy * zx
-    n = np.sqrt(nx * nx + ny * ny + nz * nz)
-    xx, xy, xz = nx / n, ny / n, nz / n
+    one = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
+    xx, xy, xz = nx * one, ny * one, nz * one
     yx, yy, yz = zy * xz - zz * xy, zz * xx - zx * xz, zx * xy - zy * xx
     return (xx, yx, zx, xy, yy, zy, xz, yz, zz)
 
 
-@compiled
-def orbital_from_body(roll: Any, pitch: Any, yaw: Any) -> Matrix:
-    """Attitude Rx(pitch) Ry(roll) Rz(yaw), full form (T 2.23)."""
-    sr, cr = np.sin(roll), np.cos(roll)
-    sp, cp = np.sin(pitch), np.cos(pitch)
-    sy, cy = np.sin(yaw), np.cos(yaw)
+@inlined
+def from_sines(sr: Any, cr: Any, sp: Any, cp: Any, sy: Any, cy: Any) -> Matrix:
+    """Attitude Rx(pitch) Ry(roll) Rz(yaw), full form (T 2.23), from sines and cosines of roll, pitch, yaw."""
     return (
         cr * cy, -cr * sy, sr,
         cp * sy + sp * sr * cy, cp * cy - sp * sr * sy, -sp * cr,
@@ -56,33 +63,16 @@ def orbital_from_body(roll: Any, pitch: Any, yaw: Any) -> Matrix:
 
 
 @compiled
+def orbital_from_body(roll: Any, pitch: Any, yaw: Any) -> Matrix:
+    """Attitude from roll, pitch, yaw (rad)."""
+    return from_sines(np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch), np.sin(yaw), np.cos(yaw))
+
+
+@inlined
 def orbital_from_body_small(roll: Any, pitch: Any, yaw: Any) -> Matrix:
     """Small-angle attitude I + [a]x (T 2.24); its transpose serves as inverse throughout."""
     one = 1.0 + 0.0 * roll
     return (one, -yaw, roll, yaw, one, -pitch, -roll, pitch, one)
-
-
-@compiled
-def d_orbital_from_body(roll: Any, pitch: Any, yaw: Any) -> tuple[Matrix, Matrix, Matrix]:
-    """Derivatives of :func:`orbital_from_body` with respect to roll, pitch, yaw (1/rad)."""
-    r = orbital_from_body(roll, pitch, yaw)
-    sr, cr = np.sin(roll), np.cos(roll)
-    sp, cp = np.sin(pitch), np.cos(pitch)
-    sy, cy = np.sin(yaw), np.cos(yaw)
-    t0, t1, t2 = -cr * cy, cr * sy, -sr
-    d_roll = (-sr * cy, sr * sy, cr, -sp * t0, -sp * t1, -sp * t2, cp * t0, cp * t1, cp * t2)
-    d_pitch = (0.0 * sr, 0.0 * sr, 0.0 * sr, -r[6], -r[7], -r[8], r[3], r[4], r[5])
-    d_yaw = (r[1], -r[0], 0.0 * sr, r[4], -r[3], 0.0 * sr, r[7], -r[6], 0.0 * sr)
-    return d_roll, d_pitch, d_yaw
-
-
-@compiled
-def d_orbital_from_body_small() -> tuple[Matrix, Matrix, Matrix]:
-    """Derivatives of :func:`orbital_from_body_small`, constant."""
-    d_roll = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0)
-    d_pitch = (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0)
-    d_yaw = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return d_roll, d_pitch, d_yaw
 
 
 @compiled
@@ -97,17 +87,13 @@ def matrix_from_quaternion(q0: Any, q1: Any, q2: Any, q3: Any) -> Matrix:
     )  # fmt: skip
 
 
-@compiled
-def add(a: Matrix, b: Matrix) -> Matrix:
-    """Sum of two matrices."""
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6], a[7] + b[7],
-            a[8] + b[8])  # fmt: skip
-
-
-@compiled
-def scaled(a: Matrix, k: Any) -> Matrix:
-    """Matrix times scalar."""
-    return (a[0] * k, a[1] * k, a[2] * k, a[3] * k, a[4] * k, a[5] * k, a[6] * k, a[7] * k, a[8] * k)
+@inlined
+def turned(a: Matrix, d: Matrix) -> Matrix:
+    """Product ``a (I + d)``."""
+    x = multiply(a, 1.0 + d[0], d[3], d[6])
+    y = multiply(a, d[1], 1.0 + d[4], d[7])
+    z = multiply(a, d[2], d[5], 1.0 + d[8])
+    return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
 
 
 @compiled

@@ -7,7 +7,8 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factors import attitude, differences, ellipsoid, ephemeris, look, polynomials, rotations
+from factors import attitude, differences, ellipsoid, ephemeris, look, orbital, polynomials, rotations
+from factors.sines import sine_cosine
 
 
 def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -43,20 +44,6 @@ def test_small_angle_form_agrees_to_first_order() -> None:
     full, small = (rotations.attitude_matrices(a, s)[0] for s in (False, True))
     assert np.abs(full - small).max() < 2e-9  # second order: a^2 = 1.6e-9
     assert np.abs(full - small).max() > 1e-11
-
-
-@pytest.mark.parametrize("small", [False, True])
-def test_attitude_derivatives(small: bool, rng: np.random.Generator) -> None:
-    for angles in rng.uniform(-0.5, 0.5, (10, 3)):
-        if small:
-            blocks, form = rotations.d_orbital_from_body_small(), rotations.orbital_from_body_small
-        else:
-            blocks, form = rotations.d_orbital_from_body(*angles), rotations.orbital_from_body
-        for k in range(3):
-            z = angles.astype(complex)
-            z[k] += 1e-30j
-            numeric = np.array(form(*z)).imag / 1e-30
-            assert np.abs(np.array(blocks[k]) - numeric).max() < 1e-15
 
 
 def test_quaternions_equal_scipy_and_ignore_the_sign(rng: np.random.Generator) -> None:
@@ -153,16 +140,64 @@ def test_look_table_is_linear_in_the_tangent() -> None:
     assert psi_y[[0, 2]] == pytest.approx(psi, abs=1e-15)
 
 
+def test_sines_equal_those_of_extended_precision(rng: np.random.Generator) -> None:
+    """Over many turns within rounding of one, small angles within rounding of themselves."""
+    for size in (1e-9, 1e-4, 0.5, 0.78, 2.0, 10.0, 1e6):
+        x = rng.uniform(-size, size, 2000)
+        sine, less = np.array([sine_cosine(v) for v in x]).T
+        exact, exact_less = np.sin(x.astype(np.longdouble)), -2.0 * np.sin(0.5 * x.astype(np.longdouble)) ** 2
+        assert np.abs(sine - exact).max() < 2.3e-16
+        assert np.abs(less - exact_less).max() < 2.3e-16
+        if size < 0.785:
+            assert np.abs((sine - exact) / exact).max() < 3e-16
+            assert np.abs((less - exact_less) / exact_less).max() < 6e-16
+
+
+def test_sines_of_complex_angles_give_derivatives(rng: np.random.Generator) -> None:
+    for x in rng.uniform(-7.0, 7.0, 50):
+        sine, less = sine_cosine(complex(x, 1e-30))
+        assert sine.imag / 1e-30 == pytest.approx(np.cos(x), abs=4e-16)
+        assert less.imag / 1e-30 == pytest.approx(-np.sin(x), abs=4e-16)
+
+
 def test_frame_difference_equals_the_plain_one_and_keeps_digits(rng: np.random.Generator) -> None:
-    for size in (10.0, 1e-6):
+    for size in (1e5, 10.0, 1e-6):
         p, v = state(rng)
         d = np.concatenate([rng.normal(size=3) * size, rng.normal(size=3) * 1e-3 * size])
-        frame = rotations.ecef_from_orbital(*p, *v)
-        ours = np.array(differences.d_ecef_from_orbital(frame, np.concatenate([p, v]), d))
+        frame, lengths = orbital.reference(*p, *v)
+        axes = np.array(frame).reshape(3, 3)
+        dp, dv = axes.T @ d[:3], axes.T @ d[3:]
+        local, scales = orbital.turned(lengths, tuple(dp), tuple(dv))
+        ours = axes @ np.array(local).reshape(3, 3)
+        after = np.array(rotations.ecef_from_orbital(*(p + d[:3]), *(v + d[3:]))).reshape(3, 3)
+        assert np.abs(axes + ours - after).max() < 1e-15
+        assert np.abs(np.array(rotations.turned(frame, local)).reshape(3, 3) - after).max() < 1e-15
+        p2, v2 = p + d[:3], v + d[3:]
+        expected = [1.0 / np.linalg.norm(p2), 1.0 / (v2 @ after[:, 1]), v2 @ after[:, 2]]
+        assert (
+            np.abs(np.array(scales) / expected - 1.0).max() < 2e-13
+        )  # v3 is a difference of products a thousand times it
         # directional derivative by complex step, plus the second-order remainder
         z = np.concatenate([p, v]) + 1e-30j * d
-        linear = np.array(rotations.ecef_from_orbital(*z)).imag / 1e-30
-        assert np.abs(ours - linear).max() <= 2.0 * (size / 1e6) ** 2 + 1e-15 * np.abs(linear).max()
+        linear = np.array(rotations.ecef_from_orbital(*z)).reshape(3, 3).imag / 1e-30
+        assert np.abs(ours - linear).max() <= 2.0 * (size / 1e6) ** 2 + 2e-15 * np.abs(linear).max()
+
+
+@pytest.mark.parametrize("follows", [0.0, 1.0])
+def test_derivatives_of_orbital_coordinates(follows: float, rng: np.random.Generator) -> None:
+    """Against complex step of the plain product."""
+    for _ in range(10):
+        p, v = state(rng)
+        g, c = p * (6.371e6 / 7.2e6) + rng.normal(size=3) * 1e5, rng.normal(size=3)
+        frame, (length, v2, v3) = orbital.reference(*p, *v)
+        w = np.array(frame).reshape(3, 3).T @ (g - p)
+        ours = np.concatenate(orbital.row_derivatives(tuple(c), tuple(w), frame, (1.0 / length, 1.0 / v2, v3), follows))
+        for k in range(9):
+            z = np.concatenate([p, v, g]).astype(complex)
+            z[k] += 1e-30j
+            turned = np.array(rotations.ecef_from_orbital(*z[:6])) if follows else np.array(frame)
+            numeric = float((c @ (turned.reshape(3, 3).T @ (z[6:] - z[:3]))).imag / 1e-30)
+            assert abs(ours[k] - numeric) <= 1e-14 * np.abs(ours).max()
 
 
 def test_pair_rotation_sums_to_the_plain_product(rng: np.random.Generator) -> None:
@@ -172,8 +207,14 @@ def test_pair_rotation_sums_to_the_plain_product(rng: np.random.Generator) -> No
     ):
         angles, d = rng.normal(scale=0.1, size=3), rng.normal(scale=1e-3, size=3)
         w, dw = rng.normal(size=3), rng.normal(scale=1e-3, size=3)
-        reference, difference = pair(angles, d, tuple(w), tuple(dw))
+        reference, difference, turn, d_f = pair(tuple(angles), tuple(d), tuple(w), tuple(dw))
         plain = np.array(form(*(angles + d))).reshape(3, 3).T @ (w + dw)
         base = np.array(form(*angles)).reshape(3, 3).T @ w
         assert np.abs(np.array(reference) - base).max() < 1e-15
         assert np.abs(np.array(reference) + np.array(difference) - plain).max() < 2e-15
+        assert np.abs(np.array(turn) - np.array(form(*(angles + d)))).max() < 1e-15
+        for k in range(3):
+            z = (angles + d).astype(complex)
+            z[k] += 1e-30j
+            numeric = (np.array(form(*z)).reshape(3, 3).T @ (w + dw)).imag / 1e-30
+            assert np.abs(np.array(d_f[3 * k : 3 * k + 3]) - numeric).max() < 2e-15

@@ -1,0 +1,170 @@
+"""Rows of the look-angle collinearity, many observations in one vector instruction; layout: ``factors.batch``.
+
+Observations are copied in blocks to arrays whose entries lie BLOCK apart, where the loop over ``factors.sight`` has
+neither branches nor calls. Nothing is fused or reordered: a residual is the same number in a factor and in a batch,
+whatever its place in a block.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, cast
+
+import numpy as np
+from numba import njit
+
+from factors import pushbroom
+from factors._contract import Array, F, inlined
+from factors.batch_rows import Index
+from factors.sight import derivatives, sight
+
+#: Observations of one block: with 80 numbers each they stay in the first-level cache.
+BLOCK: Final = 32
+#: Numbers of a block's output: two residuals, two rows of derivatives, and a number that is finite if these are.
+_OUT: Final = 31
+_SMALL: Final = 27
+
+
+def _exact(function: F) -> F:
+    """Compile with numba so that threads run side by side; no products and sums are fused."""
+    return cast(F, njit(cache=True, error_model="numpy", nogil=True)(function))
+
+
+@_exact
+def _places(setup: Array) -> tuple[Index, Index]:
+    """Place of each component among the corrections (11,), and of its derivative among the 14 of a row."""
+    slot, column = np.empty(setup.shape[1], np.int64), np.empty(setup.shape[1], np.int64)
+    for k in range(setup.shape[1]):
+        code = int(setup[0, k])
+        slot[k] = code // 3 if code < pushbroom.N_EOP else 9 + code - pushbroom.N_EOP
+        column[k] = slot[k] if slot[k] < 9 else slot[k] + 3
+    return slot, column
+
+
+@_exact
+def _gather(
+    first: int, size: int, members: Index, records: Array, row: Index, image: Index, point: Index, slot: Index,
+    n_basis: int, basis: Array, wide: Array, ground: Array, constants: Array, d: Array, place: Array,
+) -> bool:  # fmt: skip
+    """Copy the observations of a block; whether one of them has the small-angle form."""
+    c, small = len(slot), False
+    for i in range(size):
+        a = members[first + i]
+        r, m, j = row[a], image[a], point[a]
+        for k in range(pushbroom.RECORD_SIZE):
+            constants[k * BLOCK + i] = records[r, k]
+        for k in range(3):
+            place[k * BLOCK + i] = ground[j, k]
+        for k in range(c):
+            x = 0.0
+            for b in range(n_basis):
+                x += basis[a, b] * wide[m, b * c + k]
+            d[slot[k] * BLOCK + i] = x
+        small |= records[r, _SMALL] > 0.5
+    return small
+
+
+@_exact
+def _evaluate(constants: Array, d: Array, place: Array, size: int, small: bool, want: bool, out: Array) -> None:
+    """Evaluate a block; the loops that matter are those of the full rotation."""
+    if small:
+        for i in range(size):
+            value, seen = sight(constants, d, place, i, BLOCK, constants[i + _SMALL * BLOCK] > 0.5)
+            _put(out, i, value, derivatives(constants, i, BLOCK, seen))
+    elif want:
+        for i in range(size):
+            value, seen = sight(constants, d, place, i, BLOCK, False)
+            _put(out, i, value, derivatives(constants, i, BLOCK, seen))
+    else:
+        for i in range(size):
+            value, seen = sight(constants, d, place, i, BLOCK, False)
+            out[i], out[i + BLOCK] = value
+            out[i + 30 * BLOCK] = value[0] + value[1]
+
+
+@inlined
+def _sum(y: Any) -> Any:
+    """Sum of a row of derivatives."""
+    return (y[0] + y[1] + y[2] + y[3]) + (y[4] + y[5] + y[6] + y[7]) + (y[8] + y[9] + y[10] + y[11]) + (y[12] + y[13])
+
+
+@inlined
+def _put(out: Array, i: int, value: Any, rows: Any) -> None:
+    """Write residuals, derivatives and their sum."""
+    n, (y, x) = BLOCK, rows
+    out[i], out[i + n] = value
+    (
+        out[i + 2 * n], out[i + 3 * n], out[i + 4 * n], out[i + 5 * n], out[i + 6 * n], out[i + 7 * n], out[i + 8 * n],
+        out[i + 9 * n], out[i + 10 * n], out[i + 11 * n], out[i + 12 * n], out[i + 13 * n], out[i + 14 * n],
+        out[i + 15 * n],
+    ) = y  # fmt: skip
+    (
+        out[i + 16 * n], out[i + 17 * n], out[i + 18 * n], out[i + 19 * n], out[i + 20 * n], out[i + 21 * n],
+        out[i + 22 * n], out[i + 23 * n], out[i + 24 * n], out[i + 25 * n], out[i + 26 * n], out[i + 27 * n],
+        out[i + 28 * n], out[i + 29 * n],
+    ) = x  # fmt: skip
+    out[i + 30 * n] = (value[0] + value[1]) + (_sum(y) + _sum(x))
+
+
+@_exact
+def _scatter(
+    first: int, size: int, members: Index, column: Index, out: Array, value: Array, d_image: Array, d_ground: Array,
+    want: bool,
+) -> int:  # fmt: skip
+    """Copy the results of a block to the arrays of the observations; the first one that is not finite, or -1."""
+    bad = -1
+    for i in range(size):
+        a = members[first + i]
+        for r in range(2):
+            value[a, r] = out[r * BLOCK + i]
+            if want:
+                for k in range(len(column)):
+                    d_image[a, r, k] = out[(2 + 14 * r + column[k]) * BLOCK + i]
+                for k in range(3):
+                    d_ground[a, r, k] = out[(11 + 14 * r + k) * BLOCK + i]
+        if bad < 0 and not np.isfinite(out[30 * BLOCK + i]):
+            bad = a
+    return bad
+
+
+@_exact
+def pushbroom_rows(
+    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
+    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
+) -> int:  # fmt: skip
+    """Look-angle collinearity of members lo to hi.
+
+    Parameters
+    ----------
+    members : (m,) int array
+        Observations of the group, by their place in the sorted arrays.
+    records : (n, d) array
+    row, image, point : (n,) int arrays
+        Row of ``records``, image and ground point of each sorted observation.
+    setup : (2, c) array
+        Of :class:`Columns`.
+    n_basis : int
+    basis : (n, b) array
+        Basis values; ``n_basis`` of them are the group's.
+    wide : (M, w) array
+        Wide unknowns of the images.
+    ground : (N, 3) array, m
+    value, d_image, d_ground : (n, 2), (n, 2, c), (n, 2, 3) arrays
+        Written, whitened; the Jacobians with ``want`` only.
+
+    Returns
+    -------
+    int
+        The first observation that is not finite, or -1.
+    """
+    slot, column = _places(setup)
+    constants, d, place = np.empty(pushbroom.RECORD_SIZE * BLOCK), np.zeros(11 * BLOCK), np.empty(3 * BLOCK)
+    out, bad = np.empty(_OUT * BLOCK), -1
+    for first in range(lo, hi, BLOCK):
+        size = min(BLOCK, hi - first)
+        small = _gather(
+            first, size, members, records, row, image, point, slot, n_basis, basis, wide, ground, constants, d, place
+        )
+        _evaluate(constants, d, place, size, small, want, out)
+        found = _scatter(first, size, members, column, out, value, d_image, d_ground, want)
+        bad = found if bad < 0 else bad
+    return bad

@@ -1,0 +1,79 @@
+"""Rows of the look-angle collinearity in blocks: the numbers of the scalar kernel, bit by bit."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from factors import pushbroom
+from factors.batch import batch
+from factors.batch_pushbroom import BLOCK
+
+N = 2 * BLOCK + 11  # whole blocks and a part of one
+N_IMAGES = 5
+
+
+class Case:
+    """Observations of random geometry, sorted at random, and what the rows write."""
+
+    def __init__(self, rng: np.random.Generator, small: str, codes: list[int]) -> None:
+        records = np.stack([pushbroom.example(rng).record for _ in range(N)])
+        records[:, 27] = {"none": 0.0, "all": 1.0}.get(small, records[:, 27])
+        setup = np.stack([np.array(codes, float), np.ones(len(codes))])
+        self.records, self.setup = records, setup
+        self.rows, self.columns = batch(pushbroom.LOOK_ANGLE_COLLINEARITY, setup)
+        self.c = self.columns.n_components
+        self.row, self.image, self.point = rng.permutation(N), rng.integers(0, N_IMAGES, N), rng.integers(0, 9, N)
+        self.members = np.arange(N)
+        self.basis = rng.normal(size=(N, 2))
+        scale = np.repeat([[10.0], [1e-2], [5e-5], [1e-4]], [3, 3, 3, 2], axis=0)[: self.c, 0]
+        self.wide, self.ground = rng.normal(size=(N_IMAGES, 2 * self.c)) * np.tile(scale, 2), rng.normal(size=(9, 3))
+
+    def run(self, *ends: int, want: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """Residuals, Jacobians, and the first observation that is not finite, range by range."""
+        value, d_image, d_ground = np.full((N, 2), 7.0), np.full((N, 2, self.c), 7.0), np.full((N, 2, 3), 7.0)
+        bad = [
+            self.rows(lo, hi, self.members, self.records, self.row, self.image, self.point, self.columns.setup, 2,
+                      self.basis, self.wide, self.ground, value, d_image, d_ground, want)
+            for lo, hi in pairwise(ends)
+        ]  # fmt: skip
+        return value, d_image, d_ground, max(bad)
+
+    def scalar(self, a: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The kernel of the factors at one observation, components as unknowns."""
+        w, c = self.wide[self.image[a]], self.c
+        x = self.basis[a, 0] * w[:c] + self.basis[a, 1] * w[c:]
+        return pushbroom.kernel(self.records[self.row[a]], self.columns.setup, x, self.ground[self.point[a]], True)
+
+
+@pytest.mark.parametrize("small", ["none", "all", "some"])
+@pytest.mark.parametrize("codes", [[3 * k for k in range(9)] + [27, 28], [0, 3, 6]])
+def test_rows_are_those_of_the_factor(small: str, codes: list[int], rng: np.random.Generator) -> None:
+    case = Case(rng, small, codes)
+    value, d_image, d_ground, bad = case.run(0, N)
+    assert bad == -1
+    for a in range(N):
+        one, j_image, j_ground = case.scalar(a)
+        assert np.array_equal(value[a], one)
+        assert np.array_equal(d_image[a], j_image)
+        assert np.array_equal(d_ground[a], j_ground)
+
+
+def test_rows_do_not_depend_on_the_division(rng: np.random.Generator) -> None:
+    case = Case(rng, "none", [3 * k for k in range(9)])
+    whole = case.run(0, N)
+    for ends in ((0, 1, 2, N), (0, BLOCK + 3, N), (0, 5, 2 * BLOCK - 1, N)):
+        assert all(np.array_equal(a, b) for a, b in zip(whole, case.run(*ends), strict=True))
+    alone = case.run(0, N, want=False)
+    assert np.array_equal(alone[0], whole[0])
+    assert (alone[1] == 7.0).all() and (alone[2] == 7.0).all()
+
+
+@pytest.mark.parametrize("want", [False, True])
+def test_the_first_observation_that_is_not_finite_is_told(want: bool, rng: np.random.Generator) -> None:
+    case = Case(rng, "none", [3 * k for k in range(9)])
+    for a in (N - 1, BLOCK + 4):
+        case.records[case.row[a], 31] = np.nan
+        assert case.run(0, N, want=want)[3] == a
