@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,29 @@ import numpy.typing as npt
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
-Rows = tuple[dict[str, str], ...]
+
+#: Rows of a table that are text at once.
+CHUNK: Final = 50_000
+#: Columns of words; all others hold numbers.
+WORDS: Final = frozenset((
+    "id", "role", "image", "parameter", "component", "unit", "sigma_scale", "per_line_unit",
+))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A CSV table of ours: words as text, the rest as numbers, nan for empty cells."""
+
+    words: dict[str, list[str]]
+    figures: dict[str, Array]
+    length: int
+
+    def __len__(self) -> int:
+        return self.length
+
+    def numbers(self, *names: str) -> Array:
+        """Some columns, (n, k)."""
+        return np.stack([self.figures[name] for name in names], axis=1)
 
 
 @dataclass(frozen=True)
@@ -27,17 +50,17 @@ class Result:
     folder : Path
     record : dict
         ``result.json``.
-    points, residuals, eop : tuple of dict
-        Records of the tables, cells as text.
+    points, residuals, eop : Columns
+        The tables.
     iterations : tuple of dict
         ``iterations.jsonl``.
     """
 
     folder: Path
     record: dict[str, Any]
-    points: Rows
-    residuals: Rows
-    eop: Rows
+    points: Columns
+    residuals: Columns
+    eop: Columns
     iterations: tuple[dict[str, Any], ...]
 
 
@@ -56,7 +79,7 @@ def read_result(folder: Path) -> Result:
         record = json.loads((folder / name).read_text("utf-8"))
         tables = {}
         for name in ("points.csv", "residuals.csv", "eop.csv"):
-            tables[name] = read_rows(folder / name)
+            tables[name] = read_columns(folder / name)
         name = "iterations.jsonl"
         lines = (folder / name).read_text("utf-8").splitlines()
         iterations = tuple(json.loads(line) for line in lines)
@@ -65,32 +88,46 @@ def read_result(folder: Path) -> Result:
         raise InputError.of("report.damaged", file=folder / name, value=error) from None
 
 
-def read_rows(path: Path) -> Rows:
-    """Read a CSV table of ours; lines that start with # are comments."""
+def read_columns(path: Path) -> Columns:
+    """Read a CSV table of ours; lines that start with # are comments.
+
+    Raises
+    ------
+    ValueError
+        Rows of different lengths, or a cell that is no number.
+    """
+    words: dict[str, list[str]] = {}
+    figures: dict[str, list[Array]] = {}
     with path.open(encoding="utf-8", newline="") as stream:
-        return tuple(csv.DictReader(line for line in stream if not line.startswith("#")))
-
-
-def values(rows: Rows, *columns: str) -> Array:
-    """Numbers (n, k) of some columns; nan for empty cells."""
-    cells = [[float(row[name]) if row[name] else math.nan for name in columns] for row in rows]
-    return np.array(cells, float).reshape(len(rows), len(columns))
+        rows = csv.reader(line for line in stream if not line.startswith("#"))
+        names = next(rows, [])
+        for name in names:
+            (words if name in WORDS else figures)[name] = []
+        length = 0
+        while part := list(itertools.islice(rows, CHUNK)):
+            length += len(part)
+            for name, cells in zip(names, zip(*part, strict=True), strict=True):
+                if name in words:
+                    words[name] += cells
+                else:
+                    figures[name].append(np.array([float(cell) if cell else math.nan for cell in cells]))
+    return Columns(words, {name: np.concatenate([np.zeros(0), *parts]) for name, parts in figures.items()}, length)
 
 
 def residual_summary(result: Result) -> list[dict[str, Any]]:
     """Root mean square, largest residual (px) and largest v/sigma per image."""
+    table = result.residuals
+    v, sigma = table.numbers("v_line_px", "v_sample_px"), table.numbers("sigma_line_px", "sigma_sample_px")
+    place = {image: k for k, image in enumerate(dict.fromkeys(table.words["image"]))}
+    image = np.fromiter(map(place.__getitem__, table.words["image"]), np.intp, len(table))
     out = []
-    images = [row["image"] for row in result.residuals]
-    v = values(result.residuals, "v_line_px", "v_sample_px")
-    sigma = values(result.residuals, "sigma_line_px", "sigma_sample_px")
-    for image in dict.fromkeys(images):
-        rows = [k for k, name in enumerate(images) if name == image]
-        part = v[rows]
-        worst = int(np.argmax(np.abs(part / sigma[rows]).max(axis=1)))
+    for name, k in place.items():
+        rows = np.flatnonzero(image == k)
+        part, ratio = v[rows], np.abs(v[rows] / sigma[rows]).max(axis=1)
+        worst = int(np.argmax(ratio))
         out.append({
-            "image": image, "n": len(rows), "rms_line_px": float(np.sqrt(np.mean(part[:, 0] ** 2))),
+            "image": name, "n": len(rows), "rms_line_px": float(np.sqrt(np.mean(part[:, 0] ** 2))),
             "rms_sample_px": float(np.sqrt(np.mean(part[:, 1] ** 2))), "max_px": float(np.abs(part).max()),
-            "max_ratio": float(np.abs(part[worst] / sigma[rows][worst]).max()),
-            "worst": result.residuals[rows[worst]]["id"],
+            "max_ratio": float(ratio[worst]), "worst": table.words["id"][int(rows[worst])],
         })  # fmt: skip
     return out

@@ -10,6 +10,8 @@ from fg_orient.report.svg import point_map, singular_values
 
 #: Units that people read more easily: name and factor.
 _READABLE: Final = {"rad": ("µrad", 1e6), "m/s": ("mm/s", 1e3), "m": ("m", 1.0)}
+#: Rows of a table, and images, that the page shows; the files hold all.
+MANY: Final = {"rows": 100, "images": 40, "terms": 1500}
 _DEGREES: Final = ("constant", "linear", "quadratic")
 _AXES: Final = (("East", "east"), ("North", "north"), ("Up", "up"), ("ECEF X", "ecef_x"), ("ECEF Y", "ecef_y"),
                 ("ECEF Z", "ecef_z"))  # fmt: skip
@@ -28,7 +30,7 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     return template.render(
         r=result.record, verdict=verdict(result.record), axes=_AXES, point_map=point_map(result),
         up_map=point_map(result, up=True), residuals=residual_summary(result), corrections=corrections(result),
-        what=orientation_words(result.record),
+        what=orientation_words(result.record), many=MANY,
         singular=singular_values(result.record["observability"]), iterations=result.iterations, truth=comparison,
     )  # fmt: skip
 
@@ -93,13 +95,14 @@ def _component(name: str) -> str:
 def corrections(result: Result) -> list[dict[str, Any]]:
     """Orientation corrections per image in readable units: value, sigma, share of the prior sigma."""
     images: dict[str, list[dict[str, Any]]] = {}
-    for row in result.eop:
-        unit, factor = _READABLE.get(row["unit"], (row["unit"], 1.0))
-        value, sigma, prior = (float(row[k]) if row[k] else None for k in ("value_per_tau", "sigma", "prior_sigma"))
-        degree = int(row["degree"])
-        ending = row["parameter"].rpartition("_")[2]  # of a polynomial of samples: s and its degree
-        images.setdefault(row["image"], []).append({
-            "name": _component(row["component"]),
+    words, numbers = result.eop.words, result.eop.numbers("value_per_tau", "sigma", "prior_sigma").tolist()
+    for k, image in enumerate(words["image"]):
+        unit, factor = _READABLE.get(words["unit"][k], (words["unit"][k], 1.0))
+        value, sigma, prior = (None if math.isnan(number) else number for number in numbers[k])
+        degree = int(result.eop.figures["degree"][k])
+        ending = words["parameter"][k].rpartition("_")[2]  # of a polynomial of samples: s and its degree
+        images.setdefault(image, []).append({
+            "name": _component(words["component"][k]),
             "degree": f"s^{degree}" if ending.startswith("s") else _DEGREES[degree], "unit": unit,
             "value": None if value is None else value * factor, "sigma": None if sigma is None else sigma * factor,
             "prior": None if prior is None else prior * factor,

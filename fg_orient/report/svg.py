@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup, escape
 
-from fg_orient.report.data import Result, values
+from fg_orient.report.data import Result
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 WIDTH: Final = 720.0
 MARGIN: Final = 14.0
@@ -75,12 +76,14 @@ def point_map(result: Result, *, up: bool = False) -> Markup:
     Markup
         An ``<svg>`` element; the exaggeration is written into it.
     """
-    rows = [row for row in result.points if row["lon_deg"]]
-    if not rows:
+    table = result.points
+    located = np.flatnonzero(np.isfinite(table.figures["lon_deg"]))
+    if not len(located):
         return Markup("<p>No point has coordinates.</p>")
-    rows, left_out = _thinned(rows)
-    place = values(tuple(rows), "lon_deg", "lat_deg")
-    error = values(tuple(rows), "difference_east_m", "difference_north_m", "difference_up_m")
+    rows = _thinned(located, np.array([role == "tie" for role in table.words["role"]])[located])
+    left_out = len(located) - len(rows)
+    place = table.numbers("lon_deg", "lat_deg")[rows]
+    error = table.numbers("difference_east_m", "difference_north_m", "difference_up_m")[rows]
     feet = [np.array(image["footprint_lon_lat_deg"], float) for image in result.record["images"]]
     frame = MapFrame(np.vstack([place, *feet]))
     vectors = np.stack([np.zeros(len(rows)), error[:, 2]], axis=1) if up else error[:, :2]
@@ -88,8 +91,9 @@ def point_map(result: Result, *, up: bool = False) -> Markup:
     names = [image["id"] for image in result.record["images"]]
     parts = [_footprint(name, frame(corners), k) for k, (name, corners) in enumerate(zip(names, feet, strict=True))]
     drawn = frame(place)
-    for row, at, vector in zip(rows, drawn, vectors, strict=True):
-        parts.append(_point(row, at, vector * scale * np.array([1.0, -1.0]), up))
+    roles, ids = ([table.words[name][k] for k in rows.tolist()] for name in ("role", "id"))
+    for k, vector in enumerate(vectors * scale * np.array([1.0, -1.0])):
+        parts.append(_point(roles[k], ids[k], error[k], drawn[k], vector, up))
     exaggeration = scale / frame.km_to_units * 1000.0
     parts.append(_foot(frame, scale, exaggeration, up, left_out))
     title = "Up errors at control and check points" if up else "Points and horizontal errors"
@@ -98,17 +102,14 @@ def point_map(result: Result, *, up: bool = False) -> Markup:
     )
 
 
-def _thinned(rows: list[dict[str, str]]) -> tuple[list[dict[str, str]], int]:
-    """At most MAX_POINTS points: control and check points before tie points."""
+def _thinned(rows: Index, tie: npt.NDArray[np.bool_]) -> Index:
+    """At most MAX_POINTS rows: control and check points before tie points."""
     if len(rows) <= MAX_POINTS:
-        return rows, 0
-    ordered = sorted(rows, key=lambda row: row["role"] == "tie")
-    first = [row for row in ordered if row["role"] != "tie"]
+        return rows
+    first, ties = rows[~tie], rows[tie]
     kept = first[:: max(1, math.ceil(len(first) / MAX_POINTS))]
-    ties = ordered[len(first) :]
     room = MAX_POINTS - len(kept)
-    kept += ties[:: math.ceil(len(ties) / room)] if room > 0 and ties else []
-    return kept, len(rows) - len(kept)
+    return np.append(kept, ties[:: math.ceil(len(ties) / room)]) if room > 0 and len(ties) else kept
 
 
 def _vector_scale(vectors: Array) -> float:
@@ -130,23 +131,22 @@ def _footprint(name: str, corners: Array, k: int) -> Markup:
     ).format(text, round(towards, 1), round(float(at[1]) + shift, 1), name)
 
 
-def _point(row: dict[str, str], at: Array, vector: Array, up: bool) -> Markup:
+def _point(role: str, name: str, error_m: Array, at: Array, vector: Array, up: bool) -> Markup:
+    """A point with its tip; numbers are written as they are, words are escaped."""
     x, y = round(float(at[0]), 1), round(float(at[1]), 1)
-    role = row["role"]
     symbol = {
-        "control": Markup('<path class="control" d="M{} {}l5 8.6h-10z"/>').format(x, round(y - 5.7, 1)),
-        "check": Markup('<circle class="check" cx="{}" cy="{}" r="4"/>').format(x, y),
-    }.get(role, Markup('<circle class="tie" cx="{}" cy="{}" r="1.8"/>').format(x, y))
-    line = Markup("")
+        "control": f'<path class="control" d="M{x} {round(y - 5.7, 1)}l5 8.6h-10z"/>',
+        "check": f'<circle class="check" cx="{x}" cy="{y}" r="4"/>',
+    }.get(role, f'<circle class="tie" cx="{x}" cy="{y}" r="1.8"/>')
+    line = ""
     if np.isfinite(vector).all() and np.any(vector != 0.0):
         kind = ("bar " if up else "vector ") + role
-        line = Markup('<line class="{}" x1="{}" y1="{}" x2="{}" y2="{}"/>').format(
-            kind, x, y, round(x + float(vector[0]), 1), round(y + float(vector[1]), 1)
-        )
-    axes = ("east", "north", "up")
-    given = [f"{axis} {float(row[f'difference_{axis}_m']):+.3f} m" for axis in axes if row[f"difference_{axis}_m"]]
-    tip = Markup("<title>{}</title>").format(f"{role} {row['id']}" + (": " + ", ".join(given) if given else ""))
-    return Markup("<g>{}{}{}</g>").format(tip, line, symbol)
+        ends = round(x + float(vector[0]), 1), round(y + float(vector[1]), 1)
+        line = f'<line class="{escape(kind)}" x1="{x}" y1="{y}" x2="{ends[0]}" y2="{ends[1]}"/>'
+    axes = zip(("east", "north", "up"), error_m.tolist(), strict=True)
+    given = [f"{axis} {value:+.3f} m" for axis, value in axes if not math.isnan(value)]
+    tip = escape(f"{role} {name}" + (": " + ", ".join(given) if given else ""))
+    return Markup(f"<g><title>{tip}</title>{line}{symbol}</g>")
 
 
 def _foot(frame: MapFrame, scale: float, exaggeration: float, up: bool, left_out: int) -> Markup:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from fg_orient.errors import InputError
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.parameters import N_EOP, parameter_name
-from fg_orient.report.data import Result, Rows, read_rows, values
+from fg_orient.report.data import Columns, Result, read_columns
 
 Array = npt.NDArray[np.float64]
 
@@ -43,8 +43,8 @@ def compare(result: Result, truth: Path) -> dict[str, Any]:
     for name in ("eop.csv", "points.csv"):
         if not (truth / name).is_file():
             raise InputError.of("report.no_truth", file=truth, place="--truth", value=f"no {name}")
-    eop = _compare_eop(result, read_rows(truth / "eop.csv"), str(truth / "eop.csv"))
-    points, normalised = _compare_points(result, read_rows(truth / "points.csv"), str(truth / "points.csv"))
+    eop = _compare_eop(result, _read(truth / "eop.csv"), str(truth / "eop.csv"))
+    points, normalised = _compare_points(result, _read(truth / "points.csv"), str(truth / "points.csv"))
     groups = [_group(f"orientation of image {image}", np.array([r["normalised"] for r in eop if r["image"] == image]))
               for image in dict.fromkeys(r["image"] for r in eop)]  # fmt: skip
     groups += [_group(f"{role} points, {axis}", normalised[role][:, k])
@@ -60,48 +60,57 @@ def _group(name: str, ratio: Array) -> dict[str, Any]:
     return {"name": name, "n": len(ratio), "rms_normalised": rms, "max_normalised": largest}
 
 
-def _prior_scale(result: Result, rows: Rows) -> Array:
+def _read(path: Path) -> Columns:
+    try:
+        return read_columns(path)
+    except ValueError as error:
+        raise InputError.of("report.no_truth", file=path, value=error) from None
+
+
+def _prior_scale(result: Result, table: Columns) -> Array:
     """Factors that turn the standard deviations of a table into prior scale."""
     sigma0 = result.record["sigma0"] or np.nan
-    return np.array([1.0 / sigma0 if row["sigma_scale"] == "posterior" else 1.0 for row in rows])
+    return np.array([1.0 / sigma0 if scale == "posterior" else 1.0 for scale in table.words["sigma_scale"]])
 
 
-def _compare_eop(result: Result, rows: Rows, file: str) -> list[dict[str, Any]]:
+def _compare_eop(result: Result, truth: Columns, file: str) -> list[dict[str, Any]]:
+    words = result.eop.words
     try:
-        true = {(row["image"], row["parameter"]): float(row["value_per_tau"]) for row in rows}
-    except (KeyError, ValueError) as error:
+        names = zip(truth.words["image"], truth.words["parameter"], strict=True)
+        true = dict(zip(names, truth.figures["value_per_tau"].tolist(), strict=True))
+    except KeyError as error:
         raise InputError.of("report.no_truth", file=file, value=error) from None
     scale = _prior_scale(result, result.eop)
-    estimated, sigma = values(result.eop, "value_per_tau", "sigma").T
+    estimated, sigma = result.eop.numbers("value_per_tau", "sigma").T
     out = []
-    for k, row in enumerate(result.eop):
-        key = (row["image"], row["parameter"])
-        if key not in true and row["parameter"] in _NAMED:
+    for k, key in enumerate(zip(words["image"], words["parameter"], strict=True)):
+        if key not in true and key[1] in _NAMED:
             raise InputError.of("report.other_truth", file=file, value=" ".join(key))
         difference = float(estimated[k] - true.get(key, 0.0))
         predicted = float(sigma[k] * scale[k])
         out.append({
-            "image": row["image"], "parameter": row["parameter"], "unit": row["unit"], "estimated": float(estimated[k]),
+            "image": key[0], "parameter": key[1], "unit": words["unit"][k], "estimated": float(estimated[k]),
             "true": true.get(key, 0.0), "difference": difference, "sigma": predicted,
             "normalised": difference / predicted if predicted > 0.0 else float("nan"),
         })  # fmt: skip
     return out
 
 
-def _compare_points(result: Result, rows: Rows, file: str) -> tuple[dict[str, Any], dict[str, Array]]:
-    known = {row["id"]: k for k, row in enumerate(rows)}
-    missing = [row["id"] for row in result.points if row["id"] not in known]
+def _compare_points(result: Result, truth: Columns, file: str) -> tuple[dict[str, Any], dict[str, Array]]:
+    ids, roles = result.points.words["id"], np.array(result.points.words["role"], dtype=str)
+    known = {name: k for k, name in enumerate(truth.words["id"])}
+    missing = [name for name in ids if name not in known]
     if missing:
         raise InputError.of("report.other_truth", file=file, value=f"point {missing[0]}")
-    geodetic = values(rows, "lon_deg", "lat_deg", "height_m")[[known[row["id"]] for row in result.points]]
-    difference = values(result.points, "x_m", "y_m", "z_m") - geodetic_to_ecef(*geodetic.T)
+    geodetic = truth.numbers("lon_deg", "lat_deg", "height_m")[[known[name] for name in ids]]
+    difference = result.points.numbers("x_m", "y_m", "z_m") - geodetic_to_ecef(*geodetic.T)
     enu = np.einsum("nij,nj->ni", enu_from_ecef(geodetic[:, 0], geodetic[:, 1]), difference)
-    sigma = values(result.points, "sigma_east_m", "sigma_north_m", "sigma_up_m")
+    sigma = result.points.numbers("sigma_east_m", "sigma_north_m", "sigma_up_m")
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = enu / (sigma * _prior_scale(result, result.points)[:, None])
     summary, normalised = {}, {}
-    for role in dict.fromkeys(row["role"] for row in result.points):
-        mask = np.array([row["role"] == role for row in result.points]) & np.isfinite(enu).all(axis=1)
+    for role in dict.fromkeys(result.points.words["role"]):
+        mask = (roles == role) & np.isfinite(enu).all(axis=1)
         rmse = np.sqrt(np.mean(enu[mask] ** 2, axis=0)) if mask.any() else np.full(3, np.nan)
         names = ("rmse_east_m", "rmse_north_m", "rmse_up_m")
         summary[role] = {"n": int(mask.sum()), **{name: float(v) for name, v in zip(names, rmse, strict=True)}}

@@ -125,7 +125,7 @@ def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
 def point_columns(solution: Solution) -> dict[str, Column]:
     """Adjusted coordinates, their standard deviations and the differences at control and check points."""
     points, ground = solution.block.points, solution.ground_m
-    rays = np.bincount(solution.block.observations.point, minlength=len(points.ids))
+    rays: npt.NDArray[np.intp] = np.bincount(solution.block.observations.point, minlength=len(points.ids))
     known = np.asarray(~np.isnan(ground).any(axis=1))
     geodetic = np.full_like(ground, np.nan)
     if solution.block.georeferenced:
@@ -137,7 +137,7 @@ def point_columns(solution: Solution) -> dict[str, Column]:
     for group in (solution.accuracy.control, solution.accuracy.check):
         enu[group.index], ecef[group.index] = group.enu_m, group.ecef_m
         own[group.index] = group.own_sigma_enu_m
-    scales = Named(("", name), np.isfinite(sigma).all(axis=1).astype(np.intp))
+    scales = Named(("", name), np.asarray(np.isfinite(sigma).all(axis=1), np.intp))
     coordinates = np.hstack([lon[:, None], lat[:, None], geodetic[:, 2:], ground, sigma])
     columns: list[Column] = [points.ids, [role.value for role in points.roles], rays, *coordinates.T, scales]
     return dict(zip(POINT_COLUMNS, [*columns, *enu.T, *ecef.T, *own.T], strict=True))
