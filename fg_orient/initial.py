@@ -170,10 +170,9 @@ def ground_points(
     found, spread = nearest_points(centre, direction, observations.point[rows], len(ids))
     start[unknown] = found[unknown]
     behind = _behind(start, centre, direction, observations.point[rows])
-    problems = [_complaint(ids[k], spread[k], bool(behind[k])) for k in np.flatnonzero(unknown)
-                if np.isnan(start[k]).any() or behind[k]]  # fmt: skip
-    if problems:
-        raise InputError(*problems)
+    bad = np.flatnonzero(unknown & (missing_rows(start) | behind))
+    if len(bad):
+        raise InputError(*(_complaint(ids[k], spread[k], bool(behind[k])) for k in bad))
     return start
 
 

@@ -26,6 +26,7 @@ from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.errors import RankDeficientError, problem
+from fg_orient.linear.threads import one_blas_thread
 from fg_orient.names import Role
 from fg_orient.parallel.pool import Execution
 from fg_orient.parallel.solve import solve_in_parts
@@ -143,10 +144,12 @@ def adjust(
 def judge_observability(compiled: Problem, state: State | None = None) -> tuple[ImageObservability, ...]:
     """Singular values of each image's whitened Jacobian at a state (default: the start)."""
     out = []
-    for k, rows in enumerate(rows_by_image(compiled)):
-        _, jacobian, _ = image_rows(compiled, state or compiled.start, k, rows, jacobian=True)
-        model = compiled.models[k]
-        out.append(analyse(compiled.block.images[k].id, jacobian.reshape(2 * len(rows), -1), model))
+    with one_blas_thread():
+        for k, rows in enumerate(rows_by_image(compiled)):
+            _, jacobian, _ = image_rows(compiled, state or compiled.start, k, rows, jacobian=True)
+            model = compiled.models[k]
+            flat = jacobian.reshape(2 * len(rows), len(model.parameters))
+            out.append(analyse(compiled.block.images[k].id, flat, model))
     return tuple(out)
 
 

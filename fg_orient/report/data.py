@@ -25,6 +25,18 @@ WORDS: Final = frozenset((
 ))  # fmt: skip
 
 
+_ENU: Final = ("east_m", "north_m", "up_m")
+#: Tables of a result and the columns that are read of each; all where none is named.
+READ: Final = {
+    "points.csv": (
+        "id", "role", "lon_deg", "lat_deg", "x_m", "y_m", "z_m", "sigma_scale", *(f"sigma_{axis}" for axis in _ENU),
+        *(f"difference_{axis}" for axis in _ENU),
+    ),
+    "residuals.csv": ("image", "id", "v_line_px", "v_sample_px", "sigma_line_px", "sigma_sample_px"),
+    "eop.csv": (),
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Columns:
     """A CSV table of ours: words as text, the rest as numbers, nan for empty cells."""
@@ -78,8 +90,8 @@ def read_result(folder: Path) -> Result:
     try:
         record = json.loads((folder / name).read_text("utf-8"))
         tables = {}
-        for name in ("points.csv", "residuals.csv", "eop.csv"):
-            tables[name] = read_columns(folder / name)
+        for name, columns in READ.items():
+            tables[name] = read_columns(folder / name, *columns)
         name = "iterations.jsonl"
         lines = (folder / name).read_text("utf-8").splitlines()
         iterations = tuple(json.loads(line) for line in lines)
@@ -88,30 +100,50 @@ def read_result(folder: Path) -> Result:
         raise InputError.of("report.damaged", file=folder / name, value=error) from None
 
 
-def read_columns(path: Path) -> Columns:
-    """Read a CSV table of ours; lines that start with # are comments.
+def read_columns(path: Path, *wanted: str) -> Columns:
+    """Read a CSV table of ours, or some columns of it; lines that start with # are comments.
 
     Raises
     ------
     ValueError
-        Rows of different lengths, or a cell that is no number.
+        Rows of different lengths, a cell that is no number, or a column that is not there.
     """
     words: dict[str, list[str]] = {}
     figures: dict[str, list[Array]] = {}
+    length = 0
     with path.open(encoding="utf-8", newline="") as stream:
-        rows = csv.reader(line for line in stream if not line.startswith("#"))
-        names = next(rows, [])
-        for name in names:
-            (words if name in WORDS else figures)[name] = []
-        length = 0
-        while part := list(itertools.islice(rows, CHUNK)):
-            length += len(part)
-            for name, cells in zip(names, zip(*part, strict=True), strict=True):
-                if name in words:
-                    words[name] += cells
+        lines = (line for line in stream if not line.startswith("#"))
+        names = next(csv.reader(lines), [])
+        if missing := set(wanted) - set(names):
+            raise ValueError(f"no column {min(missing)}")
+        chosen = [k for k, name in enumerate(names) if name in wanted or not wanted]
+        while part := list(itertools.islice(lines, CHUNK)):
+            cells = _split(part, len(names))
+            length += len(cells) // len(names)
+            for k in chosen:
+                column = cells[k :: len(names)]
+                if names[k] in WORDS:
+                    words.setdefault(names[k], []).extend(column)
                 else:
-                    figures[name].append(np.array([float(cell) if cell else math.nan for cell in cells]))
+                    numbers = np.array([float(cell) if cell else math.nan for cell in column])
+                    figures.setdefault(names[k], []).append(numbers)
+    for k in chosen:
+        (words if names[k] in WORDS else figures).setdefault(names[k], [])
     return Columns(words, {name: np.concatenate([np.zeros(0), *parts]) for name, parts in figures.items()}, length)
+
+
+def _split(lines: list[str], width: int) -> list[str]:
+    """Cells of lines, one after the other."""
+    text = "".join(lines)
+    if '"' in text:
+        rows = list(csv.reader(lines))
+    elif all(line.count(",") == width - 1 for line in lines):
+        return text.rstrip("\r\n").replace("\r\n", ",").replace("\n", ",").split(",")
+    else:
+        rows = [line.split(",") for line in lines]
+    if any(len(row) != width for row in rows):
+        raise ValueError(f"a line without {width} cells")
+    return [cell for row in rows for cell in row]
 
 
 def residual_summary(result: Result) -> list[dict[str, Any]]:
