@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 
-
 from factors._contract import Argument, Array, Equation, Example, compiled, register
 from factors.frame_camera import (
     CAMERA_SIZE,
@@ -96,8 +95,8 @@ def _row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, 
 def rows(record: Any, c: Any, ground: Any, out: Array, want: bool) -> Any:
     """Whitened residual (a pair), and a number that is 0 if all is finite; derivatives into ``out`` if wanted.
 
-    ``c`` is the camera, an array or a tuple; ``out`` (2, 17) takes the whitened derivatives with respect to the 14 unknowns in physical
-    units and to the ground point.
+    ``c`` is the camera, an array or a tuple; ``out`` (2, 17) takes the whitened derivatives with respect to the
+    14 unknowns in physical units and to the ground point.
     """
     x, y, inverse = direction(c, ground[0], ground[1], ground[2])
     line, sample = pixel(c, x, y)

@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
-Datum = Literal["control", "priors"]
+Datum = Literal["control", "priors", "free"]
 
 #: Bounds of options, both ends included; the project file's schema takes them from here.
 EOP_SET_RANGE: Final = (1, 20)
@@ -51,6 +51,7 @@ EXPECTED: Final = {
     "loss": 'the name of a robust loss in quotes; "none" for least squares',
     "gnc": "true or false",
     "inlier_probability": "a number above 0 and below 1",
+    "memory_limit_gb": "a number above zero in GB (1e9 bytes); leave it out for 80 % of what is available",
     "max_iterations": f"a whole number from {ITERATION_RANGE[0]} to {ITERATION_RANGE[1]}",
     "check_points": " or ".join(f'"{word}"' for word in get_args(CheckPoints)),
 }
@@ -247,7 +248,8 @@ class Options:
         ten pixels of shift and by a pixel or less in the other terms.
     datum : str
         "control": control points hold the block in the world, a block without any is refused; "priors": a
-        relative adjustment, the priors hold it where no control point does.
+        relative adjustment, the priors hold it where no control point does; "free": nothing need hold it, the block
+        stays near its start values (all steps are damped) and has no covariance.
     small_angle : bool
         True linearises the attitude rotation in its angles, as the publications do; False keeps it exact.
     backend : str
@@ -270,6 +272,8 @@ class Options:
         Give up after so many, 1 to 10000.
     check_points : str
         "use": their rays take part; "exclude": left out, intersected afterwards.
+    memory_limit_gb : float or None
+        A run that needs more, in 1e9 bytes, is refused; None = 80 % of the available memory.
 
     Raises
     ------
@@ -297,6 +301,7 @@ class Options:
     inlier_probability: float = 0.99
     max_iterations: int = 50
     check_points: CheckPoints = "use"
+    memory_limit_gb: float | None = None
 
     def __post_init__(self) -> None:
         problems: list[Problem] = []
@@ -317,6 +322,8 @@ def _allowed(name: str, value: Any) -> bool:
             return value is None or _whole(value, LOOK_DEGREE_RANGE)
         case "solver":
             return value is None or (isinstance(value, str) and bool(value))
+        case "memory_limit_gb":
+            return value is None or _positive(value)
         case "max_iterations":
             return _whole(value, ITERATION_RANGE)
         case "loss":

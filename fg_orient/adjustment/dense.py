@@ -178,10 +178,13 @@ class DenseSystem:
         Name in the registry of linear solvers.
     excess : float
         By how much the cost under a loss exceeds half the squares of the weighted residuals.
+    least : float
+        Damping that no step goes without (``Problem.least_damping``).
     """
 
-    def __init__(self, residual: Array, design: Array, solver: str, excess: float = 0.0) -> None:
+    def __init__(self, residual: Array, design: Array, solver: str, excess: float = 0.0, least: float = 0.0) -> None:
         self.residual, self.design, self._solver, self._excess = residual, design, solver, excess
+        self._least = least
         self.error = excess + 0.5 * float(residual @ residual)
 
     def solve(self, damping: float) -> DenseStep:
@@ -192,7 +195,7 @@ class DenseSystem:
         Breakdown
             The solver cannot go on.
         """
-        design, observed = self.design, -self.residual
+        design, observed, damping = self.design, -self.residual, max(damping, self._least)
         if damping > 0.0:
             u = design.shape[1]
             design = np.vstack([design, np.sqrt(damping) * np.eye(u)])
@@ -250,10 +253,11 @@ class DenseBackend:
     def linearise(self, state: State) -> DenseSystem:
         """Linearise at a state."""
         residual, design = assemble(self.problem, state)
+        least = self.problem.least_damping
         if self.robust is None:
-            return DenseSystem(residual, design, self.solver)
+            return DenseSystem(residual, design, self.solver, least=least)
         root, excess = self._weights(self.robust, residual, state)
-        return DenseSystem(residual * root, design * root[:, None], self.solver, excess)
+        return DenseSystem(residual * root, design * root[:, None], self.solver, excess, least)
 
     def error(self, state: State) -> float:
         """Half the weighted sum of squares, or the cost under the loss."""

@@ -167,6 +167,7 @@ class SchurSystem:
         RuntimeError
             The normal equations are singular.
         """
+        damping = max(damping, self._backend.problem.least_damping)
         if damping == 0.0 and self._newton is not None:
             return self._newton
         blocks, gradient = self.partial(damping)

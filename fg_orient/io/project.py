@@ -39,7 +39,7 @@ _TABLE_OF = {
     "backend": "adjustment", "solver": "adjustment",
     "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment",
     "loss": "adjustment", "gnc": "adjustment", "inlier_probability": "adjustment",
-    "points_seen_once": "adjustment",
+    "points_seen_once": "adjustment", "memory_limit_gb": "adjustment",
 }  # fmt: skip
 
 
@@ -53,7 +53,7 @@ def read_project(path: str | Path, **overrides: object) -> Block:
     **overrides
         Options that replace those of the file: ``eop_set``, ``look_polynomial``,
         ``priors``, ``backend``, ``solver``, ``optimizer``, ``max_iterations``,
-        ``check_points``, ``points_seen_once``, ``small_angle``, ``rpc_compensation``, ``datum``,
+        ``check_points``, ``points_seen_once``, ``small_angle``, ``rpc_compensation``, ``datum``, ``memory_limit_gb``,
         ``loss``, ``gnc``, ``inlier_probability`` and the
         prior sigmas. None keeps the file's.
 
@@ -93,7 +93,9 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     points, observations = tables.points, tables.observations
     known = tuple(image for image in images.values() if image is not None)
     drop = project.adjustment.points_seen_once == "drop"
-    ready = assemble([image.id for image in known], points, observations, drop=drop, relative=options.datum == "priors")
+    ready = assemble(
+        [image.id for image in known], points, observations, drop=drop, relative=options.datum != "control"
+    )
     if ready.problems:
         raise InputError(*ready.problems)
     geometry = geometry_remarks(known, ready.points, ready.observations, str(points.path))

@@ -23,6 +23,18 @@ FRAME: Final = {
         "the image stands in a local coordinate system: there is no height above the ellipsoid to locate at",
         "intersect the point from two images, or give the camera in Earth-fixed coordinates",
     ),
+    "bal.unreadable": ("the bundle file cannot be read", "give a text file, plain or compressed by gzip or bzip2"),
+    "bal.header": (
+        "a bundle file begins with three counts: cameras, points, observations",
+        "check that this is a file of Bundle Adjustment in the Large",
+    ),
+    "bal.count": (
+        "the counts of the first line ask for {expected} numbers in all",
+        "the file is truncated or damaged: copy it again",
+    ),
+    "bal.number": ("this is no finite number", "the file is damaged: copy it again"),
+    "bal.index": ("no such camera or point", "cameras and points are counted from 0, here to {last}"),
+    "bal.focal": ("the focal length is not above zero", "the file is damaged, or of another camera model"),
     "frame.mixed": (
         "images in a local coordinate system and Earth-fixed ones cannot stand in one block",
         "transform them to one system",

@@ -1,0 +1,208 @@
+"""Files of "Bundle Adjustment in the Large" (Agarwal et al. 2010): frame images, tie points, start values; no control.
+
+A file is text, plain or compressed by gzip or bzip2: number of cameras, points and observations; one observation per
+line (camera, point, x, y); nine numbers per camera (rotation vector, translation, f, k1, k2), three per point. Cameras
+look along -Z, x runs right and y up from the middle of the image (Snavely et al. 2006). Here samples are x and lines
+-y, still counted from the middle; the projection centre is ``-R^T t``.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import hashlib
+import math
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import frame_camera
+from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, Source, WithheldCoordinates
+from fg_orient.errors import InputError
+from fg_orient.names import Role
+from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
+
+Array = npt.NDArray[np.float64]
+
+N_CAMERA: Final = 9
+#: Sigma of an image coordinate: the cost of the block is then that of the literature, in px^2.
+SIGMA_PX: Final = 1.0
+#: Scale of the unknowns, for the length of steps: there are no priors. Angles in rad; f as a share of its size.
+SIGMA_RAD: Final = 1e-2
+SIGMA_FOCAL: Final = 1e-2
+SIGMA_DISTORTION: Final = 1e-2
+#: The same for projection centres, as a share of their scatter.
+SIGMA_CENTRE: Final = 1e-2
+#: More than this of anything is no bundle of this world, but a damaged file.
+LARGEST: Final = 10**9
+
+
+@dataclass(frozen=True, eq=False)
+class BalData:
+    """What a file holds, in its own conventions.
+
+    Parameters
+    ----------
+    camera, point : (n,) int arrays
+    xy : (n, 2) array, px
+    cameras : (M, 9) array
+        Rotation vector (rad), translation, f (px), k1, k2.
+    points : (N, 3) array
+    """
+
+    camera: npt.NDArray[np.intp]
+    point: npt.NDArray[np.intp]
+    xy: Array
+    cameras: Array
+    points: Array
+
+
+def read_bal(path: str | Path) -> Block:
+    """Read a file as a block in a local system, with the options to adjust it as the literature does.
+
+    There are no priors and the datum is free; Levenberg-Marquardt; sigma 1 px. Points measured once are left out:
+    nothing determines them.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is truncated or damaged: with the line of the first fault.
+    """
+    raw = _read(Path(path))
+    data = _parse(raw, Path(path).name)
+    source = Source(str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest())
+    return bal_block(data, Path(path).name, (source,))
+
+
+def read_bal_data(path: str | Path) -> BalData:
+    """Read a file into arrays, as it stands.
+
+    Raises
+    ------
+    InputError
+        See :func:`read_bal`.
+    """
+    return _parse(_read(Path(path)), Path(path).name)
+
+
+def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = ()) -> Block:
+    """Make the block of a file's numbers; see :func:`read_bal`."""
+    count = np.bincount(data.point, minlength=len(data.points))
+    rows = count[data.point] >= 2
+    x, y = data.xy[rows].T
+    sigma = np.full(len(x), SIGMA_PX)
+    observations = ImagePoints(data.camera[rows], data.point[rows], -y, x, sigma, sigma)
+    half = math.ceil(float(np.abs(data.xy).max(initial=0.0)))
+    images = tuple(
+        Image(str(k), FrameSensor(
+            camera, 2 * half + 1, 2 * half + 1, first_line=-half, first_sample=-half, georeferenced=False, file=name,
+        ))
+        for k, camera in enumerate(cameras_of(data))
+    )  # fmt: skip
+    n = len(data.points)
+    known = Coordinates(data.points, np.full((n, 3), np.nan), np.zeros(n, bool))
+    points = GroundPoints(tuple(map(str, range(n))), (Role.TIE,) * n, known)
+    nothing = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)))
+    options = Options(datum="free", priors=False, optimizer="levenberg-marquardt", max_iterations=500)
+    dropped = len(data.xy) - len(observations)
+    notes = (f"{dropped} point(s) measured once are left out",) if dropped else ()
+    return Block(name, images, points, observations, nothing, options, sources, notes)
+
+
+def cameras_of(data: BalData) -> list[FrameCamera]:
+    """The cameras of a file as those of ``fg_orient.sensors.frame``."""
+    rotations, centres = np.empty((len(data.cameras), 3, 3)), np.empty((len(data.cameras), 3))
+    for k, row in enumerate(data.cameras):
+        turned = np.empty(frame_camera.CAMERA_SIZE)
+        frame_camera.turned(row, np.eye(3).ravel(), turned)
+        theirs = turned[:9].reshape(3, 3)
+        rotations[k], centres[k] = HALF_TURN @ theirs, -theirs.T @ row[3:6]
+    scatter = SIGMA_CENTRE * max(float(centres.std(axis=0).max()), 1e-3)
+    shared = dict.fromkeys(("rotation_x", "rotation_y", "rotation_z"), SIGMA_RAD)
+    shared |= dict.fromkeys(("centre_x", "centre_y", "centre_z"), scatter)
+    shared |= dict.fromkeys(("k1", "k2"), SIGMA_DISTORTION)
+    return [
+        FrameCamera(
+            rotation, centre, row[6], distortion=np.array([row[7], row[8], 0.0, 0.0, 0.0]),
+            sigma=shared | {"focal": SIGMA_FOCAL * row[6]},
+        )
+        for rotation, centre, row in zip(rotations, centres, data.cameras, strict=True)
+    ]  # fmt: skip
+
+
+def _read(path: Path) -> bytes:
+    """Content of a file, decompressed; its first bytes tell how."""
+    try:
+        raw = path.read_bytes()
+        if raw[:2] == b"\x1f\x8b":
+            return gzip.decompress(raw)
+        return bz2.decompress(raw) if raw[:3] == b"BZh" else raw
+    except (OSError, EOFError, ValueError, zlib.error) as error:
+        raise InputError.of("bal.unreadable", file=path.name, value=error) from None
+
+
+def _parse(raw: bytes, file: str) -> BalData:
+    """Numbers of a file; on any fault the line is looked for."""
+    tokens = raw.split()
+    try:
+        n_cameras, n_points, n = (int(token) for token in tokens[:3])
+    except ValueError:
+        raise InputError.of("bal.header", file=file, place="line 1", value=_shown(raw)) from None
+    if not (0 < n_cameras <= LARGEST and 0 < n_points <= LARGEST and 0 < n <= LARGEST):
+        raise InputError.of("bal.header", file=file, place="line 1", value=f"{n_cameras} {n_points} {n}")
+    expected = 3 + 4 * n + N_CAMERA * n_cameras + 3 * n_points
+    if len(tokens) != expected:
+        place = f"line {raw.count(10) + 1}"
+        raise InputError.of("bal.count", file=file, place=place, value=f"{len(tokens)} numbers", expected=expected)
+    try:
+        values = np.array(tokens[3:], dtype=np.float64)
+    except ValueError:
+        _refuse(raw, file, next(k for k in range(3, expected) if not _is_number(tokens[k])), "bal.number")
+    if not np.isfinite(values).all():
+        _refuse(raw, file, 3 + int(np.flatnonzero(~np.isfinite(values))[0]), "bal.number")
+    observed = values[: 4 * n].reshape(n, 4)
+    limits = np.array([n_cameras, n_points])
+    bad = np.argwhere((observed[:, :2] < 0) | (observed[:, :2] >= limits) | (observed[:, :2] % 1 != 0))
+    if len(bad):
+        _refuse(raw, file, 3 + 4 * int(bad[0, 0]) + int(bad[0, 1]), "bal.index", last=int(limits[bad[0, 1]]) - 1)
+    cameras = values[4 * n : 4 * n + N_CAMERA * n_cameras].reshape(-1, N_CAMERA)
+    short = np.flatnonzero(cameras[:, 6] <= 0.0)
+    if len(short):
+        _refuse(raw, file, 3 + 4 * n + N_CAMERA * int(short[0]) + 6, "bal.focal")
+    index = observed[:, :2].astype(np.intp)
+    points = values[-3 * n_points :].reshape(-1, 3).copy()
+    return BalData(index[:, 0], index[:, 1], observed[:, 2:].copy(), cameras.copy(), points)
+
+
+def _is_number(token: bytes) -> bool:
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return True
+
+
+def _refuse(raw: bytes, file: str, wrong: int, code: str, **fields: object) -> NoReturn:
+    """Refuse a number by its place among all, with its line.
+
+    Raises
+    ------
+    InputError
+        Always.
+    """
+    seen = 0
+    for line, text in enumerate(raw.split(b"\n"), start=1):
+        parts = text.split()
+        if wrong < seen + len(parts):
+            raise InputError.of(code, file=file, place=f"line {line}", value=_shown(parts[wrong - seen]), **fields)
+        seen += len(parts)
+    raise AssertionError("the number stands in the file")
+
+
+def _shown(raw: bytes) -> str:
+    """First line of some bytes as text."""
+    return raw.split(b"\n", 1)[0][:60].decode("ascii", "replace")
