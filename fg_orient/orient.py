@@ -20,6 +20,7 @@ from fg_orient import initial
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.located import LocatedPoint, locate_point
 from fg_orient.adjustment.loop import Callback
+from fg_orient.adjustment.memory import require_memory
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.rows import image_rows, rows_by_image
@@ -55,6 +56,7 @@ def adjust(
     check_points: str | None = None,
     rpc_compensation: str | None = None,
     datum: str | None = None,
+    memory_limit_gb: float | None = None,
     loss: str | None = None,
     gnc: bool | None = None,
     inlier_probability: float | None = None,
@@ -84,6 +86,8 @@ def adjust(
         Unknowns of RPC images: "shift", "shift_drift" or "affine".
     datum : str, optional
         "priors" adjusts a block without control points, relatively; "free" does so without priors.
+    memory_limit_gb : float, optional
+        Refuse a run that needs more memory; default: 80 % of what is available.
     parts : int, optional
         Adjust in so many parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``:
         by the size of the block. The numbers are the same for any workers.
@@ -117,15 +121,16 @@ def adjust(
         "eop_set": None if eop_set is None else eop_set_number(eop_set),
         "look_polynomial": look_polynomial, "priors": priors, "backend": backend, "solver": solver,
         "optimizer": optimizer, "max_iterations": max_iterations, "check_points": check_points,
-        "rpc_compensation": rpc_compensation, "datum": datum,
+        "rpc_compensation": rpc_compensation, "datum": datum, "memory_limit_gb": memory_limit_gb,
         "loss": loss, "gnc": gnc, "inlier_probability": inlier_probability,
     }  # fmt: skip
-    options = replace(block.options, **{k: v for k, v in given.items() if v is not None})
+    block = replace(block, options=replace(block.options, **{k: v for k, v in given.items() if v is not None}))
+    memory = require_memory(block, parts or 1)
     jit_s = compile_kernels()
     start = time.perf_counter()
     tell = stage or (lambda name, count: None)
     tell("structure", len(block.observations))
-    compiled = compile_problem(replace(block, options=options))
+    compiled = compile_problem(block)
     observability = judge_observability(compiled)
     block_view = refuse_deficient(compiled, observability)
     structure = time.perf_counter() - start
@@ -138,7 +143,7 @@ def adjust(
         estimate = solve_in_parts(compiled, execution, callback, checkpoint)
     tell("statistics", len(compiled.observations))
     solution = conclude(compiled, observability, block_view, estimate, structure)
-    return replace(solution, seconds=replace(solution.seconds, jit=jit_s))
+    return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=jit_s))
 
 
 def judge_observability(compiled: Problem, state: State | None = None) -> tuple[ImageObservability, ...]:

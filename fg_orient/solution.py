@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.adjustment.memory import Need
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Weights
 from fg_orient.block import Block
@@ -74,6 +75,8 @@ class Solution:
         Control and check points against their measured coordinates.
     backend, solver : str
         Which backend solved; the linear solver of the dense one, "" otherwise.
+    memory : Need or None
+        What the run was expected to need, and what it was allowed.
     cofactors : Cofactors or None
         None where the covariance cannot be computed; ``withheld`` says why. Under a loss they are those of least
         squares with the weights at the solution.
@@ -103,6 +106,7 @@ class Solution:
     withheld: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     block_view: BlockObservability | None = None
+    memory: Need | None = None
     seconds: Seconds = field(default_factory=Seconds)
     weights: Weights | None = None
     resumed_at: int = 0

@@ -69,6 +69,10 @@ def adjust(
     work_dir: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the parts, seen by all workers of the cluster.")
     ] = None,
+    memory_limit_gb: Annotated[
+        float | None,
+        typer.Option(metavar="GB", help="Refuse a run that needs more memory; default: 80 % of what is available."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Result folder; default: result, beside the project file.")
     ] = None,
@@ -96,16 +100,18 @@ def adjust(
         "backend": backend, "solver": solver, "eop_set": eop_set, "look_polynomial": look_polynomial,
         "priors": False if no_priors else None, "optimizer": optimizer, "max_iterations": max_iterations,
         "check_points": check_points, "rpc_compensation": rpc_compensation, "datum": datum,
-        "loss": loss, "gnc": gnc or None, "inlier_probability": inlier_probability,
+        "memory_limit_gb": memory_limit_gb, "loss": loss, "gnc": gnc or None, "inlier_probability": inlier_probability,
     }  # fmt: skip
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     with outcome(as_json, debug):
         if not project.is_file():
             raise InputError.of("project.missing_file", file=project, folder="the current folder")
         _load()
-        from fg_orient.run import run_project
+        from fg_orient.run import checkpoint_path, run_project
 
         target = out or project.parent / "result"
+        if resume and not checkpoint_path(target).exists():
+            note(f"no checkpoint {checkpoint_path(target).name} to resume: starting from the beginning")
         named = {**options, **execution, "scheduler": scheduler, "checkpoint_every": checkpoint_every}
         with _named_as_typed(named), progress(quiet or as_json) as watch:
             record = run_project(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fg_orient.cli.common import Debug, Json, emit, note, outcome, say, table
 from fg_orient.errors import FgOrientError, InputError
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.memory import Need
+    from fg_orient.block import Block
 
 
 def validate(
@@ -18,22 +22,35 @@ def validate(
 ) -> None:
     """Check a project and all its files: errors (exit code 2) and remarks."""
     with outcome(as_json, debug):
-        from fg_orient.io.validate import is_remark, validate_project
+        from fg_orient.io.validate import checked_project, is_remark
 
-        found = validate_project(project)
+        block, found = checked_project(project)
+        need = None if block is None else _memory(block)
+        if block is not None and need is not None and not need.fits:
+            found.append(need.problem(block.name))
         errors = [p for p in found if not is_remark(p)]
         remarks = [p for p in found if is_remark(p)]
         if as_json:
-            emit({"errors": [p.as_dict() for p in errors], "remarks": [p.as_dict() for p in remarks]})
+            emit({"errors": [p.as_dict() for p in errors], "remarks": [p.as_dict() for p in remarks],
+                  "memory": None if need is None else need.as_dict()})  # fmt: skip
         for p in errors:
             note(f"error: {p}")
         if not as_json:
             for p in remarks:
                 say(f"remark: {p}")
+            if need is not None:
+                limit = "" if need.allowed is None else f" of {need.allowed / 1e9:.3g} GB allowed"
+                say(f"memory: about {need.needed / 1e9:.2g} GB{limit}, backend {need.backend}")
             if not errors:
                 say("no errors")
         if errors:
             raise typer.Exit(InputError.exit_code)
+
+
+def _memory(block: Block) -> Need:
+    from fg_orient.adjustment.memory import need_of
+
+    return need_of(block)
 
 
 def doctor(as_json: Json = False, debug: Debug = False) -> None:

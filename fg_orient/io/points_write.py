@@ -24,7 +24,7 @@ from fg_orient.names import Role
 Array = npt.NDArray[np.float64]
 
 _ADJUSTMENT: Final = ("backend", "solver", "optimizer", "loss", "gnc", "inlier_probability", "max_iterations",
-                      "check_points", "datum")  # fmt: skip
+                      "check_points", "datum", "memory_limit_gb")  # fmt: skip
 
 
 def write_points(

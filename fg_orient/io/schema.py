@@ -90,6 +90,7 @@ class Adjustment(_Table):
     )
     check_points: CheckPoints = Field(default=Options.check_points, description=EXPECTED["check_points"])
     datum: Datum = Field(default=Options.datum, description=EXPECTED["datum"])
+    memory_limit_gb: Positive | None = Field(default=Options.memory_limit_gb, description=EXPECTED["memory_limit_gb"])
     points_seen_once: Literal["error", "drop"] = Field(default="error", description='"error" or "drop"')
 
 

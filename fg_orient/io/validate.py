@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fg_orient.block import Block
 from fg_orient.errors import InputError, Problem
 from fg_orient.io.project import read_project_with_remarks
 
@@ -14,6 +15,11 @@ def is_remark(found: Problem) -> bool:
 
 
 def validate_project(path: str | Path, **overrides: object) -> list[Problem]:
+    """Read a project with all its files and list what is found; see :func:`checked_project`."""
+    return checked_project(path, **overrides)[1]
+
+
+def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None, list[Problem]]:
     """Read a project with all its files and list what is found.
 
     Parameters
@@ -25,12 +31,14 @@ def validate_project(path: str | Path, **overrides: object) -> list[Problem]:
 
     Returns
     -------
-    list of Problem
+    block : Block or None
+        None with errors.
+    problems : list of Problem
         Either errors, with which ``adjust`` would refuse the project, or remarks
         (:func:`is_remark`); empty if all is well.
     """
     try:
-        _, remarks = read_project_with_remarks(path, **overrides)
+        block, remarks = read_project_with_remarks(path, **overrides)
     except InputError as error:
-        return list(error.problems)
-    return list(remarks)
+        return None, list(error.problems)
+    return block, list(remarks)

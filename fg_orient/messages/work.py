@@ -29,6 +29,11 @@ ADJUST: Final = {
         "give one per sensor, None where the metadata orientation is meant",
     ),
     "initial.behind": ("its rays meet behind a sensor", "check the point's identity in every image"),
+    "adjust.memory": (
+        "the adjustment needs more memory than it may take, which is {allowed}",
+        "choose backend schur, adjust in parts on several machines (docs/parallel.md), take a machine with more memory, "
+        "or raise --memory-limit-gb",
+    ),
     "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
     "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
     "adjust.no_model": (
@@ -57,7 +62,7 @@ ADJUST: Final = {
     ),
     "adjust.loss": ("there is no such robust loss", "choose one of {known}"),
     "adjust.gnc": (
-        "graduated non-convexity leads to a bounded loss; the loss is {value}",
+        "graduated non-convexity leads to a bounded loss",
         "choose one of {known}, or leave gnc out",
     ),
     "adjust.native_loss": (

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 #: Rows whose text is held at once.
-CHUNK: Final = 100_000
+CHUNK: Final = 20_000
 _QUOTED: Final = re.compile('[,"\r\n]')
 
 Index = npt.NDArray[np.intp]

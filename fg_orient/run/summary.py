@@ -69,6 +69,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "robust": _robust(solution),
         "resumed_at_iteration": solution.resumed_at or None,
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
+        "memory": None if solution.memory is None else solution.memory.as_dict(),
         "suspicious_observations": _suspicious(solution),
         **_parallax(solution),
     }

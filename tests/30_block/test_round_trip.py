@@ -77,7 +77,7 @@ OPTIONS = [
         velocity_sigma_m_s=(1.0, 2.0, 3.0), attitude_sigma_rad=(1e-6, 1e-9, 1e-12),
         look_sigma_rad=3e-5, small_angle=True, backend="dense", solver="cholesky_elimination",
         optimizer="dogleg", max_iterations=7, check_points="exclude", datum="priors", rpc_compensation="affine",
-        rpc_shift_sigma_px=3.5, rpc_linear_sigma_px=0.25,
+        rpc_shift_sigma_px=3.5, rpc_linear_sigma_px=0.25, memory_limit_gb=1.5,
     ),
 ]  # fmt: skip
 

@@ -1,0 +1,162 @@
+"""Memory an adjustment will need, told before anything is allocated, and the memory there is.
+
+The estimate counts the arrays of the problem, of the backend and of what follows; a run above the limit is refused
+with both figures. Constants per image point are measured (docs/performance.md); the arrays of the dense backend and
+the reduced matrix are counted. The block itself is there already.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from factors import pushbroom
+from fg_orient.adjustment.models.contract import image_models
+from fg_orient.adjustment.schur_cofactors import WHOLE_LIMIT
+from fg_orient.adjustment.solve import SCHUR_FROM
+from fg_orient.block import Block
+from fg_orient.errors import InputError, Problem, problem
+from fg_orient.names import Role
+
+#: Share of the available memory that a run may take unless told otherwise.
+SHARE: Final = 0.8
+#: Bytes per image point: arrays of the Schur backend; factors, values, linear graph and Bayes tree of GTSAM; start
+#: values and results (cofactors, tables, report).
+SCHUR: Final = 300
+GRAPH: Final = 13_000
+RESULTS: Final = 400
+#: Numbers per ground point in problem, state and results.
+PER_POINT: Final = 60
+GB: Final = 1e9
+_MEMINFO: Final = Path("/proc/meminfo")
+_GROUPS: Final = Path("/sys/fs/cgroup")
+
+
+@dataclass(frozen=True)
+class Need:
+    """Estimated bytes of an adjustment, the backend it is for, and what it may take (None: not known)."""
+
+    backend: str
+    needed: int
+    allowed: int | None
+
+    @property
+    def fits(self) -> bool:
+        """Whether the run may start."""
+        return self.allowed is None or self.needed <= self.allowed
+
+    def as_dict(self) -> dict[str, object]:
+        """The record of ``--json``."""
+        return {"backend": self.backend, "needed_bytes": self.needed, "allowed_bytes": self.allowed}
+
+    def problem(self, name: str) -> Problem:
+        """What is said of a block of this name when it does not fit."""
+        return problem(
+            "adjust.memory", file=name, place=f"backend {self.backend}", value=f"{self.needed / GB:.3g} GB",
+            allowed=f"{(self.allowed or 0) / GB:.3g} GB",
+        )  # fmt: skip
+
+
+def need_of(block: Block, parts: int = 1) -> Need:
+    """Estimate what the adjustment of a block needs beside the block itself.
+
+    Parameters
+    ----------
+    block : Block
+        With the options of the run.
+    parts : int
+        Parts that the points are adjusted in; the backend holds one at a time.
+
+    Raises
+    ------
+    InputError
+        An image whose sensor has no model.
+    """
+    options = block.options
+    sizes = [len(model.parameters) for model in image_models(block.images, options)]
+    n, u = len(block.observations), sum(sizes)
+    records = 8 * pushbroom.RECORD_SIZE
+    common = n * (2 * records + 48) + len(block.points.ids) * 8 * PER_POINT
+    backend = options.backend
+    if backend == "auto":
+        free = options.priors or options.datum == "free"
+        backend = "schur" if n >= SCHUR_FROM and free and not block.extra else "graph"
+    working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes), max(parts, 1))
+    return Need(backend, int(common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
+
+
+def _schur(block: Block, n: int, u: int, widest: int, parts: int) -> float:
+    """Working set, reduced matrix with factor and inverse, blocks of pairs of images."""
+    images = len(block.images)
+    whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0
+    return n * SCHUR / parts + whole + 2 * 8 * widest**2 * images * (images + 1) / 2
+
+
+def _graph(block: Block, n: int, u: int, widest: int, parts: int) -> float:
+    """All that GTSAM holds; joint cofactors of the images."""
+    return n * GRAPH + 2 * 8 * u**2
+
+
+def _dense(block: Block, n: int, u: int, widest: int, parts: int) -> float:
+    """Jacobian, its scaled copy and its factorisation; cofactors."""
+    points = block.points
+    fixed = int(points.known.fixed.sum())
+    unknowns = u + 3 * (len(points.ids) - fixed)
+    rows = 2 * n + 3 * (len(points.where(Role.CONTROL)) - fixed) + (u if block.options.priors else 0)
+    return 8 * (3 * rows * unknowns + 2 * unknowns**2)
+
+
+def require_memory(block: Block, parts: int = 1) -> Need:
+    """Give the need of a block, if the run may take it.
+
+    Raises
+    ------
+    InputError
+        It is above the limit.
+    """
+    need = need_of(block, parts)
+    if not need.fits:
+        raise InputError(need.problem(block.name))
+    return need
+
+
+def allowed_bytes(limit_gb: float | None) -> int | None:
+    """The limit given, or 80 % of what is available; None where the system does not tell."""
+    if limit_gb is not None:
+        return int(limit_gb * GB)
+    available = available_bytes()
+    return None if available is None else int(SHARE * available)
+
+
+def available_bytes() -> int | None:
+    """Memory that this process can still get: of the system, and of its control group."""
+    known = [*_of_system(), *_of_group()]
+    return min(known) if known else None
+
+
+def _of_system() -> Iterator[int]:
+    """``MemAvailable``; elsewhere the free pages."""
+    try:
+        rows = dict(line.split(":", 1) for line in _MEMINFO.read_text("ascii").splitlines() if ":" in line)
+        yield 1024 * int(rows["MemAvailable"].split()[0])
+    except (OSError, KeyError, ValueError):
+        names = getattr(os, "sysconf_names", {})
+        if "SC_AVPHYS_PAGES" in names and "SC_PAGE_SIZE" in names:
+            yield os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def _of_group() -> Iterator[int]:
+    """What control groups leave, versions 2 and 1; a group without a limit has a word or a huge number."""
+    pairs = (("memory.max", "memory.current"), ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"))
+    for limit, usage in pairs:
+        try:
+            most, used = (int((_GROUPS / name).read_text("ascii")) for name in (limit, usage))
+        except (OSError, ValueError):
+            continue
+        if most < np.iinfo(np.int64).max // 2:
+            yield max(most - used, 0)
