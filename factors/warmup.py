@@ -14,6 +14,7 @@ from factors import (
     batch,
     batch_pairs,
     batch_points,
+    batch_weights,
     ellipsoid,
     ephemeris,
     frame,
@@ -96,6 +97,7 @@ def _compile_batches() -> None:
                               gradient)  # fmt: skip
     rays = (ends[:2], one, components, basis)
     batch_points.back_substitute(0, 1, first, *rays, wide, value, d_image, d_ground, root, gradient, step, value)
+    batch_weights.scale_rows(0, 2, np.ones(2), value, d_image, d_ground)
     batch_points.product(0, 1, first, one[:1], *rays, wide, d_image, d_ground, step, value)
     batch_pairs.count_pairs(first, ends[:2], one[:1])
     batch_pairs.list_pairs(first, ends[:2], zero[:1], left, right)

@@ -1,0 +1,40 @@
+"""Blocks with gross errors, small enough for all three backends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.block import Block, ImagePoints
+from fg_orient.simulate.block import BlockOptions, grid_block
+
+
+@lru_cache
+def clean_block(rows: int, columns: int, points: int) -> Block:
+    return grid_block(BlockOptions(rows=rows, columns=columns, points=points, seed=5))[0]
+
+
+def with_options(block: Block, **options: object) -> Block:
+    return replace(block, options=replace(block.options, **options))
+
+
+def moved_rays(block: Block, rows: npt.NDArray[np.intp], seed: int, size_px: tuple[float, float]) -> Block:
+    """The block with gross errors in the image points of these rows, in line and in sample."""
+    rng, o = np.random.default_rng(seed), block.observations
+    line, sample = o.line.copy(), o.sample.copy()
+    for column in (line, sample):
+        column[rows] += rng.choice([-1.0, 1.0], len(rows)) * rng.uniform(*size_px, len(rows))
+    moved = ImagePoints(o.image, o.point, line, sample, o.sigma_line_px, o.sigma_sample_px)
+    return replace(block, observations=moved)
+
+
+def spoiled_block(share: float, size_px: tuple[float, float]) -> tuple[Block, npt.NDArray[np.intp]]:
+    """A block of six images, and the spoiled rays: a share of those of points seen four times or more."""
+    block = clean_block(2, 3, 90)
+    rays = np.bincount(block.observations.point)
+    candidates = np.flatnonzero(rays[block.observations.point] >= 4)
+    chosen = np.random.default_rng(1).choice(candidates, round(share * len(candidates)), replace=False)
+    return moved_rays(block, np.sort(chosen), 2, size_px), np.sort(chosen)
