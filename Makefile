@@ -49,9 +49,10 @@ docs: $(STAMP)  ## build the documentation into docs/_build/html, warnings are e
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
 	@echo "documentation: $(CURDIR)/docs/_build/html/index.html"
 
-bench: $(STAMP)  ## time the graph and Schur backends and RPC projection; BLAS at one thread
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/graph_cost.py $(ARGS)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/schur_cost.py
+bench: $(STAMP)  ## time our backends against other software (ARGS="--full": hours), factors, RPC projection
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[bench]"
+	$(BIN)/python -m benchmarks.fast_path $(ARGS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/graph_cost.py
 	OMP_NUM_THREADS=1 GDAL_NUM_THREADS=1 $(BIN)/python benchmarks/rpc_projection.py
 
 clean:  ## remove the environment and everything generated

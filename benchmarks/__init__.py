@@ -1,0 +1,1 @@
+"""Benchmarks of fg_orient against other software; run from the repository's folder (``make bench``)."""

@@ -1,0 +1,212 @@
+"""Our backends against other software, in one run: raw records as JSON, one table.
+
+    python -m benchmarks.fast_path [--full] [--sizes 94 1e3 ...] [--repeats N] [--no-peers] [--json FILE] [--page]
+
+Without --full sizes up to 1e5, three repeats and the peers that end within seconds: some minutes. With --full all
+sizes, seven repeats and all peers: hours; it writes benchmarks/results/fast_path.json and docs/performance.md. All
+entries run once in each round, BLAS has one thread, what compiles is called before and reported apart.
+``FG_ORIENT_REAL_DATA`` names the folder with bal/problem-49-7776-pre.txt.gz, timed by --full as well.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+if os.environ.get("OPENBLAS_NUM_THREADS") != "1" or os.environ.get("OMP_NUM_THREADS") != "1":
+    # read when numpy is loaded, so it cannot be set here for this process
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    os.execv(sys.executable, [sys.executable, "-m", "benchmarks.fast_path", *sys.argv[1:]])
+
+import argparse
+import importlib.metadata
+import json
+import platform
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks import cases, memory, own, peers_ceres, peers_pinhole, peers_scipy, pinhole
+from benchmarks.entries import Entry, Outcome, run_rounds
+from benchmarks.flat import FlatProblem
+from benchmarks.hardware import Meter
+from benchmarks.page import write_page
+from benchmarks.table import print_table
+from factors.warmup import compile_kernels
+from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.io.project import read_project
+from fg_orient.simulate.block import BlockOptions, simulate_block
+
+RESULTS: Final = Path(__file__).parent / "results" / "fast_path.json"
+PACKAGES: Final = ("fg-orient", "gtsam", "numpy", "scipy", "numba", "pyceres", "pycolmap")
+#: Image points above which a peer is left to --full, and left out: the graph needs 12 kB for each.
+GRAPH_LIMIT, TRF_LIMIT, CERES_LIMIT = 200_000, 20_000, 20_000
+FULL_PEER_LIMIT: Final = 200_000
+#: Ours: the threads that the backend takes by itself, one, two.
+THREADS: Final = {"schur": None, "schur-1": 1, "schur-2": 2}
+#: A run of the full set may take this long per entry for its repeats.
+FULL_BUDGET_S, BUDGET_S = 900.0, 60.0
+
+
+def spot_entries(size: str, given: argparse.Namespace, folder: Path) -> list[Entry]:
+    """All solvers on the synthetic block of a size."""
+    cases.note(f"simulating {size}")
+    block = cases.spot_block(size)
+    problem = compile_problem(block)
+    counts = cases.counts(problem)
+    n, peers = counts.n_image_points, not given.no_peers
+    limit = FULL_PEER_LIMIT if given.full else 0
+    runs: dict[str, Callable[[], Outcome]] = {
+        "compile": own.compilation(block), **{name: own.schur(problem, t) for name, t in THREADS.items()}
+    }  # fmt: skip
+    runs |= {f"schur-2-{way}": own.schur(problem, 2, reduced=way) for way in given.reduced}
+    if given.full:
+        runs["read"] = reading(size, folder)
+    if n <= GRAPH_LIMIT:
+        runs["graph"] = own.graph(problem)
+    flat = FlatProblem(problem)
+    if peers and n <= max(TRF_LIMIT, limit):
+        runs["trf-2-point"] = peers_scipy.trf(flat, analytic=False)
+        runs["trf-analytic"] = peers_scipy.trf(flat, analytic=True)
+    if peers and n <= max(CERES_LIMIT, limit):
+        runs["pyceres"] = peers_ceres.sparse_schur(flat)
+    if given.full and size == "1e4":
+        runs["gtsam-native-iterate"] = own.native_iteration(problem)
+    return [Entry("spot", size, name, counts, run, given.repeats) for name, run in runs.items()]
+
+
+def reading(size: str, folder: Path) -> Callable[[], Outcome]:
+    """``read_project`` of the block's files: metadata, tables, project."""
+    s = cases.SIZES[size]
+    options = BlockOptions(rows=s.rows, columns=s.columns, points=s.points, check_share=0.0)
+    project = simulate_block(folder / size, options)
+
+    def once() -> Outcome:
+        start = time.perf_counter()
+        read_project(project)
+        return Outcome(time.perf_counter() - start, 0.0, 0, 0, None, "read")
+
+    return once
+
+
+def resection_entries(given: argparse.Namespace) -> list[Entry]:
+    """94 control points in one image."""
+    problem = cases.resection_problem()
+    flat = FlatProblem(problem)
+    runs: dict[str, Callable[[], Outcome]] = {
+        "adjust": own.public(problem), "schur-1": own.schur(problem, 1), "graph": own.graph(problem),
+        "gtsam-native": own.native(problem),
+    }  # fmt: skip
+    if not given.no_peers:
+        runs["trf-2-point"] = peers_scipy.trf(flat, analytic=False)
+        runs["trf-analytic"] = peers_scipy.trf(flat, analytic=True)
+    counts = cases.counts(problem)
+    return [Entry("resection", "94", name, counts, run, given.repeats) for name, run in runs.items()]
+
+
+def pinhole_entries(given: argparse.Namespace) -> list[Entry]:
+    """The pinhole problems, ours and the compiled peers."""
+    problems: dict[str, Problem | None] = {
+        size: pinhole.pinhole_problem(size) for size in (pinhole.PINHOLE_SIZES if given.full else ["1e4"])
+    }
+    if given.full:
+        problems["ladybug-49"] = pinhole.ladybug_problem()
+    entries = []
+    for size, problem in problems.items():
+        if problem is None:
+            cases.note("no Ladybug-49: FG_ORIENT_REAL_DATA is not set, or has no bal/")
+            continue
+        arrays, counts = pinhole.as_pinhole(problem), cases.counts(problem)
+        runs: dict[str, Callable[[], Outcome]] = {name: own.damped(problem, t) for name, t in THREADS.items()}
+        if not given.no_peers:
+            runs |= {f"ceres-{t}": peers_pinhole.ceres(arrays, t) for t in (1, 2)}
+            runs["gtsam"] = peers_pinhole.gtsam_sfm(arrays)
+        entries += [Entry("pinhole", size, name, counts, run, given.repeats) for name, run in runs.items()]
+    return entries
+
+
+def warm_up(given: argparse.Namespace) -> float:
+    """Compile or load everything that the timed runs call: seconds."""
+    start = time.perf_counter()
+    compile_kernels()
+    small = compile_problem(cases.spot_block("94"))
+    frames = pinhole.pinhole_problem("1e3")
+    for threads in (1, 2):
+        own.schur(small, threads)()
+        own.damped(frames, threads)()
+    if not given.no_peers:
+        flat = FlatProblem(small)
+        flat.warm_up()
+        FlatProblem(cases.resection_problem()).warm_up()
+        peers_ceres.sparse_schur(flat)()
+        peers_pinhole.ceres(pinhole.as_pinhole(frames), 1)()
+    return time.perf_counter() - start
+
+
+def machine(given: argparse.Namespace) -> dict[str, Any]:
+    """What ran where."""
+    name = platform.processor()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        lines = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        name = lines[0].split(":")[1].strip() if lines else name
+    versions = {}
+    for package in PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            versions[package] = ""
+    return {
+        "processor": name, "cores": os.cpu_count(), "system": platform.platform(),
+        "python": platform.python_version(), "versions": versions, "load": os.getloadavg()[0],
+        "date": datetime.now(UTC).isoformat(timespec="seconds"), "full": given.full, "repeats": given.repeats,
+    }  # fmt: skip
+
+
+def run(given: argparse.Namespace) -> dict[str, Any]:
+    """Everything that is asked for."""
+    results: dict[str, Any] = {"machine": machine(given), "jit_s": warm_up(given), "hardware": []}
+    folder, meter = Path(tempfile.mkdtemp()), Meter()
+    try:
+        entries = [entry for size in given.sizes for entry in spot_entries(size, given, folder)]
+        entries += resection_entries(given) + pinhole_entries(given)
+        run_rounds(
+            entries, FULL_BUDGET_S if given.full else BUDGET_S, lambda: results["hardware"].append(meter.measure())
+        )
+    finally:
+        shutil.rmtree(folder)
+    results["records"] = [record for entry in entries for record in entry.records]
+    results["memory"] = [memory.measure_apart(size, 2) for size in given.sizes if float(size) >= 1e4]
+    return results
+
+
+def main() -> int:
+    """Print the table; always 0: a benchmark reports, it does not judge."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--full", action="store_true", help="all sizes and peers, seven repeats; writes the page")
+    parser.add_argument("--sizes", nargs="+", choices=list(cases.SIZES))
+    parser.add_argument("--repeats", type=int)
+    parser.add_argument("--no-peers", action="store_true")
+    parser.add_argument("--reduced", nargs="+", default=[], help="also these solvers of the reduced system")
+    parser.add_argument("--json", type=Path, help="where the records go")
+    parser.add_argument("--page", action="store_true", help="write docs/performance.md from this run")
+    given = parser.parse_args()
+    given.repeats = given.repeats or (7 if given.full else 3)
+    given.sizes = given.sizes or (list(cases.SIZES) if given.full else ["94", "1e3", "1e4", "1e5"])
+    results = run(given)
+    path = given.json or (RESULTS if given.full or given.page else None)
+    if path:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    print_table(results)
+    if path == RESULTS:
+        write_page()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

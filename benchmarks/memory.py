@@ -1,0 +1,98 @@
+"""Working set of a solution, in a process of its own: ``python -m benchmarks.memory SIZE THREADS`` prints a record.
+
+The peak of the resident memory while solving (structure and iterations) minus the resident memory before the block
+existed, minus the arrays of the problem: observations, records, control records, start values, known coordinates,
+metadata. What compilation and first calls of the kernels need was taken before by a small block.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.cases import counts, spot_block
+from fg_orient.adjustment.loop import gauss_newton
+from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.linear.threads import one_blas_thread
+
+
+def status_bytes(name: str) -> int:
+    """A figure of /proc/self/status: VmRSS, VmHWM."""
+    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(name + ":"))
+    return int(line.split()[1]) * 1024
+
+
+def reset_peak() -> None:
+    """Let VmHWM start again from the present size."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def _release() -> None:
+    """Give freed memory back: what simulating the block needed is not ours."""
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
+
+
+def _arrays(thing: Any) -> Iterator[np.ndarray]:
+    """Arrays in the fields of a dataclass, and in dataclasses in them."""
+    for f in fields(thing):
+        value = getattr(thing, f.name)
+        if isinstance(value, np.ndarray):
+            yield value
+        elif is_dataclass(value):
+            yield from _arrays(value)
+
+
+def input_bytes(problem: Problem) -> tuple[int, int]:
+    """Bytes of the arrays of problem, block and metadata, and of the records alone; shared arrays count once."""
+    parts = (problem, *(image.sensor.metadata for image in problem.block.images))
+    found = {a.ctypes.data: a.nbytes for part in parts for a in _arrays(part)}
+    return sum(found.values()), problem.records.nbytes + problem.control_records.nbytes
+
+
+def measure(size: str, threads: int) -> dict[str, Any]:
+    """One record."""
+    with one_blas_thread():
+        small = SchurBackend(compile_problem(spot_block("1e3")), threads=threads)
+        gauss_newton(small, small.initial(), 3)
+        del small
+        _release()
+        before_reading = status_bytes("VmRSS")
+        problem = compile_problem(spot_block(size))
+        _release()
+        whole, records = input_bytes(problem)
+        before_solving = status_bytes("VmRSS")
+        gc.disable()
+        reset_peak()
+        backend = SchurBackend(problem, threads=threads)
+        result = gauss_newton(backend, backend.initial(), 50)
+        peak = status_bytes("VmHWM")
+    n = counts(problem)
+    return {
+        "size": size, "threads": threads, **asdict(n), "before_reading": before_reading,
+        "before_solving": before_solving, "peak": peak, "input": whole, "records": records,
+        "working_set": peak - before_reading - whole, "solve_only": peak - before_solving,
+        "iterations": len(result.log),
+    }  # fmt: skip
+
+
+def measure_apart(size: str, threads: int) -> dict[str, Any]:
+    """:func:`measure` in a new process."""
+    command = [sys.executable, "-m", "benchmarks.memory", size, str(threads)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(sys.argv[1], int(sys.argv[2]))))

@@ -1,0 +1,199 @@
+"""Our backends on a compiled problem: structure, whole solution, stages of one iteration."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import gtsam
+
+from benchmarks.entries import FUNCTION_TOLERANCE, MAX_EVALUATIONS, Outcome
+from fg_orient.adjustment.graph import GraphBackend, run_native
+from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord, levenberg_marquardt
+from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.adjustment.solve import solve
+from fg_orient.block import Block
+
+#: Short solutions run several times in a row, so that a record takes about this long.
+LEAST_S = 0.02
+
+
+def repeated(once: Callable[[], Outcome]) -> Callable[[], Outcome]:
+    """Run a short solution several times in a row; seconds are means."""
+
+    def run() -> Outcome:
+        first = once()
+        n = max(1, min(50, int(LEAST_S / max(first.solve + first.structure, 1e-9))))
+        if n == 1:
+            return first
+        all_runs = [once() for _ in range(n)]
+        last = all_runs[-1]
+        last.solve = sum(o.solve for o in all_runs) / n
+        last.structure = sum(o.structure for o in all_runs) / n
+        last.stages = {name: sum(o.stages[name] for o in all_runs) / n for name in last.stages}
+        last.inner = n
+        return last
+
+    return run
+
+
+def _loop(make: Callable[[], Any], optimizer: str, max_iterations: int) -> tuple[Outcome, Any]:
+    """Backend made, adjusted to the end: what it took, and the backend."""
+    marks = [time.perf_counter()]
+    backend = make()
+    marks.append(time.perf_counter())
+    result = OPTIMIZERS[optimizer](backend, backend.initial(), max_iterations, None)
+    marks.append(time.perf_counter())
+    taken = sum(record.accepted for record in result.log)  # refused steps cost us time, but are no iteration
+    outcome = Outcome(
+        marks[2] - marks[1], marks[1] - marks[0], taken, len(result.log), float(result.error), result.reason
+    )
+    return outcome, backend
+
+
+class _TimedWorkers:
+    """The threads of a backend, with the seconds of each kernel summed by its name."""
+
+    def __init__(self, workers: Any) -> None:
+        self._workers, self.seconds = workers, dict[str, float]()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._workers, name)
+
+    def run(self, kernel: Any, *arguments: Any) -> Any:
+        start = time.perf_counter()
+        result = self._workers.run(kernel, *arguments)
+        name = getattr(kernel, "__name__", str(kernel))
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+        return result
+
+
+def _stages(backend: Any, state: Any) -> dict[str, float]:
+    """Seconds of one iteration at a state, when all memory has been used before: linearise, solve, retract."""
+    marks = [time.perf_counter()]
+    system = backend.linearise(state)
+    marks.append(time.perf_counter())
+    step = system.solve(0.0)
+    marks.append(time.perf_counter())
+    backend.retract(state, step)
+    marks.append(time.perf_counter())
+    names = ("linearise", "solve", "retract")
+    return {name: b - a for name, a, b in zip(names, marks, marks[1:], strict=False)}
+
+
+def schur(problem: Problem, threads: int | None, *, reduced: str = "auto") -> Callable[[], Outcome]:
+    """Gauss-Newton on the Schur backend; stages: those of one more iteration, and its kernels."""
+
+    def once() -> Outcome:
+        outcome, backend = _loop(lambda: SchurBackend(problem, threads=threads, reduced=reduced), "gauss-newton", 50)
+        start = backend.initial()
+        outcome.stages = _stages(backend, start)
+        backend.workers = _TimedWorkers(backend.workers)
+        _stages(backend, start)
+        outcome.stages |= {f"kernel:{name}": seconds for name, seconds in backend.workers.seconds.items()}
+        return outcome
+
+    return repeated(once)
+
+
+class _Enough(Exception):
+    """Raised by the callback where a peer's rule would end the iterations."""
+
+
+def damped(problem: Problem, threads: int | None) -> Callable[[], Outcome]:
+    """Levenberg-Marquardt on the Schur backend, ended by the rule of the peers: the cost hardly falls.
+
+    Our own rule looks at the step and takes one or two iterations more.
+    """
+
+    def once() -> Outcome:
+        log = []
+
+        def judge(record: IterationRecord) -> None:
+            log.append(record)
+            if record.accepted and record.chi2 - record.chi2_after <= FUNCTION_TOLERANCE * record.chi2:
+                raise _Enough
+
+        marks = [time.perf_counter()]
+        backend = SchurBackend(problem, threads=threads)
+        marks.append(time.perf_counter())
+        ended = f"relative decrease of the cost below {FUNCTION_TOLERANCE:g}"
+        try:
+            ended = levenberg_marquardt(backend, backend.initial(), MAX_EVALUATIONS, judge).reason
+        except _Enough:
+            pass
+        marks.append(time.perf_counter())
+        taken = sum(record.accepted for record in log)
+        cost = 0.5 * min(record.chi2_after for record in log)
+        return Outcome(marks[2] - marks[1], marks[1] - marks[0], taken, len(log), cost, ended)
+
+    return repeated(once)
+
+
+def graph(problem: Problem) -> Callable[[], Outcome]:
+    """Graph backend: one Python factor per image point, driven from Python."""
+
+    def once() -> Outcome:
+        outcome, backend = _loop(lambda: GraphBackend(problem), "gauss-newton", 50)
+        outcome.stages = _stages(backend, backend.initial())
+        return outcome
+
+    return repeated(once)
+
+
+def public(problem: Problem) -> Callable[[], Outcome]:
+    """What ``fg_orient.adjust`` calls, with the backend that "auto" chooses."""
+
+    def once() -> Outcome:
+        start = time.perf_counter()
+        estimate = solve(problem)
+        whole = time.perf_counter() - start
+        n = estimate.iterations
+        ended = f"{estimate.backend}: {estimate.reason}"
+        return Outcome(whole - estimate.structure_s, estimate.structure_s, n, n, 0.5 * estimate.chi2, ended)
+
+    return repeated(once)
+
+
+def compilation(block: Block) -> Callable[[], Outcome]:
+    """``compile_problem``: start coordinates, whitened records. No solution."""
+
+    def once() -> Outcome:
+        start = time.perf_counter()
+        compile_problem(block)
+        return Outcome(0.0, time.perf_counter() - start, 0, 0, None, "compiled")
+
+    return repeated(once)
+
+
+def native_iteration(problem: Problem) -> Callable[[], Outcome]:
+    """One ``iterate`` of GTSAM's own Gauss-Newton optimiser on our factors."""
+
+    def once() -> Outcome:
+        marks = [time.perf_counter()]
+        backend = GraphBackend(problem)
+        params = gtsam.GaussNewtonParams()
+        params.setOrdering(backend.ordering)
+        optimizer = gtsam.GaussNewtonOptimizer(backend.graph, backend.initial(), params)
+        marks.append(time.perf_counter())
+        optimizer.iterate()
+        marks.append(time.perf_counter())
+        return Outcome(marks[2] - marks[1], marks[1] - marks[0], 1, 1, None, "one iteration")
+
+    return once
+
+
+def native(problem: Problem) -> Callable[[], Outcome]:
+    """GTSAM's own Gauss-Newton optimiser on our factors, to the end."""
+
+    def once() -> Outcome:
+        marks = [time.perf_counter()]
+        backend = GraphBackend(problem)
+        marks.append(time.perf_counter())
+        _, iterations, error = run_native(backend, "native", 50)
+        marks.append(time.perf_counter())
+        return Outcome(marks[2] - marks[1], marks[1] - marks[0], iterations, iterations, error, "GTSAM's own rule")
+
+    return repeated(once)

@@ -1,0 +1,78 @@
+"""The pinhole problem: nine unknowns per camera (rotation, centre, focal length, k1, k2), no priors, no control."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.io.bal import read_bal
+from fg_orient.simulate.frames import pinhole_block
+
+Array = npt.NDArray[np.float64]
+
+#: Cameras and ground points with four rays each; the name is the order of the number of image points.
+PINHOLE_SIZES: Final = {"1e3": (9, 250), "1e4": (36, 2_500), "1e5": (100, 25_000)}
+VIEWS: Final = 4
+#: In the folder named by FG_ORIENT_REAL_DATA.
+LADYBUG: Final = "bal/problem-49-7776-pre.txt.gz"
+
+
+def pinhole_problem(size: str) -> Problem:
+    """The synthetic problem of a size, without the priors of its simulation."""
+    images, points = PINHOLE_SIZES[size]
+    block, _ = pinhole_block(images, points, VIEWS)
+    return compile_problem(replace(block, options=replace(block.options, datum="free", priors=False)))
+
+
+def ladybug_problem() -> Problem | None:
+    """BAL Ladybug-49 from the folder of the real data; None if it is not there."""
+    folder = os.environ.get("FG_ORIENT_REAL_DATA")
+    path = Path(folder, LADYBUG) if folder else None
+    return compile_problem(read_bal(path)) if path and path.is_file() else None
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """Start values and observations as arrays, for programs that have a pinhole camera of their own.
+
+    ``rotation`` (M, 3, 3) camera from ground, X right, Y down, Z forward; ``centre`` (M, 3) and ``ground`` (N, 3) m,
+    local; ``interior`` (M, 3) focal length (px), k1, k2; ``image``, ``point`` (n,); ``pixel`` (n, 2) sample and line
+    from the principal point; ``sigma`` (px) of both.
+    """
+
+    rotation: Array
+    centre: Array
+    interior: Array
+    ground: Array
+    image: npt.NDArray[np.intp]
+    point: npt.NDArray[np.intp]
+    pixel: Array
+    sigma: float
+
+
+def as_pinhole(problem: Problem) -> Pinhole:
+    """Arrays of a problem of frame images with these nine unknowns.
+
+    Raises
+    ------
+    ValueError
+        The cameras are of another kind, or the sigmas differ.
+    """
+    cameras = [image.sensor.camera for image in problem.block.images]
+    o = problem.observations
+    sigmas = np.concatenate([o.sigma_line_px, o.sigma_sample_px])
+    other = np.array([np.concatenate([c.principal_px, c.distortion[2:]]) for c in cameras])
+    if other.any() or np.ptp(sigmas) > 0.0 or {len(p) for p in problem.parameters} != {9}:
+        raise ValueError("cameras with focal length, k1, k2 and one sigma for all image points are expected")
+    return Pinhole(
+        np.array([c.rotation for c in cameras]),
+        np.array([c.centre_m for c in cameras]) - problem.origin_m,
+        np.array([[c.focal_px, *c.distortion[:2]] for c in cameras]),
+        problem.start.ground, o.image, o.point, np.column_stack([o.sample, o.line]), float(sigmas[0]),
+    )  # fmt: skip

@@ -1,0 +1,179 @@
+"""What the records of a run say: medians, quartiles, ratios, the bound. Pure arithmetic on the JSON file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks.hardware import Hardware, best, iteration_bound, pair_bound
+
+#: A run counts if its cost is within this share of the lowest one found on the same problem.
+SAME_COST: Final = 1e-6
+#: Image points from which and to which the exponent is fitted.
+EXPONENT_FROM, EXPONENT_TO = 800, 2_000_000
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Value:
+    """Median and quartiles of the repeats; ``bound``: the truth is at least this, the peer did not get there."""
+
+    median: float
+    low: float
+    high: float
+    repeats: int
+    bound: bool = False
+
+    @classmethod
+    def of(cls, values: Iterable[float], bound: bool = False) -> Value:
+        """Of all repeats."""
+        all_of = list(values)
+        low, median, high = np.percentile(all_of, [25.0, 50.0, 75.0])
+        return cls(float(median), float(low), float(high), len(all_of), bound)
+
+    def times(self, factor: float) -> Value:
+        """In another unit."""
+        return Value(self.median * factor, self.low * factor, self.high * factor, self.repeats, self.bound)
+
+
+def whole_seconds(record: Record) -> float:
+    """Structure and solution."""
+    return float(record["structure"]) + float(record["solve"])
+
+
+def iteration_seconds(record: Record) -> float:
+    """Seconds of the solution over its iterations: the same for all."""
+    return float(record["solve"]) / max(int(record["iterations"]), 1)
+
+
+def steady_seconds(record: Record) -> float:
+    """One iteration of ours on memory that has been used before: linearise, solve, retract."""
+    return float(sum(record["stages"][name] for name in ("linearise", "solve", "retract")))
+
+
+class Summary:
+    """Queries on one results file.
+
+    Parameters
+    ----------
+    results : dict
+        What ``benchmarks/fast_path.py`` wrote.
+    """
+
+    def __init__(self, results: dict[str, Any]) -> None:
+        self.results = results
+        self.hardware: Hardware = best(results["hardware"])
+
+    def records(self, problem: str, size: str, solver: str) -> list[Record]:
+        """Repeats of one entry, in order; empty if it was not run."""
+        return [r for r in self.results["records"] if (r["problem"], r["size"], r["solver"]) == (problem, size, solver)]
+
+    def sizes(self, problem: str) -> list[str]:
+        """Sizes that were run, smallest first."""
+        found = {r["size"]: r["n_image_points"] for r in self.results["records"] if r["problem"] == problem}
+        return sorted(found, key=lambda size: found[size])
+
+    def solvers(self, problem: str, size: str) -> list[str]:
+        """Solvers that were run, in the order of the run."""
+        here = [r["solver"] for r in self.results["records"] if (r["problem"], r["size"]) == (problem, size)]
+        return list(dict.fromkeys(here))
+
+    def lowest_cost(self, problem: str, size: str) -> float:
+        """Lowest cost that any solver found on a problem."""
+        return float(
+            min(
+                r["cost"]
+                for r in self.results["records"]
+                if (r["problem"], r["size"]) == (problem, size) and r["cost"] is not None
+            )
+        )
+
+    def excess(self, record: Record) -> float:
+        """Relative excess of the cost over the lowest one; nan for what is no whole solution."""
+        if record["cost"] is None:
+            return float("nan")
+        lowest = self.lowest_cost(record["problem"], record["size"])
+        return (float(record["cost"]) - lowest) / lowest
+
+    def reached(self, records: list[Record]) -> bool:
+        """Whether all repeats came to the common cost."""
+        return all(not self.excess(r) > SAME_COST for r in records)
+
+    def value(self, problem: str, size: str, solver: str, of: Callable[[Record], float]) -> Value | None:
+        """A figure of one entry; None if it was not run."""
+        records = self.records(problem, size, solver)
+        return Value.of(map(of, records), not self.reached(records)) if records else None
+
+    def ratio(
+        self, problem: str, size: str, peer: str, own: str, of: Callable[[Record], float],
+        own_of: Callable[[Record], float] | None = None,
+    ) -> Value | None:  # fmt: skip
+        """Peer over ours: median over median, quartiles of the repeats that ran in the same rounds.
+
+        A lower bound where the peer did not come to the common cost; None where either was not run, or ours did not.
+        """
+        theirs, ours = self.records(problem, size, peer), self.records(problem, size, own)
+        if not theirs or not ours or not self.reached(ours):
+            return None
+        ours_of = own_of or of
+        middle = np.median([of(r) for r in theirs]) / np.median([ours_of(r) for r in ours])
+        pairs = [of(a) / ours_of(b) for a, b in zip(theirs, ours, strict=False)]
+        low, high = np.percentile(pairs, [25.0, 75.0])
+        return Value(float(middle), float(low), float(high), len(pairs), not self.reached(theirs))
+
+    def per_point_us(self, problem: str, size: str, solver: str, of: Callable[[Record], float]) -> Value | None:
+        """Microseconds per image point."""
+        found = self.value(problem, size, solver, of)
+        return None if found is None else found.times(1e6 / self.records(problem, size, solver)[0]["n_image_points"])
+
+    def bound_seconds(self, size: str, threads: int, *, banded: bool) -> float | None:
+        """Least seconds of one iteration of the SPOT problem of a size on this machine."""
+        records = self.records("spot", size, f"schur-{threads}")
+        if not records:
+            return None
+        r = records[0]
+        band = int(r["half_bandwidth"]) if banded else None
+        return iteration_bound(
+            self.hardware, threads, r["n_image_points"], r["n_pairs"], r["image_unknowns"], half_bandwidth=band
+        )
+
+    def over_bound(self, size: str, threads: int, *, banded: bool) -> Value | None:
+        """Our steady iteration over the bound."""
+        bound, ours = (
+            self.bound_seconds(size, threads, banded=banded),
+            self.value("spot", size, f"schur-{threads}", steady_seconds),
+        )
+        return None if bound is None or ours is None else ours.times(1.0 / bound)
+
+    def pairs_over_bound(self, size: str, threads: int) -> Value | None:
+        """Seconds of the blocks of the reduced system over their bound."""
+        records = self.records("spot", size, f"schur-{threads}")
+        stage = "kernel:pair_blocks"
+        if not records or stage not in records[0]["stages"]:
+            return None
+        bound = pair_bound(self.hardware, threads, records[0]["n_pairs"])
+        return Value.of(r["stages"][stage] / bound for r in records)
+
+    def exponent(self, solver: str) -> float | None:
+        """Slope of log(seconds of an iteration) on log(image points), 1e3 to 1e6."""
+        points, seconds = [], []
+        for size in self.sizes("spot"):
+            found, records = self.value("spot", size, solver, steady_seconds), self.records("spot", size, solver)
+            if found is not None and EXPONENT_FROM <= records[0]["n_image_points"] <= EXPONENT_TO:
+                points.append(records[0]["n_image_points"])
+                seconds.append(found.median)
+        if len(points) < 2:
+            return None
+        return float(np.polyfit(np.log(points), np.log(seconds), 1)[0])
+
+    def working_set(self, size: str, threads: int, *, with_records: bool = False) -> float | None:
+        """Bytes per image point; ``with_records`` counts the records of the equations as well."""
+        found = [m for m in self.results["memory"] if (m["size"], m["threads"]) == (size, threads)]
+        if not found:
+            return None
+        extra = found[0]["records"] if with_records else 0
+        return float((found[0]["working_set"] + extra) / found[0]["n_image_points"])
