@@ -7,20 +7,18 @@ whatever its place in a block.
 
 from __future__ import annotations
 
-from typing import Any, Final, cast
+from typing import Final, cast
 
 import numpy as np
 from numba import njit
 
 from factors import pushbroom
-from factors._contract import Array, F, inlined
+from factors._contract import Array, F
 from factors.batch_rows import Index
-from factors.sight import derivatives, sight
+from factors.sight import STORED, derivatives, sight, store
 
 #: Observations of one block: with 80 numbers each they stay in the first-level cache.
 BLOCK: Final = 32
-#: Numbers of a block's output: two residuals, two rows of derivatives, and a number that is finite if these are.
-_OUT: Final = 31
 _SMALL: Final = 27
 
 
@@ -66,43 +64,20 @@ def _gather(
 @_exact
 def _evaluate(constants: Array, d: Array, place: Array, size: int, small: bool, want: bool, out: Array) -> None:
     """Evaluate a block; the loops that matter are those of the full rotation."""
+    n, full = np.int64(BLOCK), np.bool_(False)  # typed, so that numba makes no variant for each literal
     if small:
         for i in range(size):
-            value, seen = sight(constants, d, place, i, BLOCK, constants[i + _SMALL * BLOCK] > 0.5)
-            _put(out, i, value, derivatives(constants, i, BLOCK, seen))
+            value, seen = sight(constants, d, place, i, n, constants[i + _SMALL * n] > 0.5)
+            store(out, i, n, value, derivatives(constants, i, n, seen))
     elif want:
         for i in range(size):
-            value, seen = sight(constants, d, place, i, BLOCK, False)
-            _put(out, i, value, derivatives(constants, i, BLOCK, seen))
+            value, seen = sight(constants, d, place, i, n, full)
+            store(out, i, n, value, derivatives(constants, i, n, seen))
     else:
         for i in range(size):
-            value, seen = sight(constants, d, place, i, BLOCK, False)
-            out[i], out[i + BLOCK] = value
-            out[i + 30 * BLOCK] = value[0] + value[1]
-
-
-@inlined
-def _sum(y: Any) -> Any:
-    """Sum of a row of derivatives."""
-    return (y[0] + y[1] + y[2] + y[3]) + (y[4] + y[5] + y[6] + y[7]) + (y[8] + y[9] + y[10] + y[11]) + (y[12] + y[13])
-
-
-@inlined
-def _put(out: Array, i: int, value: Any, rows: Any) -> None:
-    """Write residuals, derivatives and their sum."""
-    n, (y, x) = BLOCK, rows
-    out[i], out[i + n] = value
-    (
-        out[i + 2 * n], out[i + 3 * n], out[i + 4 * n], out[i + 5 * n], out[i + 6 * n], out[i + 7 * n], out[i + 8 * n],
-        out[i + 9 * n], out[i + 10 * n], out[i + 11 * n], out[i + 12 * n], out[i + 13 * n], out[i + 14 * n],
-        out[i + 15 * n],
-    ) = y  # fmt: skip
-    (
-        out[i + 16 * n], out[i + 17 * n], out[i + 18 * n], out[i + 19 * n], out[i + 20 * n], out[i + 21 * n],
-        out[i + 22 * n], out[i + 23 * n], out[i + 24 * n], out[i + 25 * n], out[i + 26 * n], out[i + 27 * n],
-        out[i + 28 * n], out[i + 29 * n],
-    ) = x  # fmt: skip
-    out[i + 30 * n] = (value[0] + value[1]) + (_sum(y) + _sum(x))
+            value, seen = sight(constants, d, place, i, n, full)
+            out[i], out[i + n] = value
+            out[i + (STORED - 1) * n] = value[0] + value[1]
 
 
 @_exact
@@ -121,7 +96,7 @@ def _scatter(
                     d_image[a, r, k] = out[(2 + 14 * r + column[k]) * BLOCK + i]
                 for k in range(3):
                     d_ground[a, r, k] = out[(11 + 14 * r + k) * BLOCK + i]
-        if bad < 0 and not np.isfinite(out[30 * BLOCK + i]):
+        if bad < 0 and not np.isfinite(out[(STORED - 1) * BLOCK + i]):
             bad = a
     return bad
 
@@ -158,9 +133,9 @@ def pushbroom_rows(
     """
     slot, column = _places(setup)
     constants, d, place = np.empty(pushbroom.RECORD_SIZE * BLOCK), np.zeros(11 * BLOCK), np.empty(3 * BLOCK)
-    out, bad = np.empty(_OUT * BLOCK), -1
+    out, bad = np.empty(STORED * BLOCK), -1
     for first in range(lo, hi, BLOCK):
-        size = min(BLOCK, hi - first)
+        size = BLOCK if hi - first > BLOCK else hi - first
         small = _gather(
             first, size, members, records, row, image, point, slot, n_basis, basis, wide, ground, constants, d, place
         )

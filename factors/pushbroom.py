@@ -26,7 +26,7 @@ import numpy as np
 
 from factors import rotations
 from factors._contract import Argument, Array, Equation, Example, compiled, inlined, register
-from factors.sight import derivatives, sight
+from factors.sight import STORED, derivatives, sight, store
 
 #: Record: P 0:3 m, V 3:6 m/s, angles 6:9 rad, M 9:18 row-major, tau 18, psi_x 19, psi_y 20, s 21,
 #: A 22:26 row-major, frame follows P and V 26 (1/0), small-angle form 27 (1/0), reference ground point
@@ -60,7 +60,8 @@ def _basis(record: Any, code: int) -> Any:
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     """Whitened conditions A (F_y, F_x): (2,); accepts complex unknowns."""
-    return np.array(sight(record, corrections(record, setup, x), ground, 0, 1, record[27] > 0.5)[0])
+    i, n = np.int64(0), np.int64(1)
+    return np.array(sight(record, corrections(record, setup, x), ground, i, n, record[27] > 0.5)[0])
 
 
 @compiled
@@ -81,15 +82,19 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
     k, record = setup.shape[1], records[row]
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
-    (out[0, 0], out[1, 0]), seen = sight(record, corrections(record, setup, x), ground, 0, 1, record[27] > 0.5)
+    i, n = np.int64(0), np.int64(1)  # typed, so that numba makes no variant for each literal
+    value, seen = sight(record, corrections(record, setup, x), ground, i, n, record[27] > 0.5)
+    out[0, 0], out[1, 0] = value
     if want:
-        d = np.array(derivatives(record, 0, 1, seen))
+        d = np.empty(STORED)
+        store(d, i, n, value, derivatives(record, i, n, seen))
         for j in range(k):
             code = int(setup[0, j])
             column = code // 3 if code < N_EOP else 12 + (code - N_EOP) % 2
             factor = _basis(record, code) * setup[1, j]
-            out[0, 1 + j], out[1, 1 + j] = d[0, column] * factor, d[1, column] * factor
-        out[:, k + 1 :] = d[:, 9:12]
+            out[0, 1 + j], out[1, 1 + j] = d[2 + column] * factor, d[16 + column] * factor
+        for c in range(3):
+            out[0, k + 1 + c], out[1, k + 1 + c] = d[11 + c], d[25 + c]
     total = 0.0
     for j in range(k + 4 if want else 1):
         total += 0.0 * out[0, j] + 0.0 * out[1, j]

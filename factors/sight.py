@@ -10,34 +10,37 @@ The derivatives carry the row vector dF/df back through the rotations instead of
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 from factors import differences, orbital, rotations
 from factors._contract import inlined
 from factors.sines import sine_cosine
 
+#: Numbers that :func:`store` writes.
+STORED: Final = 31
+
 
 @inlined
-def _three(a: Any, k: int, i: int, n: int) -> Any:
-    """Entries k to k + 2 of observation ``i``; consecutive entries lie ``n`` apart."""
-    return a[i + k * n], a[i + (k + 1) * n], a[i + (k + 2) * n]
+def _three(a: Any, i: int, n: int) -> Any:
+    """Entry ``i`` and the next two, which lie ``n`` apart."""
+    return a[i], a[i + n], a[i + 2 * n]
 
 
 @inlined
 def _mount(record: Any, i: int, n: int) -> Any:
     """Mounting M (9)."""
-    a, b, c = _three(record, 9, i, n), _three(record, 12, i, n), _three(record, 15, i, n)
+    a, b, c = _three(record, i + 9 * n, n), _three(record, i + 12 * n, n), _three(record, i + 15 * n, n)
     return (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
 
 
 @inlined
 def _position(record: Any, d: Any, ground: Any, i: int, n: int) -> Any:
     """Coordinates of the ground point in the corrected orbital frame: reference, difference; that frame, its scales."""
-    p, v, follows = _three(record, 0, i, n), _three(record, 3, i, n), record[i + 26 * n]
+    p, v, follows = _three(record, i, n), _three(record, i + 3 * n, n), record[i + 26 * n]
     frame, lengths = orbital.reference(p[0], p[1], p[2], v[0], v[1], v[2])
-    r, g, at = _three(record, 31, i, n), _three(ground, 0, i, n), _three(record, 28, i, n)
+    r, g, at = _three(record, i + 31 * n, n), _three(ground, i, n), _three(record, i + 28 * n, n)
     ref = rotations.multiply_transposed(frame, r[0], r[1], r[2])
-    dp, dv = _three(d, 0, i, n), _three(d, 3, i, n)
+    dp, dv = _three(d, i, n), _three(d, i + 3 * n, n)
     near = rotations.multiply_transposed(frame, g[0] - at[0] - dp[0], g[1] - at[1] - dp[1], g[2] - at[2] - dp[2])
     dp = rotations.multiply_transposed(frame, follows * dp[0], follows * dp[1], follows * dp[2])
     dv = rotations.multiply_transposed(frame, follows * dv[0], follows * dv[1], follows * dv[2])
@@ -76,7 +79,7 @@ def sight(record: Any, d: Any, ground: Any, i: int, n: int, small: bool) -> Any:
         What :func:`derivatives` needs.
     """
     w0, dw, frame, scales = _position(record, d, ground, i, n)
-    angles, turns, mount = _three(record, 6, i, n), _three(d, 6, i, n), _mount(record, i, n)
+    angles, turns, mount = _three(record, i + 6 * n, n), _three(d, i + 6 * n, n), _mount(record, i, n)
     if small:
         g, dg, turn, d_g = differences.body_from_orbital_small_pair(angles, turns, w0, dw)
     else:
@@ -117,3 +120,27 @@ def _row(a: Any, b: Any, follows: Any, seen: Any) -> Any:
         p[0], p[1], p[2], v[0], v[1], v[2], angles[0], angles[1], angles[2], ground[0], ground[1], ground[2],
         b * (1.0 + t_x * t_x), -a * (1.0 + t_y * t_y),
     )  # fmt: skip
+
+
+@inlined
+def _sum(y: Any) -> Any:
+    """Sum of a row of derivatives."""
+    return (y[0] + y[1] + y[2] + y[3]) + (y[4] + y[5] + y[6] + y[7]) + (y[8] + y[9] + y[10] + y[11]) + (y[12] + y[13])
+
+
+@inlined
+def store(out: Any, i: int, n: int, value: Any, rows: Any) -> None:
+    """Write the STORED numbers of an observation: conditions, both rows of derivatives, and the sum of all."""
+    y, x = rows
+    out[i], out[i + n] = value
+    (
+        out[i + 2 * n], out[i + 3 * n], out[i + 4 * n], out[i + 5 * n], out[i + 6 * n], out[i + 7 * n], out[i + 8 * n],
+        out[i + 9 * n], out[i + 10 * n], out[i + 11 * n], out[i + 12 * n], out[i + 13 * n], out[i + 14 * n],
+        out[i + 15 * n],
+    ) = y  # fmt: skip
+    (
+        out[i + 16 * n], out[i + 17 * n], out[i + 18 * n], out[i + 19 * n], out[i + 20 * n], out[i + 21 * n],
+        out[i + 22 * n], out[i + 23 * n], out[i + 24 * n], out[i + 25 * n], out[i + 26 * n], out[i + 27 * n],
+        out[i + 28 * n], out[i + 29 * n],
+    ) = x  # fmt: skip
+    out[i + 30 * n] = (value[0] + value[1]) + (_sum(y) + _sum(x))
