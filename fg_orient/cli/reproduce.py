@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 def reproduce(
-    source: Annotated[str, typer.Argument(metavar="SOURCE", help="terlemezoglu2019 or topan2010.", show_default=False)],
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="terlemezoglu2019, topan2010, ipbuker1994.", show_default=False)
+    ],
     tables: Annotated[
         str, typer.Option(metavar="TABLES", help="Tables and ranges: 4.3-4.9,4.28; all if not given.")
     ] = "",

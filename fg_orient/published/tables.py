@@ -19,7 +19,7 @@ from fg_orient.cells import CellKey
 from fg_orient.errors import InputError
 
 #: Publications with tables in this package.
-SOURCES: Final = ("terlemezoglu2019", "topan2010")
+SOURCES: Final = ("terlemezoglu2019", "topan2010", "ipbuker1994")
 _HERE: Final = Path(__file__).parent
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?|nan|[+-]?inf")
 
@@ -111,7 +111,7 @@ def load(source: str, folder: Path | None = None) -> PublishedTables:
     Parameters
     ----------
     source : str
-        "terlemezoglu2019" or "topan2010".
+        One of ``SOURCES``.
     folder : Path, optional
         Folder with the CSV files, or with a folder of the source's name that holds them; default
         the package's own.
@@ -318,6 +318,14 @@ def _fact(record: _Record, table: str) -> PublishedCell:
     return PublishedCell(key, float(text or "nan"), text, of["value"], of["unit"], of["note"])
 
 
+def _entry(record: _Record, table: str) -> PublishedCell:
+    """A number of a table of rows and quantities; words, dates and ranges have the value nan and no text."""
+    of = record.of
+    text = of["value"] if _NUMBER.fullmatch(of["value"]) else ""
+    key = CellKey(of["table"], quantity=of["quantity"], parameter=of["row"])
+    return PublishedCell(key, float(text or "nan"), text, of["value"], of["unit"], of["note"])
+
+
 _KINDS: Final[dict[str, tuple[tuple[str, ...], Callable[[_Record, str], PublishedCell]]]] = {
     "cells": (
         ("table", "eop_set_no", "stage", "pre_adjustment_type", "point_role", "quantity", "method", "value", "unit",
@@ -334,5 +342,6 @@ _KINDS: Final[dict[str, tuple[tuple[str, ...], Callable[[_Record, str], Publishe
     "correlations": (
         ("section", "eop_set_no", "stage", "quantity", "parameter_1", "parameter_2", "value"), _correlation,
     ),
+    "entries": (("table", "row", "quantity", "value", "unit", "note"), _entry),
     "facts": (("key", "value", "unit", "note"), _fact),
 }  # fmt: skip

@@ -47,12 +47,12 @@ def perimeter_m(vertices: npt.ArrayLike) -> float:
     return float(np.hypot(*(np.roll(given, -1, axis=0) - given).T).sum())
 
 
-def mean_spacing_m(length_m: float, n_vertices: int) -> float:
+def mean_spacing_m(length_m: float, n_vertices: float) -> float:
     """Mean distance of the vertices of a closed outline: length by number of vertices, m."""
     return length_m / n_vertices
 
 
-def pixel_area_m2(n_pixels: int, pixel_m: float) -> float:
+def pixel_area_m2(n_pixels: float, pixel_m: float) -> float:
     """Area of so many square pixels."""
     return n_pixels * pixel_m * pixel_m
 

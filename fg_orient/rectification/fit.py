@@ -18,7 +18,6 @@ from factors._contract import evaluate
 from fg_orient.adjustment.dense import DenseStep, DenseSystem
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.linear.threads import one_blas_thread
 from fg_orient.rectification.models import Model
 from fg_orient.rectification.transformation import Scaling, Transformation
 
@@ -212,17 +211,16 @@ def fit(
                            crs)  # fmt: skip
     backend = _Backend(model, _records(blank, points))
     start = model.start(backend.records[:, :3], backend.records[:, 3:5])
-    with one_blas_thread():
-        _require_determined(points, model, backend.rows(start)[1])
-        name = optimizer or ("gauss-newton" if model.linear else "levenberg-marquardt")
-        found = OPTIMIZERS[name](backend, start, MAX_ITERATIONS)
-        if not found.converged:
-            raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=found.reason)
-        below = model.denominator(backend.records[:, :3], found.state)
-        if not (below > 0.0).all():
-            raise NoSolutionError.of("rectify.pole", place=model.title, value=points.ids[int(np.argmin(below))])
-        residual, design = backend.rows(found.state)
-        condition = _require_determined(points, model, design)
+    _require_determined(points, model, backend.rows(start)[1])
+    name = optimizer or ("gauss-newton" if model.linear else "levenberg-marquardt")
+    found = OPTIMIZERS[name](backend, start, MAX_ITERATIONS)
+    if not found.converged:
+        raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=found.reason)
+    below = model.denominator(backend.records[:, :3], found.state)
+    if not (below > 0.0).all():
+        raise NoSolutionError.of("rectify.pole", place=model.title, value=points.ids[int(np.argmin(below))])
+    residual, design = backend.rows(found.state)
+    condition = _require_determined(points, model, design)
     whitened = residual.reshape(-1, 2)
     done = Transformation(model, found.state, source, target, blank.source_names, blank.target_names, crs)
     return Fit(done, points, whitened * points.sigma, whitened, design, found.log, condition)

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from fg_orient.errors import InputError
 from fg_orient.io.folder import require_free, staged_folder, writing
 from fg_orient.io.tables import Faults, number, read_table
+from fg_orient.linear.threads import one_blas_thread
 from fg_orient.rectification.distances import PairDistances, pair_distances
 from fg_orient.rectification.folder import CONTENTS, write_folder
 from fg_orient.rectification.models import Model, find_model
@@ -81,7 +82,8 @@ def rectify_fit(
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
     points = read_map_points(path, crs)
-    found, pruning = _fitted(points, model, direction, prune_to, prune_by)
+    with one_blas_thread():
+        found, pruning = _fitted(points, model, direction, prune_to, prune_by)
     record = record_of(found, pruning=pruning, distances=_distances(points, found, pixel_size_m))
     record |= {
         "input": {"file": path.name, "sha256": points.sha256}, "versions": versions(),
@@ -168,6 +170,7 @@ def study_points(
     if not points.check.any() or points.check.all():
         raise InputError.of("rectify.no_check_points", file=path, place="column role")
     every = observations(points, find_model("affine"), DIRECTIONS[0])
-    return design_study(
-        every.take(~points.check), every.take(points.check), counts, degrees, layouts=layouts, seed=seed
-    )
+    with one_blas_thread():
+        return design_study(
+            every.take(~points.check), every.take(points.check), counts, degrees, layouts=layouts, seed=seed
+        )

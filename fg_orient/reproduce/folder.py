@@ -31,7 +31,7 @@ def reproduce_to(
     Parameters
     ----------
     name : str
-        "terlemezoglu2019" or "topan2010".
+        "terlemezoglu2019", "topan2010" or "ipbuker1994".
     out : Path, optional
         Folder to make; default "reproduced-" and the name.
     overwrite : bool
@@ -77,6 +77,7 @@ def _write(folder: Path, found: Reproduction, command: Sequence[str]) -> None:
         "schema": SCHEMA_VERSION,
         "source": found.source.name,
         "title": found.source.title,
+        "about": found.source.about,
         "options": found.options,
         "verdicts": found.counts(),
         "tables": {table: {"title": title, "verdicts": found.counts(table)} for table, title in found.titles.items()},

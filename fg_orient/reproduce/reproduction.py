@@ -17,7 +17,7 @@ from fg_orient.errors import InputError
 from fg_orient.experiments.claims import ClaimResult, all_claims, run_claims
 from fg_orient.experiments.tables_spot6 import PERMUTATIONS
 from fg_orient.published.tables import PublishedTables, load
-from fg_orient.reproduce import terlemezoglu2019, topan2010
+from fg_orient.reproduce import ipbuker1994, terlemezoglu2019, topan2010
 from fg_orient.reproduce.sources import Source
 from fg_orient.reproduce.verdict import KINDS, Verdict, judge
 
@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 #: Told after each run: runs done, runs in all, what is being done.
 Callback = Callable[[int, int, str], None]
 
-SOURCES: Final = {source.name: source for source in (terlemezoglu2019.SOURCE, topan2010.SOURCE)}
+SOURCES: Final = {source.name: source for source in (terlemezoglu2019.SOURCE, topan2010.SOURCE, ipbuker1994.SOURCE)}
 #: Runs when nothing is said: about a minute.
 DEFAULT_SEEDS: Final = 10
 MAX_SEEDS: Final = 1000
@@ -103,7 +103,7 @@ def reproduce(
     Parameters
     ----------
     name : str
-        "terlemezoglu2019" or "topan2010".
+        "terlemezoglu2019", "topan2010" or "ipbuker1994" (which has no seeds, points or programs to vary).
     tables : str
         Tables and ranges of tables ("4.3-4.9,4.28"); "" for all.
     n_seeds : int
@@ -140,15 +140,19 @@ def reproduce(
         return lambda done, _: callback(offset + done, steps, what) if callback else None
 
     on_twin = tuple(table for table in chosen if table not in source.real_tables)
-    computed = source.compute(on_twin, seeds, as_run=as_run, progress=tell(0, "tables")) if on_twin else {}
+    computed = {}
+    if on_twin and source.compute is not None:
+        computed = source.compute(on_twin, seeds, as_run=as_run, progress=tell(0, "tables"))
     on_points = source.real(
         printed, chosen, data, permutations=permutations,
         progress=lambda done, of: callback(done, of, "real points") if callback else None,
     ) if source.real else {}  # fmt: skip
     about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
     judged = run_claims(seeds, tell(n_seeds, "claims"), about_it) if about_it else []
-    options: dict[str, Any] = {"tables": list(chosen), "seeds": list(seeds), "as_run": as_run}
-    if set(chosen) & set(source.real_tables):
+    options: dict[str, Any] = {"tables": list(chosen)}
+    if source.compute is not None:
+        options |= {"seeds": list(seeds), "as_run": as_run}
+    if source.compute is not None and set(chosen) & set(source.real_tables):
         options["permutations"] = permutations
     titles = {table: printed.titles[table] for table in chosen}
     rows = pair(printed, computed, source, chosen, on_points)

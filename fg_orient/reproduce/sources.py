@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,15 @@ from fg_orient.reproduce.verdict import Verdict
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
+
+
+#: What most numbers of the studies on SPOT-5 stand on.
+ON_TWIN: Final = (
+    "The points and images of the publication are not available. Each seed is a twin with points, errors and noise of "
+    "its own, so digits cannot agree; patterns, orders of magnitude and which side of the target a result falls on "
+    "can. "
+    '"Reproduced" is the median of the runs, the range their smallest and largest value.'
+)
 
 
 class Compute(Protocol):
@@ -45,8 +54,8 @@ class Source:
     ----------
     name, title : str
         Folder of the published tables; author, year and subject.
-    compute : callable
-        See :class:`Compute`.
+    compute : callable or None
+        See :class:`Compute`; None if nothing is computed on the twin.
     claims : tuple of str
         Ids of the claims about it.
     explain : callable
@@ -55,12 +64,15 @@ class Source:
         See :class:`RealVerdicts`.
     real_tables : tuple of str
         Its tables; the twin has no part in them.
+    about : str
+        What the numbers stand on, for the report.
     """
 
     name: str
     title: str
-    compute: Compute
+    compute: Compute | None
     claims: tuple[str, ...]
     explain: Callable[[PublishedCell], str]
     real: RealVerdicts | None = None
     real_tables: tuple[str, ...] = ()
+    about: str = ON_TWIN

@@ -1,0 +1,39 @@
+"""What is known about a published number from elsewhere: a value, perhaps with a spread, and a sentence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from fg_orient.reproduce.verdict import Kind
+
+
+@dataclass(frozen=True)
+class Found:
+    """A recomputed number.
+
+    Parameters
+    ----------
+    value : float
+        nan if only a verdict is known.
+    remark : str
+        From what it follows.
+    low, high : float
+        Spread in which the published number is expected; nan if the digits are.
+    is_order : bool
+        Only the order of magnitude is expected.
+    kind : str, optional
+        A verdict that does not follow from the numbers here.
+    """
+
+    value: float
+    remark: str = ""
+    low: float = math.nan
+    high: float = math.nan
+    is_order: bool = False
+    kind: Kind | None = None
+
+    @property
+    def has_spread(self) -> bool:
+        """Tell whether a spread is stated."""
+        return not math.isnan(self.low)

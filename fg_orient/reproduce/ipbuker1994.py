@@ -1,0 +1,122 @@
+"""İpbüker (1994): arithmetic of its tables, simulations of its precisions, orbit and sensor figures.
+
+Control points, residuals, coefficients and outlines are not in the thesis. What can be recomputed: numbers that follow
+from others beside them, laws and spreads that need no data, physics. The verdicts:
+
+- ``equal``: the printed digits.
+- ``rounding``: one unit of the last digit away, or inside the stated spread.
+- ``order``: a size that is only expected to be of the order of another; the ratio is given.
+- ``differs``: neither, with a sentence; ``not_reproducible`` with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fg_orient.cells import CellKey
+from fg_orient.linear.threads import one_blas_thread
+from fg_orient.published.tables import PublishedCell, PublishedTables
+from fg_orient.reproduce import ipbuker1994_islands, ipbuker1994_orbits, ipbuker1994_points
+from fg_orient.reproduce.found import Found
+from fg_orient.reproduce.sources import Source
+from fg_orient.reproduce.verdict import ORDER, Verdict, last_digit
+
+Values = Mapping[CellKey, float]
+TABLES: Final = ("3.1", "3.2", "3.3", "3.5", "text", "s4.2.2", "5.1", "s6.2", "6.1", "7.1", "s7.2", "7.2", "7.3", "7.4",
+                 "7.5", "7.6", "summary")  # fmt: skip
+#: Why cells of a table that nothing computes cannot be reproduced.
+REASONS: Final = {
+    "s4.2.2": "processor times of another computer and program",
+    "s6.2": "a figure of another publication; its points are not here",
+    "6.1": "one or two values of another block: nothing to compare them with",
+    "7.1": "control points, residuals and coefficients are not in the source",
+    "s7.2": "a fact of the unpublished points; a coefficient with four decimals leaves 226 m",
+    "7.2": "the vertices of the outlines are not in the source",
+    "7.3": "the vertices of the outlines are not in the source",
+    "7.4": "the vertices of the outlines are not in the source",
+    "7.5": "the image and its classes are not in the source",
+}
+FACT: Final = "a fact or a constant: nothing to compute"
+#: Tables and who computes them, from all printed values.
+_COMPUTERS: Final[dict[str, Callable[[Values], dict[CellKey, Found]]]] = {
+    **ipbuker1994_orbits.COMPUTERS, **ipbuker1994_points.COMPUTERS, **ipbuker1994_islands.COMPUTERS,
+}  # fmt: skip
+
+
+def verdicts(
+    printed: PublishedTables, tables: Collection[str], data: Path | None = None, *, permutations: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[CellKey, Verdict]:  # fmt: skip
+    """Judge the cells of some tables.
+
+    Parameters
+    ----------
+    printed : PublishedTables
+    tables : collection of str
+    data, permutations
+        Of other sources; there are no data to give or to permute here.
+    progress : callable, optional
+        Called with tables done and tables in all.
+    """
+    values: Values = {cell.key: np.float64(cell.value) for cell in printed.cells}
+    wanted = [table for table in printed.titles if table in tables]
+    out: dict[CellKey, Verdict] = {}
+    for done, table in enumerate(wanted, start=1):
+        compute = _COMPUTERS.get(table)
+        with one_blas_thread(), np.errstate(all="ignore"):  # a copy may hold any number: nan then differs
+            found = compute(values) if compute is not None else {}
+        out |= {cell.key: judge(cell, found.get(cell.key)) for cell in printed.cells if cell.key.table == table}
+        if progress is not None:
+            progress(done, len(wanted))
+    return out
+
+
+def judge(cell: PublishedCell, found: Found | None) -> Verdict:
+    """Compare a printed number with what is known about it; see the module docstring."""
+    if not cell.text:
+        return Verdict("not_reproducible", "a statement in words" if cell.printed else "nothing is printed")
+    if found is None:
+        return Verdict("not_reproducible", REASONS.get(cell.key.table, FACT))
+    if found.kind is not None:
+        return Verdict(found.kind, found.remark, found.value, found.low, found.high)
+    if found.is_order:
+        ratio = found.value / cell.value
+        kind, words = ("order" if 1.0 / ORDER <= ratio <= ORDER else "differs"), f"reproduced / published = {ratio:.2g}"
+    elif found.has_spread:
+        half = 0.5 * last_digit(cell.text)
+        inside = found.low - half <= cell.value <= found.high + half
+        kind, words = ("rounding" if inside else "differs"), f"{'inside' if inside else 'outside'} the spread"
+    else:
+        kind, words = _digits(cell, found)
+    reason = f"{words}: {found.remark}" if found.remark else words
+    return Verdict("order" if kind == "order" else "rounding" if kind == "rounding" else "equal" if kind == "equal"
+                   else "differs", reason, found.value, found.low, found.high)  # fmt: skip
+
+
+def _digits(cell: PublishedCell, found: Found) -> tuple[str, str]:
+    """Compare with the printed digits; the slack is the decimal print of a double."""
+    off, unit = abs(found.value - cell.value), last_digit(cell.text)
+    slack = 1e-9 * abs(cell.value)
+    if off <= 0.5 * unit + slack:
+        return "equal", "all printed digits"
+    if off <= unit + slack:
+        return "rounding", "one unit of the last digit"
+    return "differs", f"published {cell.text}, reproduced {found.value:.7g}"
+
+
+SOURCE: Final = Source(
+    "ipbuker1994",
+    "İpbüker (1994), geometric accuracy of images at map scale from satellite data",
+    None,
+    (),
+    lambda cell: "",
+    verdicts,
+    TABLES,
+    "The thesis prints no control points, residuals, coefficients or outlines: its rectifications cannot be repeated. "
+    "Recomputed are numbers that follow from others beside them, figures of orbits, sensors and projections, and, by "
+    "simulation, how precisions of one kind depend on those of another. The range is the stated spread, if any.",
+)

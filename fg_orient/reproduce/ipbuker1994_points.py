@@ -1,0 +1,130 @@
+"""Tables 6.1 and 7.1, sections 6.2 and 7.2: accuracies at points that are not published."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+
+from fg_orient.cells import CellKey
+from fg_orient.rectification.study import admissible_points, growing_degrees, terms
+from fg_orient.rectification.synthetic import RUNS, SCENE_POINTS, digitised_sheets, distance_ratios
+from fg_orient.reproduce.found import Found
+
+Values = Mapping[CellKey, float]
+
+#: Points read on each rectified image (section 7.1).
+POINTS_7_1: Final = 30
+DEGREES: Final = (1, 2, 3)
+#: Of table 6.1: block with 20 values, test points.
+BLOCK: Final = "1024 x 1024"
+TEST_POINTS: Final = 40
+#: Pixels that the RMS values of section 6.2 in metres and pixels refer to.
+PIXELS_M: Final = {"welch_1984a": 28.5, "welch_1985bc": 30.0, "borgeson_1985": 28.5}
+#: Extent of the digitised grid points about the islands (section 7.2), km, assumed; runs of the simulation.
+EXTENT_KM: Final = (9, 6)
+SHEET_RUNS: Final = 100
+
+
+def rectifications(values: Values) -> dict[CellKey, Found]:
+    """Table 7.1: which m0 is impossible, and whether the distances are those of noise alone."""
+    out = {}
+    for row in [key.parameter for key in values if key.table == "7.1" and key.quantity == "pair_distance_sd"]:
+        keys = {q: CellKey("7.1", quantity=f"m0_degree_{q}", parameter=row) for q in DEGREES}
+        m0 = {q: values[key] for q, key in keys.items()}
+        for q in growing_degrees(m0, POINTS_7_1):
+            out[keys[q]] = _impossible(m0, q)
+        key = CellKey("7.1", quantity="pair_distance_sd", parameter=row)
+        out[key] = _distances(row, m0[1], values[key])
+    return out
+
+
+def _impossible(m0: Mapping[int, float], degree: int) -> Found:
+    """Least squares over the same points cannot leave more with more terms."""
+    most = min(m0[q] * float(np.sqrt((POINTS_7_1 - terms(q)) / (POINTS_7_1 - terms(degree)))) for q in m0 if q < degree)
+    allowed = admissible_points(m0)
+    remark = (
+        f"impossible over {POINTS_7_1} points: m0^2 (2n - 2p) grows with the degree; at most {most:.2f} m follows from "
+        f"the lower degrees, which may be wrong instead; the row would be possible {_words(allowed)}"
+    )
+    return Found(most, remark, kind="differs")
+
+
+def _words(allowed: tuple[int, ...]) -> str:
+    """Numbers of points that would allow a row."""
+    return f"with {allowed[0]} to {allowed[-1]} points" if allowed else "with no number of points"
+
+
+def _distances(row: str, m0: float, printed: float) -> Found:
+    """Distance differences expected of noise alone, from m0 of degree 1."""
+    found = distance_ratios(RUNS // 4)
+    low, middle, high = np.quantile(found.ratio, (0.025, 0.5, 0.975)) * m0
+    remark = (
+        f"{middle / m0:.2f} m0 of degree 1 in {len(found.ratio)} simulated scenes of {SCENE_POINTS} points with noise "
+        f"alone, printed {printed / m0:.2f}"
+    )
+    if row == "spot_pan":
+        remark += "; how many points were measured in it is not printed"
+    elif printed > high:
+        scale = np.sqrt(printed**2 - middle**2) / float(found.spread_m.mean())
+        remark += f"; a scale error of {100 * scale:.2f} % left over would explain it"
+    return Found(float(middle), remark, float(low), float(high))
+
+
+def north_georgia(values: Values) -> dict[CellKey, Found]:
+    """Table 6.1: RMS = sigma sqrt(1 + p/n), sigma fitted to the 20 values of one block."""
+    factors, rms, keys = [], [], []
+    for key, value in values.items():
+        if key.table == "6.1" and key.parameter.startswith(BLOCK):
+            n, degree = (int(word) for word in re.findall(r"(\d+) GCPs, degree (\d+)", key.parameter)[0])
+            keys.append(key)
+            factors.append(np.sqrt(1.0 + terms(degree) / n))
+            rms.append(value)
+    g, v = np.array(factors), np.array(rms)
+    sigma = float(g @ v / (g @ g))
+    spread = 1.96 / np.sqrt(2.0 * 2 * TEST_POINTS)
+    remark = (
+        f"sigma sqrt(1 + p/n), a law found by looking at this table, sigma = {sigma:.2f} m fitted to its {len(v)} "
+        f"values of this block; spread of an RMS over {TEST_POINTS} points"
+    )
+    return {
+        key: Found(sigma * f, remark, sigma * f * (1.0 - spread), sigma * f * (1.0 + spread))
+        for key, f in zip(keys, g.tolist(), strict=True)
+    }
+
+
+def literature(values: Values) -> dict[CellKey, Found]:
+    """Section 6.2: RMS in pixels from that in metres, where both are printed."""
+    out = {}
+    for key in values:
+        metres = values.get(key._replace(quantity="rmse_m"))
+        pixel = PIXELS_M.get(key.parameter.partition(",")[0])
+        if key.table == "s6.2" and key.quantity == "rmse_px" and metres is not None and pixel is not None:
+            out[key] = Found(metres / pixel, f"the metres beside it by a pixel of {pixel:g} m")
+    return out
+
+
+def calibration(values: Values) -> dict[CellKey, Found]:
+    """Section 7.2: three precisions of one digitised sheet must fit each other."""
+    found = digitised_sheets(EXTENT_KM, SHEET_RUNS)
+    remark = (
+        f"{SHEET_RUNS} simulated calibrations with 24 nodes over {EXTENT_KM[0]} x {EXTENT_KM[1]} km (assumed) and the "
+        "noise that the printed m0 says"
+    )
+    out = {
+        CellKey("s7.2", quantity="affine_m0"): Found(
+            float("nan"), "the simulations take their noise from it", kind="not_reproducible"
+        )
+    }
+    for quantity, runs in (("pair_distance_diff_sd", found.distance_sd),
+                           ("helmert_mean_point_error", found.helmert_point_error)):  # fmt: skip
+        low, middle, high = (float(v) for v in np.quantile(runs, (0.025, 0.5, 0.975)))
+        out[CellKey("s7.2", quantity=quantity)] = Found(middle, remark, low, high)
+    return out
+
+
+COMPUTERS: Final[dict[str, Callable[[Values], dict[CellKey, Found]]]] = {
+    "6.1": north_georgia, "7.1": rectifications, "s6.2": literature, "s7.2": calibration,
+}  # fmt: skip
