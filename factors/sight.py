@@ -21,20 +21,20 @@ STORED: Final = 31
 
 
 @inlined
-def _three(a: Any, i: int, n: int) -> Any:
+def _three(a: Any, i: Any, n: Any) -> Any:
     """Entry ``i`` and the next two, which lie ``n`` apart."""
     return a[i], a[i + n], a[i + 2 * n]
 
 
 @inlined
-def _mount(record: Any, i: int, n: int) -> Any:
+def _mount(record: Any, i: Any, n: Any) -> Any:
     """Mounting M (9)."""
     a, b, c = _three(record, i + 9 * n, n), _three(record, i + 12 * n, n), _three(record, i + 15 * n, n)
     return (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
 
 
 @inlined
-def _position(record: Any, d: Any, ground: Any, i: int, n: int) -> Any:
+def _position(record: Any, d: Any, ground: Any, i: Any, n: Any) -> Any:
     """Coordinates of the ground point in the corrected orbital frame: reference, difference; that frame, its scales."""
     p, v, follows = _three(record, i, n), _three(record, i + 3 * n, n), record[i + 26 * n]
     frame, lengths = orbital.reference(p[0], p[1], p[2], v[0], v[1], v[2])
@@ -59,7 +59,7 @@ def _look(psi: Any, b: Any) -> Any:
 
 
 @inlined
-def sight(record: Any, d: Any, ground: Any, i: int, n: int, small: bool) -> Any:
+def sight(record: Any, d: Any, ground: Any, i: Any, n: Any, small: Any) -> Any:
     """Observation ``i`` of arrays whose entries lie ``n`` apart: the equation itself, for a factor and for a batch.
 
     Every operation is rounded as written, so that both get the same bits.
@@ -98,7 +98,7 @@ def sight(record: Any, d: Any, ground: Any, i: int, n: int, small: bool) -> Any:
 
 
 @inlined
-def derivatives(record: Any, i: int, n: int, seen: Any) -> Any:
+def derivatives(record: Any, i: Any, n: Any, seen: Any) -> Any:
     """Derivatives of both conditions by P, V, roll, pitch, yaw (0-8), ground (9-11), psi_x, psi_y: (14,) each."""
     follows = record[i + 26 * n]
     return (
@@ -129,7 +129,7 @@ def _sum(y: Any) -> Any:
 
 
 @inlined
-def store(out: Any, i: int, n: int, value: Any, rows: Any) -> None:
+def store(out: Any, i: Any, n: Any, value: Any, rows: Any) -> None:
     """Write the STORED numbers of an observation: conditions, both rows of derivatives, and the sum of all."""
     y, x = rows
     out[i], out[i + n] = value
