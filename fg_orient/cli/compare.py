@@ -18,7 +18,8 @@ from fg_orient.errors import InputError
 #: Places of the library in the words of the command line.
 _TYPED = {
     "eop_set": "--eop-sets", "eop_sets": "--eop-sets", "solvers": "--solvers", "backends": "--backends",
-    "types": "--types", "target": "--target", "look_polynomial": "--look-polynomial",
+    "types": "--types", "workers": "--workers", "scheduler": "--scheduler",
+    "cluster": "--scheduler", "target": "--target", "look_polynomial": "--look-polynomial",
 }  # fmt: skip
 
 
@@ -45,6 +46,10 @@ def compare(
     target: Annotated[
         float | None, typer.Option(metavar="M", help="RMSE to reach, m; default: the distance of the pixels.")
     ] = None,
+    workers: Annotated[int, typer.Option(metavar="N", help="Processes that share the EOP sets.")] = 0,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Scheduler of a running dask cluster, instead of processes.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder of the results; default: comparison, beside the project file.")
     ] = None,
@@ -54,11 +59,12 @@ def compare(
 ) -> None:
     """Compare EOP sets, solvers and backends on a block: tables, figures and an HTML report.
 
+    With workers, sets that are done are kept beside the folder until it is written: the same command goes on with them.
     Without matplotlib (extra "report") the tables come without figures.
     """
     options: dict[str, Any] = {
         "eop_sets": eop_sets, "solvers": solvers, "backends": backends, "types": types, "as_run": as_run,
-        "look_polynomial": look_polynomial, "target_m": target,
+        "look_polynomial": look_polynomial, "target_m": target, "workers": workers, "cluster": scheduler,
     }  # fmt: skip
     with outcome(as_json, debug):
         if not project.is_file():

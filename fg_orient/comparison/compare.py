@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +23,7 @@ from fg_orient.errors import InputError
 from fg_orient.linear.registry import solvers as known_solvers
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.names import Role
+from fg_orient.parallel.study import study
 from fg_orient.parameters import EOP_SETS
 
 #: Called after each adjustment: how many are done, of how many, and which one.
@@ -35,6 +40,9 @@ def compare(
     as_run: bool = False,
     look_polynomial: int | None = None,
     target_m: float | None = None,
+    workers: int = 0,
+    cluster: Any = None,
+    folder: str | Path | None = None,
     callback: Progress | None = None,
 ) -> Comparison:
     """Compare the published procedure, dense matrices and the graph on one block.
@@ -58,8 +66,14 @@ def compare(
         Degree of the look-angle polynomial of "dense" and "graph"; default: the block's.
     target_m : float, optional
         RMSE to reach; default: the ground sampling distance, see :func:`ground_sampling_m`.
+    workers : int
+        Processes of this machine that share the EOP sets; 0 or 1: this one.
+    cluster : str or dask.distributed.Client, optional
+        Scheduler of a running cluster instead.
+    folder : path, optional
+        Keeps the sets that are done: a comparison that is started again with it goes on.
     callback : callable, optional
-        Called with (done, of, text) after each adjustment.
+        Called with (done, of, text) after each adjustment; with workers or a folder after each set.
 
     Returns
     -------
@@ -77,34 +91,96 @@ def compare(
     _require_control(block)
     target = selection.target(ground_sampling_m(block) if target_m is None else target_m)
     compile_kernels()
-    # every row opens the check points after its own adjustment; their file is read for the first one only
-    withheld = replace(block.withheld, reader=functools.cache(block.withheld.reader))
-    block = replace(block, withheld=withheld)
-    count = {"faithful": len(kinds) * len(names), "dense": len(names), "graph": 1}
-    run = _Run(len(numbers) * sum(count[e] for e in engines), target, callback)
-    with one_blas_thread():
-        published = Published(block, as_run) if "faithful" in engines else None
-        for number in numbers:
-            if published:
-                run.take_published(published, number, kinds, names)
-            if set(engines) & {"dense", "graph"}:
-                run.take_adjustments(Adjustments(block, number, look_polynomial), engines, names)
+    plan = _Plan(engines, names, kinds, as_run, look_polynomial, target)
+    if workers <= 1 and cluster is None and folder is None:
+        run = _Run(len(numbers) * plan.per_set, plan, callback)
+        run.take(block, numbers)
+        rows, spectra = run.rows, run.spectra
+    else:
+        rows, spectra = _shared(block, plan, numbers, workers, cluster, folder, callback)
     degree = block.options.look_polynomial if look_polynomial is None else look_polynomial
     return Comparison(
-        block=replace(block, options=replace(block.options, look_polynomial=degree)), rows=tuple(run.rows),
-        spectra=tuple(run.spectra), target_m=target, eop_sets=numbers, solvers=names, backends=engines, types=kinds,
+        block=replace(block, options=replace(block.options, look_polynomial=degree)), rows=tuple(rows),
+        spectra=tuple(spectra), target_m=target, eop_sets=numbers, solvers=names, backends=engines, types=kinds,
         as_run=as_run, seconds=time.perf_counter() - start,
         labels={GRAPH_SOLVER: "GTSAM"} | {name: known_solvers()[name].label for name in names},
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class _Plan:
+    """What is done with each set."""
+
+    engines: tuple[str, ...]
+    names: tuple[str, ...]
+    kinds: tuple[int, ...]
+    as_run: bool
+    look_polynomial: int | None
+    target_m: float
+
+    @property
+    def per_set(self) -> int:
+        """Adjustments of one set."""
+        count = {"faithful": len(self.kinds) * len(self.names), "dense": len(self.names), "graph": 1}
+        return sum(count[e] for e in self.engines)
+
+
+def _shared(
+    block: Block, plan: _Plan, numbers: tuple[int, ...], workers: int, cluster: Any, folder: str | Path | None,
+    callback: Progress | None,
+) -> tuple[list[Row], list[Spectrum]]:  # fmt: skip
+    """Rows and spectra of all sets, each a case of a study."""
+
+    def tell(done: int, of: int, number: int) -> None:
+        if callback:
+            callback(done * plan.per_set, of * plan.per_set, f"set {number} {EOP_SETS[number][0]}")
+
+    found = study(
+        partial(_one_set, block, plan), list(numbers), workers=workers, cluster=cluster, folder=folder,
+        key=_key(block, plan), callback=tell,
+    )  # fmt: skip
+    rows = [Row(**{**row, "notes": tuple(row["notes"])}) for of_set in found for row in of_set["rows"]]
+    return rows, [Spectrum(**spectrum) for of_set in found for spectrum in of_set["spectra"]]
+
+
+def _key(block: Block, plan: _Plan) -> str:
+    """What the rows of a set depend on."""
+    o, known = block.observations, block.points.known
+    digest = hashlib.sha256(repr((plan, block.options, block.sources)).encode())
+    for array in (o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px, known.ecef_m, known.fixed):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _one_set(block: Block, plan: _Plan, number: int) -> dict[str, Any]:
+    """Rows and spectra of one set, as a study takes them."""
+    compile_kernels()
+    run = _Run(plan.per_set, plan, None)
+    run.take(block, (number,))
+    return {"rows": [asdict(row) for row in run.rows], "spectra": [asdict(spectrum) for spectrum in run.spectra]}
+
+
 class _Run:
     """Collects rows and spectra, judges them against the target, and tells how far it is."""
 
-    def __init__(self, total: int, target_m: float, callback: Progress | None) -> None:
+    def __init__(self, total: int, plan: _Plan, callback: Progress | None) -> None:
         self.rows: list[Row] = []
         self.spectra: list[Spectrum] = []
-        self._total, self._target, self._callback = total, target_m, callback
+        self._total, self._plan, self._target, self._callback = total, plan, plan.target_m, callback
+
+    def take(self, block: Block, numbers: Iterable[int]) -> None:
+        """Run some sets."""
+        plan = self._plan
+        # every row opens the check points after its own adjustment; their file is read for the first one only
+        block = replace(block, withheld=replace(block.withheld, reader=functools.cache(block.withheld.reader)))
+        with one_blas_thread():
+            published = Published(block, plan.as_run) if "faithful" in plan.engines else None
+            for number in numbers:
+                if published:
+                    self.take_published(published, number, plan.kinds, plan.names)
+                if set(plan.engines) & {"dense", "graph"}:
+                    engine = Adjustments(block, number, plan.look_polynomial)
+                    self.take_adjustments(engine, plan.engines, plan.names)
 
     def take_published(self, engine: Published, number: int, kinds: tuple[int, ...], names: tuple[str, ...]) -> None:
         """Run the published procedure with one set."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -48,7 +49,8 @@ def compare_project(
     overwrite : bool
         Replace an existing comparison folder, once the new one is complete.
     options : mapping, optional
-        Arguments of :func:`fg_orient.compare`.
+        Arguments of :func:`fg_orient.compare`. With workers the sets that are done are kept in a hidden folder beside
+        ``out`` until this is written.
     callback : callable, optional
         Called with (done, of, text) after each adjustment.
     command : sequence of str
@@ -72,7 +74,10 @@ def compare_project(
     compile_kernels()
     block = read_project(project)
     read_s = time.perf_counter() - start
-    found = compare(block, callback=callback, **dict(options or {}))
+    given = dict(options or {})
+    shared = given.get("workers", 0) > 1 or given.get("cluster") is not None
+    kept = Path(out).absolute().with_name(f".{Path(out).name}.sets") if shared else None
+    found = compare(block, callback=callback, folder=kept, **given)
     if all(row.failure for row in found.rows):
         raise NoSolutionError.of("compare.no_solution", file=project, count=len(found.rows), why=found.rows[0].failure)
     record = _record(found, Path(project), Path(out), command)
@@ -83,6 +88,8 @@ def compare_project(
         record["seconds"] = {"read": read_s, "compare": found.seconds, "figures": end - mark, "total": end - start}
         with writing(out):
             write_folder(folder, found, record, drawn)
+    if kept is not None:
+        shutil.rmtree(kept, ignore_errors=True)
     return {**record, "out": str(out)}
 
 

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from fg_orient.experiments.study import Study
 from fg_orient.linear.threads import one_blas_thread
+from fg_orient.parallel.study import study
 
 MET_AT = 0.9
 #: Quantile of the normal distribution of a 95 % interval.
@@ -103,6 +106,8 @@ def run_claims(
     seeds: Sequence[int],
     callback: Callable[[int, int], None] | None = None,
     claims: Sequence[Claim] | None = None,
+    workers: int = 0,
+    cluster: Any = None,
 ) -> list[ClaimResult]:
     """Judge claims over seeds.
 
@@ -113,17 +118,25 @@ def run_claims(
         Called with (seeds done, seeds in all) after each seed.
     claims : sequence of Claim, optional
         Default: all of them.
+    workers, cluster : optional
+        Processes, or a cluster, that share the seeds; see ``fg_orient.parallel.study``.
     """
     chosen = all_claims() if claims is None else tuple(claims)
-    outcomes: list[list[Outcome]] = [[] for _ in chosen]
-    for done, seed in enumerate(seeds, start=1):
-        study = Study(seed)
-        with one_blas_thread():  # rounding noise is what some claims are about
-            for kept, claim in zip(outcomes, chosen, strict=True):
-                kept.append(claim.judge(study))
+
+    def tell(done: int, of: int, _: object) -> None:
         if callback:
-            callback(done, len(seeds))
-    return [_summary(claim, kept) for claim, kept in zip(chosen, outcomes, strict=True)]
+            callback(done, of)
+
+    found = study(partial(_judged, chosen), list(seeds), workers=workers, cluster=cluster, callback=tell)
+    outcomes = [[Outcome(o["holds"], tuple(o["failed"]), o["figures"]) for o in of_seed] for of_seed in found]
+    return [_summary(claim, [row[k] for row in outcomes]) for k, claim in enumerate(chosen)]
+
+
+def _judged(claims: Sequence[Claim], seed: int) -> list[dict[str, Any]]:
+    """Outcome of each claim on one seed."""
+    at = Study(seed)
+    with one_blas_thread():  # rounding noise is what some claims are about
+        return [asdict(claim.judge(at)) for claim in claims]
 
 
 def _summary(claim: Claim, outcomes: list[Outcome]) -> ClaimResult:

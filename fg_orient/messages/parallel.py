@@ -23,6 +23,10 @@ PARALLEL: Final = {
         "a file of the work folder cannot be read where the work is done",
         "give a folder that all workers see under the same name (--work-dir)",
     ),
+    "parallel.version": (
+        "the worker has another version of fg_orient than {written}",
+        "install the same version everywhere: results must not depend on the worker",
+    ),
     "parallel.killed": (
         "the same work ended several workers",
         "look at the memory of the workers: take more parts or fewer workers",

@@ -6,23 +6,26 @@ its image points, so that neither sensors nor metadata travel. Files are ``.npz`
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
+import secrets
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, cast
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Equation, registered
+from fg_orient import __version__
 from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_structure import reason_against
 from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, Sensor, WithheldCoordinates
 from fg_orient.errors import InputError
-from fg_orient.io.atomic import write_bytes
 from fg_orient.parameters import ImageParameters
 
 Array = npt.NDArray[np.float64]
@@ -99,6 +102,7 @@ def part_of(problem: Problem, points: Index, rows: Index) -> dict[str, npt.NDArr
         "setups": np.concatenate(setups, axis=1), "first": problem.first,
         "image_ids": np.array([image.id.encode() for image in problem.block.images]),
         "ids": np.array([problem.block.points.ids[j].encode() for j in points.tolist()]),
+        "version": np.array(__version__),
         "options": np.frombuffer(json.dumps(asdict(problem.block.options)).encode(), np.uint8),
     }  # fmt: skip
 
@@ -127,6 +131,24 @@ def part_problem(name: str, arrays: dict[str, npt.NDArray[Any]]) -> Problem:
     )  # fmt: skip
 
 
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all. The disk need not have it yet: after a crash the work begins anew.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise InputError.of("output.unwritable", file=path, value=error.strerror) from error
+
+
 def part_file(folder: str | Path, number: int) -> Path:
     """File of a part."""
     return Path(folder) / f"part-{number:04d}.npz"
@@ -142,7 +164,7 @@ def write_part(problem: Problem, points: Index, rows: Index, folder: Path, numbe
     """
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **part_of(problem, points, rows))
-    write_bytes(part_file(folder, number), stream.getvalue())
+    write_whole(part_file(folder, number), stream.getvalue())
 
 
 def read_part(folder: str, number: int) -> Problem:
@@ -151,11 +173,15 @@ def read_part(folder: str, number: int) -> Problem:
     Raises
     ------
     InputError
-        The file is not there, or not whole: the folder is another one for this process.
+        The file is not there, or not whole: the folder is another one for this process. Or it is of another version
+        of this package.
     """
     path = part_file(folder, number)
     try:
-        with np.load(path, allow_pickle=False) as found:
-            return part_problem(f"part {number}", {name: found[name] for name in found.files})
-    except (OSError, ValueError, EOFError) as error:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as found:
+            arrays = dict(found)
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
         raise InputError.of("parallel.folder", file=path, value=type(error).__name__) from error
+    if str(arrays["version"]) != __version__:
+        raise InputError.of("parallel.version", file=path, value=__version__, written=str(arrays["version"]))
+    return part_problem(f"part {number}", arrays)

@@ -115,9 +115,13 @@ class Cluster:
     def __init__(self, client: Any) -> None:
         self.client = client
 
+    def workers(self) -> list[str]:
+        """Addresses of the workers that live, in one order."""
+        return sorted(self.client.nthreads())
+
     def _submit(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
         """Futures; the same argument goes to the same worker each time, as long as that one lives."""
-        workers = sorted(self.client.nthreads()) or [None]
+        workers: list[str | None] = [*self.workers()] or [None]
         homes = [workers[k * len(workers) // len(arguments)] for k in range(len(arguments))]
         return [
             self.client.submit(task, *argument, pure=False, workers=home, allow_other_workers=home is not None)
@@ -147,8 +151,12 @@ class Cluster:
         with _failures():
             futures = [self.client.submit(task, *argument, pure=False) for argument in arguments]
             number = {future.key: k for k, future in enumerate(futures)}
-            for future in _distributed().as_completed(futures):
-                yield number[future.key], future.result()
+            try:
+                for future in _distributed().as_completed(futures, loop=self.client.loop):
+                    yield number[future.key], future.result()
+                    future.release()
+            finally:
+                self.client.cancel(futures)
 
     def forget(self, folder: str) -> None:
         """See :class:`Pool`."""

@@ -20,8 +20,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur import SchurBackend, SchurStep, SchurSystem
 from fg_orient.errors import InputError
-from fg_orient.io.atomic import write_bytes
-from fg_orient.parallel.parts import read_part
+from fg_orient.parallel.parts import read_part, write_whole
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -208,7 +207,7 @@ def write_ground(folder: str | Path, part: int, name: str, ground: Array) -> Non
     """Write the ground points (P, 3) of a part, whole or not at all."""
     stream = io.BytesIO()
     np.save(stream, ground)
-    write_bytes(ground_file(folder, part, name), stream.getvalue())
+    write_whole(ground_file(folder, part, name), stream.getvalue())
 
 
 def read_ground(folder: str | Path, part: int, name: str) -> Array:

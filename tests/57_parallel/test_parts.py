@@ -1,0 +1,252 @@
+"""A block in parts against the same block in one piece: steps, solutions, cofactors, files, refusals."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fg_orient as fg
+from fg_orient.adjustment.gnc import EXACT, PLAIN, Graduated
+from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.robust import weighted_problem
+from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.adjustment.solve import solve
+from fg_orient.block import Block, ExtraObservation
+from fg_orient.parallel import parts as parts_module
+from fg_orient.parallel.backend import PartedBackend
+from fg_orient.parallel.parts import default_parts, divide, part_file, read_part, rows_of
+from fg_orient.parallel.pool import Execution, InProcess
+from fg_orient.parallel.solve import solve_in_parts
+from fg_orient.quality.covariance import cofactors_of
+from tests.support.parallel_block import block
+from tests.support.rpc_block import rpc_twin
+
+#: Agreement asked of a partitioned run, prior sigmas; points within the same in units of 100 m.
+SIGMAS, METRES = 1e-9, 1e-7
+
+
+def with_options(problem: Problem, **options: object) -> Problem:
+    return compile_problem(replace(problem.block, options=replace(problem.block.options, **options)))
+
+
+def largest(problem: Problem, a: State, b: State) -> tuple[float, float]:
+    """Largest differences of two states: image unknowns (sigmas), unknown points (m)."""
+    ground = np.abs(a.ground - b.ground)[problem.active]
+    return float(np.abs(a.image - b.image).max()), float(ground.max(initial=0.0))
+
+
+def moved(problem: Problem, seed: int) -> State:
+    """A state away from the start."""
+    rng = np.random.default_rng(seed)
+    image = problem.image_matrix(rng.normal(scale=0.3, size=problem.n_image_unknowns))
+    ground = problem.start.ground.copy()
+    ground[problem.active] += rng.normal(scale=3.0, size=(int(problem.active.sum()), 3))
+    return State(image, ground)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 60])
+def test_parts_hold_every_point_and_ray_once(problem: Problem, count: int) -> None:
+    points = divide(problem, count)
+    rows = rows_of(problem, points)
+    assert [len(p) > 0 for p in points] == [True] * count
+    seen = np.unique(problem.observations.point)
+    np.testing.assert_array_equal(np.sort(np.concatenate(points)), seen)
+    np.testing.assert_array_equal(np.sort(np.concatenate(rows)), np.arange(len(problem.observations)))
+    for p, r in zip(points, rows, strict=True):
+        assert set(problem.observations.point[r]) == set(p)
+    rays = np.bincount(problem.observations.point)
+    work = [int((rays[p] * (rays[p] + 1) // 2).sum()) for p in points]
+    heaviest = int((rays * (rays + 1) // 2).max())
+    assert max(work) <= sum(work) / count + heaviest
+
+
+def test_the_number_of_parts_follows_from_the_block(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    n = len(problem.observations)
+    for size, expected in ((n, 1), (n - 1, 2), (1, n)):
+        monkeypatch.setattr(parts_module, "PART_SIZE", size)
+        assert default_parts(problem) == min(expected, parts_module.MAX_PARTS)
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(st.data())
+def test_a_step_in_parts_is_the_step_in_one_piece(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    """Any set, look polynomial, damping, number of parts: step, errors, lengths, and the state that follows."""
+    problem = with_options(
+        compile_problem(block()), eop_set=data.draw(st.integers(1, 20), label="set"),
+        look_polynomial=data.draw(st.sampled_from([None, 1]), label="look"),
+        check_points=data.draw(st.sampled_from(["use", "exclude"]), label="check"),
+    )  # fmt: skip
+    damping, state = data.draw(st.sampled_from([0.0, 1e-2, 10.0]), label="damping"), moved(problem, 1)
+    count = data.draw(st.integers(1, 12), label="parts")
+    one = SchurBackend(problem)
+    parted = PartedBackend(problem, InProcess(), tmp_path_factory.mktemp("work"), count)
+    a, b = one.linearise(state), parted.linearise(state)
+    assert b.error == pytest.approx(a.error, rel=1e-12)
+    step, ours = a.solve(damping), b.solve(damping)
+    size = max(1.0, step.length)
+    image, ground = largest(problem, one.retract(state, step), parted.retract(state, ours))
+    assert image <= SIGMAS * size and ground <= METRES * size
+    assert ours.length == pytest.approx(step.length, rel=1e-7)
+    assert ours.norm == pytest.approx(step.norm, rel=1e-7)
+    assert ours.predicted_error == pytest.approx(step.predicted_error, rel=1e-9)
+    newton = a.solve(0.0).norm
+    for radius in (1e-3 * newton, 0.5 * newton):
+        step, ours = a.dogleg(radius), b.dogleg(radius)
+        assert ours.norm == pytest.approx(min(radius, newton), rel=1e-7)
+        image, ground = largest(problem, one.retract(state, step), parted.retract(state, ours))
+        assert max(image, ground) <= 1e-7 * max(1.0, newton)
+        assert ours.predicted_error == pytest.approx(step.predicted_error, rel=1e-9)
+
+
+@pytest.mark.parametrize(("optimizer", "loss"), [*((name, "none") for name in OPTIMIZERS), ("dogleg", "huber")])
+def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss: str) -> None:
+    chosen = with_options(problem, optimizer=optimizer, loss=loss)
+    whole, parted = solve(chosen), solve_in_parts(chosen, Execution(parts=5))
+    assert whole.converged and parted.converged and parted.iterations == whole.iterations
+    image, ground = largest(chosen, whole.state, parted.state)
+    assert image <= SIGMAS and ground <= METRES
+    assert parted.chi2 == pytest.approx(whole.chi2, rel=1e-12)
+    theirs, ours = (
+        cofactors_of(chosen if e.weights is None else weighted_problem(chosen, e.weights), e) for e in (whole, parted)
+    )
+    tie, control = int(np.flatnonzero(~chosen.observed & chosen.active)[0]), int(np.flatnonzero(chosen.observed)[0])
+    for a, b in (
+        (theirs.image(3), ours.image(3)), (theirs.point(tie), ours.point(tie)),
+        (theirs.joint((4, 1), (control, tie)), ours.joint((4, 1), (control, tie))),
+    ):  # fmt: skip
+        scale = np.sqrt(np.outer(np.diag(a), np.diag(a)))
+        np.testing.assert_allclose(b / scale, a / scale, rtol=0.0, atol=1e-9)
+
+
+def test_losses_that_change_reach_the_parts(problem: Problem, tmp_path: Path) -> None:
+    plan, state = Graduated.of(replace(problem.block.options, loss="tls", gnc=True)), moved(problem, 2)
+    one, parted = SchurBackend(problem), PartedBackend(problem, InProcess(), tmp_path, 4)
+    for a, b in zip(one.squares(state), parted.squares(state), strict=True):
+        np.testing.assert_allclose(np.sort(b), np.sort(a), rtol=1e-12)
+    errors = []
+    for mu in (PLAIN, 1e-4, 1e-2, EXACT):
+        one.robust = parted.robust = plan.robust(mu)
+        errors.append(one.error(state))
+        assert parted.error(state) == pytest.approx(errors[-1], rel=1e-12)
+        a, b = one.linearise(state).solve(0.0), parted.linearise(state).solve(0.0)
+        np.testing.assert_allclose(b.image, a.image, rtol=0.0, atol=1e-9 * max(1.0, a.length))
+    assert len(set(errors)) == 4
+
+
+@pytest.mark.slow
+def test_graduated_non_convexity_in_parts(problem: Problem) -> None:
+    """Stages change the losses and look at all residuals: bad image points are found alike."""
+    line = problem.block.observations.line.copy()
+    line[::17] += 40.0
+    spoilt = replace(problem.block, observations=replace(problem.block.observations, line=line))
+    chosen = with_options(replace(problem, block=spoilt), loss="tls", gnc=True)
+    whole, parted = solve(chosen), solve_in_parts(chosen, Execution(parts=4))
+    assert whole.converged and parted.converged
+    image, ground = largest(chosen, whole.state, parted.state)
+    assert image <= SIGMAS and ground <= METRES
+
+
+@pytest.mark.parametrize("kind", ["shift", "affine"])
+def test_images_with_rational_functions_in_parts(kind: str) -> None:
+    twin = rpc_twin(kind).block
+    problem = compile_problem(replace(twin, options=replace(twin.options, backend="schur")))
+    whole, parted = solve(problem), solve_in_parts(problem, Execution(parts=3))
+    image, ground = largest(problem, whole.state, parted.state)
+    assert image <= SIGMAS and ground <= METRES
+
+
+def test_adjust_takes_parts(small: Block) -> None:
+    whole, parted = fg.adjust(small), fg.adjust(small, parts=3)
+    assert parted.status == whole.status and parted.backend == "schur"
+    assert parted.sigma0 == pytest.approx(whole.sigma0, rel=1e-12)
+    np.testing.assert_allclose(parted.ground_m, whole.ground_m, rtol=0.0, atol=METRES)
+    for role in ("control", "check"):
+        a, b = (getattr(s.accuracy, role).statistics() for s in (whole, parted))
+        assert b == pytest.approx(a, rel=1e-6, abs=1e-9)
+
+
+def test_a_state_from_elsewhere_is_written_for_the_parts(problem: Problem, tmp_path: Path) -> None:
+    backend, state = PartedBackend(problem, InProcess(), tmp_path, 4), moved(problem, 3)
+    one = SchurBackend(problem)
+    assert backend.error(state) == pytest.approx(one.error(state), rel=1e-12)
+    assert backend.error(backend.initial()) == pytest.approx(one.error(problem.start), rel=1e-12)
+    step = backend.linearise(state).solve(0.0)
+    with pytest.raises(ValueError, match="another state"):
+        backend.retract(problem.start, step)
+    np.testing.assert_array_equal(backend.initial().ground, problem.start.ground)
+
+
+def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path: Path) -> None:
+    counts = Counter[int]()
+
+    def count(_: object) -> None:
+        (folder,) = tmp_path.iterdir()
+        counts[len(list(folder.glob("ground-*")))] += 1
+
+    chosen = with_options(problem, optimizer="levenberg-marquardt")
+    assert solve_in_parts(chosen, Execution(parts=3, work_dir=tmp_path), count).iterations > 3
+    assert max(counts) <= 3 * 4
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_part_file_that_is_not_whole_is_named(problem: Problem, tmp_path: Path) -> None:
+    PartedBackend(problem, InProcess(), tmp_path, 2)
+    path = part_file(tmp_path, 1)
+    path.write_bytes(path.read_bytes()[:1000])
+    for number in (1, 2):
+        with pytest.raises(fg.InputError) as caught:
+            read_part(str(tmp_path), number)
+        assert caught.value.problems[0].code == "parallel.folder"
+        assert "--work-dir" in caught.value.problems[0].remedy
+
+
+def test_a_worker_of_another_version_is_refused(
+    problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    PartedBackend(problem, InProcess(), tmp_path, 2)
+    monkeypatch.setattr(parts_module, "__version__", "9.9.9")
+    with pytest.raises(fg.InputError) as caught:
+        read_part(str(tmp_path), 1)
+    assert caught.value.problems[0].code == "parallel.version"
+
+
+def test_a_value_that_is_not_finite_names_its_point(problem: Problem) -> None:
+    records = problem.records.copy()
+    records[7] = np.nan
+    with pytest.raises(fg.NoSolutionError) as caught:
+        solve_in_parts(replace(problem, records=records), Execution(parts=3))
+    assert problem.label(7) in str(caught.value)
+
+
+def test_refusals(small: Block, tmp_path: Path) -> None:
+    def code(block: Block, **execution: object) -> str:
+        with pytest.raises(fg.InputError) as caught:
+            fg.adjust(block, **execution)
+        return caught.value.problems[0].code
+
+    assert code(small, parts=10_000) == "parallel.parts"
+    assert code(small, parts=0) == code(small, workers=-1) == code(small, workers=100_000) == "parallel.number"
+    assert code(replace(small, options=replace(small.options, backend="dense")), parts=2) == "parallel.backend"
+    assert code(small, parts=2, work_dir=tmp_path / "missing") == "output.unwritable"
+    native = replace(small.options, backend="auto", optimizer="native")
+    assert code(replace(small, options=native), parts=2) == "adjust.native_dense"
+
+
+def test_own_observations_are_refused(small: Block) -> None:
+    from factors.control import CONTROL_POINT
+
+    name = f"point:{small.points.ids[0]}"
+    record = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+    extra = ExtraObservation(CONTROL_POINT, (name,), record, np.zeros((2, 0)), 3, "own")
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(replace(small, extra=(extra,)), parts=2)
+    assert caught.value.problems[0].code == "adjust.schur"

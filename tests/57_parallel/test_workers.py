@@ -1,0 +1,156 @@
+"""The same parts on the processes of a dask cluster: the same bits for any number of them, and when one dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.solve import solve
+from fg_orient.block import Block
+from fg_orient.parallel import pool as pool_module
+from fg_orient.parallel.backend import PartedBackend
+from fg_orient.parallel.parts import read_part
+from fg_orient.parallel.pool import Cluster, Execution, InProcess, Pool, opened, work_folder
+from fg_orient.parallel.tasks import forget
+
+PARTS = 4
+
+
+class Few(Cluster):
+    """The first few workers of a cluster, and no others."""
+
+    def __init__(self, client: Any, count: int) -> None:
+        super().__init__(client)
+        self.count = count
+
+    def workers(self) -> list[str]:
+        return super().workers()[: self.count]
+
+
+class Deadly(Cluster):
+    """Ends the process of a worker in the middle of each of the first tasks' numbers given, once each."""
+
+    def __init__(self, client: Any, marks: Path, when: Sequence[int]) -> None:
+        super().__init__(client)
+        self.marks, self.when, self.calls = marks, when, 0
+
+    def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+        self.calls += 1
+        if self.calls not in self.when:
+            return super().total(task, arguments)
+        mark = self.marks / str(self.calls)
+
+        def once(number: int, *rest: Any) -> Any:
+            found = task(*rest)
+            if number == 1 and not mark.exists():
+                mark.touch()
+                os._exit(9)
+            return found
+
+        return super().total(once, [(number, *rest) for number, rest in enumerate(arguments)])
+
+
+def run(problem: Problem, pool: Pool, optimizer: str = "gauss-newton") -> State:
+    """Adjust on a pool."""
+    with work_folder(Execution(), pool) as folder:
+        backend = PartedBackend(problem, pool, folder, PARTS)
+        result = OPTIMIZERS[optimizer](backend, backend.initial(), 50)
+        assert result.converged
+        return State(result.state.image, result.state.ground)
+
+
+@pytest.fixture(scope="module")
+def alone(problem: Problem) -> State:
+    """Give the solution of the parts in this process."""
+    return run(problem, InProcess())
+
+
+def assert_same_bits(a: State, b: State) -> None:
+    np.testing.assert_array_equal(a.image, b.image)
+    np.testing.assert_array_equal(a.ground, b.ground)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_bits_do_not_depend_on_the_number_of_workers(
+    problem: Problem, client: Any, alone: State, count: int
+) -> None:
+    assert_same_bits(run(problem, Few(client, count)), alone)
+
+
+def test_four_workers_agree_with_one_piece(small: Block, problem: Problem, client: Any) -> None:
+    """Within 1e-9 prior sigma; ground points within 1e-7 m."""
+    whole, shared = solve(problem), fg.adjust(small, parts=PARTS, cluster=client)
+    assert shared.status == fg.Status.CONVERGED and shared.iterations == whole.iterations
+    assert np.abs(shared.state.image - whole.state.image).max() <= 1e-9
+    assert np.nanmax(np.abs(shared.state.ground - whole.state.ground)) <= 1e-7
+
+
+def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: State, tmp_path: Path) -> None:
+    """One ends while it linearises, one while it substitutes back: their work is done again elsewhere."""
+    deadly = Deadly(client, tmp_path, (3, 6))
+    before = set(client.run(os.getpid).values())
+    assert_same_bits(run(problem, deadly), alone)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["3", "6"]
+    assert len(before - set(client.run(os.getpid).values())) == 2
+
+
+@pytest.mark.slow
+def test_a_worker_killed_between_tasks_changes_nothing(small: Block, client: Any) -> None:
+    shared, seen = fg.adjust(small, parts=PARTS, optimizer="dogleg"), []
+
+    def kill(record: Any) -> None:
+        seen.append(record.iteration)
+        if record.iteration == 2:
+            os.kill(min(client.run(os.getpid).values()), signal.SIGKILL)
+
+    address = client.scheduler.address  # a client of its own, as the command line has
+    killed = fg.adjust(small, parts=PARTS, optimizer="dogleg", cluster=address, callback=kill)
+    assert_same_bits(killed.state, shared.state)
+    assert 2 in seen
+
+
+def test_faults_come_back_from_a_worker_in_words(client: Any, tmp_path: Path) -> None:
+    with pytest.raises(fg.InputError) as caught:
+        Cluster(client).total(read_part, [(str(tmp_path / "elsewhere"), 0)])
+    assert caught.value.problems[0].code == "parallel.folder"
+    assert caught.value.problems[0].file.endswith("part-0000.npz")
+
+
+def test_work_that_ends_every_worker_is_given_up(client: Any) -> None:
+    def few(dask_scheduler: Any) -> None:
+        dask_scheduler.allowed_failures = 0
+
+    client.run_on_scheduler(few)
+    with pytest.raises(fg.NoSolutionError) as caught:
+        Cluster(client).total(os._exit, [(1,)])
+    assert caught.value.problems[0].code == "parallel.killed"
+
+
+def test_what_is_missing_is_said(small: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool_module, "CONNECT_S", 0.3)
+    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
+        with pytest.raises(fg.InputError) as caught:
+            fg.adjust(small, cluster=address)
+        assert caught.value.problems[0].code == "parallel.unreachable"
+    monkeypatch.setattr(pool_module, "find_spec", lambda name: None)
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(small, workers=2)
+    assert caught.value.problems[0].code == "parallel.dask"
+    assert "fg-orient[cluster]" in caught.value.problems[0].remedy
+
+
+def test_one_worker_needs_no_dask(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool_module, "find_spec", lambda name: None)
+    for workers in (0, 1):
+        with opened(Execution(workers=workers)) as pool:
+            assert isinstance(pool, InProcess)
+    forget("nowhere")

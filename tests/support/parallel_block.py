@@ -1,0 +1,16 @@
+"""The small block of the tests of parts and workers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+from fg_orient.block import Block
+from fg_orient.simulate.block import BlockOptions, grid_block
+
+
+@lru_cache
+def block() -> Block:
+    """Six images, 60 ground points."""
+    found, _ = grid_block(BlockOptions(rows=2, columns=3, points=60, seed=5))
+    return replace(found, options=replace(found.options, eop_set=15, backend="schur"))
