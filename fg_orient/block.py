@@ -264,7 +264,7 @@ class Options:
         Robust loss of image points and control points by its name in the registry (``factors.losses``); "none" is
         least squares. Judged when the block is adjusted.
     gnc : bool
-        Graduated non-convexity: the loss "tls" or "geman_mcclure" is approached from a convex one, so that many
+        Graduated non-convexity: the loss "tls" or "geman_mcclure" is approached in stages, so that many
         gross errors do not lead into a wrong minimum. Their limits then follow from ``inlier_probability``.
     inlier_probability : float
         Probability that a good observation lies within the limit of GNC (chi-square of its dimension).

@@ -1,7 +1,7 @@
 """Graduated non-convexity: from a convex loss to a bounded one in stages (Yang, Antonante, Tzoumas & Carlone 2020).
 
-The surrogate of a bounded loss has a parameter mu. It starts where it is convex for the largest residual of the plain
-least squares, and each stage makes it steeper by a factor of 1.4, starting from the state of the last. Yang et al. hold
+The surrogate of a bounded loss has a parameter mu. It starts so wide that no residual of the plain least squares is
+left out, and each stage makes it steeper by a factor of 1.4, starting from the state of the last. Yang et al. hold
 the weights of a stage fixed while its unknowns are solved for; here they follow each step, which lowers the
 same cost. The limit between good and bad observations is a quantile of chi-square, so residuals must be in sigmas.
 """

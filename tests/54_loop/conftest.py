@@ -31,10 +31,15 @@ def moved_rays(block: Block, rows: npt.NDArray[np.intp], seed: int, size_px: tup
     return replace(block, observations=moved)
 
 
-def spoiled_block(share: float, size_px: tuple[float, float]) -> tuple[Block, npt.NDArray[np.intp]]:
-    """A block of six images, and the spoiled rays: a share of those of points seen four times or more."""
-    block = clean_block(2, 3, 90)
-    rays = np.bincount(block.observations.point)
-    candidates = np.flatnonzero(rays[block.observations.point] >= 4)
-    chosen = np.random.default_rng(1).choice(candidates, round(share * len(candidates)), replace=False)
-    return moved_rays(block, np.sort(chosen), 2, size_px), np.sort(chosen)
+def spoiled_block(
+    size_px: tuple[float, float], rows: int = 2, columns: int = 3, points: int = 90
+) -> tuple[Block, npt.NDArray[np.intp]]:
+    """The block with one ray in four spoiled of points seen four times or more, and these rays.
+
+    One of four contradicts three that agree; with two of four no majority could tell which.
+    """
+    block = clean_block(rows, columns, points)
+    o, rng = block.observations, np.random.default_rng(1)
+    of_point = [np.flatnonzero(o.point == j) for j in range(len(block.points.ids))]
+    chosen = np.sort(np.concatenate([rng.choice(rays, len(rays) // 4, replace=False) for rays in of_point]))
+    return moved_rays(block, chosen, 2, size_px), chosen

@@ -1,0 +1,142 @@
+"""Graduated non-convexity: gross errors found, the clean run's result, the same on graph and Schur."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import fg_orient as fg
+from fg_orient.adjustment.gnc import EXACT, PLAIN, SCHEDULES, Graduated, stages_left
+from fg_orient.adjustment.problem import compile_problem
+from fg_orient.adjustment.robust import FLOOR
+from fg_orient.adjustment.solve import Estimate, solve
+from fg_orient.errors import InputError
+from fg_orient.quality.verdict import DOWN
+
+from .conftest import clean_block, spoiled_block, with_options
+
+
+def adjusted(block: fg.Block, **options: object) -> Estimate:
+    return solve(compile_problem(with_options(block, **{"backend": "schur", "gnc": True, **options})))
+
+
+@pytest.mark.parametrize("loss", SCHEDULES)
+def test_a_quarter_of_gross_errors_is_found(loss: str) -> None:
+    """One ray in four, 5 to 200 px off; all are found, the result is the clean run's within three sigmas."""
+    block, bad = spoiled_block((5.0, 200.0))
+    rays = np.bincount(block.observations.point)[block.observations.point]
+    assert 0.2 <= len(bad) / np.count_nonzero(rays >= 4) <= 0.3
+    found = adjusted(block, loss=loss)
+    assert found.converged
+    assert found.weights is not None
+    down = found.weights.image < DOWN
+    assert down[bad].all()
+    good = np.ones(len(down), dtype=bool)
+    good[bad] = False
+    assert np.mean(down[good & (rays >= 3)]) <= 0.05  # 1 % expected of truncated least squares
+    clean = fg.adjust(clean_block(2, 3, 90), backend="schur")
+    assert clean.cofactors is not None
+    for k in range(len(block.images)):
+        sigma = np.sqrt(np.diag(clean.cofactors.image(k)))
+        assert (np.abs(found.state.image[k] - clean.state.image[k]) <= 3.0 * sigma).all()
+    plain = adjusted(block, loss="none", gnc=False)
+    assert (
+        np.abs(plain.state.image - clean.state.image).max() > 10.0 * np.abs(found.state.image - clean.state.image).max()
+    )
+
+
+@pytest.mark.parametrize("loss", SCHEDULES)
+def test_graph_and_schur_alike(loss: str) -> None:
+    block, _ = spoiled_block((3.0, 6.0), 2, 2, 40)
+    a, b = (adjusted(block, loss=loss, backend=backend) for backend in ("schur", "graph"))
+    assert [r.mu for r in a.log] == pytest.approx([r.mu for r in b.log], rel=1e-9)
+    assert np.abs(a.state.image - b.state.image).max() <= 1e-9
+    assert np.abs(a.state.ground - b.state.ground).max() <= 1e-8
+    assert a.chi2 == pytest.approx(b.chi2, rel=1e-10)
+
+
+def test_truncated_weights_are_all_or_nothing_and_limits_are_quantiles() -> None:
+    block, _ = spoiled_block((5.0, 30.0))
+    found = adjusted(block, loss="tls", inlier_probability=0.95)
+    assert found.weights is not None
+    assert set(np.unique(found.weights.image)) == {FLOOR, 1.0}
+    residual, _, _ = compile_problem(block).image_residuals(found.state)
+    assert ((residual**2).sum(axis=1) <= chi2.ppf(0.95, 2))[found.weights.image == 1.0].all()
+    plan = Graduated.of(with_options(block, loss="tls").options)
+    assert plan.image_limit == pytest.approx(np.sqrt(chi2.ppf(0.99, 2)), rel=1e-12)
+    assert plan.control_limit == pytest.approx(np.sqrt(chi2.ppf(0.99, 3)), rel=1e-12)
+
+
+@pytest.mark.parametrize("loss", SCHEDULES)
+def test_without_gross_errors_it_stays_least_squares(loss: str) -> None:
+    """Limits far beyond all residuals: one plain stage and the loss itself."""
+    block = clean_block(2, 2, 40)
+    found = adjusted(block, loss=loss, inlier_probability=1.0 - 1e-15)
+    plain = adjusted(block, loss="none", gnc=False)
+    assert list(dict.fromkeys(r.mu for r in found.log)) == [PLAIN, EXACT] or loss == "geman_mcclure"
+    limit = 1e-8 if loss == "tls" else 0.3  # Geman-McClure weighs all residuals, if little
+    assert np.abs(found.state.image - plain.state.image).max() <= limit
+
+
+@pytest.mark.parametrize("name", SCHEDULES)
+def test_surrogates_start_where_all_count_and_end_at_the_loss(name: str) -> None:
+    u, schedule = np.linspace(1e-3, 50.0, 4001), SCHEDULES[name]
+    weight, _ = schedule.curves(schedule.first(50.0**2))
+    assert weight(u).min() > 0.0
+    _, last = schedule.curves(1e9 if name == "tls" else 1.0)
+    exact = Graduated(name, 1.0, 1.0).robust(EXACT).image
+    scale = 1.0 - FLOOR
+    expected = exact.costs(u) - 0.5 * FLOOR * u**2
+    assert np.abs(scale * last(u) - expected).max() <= 1e-6
+    assert schedule.first(0.4) == EXACT
+
+
+def test_stages_left() -> None:
+    rising, falling = [PLAIN, 1.0, 1.4], [PLAIN, 8.0, 8.0 / 1.4]
+    assert stages_left(rising[:2]) is None
+    assert stages_left([*rising, EXACT]) is None
+    assert stages_left(rising) == np.ceil(np.log(1e4 / 1.4) / np.log(1.4))
+    assert stages_left(falling) == np.ceil(np.log(8.0 / 1.4) / np.log(1.4))
+
+
+def test_refusals() -> None:
+    block = clean_block(2, 2, 40)
+    for options, words in (
+        ({"loss": "huber"}, "leads to a bounded loss"),
+        ({"loss": "none"}, "choose one of tls, geman_mcclure"),
+        ({"loss": "tls", "gnc": False, "optimizer": "native", "backend": "graph"}, "least squares only"),
+        ({"loss": "hubre", "gnc": False}, "no such robust loss"),
+    ):
+        with pytest.raises(InputError, match=words):
+            adjusted(block, **options)
+    with pytest.raises(InputError, match="inlier_probability"):
+        with_options(block, inlier_probability=1.0)
+
+
+def test_solution_says_what_its_figures_are() -> None:
+    block, bad = spoiled_block((5.0, 30.0))
+    solution = fg.adjust(block, loss="tls", gnc=True)
+    assert solution.status is fg.Status.CONVERGED
+    assert solution.weights is not None
+    assert np.isnan(solution.sigma0_interval).all()
+    (text,) = (w for w in solution.warnings if w.startswith("robust loss tls"))
+    down = int(np.count_nonzero(solution.weights.image < DOWN))
+    assert f"{down} of {len(block.observations)} image points" in text
+    assert down >= len(bad)
+    name = f"image:{block.images[0].id}"
+    assert np.array_equal(solution.covariance(name).values, solution.cofactor_matrix(name).values)
+    with pytest.raises(fg.NoSolutionError, match="not tested for under a robust loss"):
+        solution.outlier_tests()
+
+
+def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
+    """Sigmas fifty times too small: nothing fits."""
+    block = clean_block(2, 2, 40)
+    o = block.observations
+    tiny = fg.ImagePoints(o.image, o.point, o.line, o.sample, o.sigma_line_px / 50.0, o.sigma_sample_px / 50.0)
+    from dataclasses import replace
+
+    solution = fg.adjust(replace(block, observations=tiny), loss="welsch", max_iterations=500, backend="schur")
+    assert solution.status is fg.Status.NOT_TRUSTWORTHY
+    assert "have a weight below 0.5: the model does not hold" in solution.reason
