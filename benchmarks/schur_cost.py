@@ -55,7 +55,9 @@ def n_bytes(backend: SchurBackend) -> int:
     """Bytes of the arrays of a backend."""
     structure = [getattr(backend.structure, f.name) for f in fields(backend.structure)]
     arrays = [a for a in [*structure, *vars(backend.buffers).values()] if isinstance(a, np.ndarray)]
-    return sum(a.nbytes for a in arrays) + sum(g.members.nbytes for g in backend.structure.groups)
+    rows = [array for pair in (backend.buffers._kept, backend.buffers._again) for array in pair]
+    members = [g.members for g in backend.structure.groups if g.members is not None]
+    return sum(a.nbytes for a in [*arrays, *rows, *members])
 
 
 class Case:

@@ -4,7 +4,10 @@ Two rays a, b of one ground point add ``J_a^T M J_b``, ``M = [a is b] I - Z_a Z_
 (``factors.batch_points``), to the block of their images. With J = basis kron components the sum over many pairs is a
 sum of ``basis_a basis_b`` times one small matrix of components: half the arithmetic of the full columns, and a third
 of the memory traffic.
-Pairs are sorted by block and cut into segments that do not depend on the number of threads.
+
+Points seen in the same images follow each other; a run of them is a *piece*: its pairs are the pairs of places among
+their rays, for all its points. Pieces are cut into *chunks*, which do not depend on the number of threads. A chunk has
+sums of its own, one *slot* for each block it adds to; ``factors.batch_gather`` adds those of all, in one order.
 """
 
 from __future__ import annotations
@@ -13,165 +16,171 @@ import numpy as np
 
 from factors._contract import Array
 from factors.batch_rows import Index, threaded
+from factors.vectors import add_eight, add_one, outer_nine
 
 Small = np.ndarray[tuple[int], np.dtype[np.int32]]
 
-
-@threaded
-def count_pairs(first: Index, image: Index, free: Index) -> int:
-    """Pairs of rays of a common unknown point with image of a <= image of b, each ray with itself included."""
-    total = 0
-    for p in range(len(first) - 1):
-        v = first[p + 1] - first[p]
-        if free[p] == 0:
-            total += v
-            continue
-        total += v * (v + 1) // 2
-        for a in range(first[p], first[p + 1]):
-            for b in range(a + 1, first[p + 1]):
-                total += image[a] == image[b]
-    return total
+#: Points whose pairs are formed before they are added up: what is read and written then stays near the processor.
+BATCH = 16
 
 
 @threaded
-def list_pairs(first: Index, image: Index, free: Index, left: Small, right: Small) -> None:
-    """Write the pairs, point by point; two rays in one image stand in both orders."""
-    n = 0
-    for p in range(len(first) - 1):
-        for a in range(first[p], first[p + 1]):
-            for b in range(first[p], first[p + 1]):
-                if a == b or (free[p] > 0 and (image[a] < image[b] or image[a] == image[b])):
-                    left[n], right[n] = a, b
-                    n += 1
-
-
-@threaded
-def sort_pairs(left: Small, right: Small, by_left: bool, image: Index, counts: Index, out: Small, other: Small) -> None:
-    """One pass of a counting sort by the image of the left or right ray; keeps the order of equal ones."""
-    counts[:] = 0
-    for n in range(len(left)):
-        counts[image[left[n] if by_left else right[n]] + 1] += 1
-    for i in range(len(counts) - 1):
-        counts[i + 1] += counts[i]
-    for n in range(len(left)):
-        i = image[left[n] if by_left else right[n]]
-        out[counts[i]], other[counts[i]] = left[n], right[n]
-        counts[i] += 1
-
-
-@threaded
-def _scaled_ray(d_ground: Array, a: int, root: Array, p: int) -> tuple[float, float, float, float, float, float]:
-    """Z = G R^T of one ray, row by row."""
-    g00, g01, g02, g10, g11, g12 = (
-        d_ground[a, 0, 0], d_ground[a, 0, 1], d_ground[a, 0, 2], d_ground[a, 1, 0], d_ground[a, 1, 1], d_ground[a, 1, 2]
-    )  # fmt: skip
-    r0, r1, r2, r3, r4, r5 = root[p, 0], root[p, 1], root[p, 2], root[p, 3], root[p, 4], root[p, 5]
-    return (
-        r0 * g00, r1 * g00 + r2 * g01, r3 * g00 + r4 * g01 + r5 * g02,
-        r0 * g10, r1 * g10 + r2 * g11, r3 * g10 + r4 * g11 + r5 * g12,
-    )  # fmt: skip
-
-
-@threaded
-def _pair(
-    a: int, b: int, p: int, d_image: Array, d_ground: Array, root: Array, turned: Array, u: int, t: Array
+def _form(
+    n: int, a: int, b: int, rays: int, base: int, d_image: Array, scaled: Array, c_a: int, c_b: int, t: Array
 ) -> None:  # fmt: skip
-    """Write ``D_a^T M D_b`` of two rays of point p into t[u], (4, c_a, c_b); ``turned`` is scratch space."""
-    x, y = _scaled_ray(d_ground, a, root, p), _scaled_ray(d_ground, b, root, p)
+    """Write ``D_a^T M D_b`` of the pair a, b and of its n - 1 followers, ``rays`` apart, to the rows of t."""
     same = 1.0 if a == b else 0.0
-    m00 = same - x[0] * y[0] - x[1] * y[1] - x[2] * y[2]
-    m01 = -x[0] * y[3] - x[1] * y[4] - x[2] * y[5]
-    m10 = -x[3] * y[0] - x[4] * y[1] - x[5] * y[2]
-    m11 = same - x[3] * y[3] - x[4] * y[4] - x[5] * y[5]
-    for d in range(t.shape[2]):
-        turned[0, d] = m00 * d_image[b, 0, d] + m01 * d_image[b, 1, d]
-        turned[1, d] = m10 * d_image[b, 0, d] + m11 * d_image[b, 1, d]
-    for c in range(t.shape[1]):
-        l0, l1 = d_image[a, 0, c], d_image[a, 1, c]
-        for d in range(t.shape[2]):
-            t[u, c, d] = l0 * turned[0, d] + l1 * turned[1, d]
+    for k in range(n):
+        i, j = a + k * rays - base, b + k * rays - base
+        x0, x1, x2, x3, x4, x5 = (
+            scaled[i, 0], scaled[i, 1], scaled[i, 2], scaled[i, 3], scaled[i, 4], scaled[i, 5]
+        )  # fmt: skip
+        y0, y1, y2, y3, y4, y5 = (
+            scaled[j, 0], scaled[j, 1], scaled[j, 2], scaled[j, 3], scaled[j, 4], scaled[j, 5]
+        )  # fmt: skip
+        m00, m01 = same - (x0 * y0 + x1 * y1 + x2 * y2), -(x0 * y3 + x1 * y4 + x2 * y5)
+        m10, m11 = -(x3 * y0 + x4 * y1 + x5 * y2), same - (x3 * y3 + x4 * y4 + x5 * y5)
+        if d_image.shape[2] == 9 and c_a == 9 and c_b == 9:
+            outer_nine(t, k * t.shape[1], d_image, i, j, m00, m01, m10, m11)
+            continue
+        for c in range(c_a):
+            l0 = d_image[i, 0, c] * m00 + d_image[i, 1, c] * m10
+            l1 = d_image[i, 0, c] * m01 + d_image[i, 1, c] * m11
+            for d in range(c_b):
+                t[k, c * c_b + d] = l0 * d_image[j, 0, d] + l1 * d_image[j, 1, d]
+
+
+@threaded
+def _weigh(n: int, a: int, b: int, rays: int, basis: Array, b_a: int, b_b: int, weight: Array) -> None:
+    """Write the products of basis values (b_a b_b, n) of the pair a, b and of its followers."""
+    for p in range(b_a):
+        for q in range(b_b):
+            for k in range(n):
+                weight[p * b_b + q, k] = basis[a + k * rays, p] * basis[b + k * rays, q]
+
+
+@threaded
+def _add(n: int, weight: Array, m: int, t: Array, end: int, out: Array, s: int) -> None:
+    """Add n rows of t, times their weights, to ``out[s, m]``: by eights, then one by one."""
+    at, stride, width, k = (s * out.shape[1] + m) * out.shape[2], t.shape[1], weight.shape[1], 0
+    while k + 8 <= n:
+        add_eight(out, at, t, k * stride, stride, weight, m * width + k, end // 4)
+        k += 8
+    while k < n:
+        add_one(out, at, t, k * stride, stride, weight, m * width + k, end // 4)
+        k += 1
+
+
+@threaded
+def _add_gradient(
+    n: int, a: int, rays: int, base: int, place: int, n_b: int, n_c: int, basis: Array, value: Array, d_image: Array,
+    scaled: Array, root: Array, gradient: Array, reduced: bool, t: Array, weight: Array, out: Array, s: int,
+) -> None:  # fmt: skip
+    """Add to the gradient of a slot what the ray a and its followers give; reduced by their points, or not."""
+    for k in range(n):
+        i, p = a + k * rays - base, place + k
+        q0, q1 = value[i, 0], value[i, 1]
+        if reduced:
+            g0, g1, g2 = gradient[p, 0], gradient[p, 1], gradient[p, 2]
+            u0, u1 = root[p, 0] * g0, root[p, 1] * g0 + root[p, 2] * g1
+            u2 = root[p, 3] * g0 + root[p, 4] * g1 + root[p, 5] * g2
+            q0 -= scaled[i, 0] * u0 + scaled[i, 1] * u1 + scaled[i, 2] * u2
+            q1 -= scaled[i, 3] * u0 + scaled[i, 4] * u1 + scaled[i, 5] * u2
+        for c in range(n_c):
+            t[k, c] = d_image[i, 0, c] * q0 + d_image[i, 1, c] * q1
+        for b in range(n_b):
+            weight[b, k] = basis[base + i, b]
+    for b in range(n_b):
+        _add(n, weight, b, t, out.shape[2], out, s)
+
+
+@threaded
+def _clear(lo: int, hi: int, sums: Array, gradients: Array) -> None:
+    for s in range(lo, hi):
+        for m in range(sums.shape[1]):
+            for e in range(sums.shape[2]):
+                sums[s, m, e] = 0.0
+        for b in range(gradients.shape[1]):
+            for c in range(gradients.shape[2]):
+                gradients[s, b, c] = 0.0
 
 
 @threaded
 def pair_blocks(
-    lo: int, hi: int, cut: Index, left: Small, right: Small, image: Index, place: Index, n_basis: Index,
-    n_components: Index, basis: Array, d_image: Array, d_ground: Array, root: Array, out: Array,
+    lo: int, hi: int, chunks: Index, pieces: Index, slots: Small, slot_begin: Index, image: Small, n_basis: Index,
+    n_components: Index, basis: Array, base: int, value: Array, d_image: Array, scaled: Array, root: Array,
+    gradient: Array, sums: Array, gradients: Array,
 ) -> None:  # fmt: skip
-    """Write the sums (S, b^2, c^2) of segments lo to hi over pairs of basis values and of components.
+    """Write sums (S, b^2, e) over pairs of basis values and of components, and gradients (S, b, c), of chunks lo to hi.
 
-    ``cut`` (S + 1,): first pair of each segment; ``place`` (n,): place of each observation's point. Four pairs
-    at once: an element of the sum is then loaded and stored once for four products.
+    Parameters
+    ----------
+    chunks, slot_begin : (N + 1,) int arrays
+        First piece and first slot of each chunk.
+    pieces : (Q, 5) int array
+        First image point, first place, number of points, rays of each, first of its ``slots``.
+    slots : int array
+        Slot of each pair of rays j <= k of a piece, by j, then k; -1 for none.
+    base : int
+        Image point of row 0 of ``value`` (n, 2), ``d_image`` (n, 2, c), ``scaled`` (n, 6: Z); ``basis`` and ``image``
+        are those of all. ``d_image`` has :data:`factors.vectors.SLACK` numbers more behind it.
+    root, gradient : (P, 6), (P, 3) arrays
+        Of the points.
     """
-    turned, space, weight = np.empty((2, out.shape[2])), np.zeros(4 * out.shape[2]), np.zeros((4, out.shape[1]))
-    for s in range(lo, hi):
-        i, j = image[left[cut[s]]], image[right[cut[s]]]
-        c_a, c_b, b_a, b_b = n_components[i], n_components[j], n_basis[i], n_basis[j]
-        size, end = c_a * c_b, cut[s + 1]
-        t = space[: 4 * size].reshape((4, size))
-        square = t.reshape((4, c_a, c_b))
-        out[s] = 0.0
-        for n in range(cut[s], end, 4):
-            for u in range(4):
-                if n + u >= end:
-                    for m in range(b_a * b_b):
-                        weight[u, m] = 0.0
-                    continue
-                a, b = left[n + u], right[n + u]
-                _pair(a, b, place[a], d_image, d_ground, root, turned, u, square)
-                for p in range(b_a):
-                    for q in range(b_b):
-                        weight[u, p * b_b + q] = basis[a, p] * basis[b, q]
-            for m in range(b_a * b_b):
-                w0, w1, w2, w3 = weight[0, m], weight[1, m], weight[2, m], weight[3, m]
-                for e in range(size):
-                    out[s, m, e] += w0 * t[0, e] + w1 * t[1, e] + w2 * t[2, e] + w3 * t[3, e]
-
-
-@threaded
-def gather_blocks(
-    lo: int, hi: int, segments: Index, row: Index, column: Index, sums: Array, wide: Index, scale: Array, size: Index,
-    n_basis: Index, n_components: Index, out: Array,
-) -> None:  # fmt: skip
-    """Add the segments of blocks lo to hi and pick the unknowns that exist: (B, k, k).
-
-    ``segments`` (B + 1,): first segment of each block; ``row``, ``column`` (B,): its images; ``wide``, ``scale``
-    (M, k) and ``size`` (M,): place, factor and number of the unknowns of each image.
-    """
-    for n in range(lo, hi):
-        i, j = row[n], column[n]
-        c_a, c_b, b_b = n_components[i], n_components[j], n_basis[j]
-        for p in range(size[i]):
-            b_p, c_p = wide[i, p] // c_a, wide[i, p] % c_a
-            for q in range(size[j]):
-                b_q, c_q = wide[j, q] // c_b, wide[j, q] % c_b
-                total = 0.0
-                for s in range(segments[n], segments[n + 1]):
-                    total += sums[s, b_p * b_b + b_q, c_p * c_b + c_q]
-                out[n, p, q] = scale[i, p] * scale[j, q] * total
+    size = sums.shape[2]
+    # one row more than used: the last product of nine writes beyond its own
+    t, weight = np.zeros((BATCH + 1, max(size, gradients.shape[2]))), np.zeros((sums.shape[1], BATCH))
+    for g in range(lo, hi):
+        _clear(slot_begin[g], slot_begin[g + 1], sums, gradients)
+        for piece in range(chunks[g], chunks[g + 1]):
+            first, count, rays = pieces[piece, 0], pieces[piece, 2], pieces[piece, 3]
+            for start in range(0, count, BATCH):
+                n, entry = min(BATCH, count - start), pieces[piece, 4]
+                for a in range(first + start * rays, first + (start + 1) * rays):
+                    i = image[a]
+                    c_a, b_a = n_components[i], n_basis[i]
+                    for b in range(a, first + (start + 1) * rays):
+                        j, s = image[b], slots[entry]
+                        entry += 1
+                        if s < 0:
+                            continue
+                        c_b, b_b = n_components[j], n_basis[j]
+                        end = min(size, (c_a * c_b + 3) // 4 * 4)
+                        _form(n, a, b, rays, base, d_image, scaled, c_a, c_b, t)
+                        _weigh(n, a, b, rays, basis, b_a, b_b, weight)
+                        for p in range(b_a):
+                            for q in range(p if a == b else 0, b_b):  # symmetric for a ray with itself
+                                _add(n, weight, p * b_b + q, t, end, sums, s)
+                        if a == b:
+                            _add_gradient(n, a, rays, base, pieces[piece, 1] + start, b_a, c_a, basis, value, d_image,
+                                          scaled, root, gradient, True, t, weight, gradients, s)  # fmt: skip
+                        elif i == j:  # two rays in one image stand in both orders
+                            _form(n, b, a, rays, base, d_image, scaled, c_b, c_a, t)
+                            _weigh(n, b, a, rays, basis, b_b, b_a, weight)
+                            for m in range(b_a * b_b):
+                                _add(n, weight, m, t, end, sums, s)
 
 
 @threaded
 def image_gradients(
-    lo: int, hi: int, begin: Index, order: Small, place: Index, n_basis: Index, n_components: Index, basis: Array,
-    value: Array, d_image: Array, d_ground: Array, root: Array, gradient: Array, reduced: bool, out: Array,
+    lo: int, hi: int, chunks: Index, pieces: Index, slots: Small, slot_begin: Index, image: Small, n_basis: Index,
+    n_components: Index, basis: Array, base: int, value: Array, d_image: Array, scaled: Array, root: Array,
+    gradient: Array, gradients: Array,
 ) -> None:  # fmt: skip
-    """Write the wide gradients (M, w) of images lo to hi; reduced by the points, or of the whole system.
-
-    ``begin`` (M + 1,) and ``order`` (n,): the observations of each image, in the order of the points.
-    """
-    for i in range(lo, hi):
-        out[i] = 0.0
-        n_c = n_components[i]
-        for n in range(begin[i], begin[i + 1]):
-            a = order[n]
-            q0, q1 = value[a, 0], value[a, 1]
-            if reduced:
-                p = place[a]
-                z, g0, g1, g2 = _scaled_ray(d_ground, a, root, p), gradient[p, 0], gradient[p, 1], gradient[p, 2]
-                u0, u1 = root[p, 0] * g0, root[p, 1] * g0 + root[p, 2] * g1
-                u2 = root[p, 3] * g0 + root[p, 4] * g1 + root[p, 5] * g2
-                q0 -= z[0] * u0 + z[1] * u1 + z[2] * u2
-                q1 -= z[3] * u0 + z[4] * u1 + z[5] * u2
-            for b in range(n_basis[i]):
-                for c in range(n_c):
-                    out[i, b * n_c + c] += basis[a, b] * (d_image[a, 0, c] * q0 + d_image[a, 1, c] * q1)
+    """Write the gradients (S, b, c) of chunks lo to hi, not reduced; see :func:`pair_blocks`."""
+    t, weight = np.zeros((BATCH, gradients.shape[2])), np.zeros((gradients.shape[1], BATCH))
+    for g in range(lo, hi):
+        for s in range(slot_begin[g], slot_begin[g + 1]):
+            for b in range(gradients.shape[1]):
+                for c in range(gradients.shape[2]):
+                    gradients[s, b, c] = 0.0
+        for piece in range(chunks[g], chunks[g + 1]):
+            first, count, rays = pieces[piece, 0], pieces[piece, 2], pieces[piece, 3]
+            for start in range(0, count, BATCH):
+                entry = pieces[piece, 4]
+                for j in range(rays):
+                    a = first + start * rays + j
+                    _add_gradient(min(BATCH, count - start), a, rays, base, 0, n_basis[image[a]],
+                                  n_components[image[a]], basis, value, d_image, scaled, root, gradient, False, t,
+                                  weight, gradients, slots[entry])  # fmt: skip
+                    entry += rays - j

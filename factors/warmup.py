@@ -12,8 +12,10 @@ import numpy as np
 
 from factors import (
     batch,
+    batch_gather,
     batch_pairs,
     batch_points,
+    batch_sort,
     batch_weights,
     ellipsoid,
     ephemeris,
@@ -25,6 +27,7 @@ from factors import (
     rfm_project,
     rotations,
 )
+from factors._contract import Array
 
 
 def compile_kernels() -> float:
@@ -77,9 +80,7 @@ def _compile_frame() -> None:
 
 def _compile_batches() -> None:
     """Two rays of one point in two images, and their reduced system."""
-    rng, one, first = np.random.default_rng(0), np.ones(2, np.int64), np.array([0, 2])
-    ends, zero, left, right = np.arange(3), np.zeros(2, np.int64), np.arange(2, dtype=np.int32), np.ones(2, np.int32)
-    other, counts = (np.empty(2, np.int32), np.empty(2, np.int32)), np.zeros(3, np.int64)
+    rng, rays, zero = np.random.default_rng(0), np.arange(2, dtype=np.int32), np.zeros(2, np.int32)
     value, wide, basis = np.zeros((2, 2)), np.zeros((2, 40)), np.ones((2, 1))
     for equation, example in (
         (pushbroom.LOOK_ANGLE_COLLINEARITY, pushbroom.example(rng)),
@@ -89,23 +90,47 @@ def _compile_batches() -> None:
         rows, columns = batch.batch(equation, example.setup)
         records, ground = np.stack([example.record] * 2), np.stack([example.unknowns[1]] * 2)
         d_image, d_ground = np.zeros((2, 2, columns.n_components)), rng.normal(size=(2, 2, 3))
-        rows(0, 2, ends[:2], records, ends[:2], ends[:2], zero, columns.setup, 1, basis, wide, ground, value, d_image,
+        rows(0, 2, rays, records, rays, rays, zero, columns.setup, 1, basis, wide, ground, value, d_image,
              d_ground, True)  # fmt: skip
-    root, gradient, step = np.empty((1, 6)), np.empty((1, 3)), np.zeros((1, 3))
-    components = np.full(2, columns.n_components)
-    batch_points.point_blocks(0, 1, first, zero[:1], one[:1], np.zeros((2, 12)), ground, value, d_ground, 1.0, root,
-                              gradient)  # fmt: skip
-    rays = (ends[:2], one, components, basis)
-    batch_points.back_substitute(0, 1, first, *rays, wide, value, d_image, d_ground, root, gradient, step, value)
+    _compile_reduction(columns.n_components, basis, value, wide, d_image, d_ground)
+
+
+def _compile_reduction(
+    n_components: int, basis: Array, value: Array, wide: Array, d_image: Array, d_ground: Array
+) -> None:
+    """One point in two images: a piece of one point, a chunk, three slots and blocks."""
+    two, image = np.arange(2), np.arange(2, dtype=np.int32)
+    order, first, free = image.copy(), np.array([0, 2], np.int32), np.ones(1, np.int8)
+    key, code, start = np.empty(2, np.int64), np.empty(2, np.int64), np.empty(3, np.int32)
+    batch_sort.sort_by(two, image, np.empty(3, np.int64), order)
+    batch_sort.signatures(order, two * 0, two, free, 2, key, code, start)
+    batch_sort.arrange(two[:1], start, order, two, two * 0, image.copy(), image, image.copy(), first)
+    pieces, chunks = np.zeros((1, 5), np.int64), np.zeros(2, np.int64)
+    batch_sort.cut_pieces(first, image, free, 512, pieces, chunks)
+    batch_sort.list_entries(pieces, chunks, image, free, 2, np.empty(3, np.int64), np.empty(3, np.int64))
+    root, gradient, step, scaled, squares = (
+        np.zeros((1, 6)),
+        np.zeros((1, 3)),
+        np.zeros((1, 3)),
+        value.repeat(3, 1),
+        np.zeros(1),
+    )
+    number, one, components = np.zeros(1, np.int32), np.ones(2, np.int64), np.full(2, n_components)
+    batch_points.point_blocks(0, 1, first, number, free, np.zeros((1, 12)), step, 1.0, 0, value, d_ground, root,
+                              gradient, scaled)  # fmt: skip
+    rays = (image, one, components, basis)
+    places = np.array([0, 1], np.int32)
+    batch_points.back_substitute(0, 1, places, first, *rays, wide, 0, value, d_image, d_ground, root, gradient, step,
+                                 squares)  # fmt: skip
     batch_weights.scale_rows(0, 2, np.ones(2), value, d_image, d_ground)
-    batch_points.product(0, 1, first, one[:1], *rays, wide, d_image, d_ground, step, value)
-    batch_pairs.count_pairs(first, ends[:2], one[:1])
-    batch_pairs.list_pairs(first, ends[:2], zero[:1], left, right)
-    batch_pairs.sort_pairs(left, right, True, ends[:2], counts, *other)
-    sums, blocks = np.zeros((2, 1, 36)), np.zeros((2, 6, 6))
-    batch_pairs.pair_blocks(0, 2, ends, left, right, ends[:2], zero, one, components, basis, d_image, d_ground, root,
-                            sums)  # fmt: skip
-    batch_pairs.gather_blocks(0, 2, ends, ends[:2], ends[:2], sums, np.zeros((2, 6), np.int64), np.ones((2, 6)), one,
-                              one, components, blocks)  # fmt: skip
-    batch_pairs.image_gradients(0, 2, ends, left, zero, one, components, basis, value, d_image, d_ground, root,
-                                gradient, True, wide)  # fmt: skip
+    batch_points.product(0, 1, places, first, free, *rays, wide, 0, 1.0, value, d_image, d_ground, step, squares)
+    slots, begin, own = np.arange(3, dtype=np.int32), np.array([0, 3]), np.array([1, 0, 1], np.int32)
+    sums, gradients = np.zeros((3, 1, n_components**2 + 8)), np.zeros((3, 1, n_components + 8))
+    pairs = (chunks, pieces, slots, begin, *rays, 0, value, d_image, scaled, root, gradient)
+    batch_pairs.pair_blocks(0, 1, *pairs, sums, gradients)
+    batch_pairs.image_gradients(0, 1, *pairs, gradients)
+    to, row, column = np.arange(4), np.array([0, 0, 1]), np.array([0, 1, 1])
+    wide_place, scale = np.zeros((2, 1), np.int64), np.ones((2, 1))
+    batch_gather.gather_blocks(0, 3, to, slots, own, row, column, sums, wide_place, scale, one, one, components,
+                               np.zeros((3, 1, 1)))  # fmt: skip
+    batch_gather.gather_gradients(0, 3, to, slots, own, row, column, one, components, gradients, wide)

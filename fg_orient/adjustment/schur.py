@@ -8,7 +8,7 @@ of ``factors.control``. Sums run in an order that does not depend on the number 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,14 +16,23 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
-from factors.batch_pairs import gather_blocks, image_gradients, pair_blocks
+from factors.batch_gather import gather_blocks, gather_gradients
+from factors.batch_pairs import image_gradients, pair_blocks
 from factors.batch_points import back_substitute, point_blocks, product
 from factors.batch_weights import scale_rows
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
-from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Structure, Workers, compile_structure, reason_against
+from fg_orient.adjustment.schur_rows import Buffers, Rows, row_arrays
+from fg_orient.adjustment.schur_structure import (
+    SERIAL_LIMIT,
+    Structure,
+    Tile,
+    Workers,
+    compile_structure,
+    reason_against,
+)
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -52,22 +61,6 @@ class SchurStep:
         return float(np.sqrt(np.sum(self.image**2) + np.sum(self.ground**2)))
 
 
-class _Buffers:
-    """Arrays of one linearisation, used again by the next: fresh memory costs more than what is computed in it."""
-
-    def __init__(self, backend: SchurBackend) -> None:
-        s = backend.structure
-        n, p = len(s.row), len(s.number)
-        self.owner: SchurSystem | None = None
-        self.value, self.after = np.empty((n, 2)), np.empty((n, 2))
-        self.d_image, self.d_ground = np.zeros((n, 2, int(s.n_components.max()))), np.zeros((n, 2, 3))
-        self.root, self.gradient = np.empty((p, 6)), np.empty((p, 3))
-        self.sums = np.empty((len(s.cut) - 1, int(s.n_basis.max()) ** 2, int(s.n_components.max()) ** 2))
-        self.blocks = np.zeros((len(s.block_row), s.wide.shape[1], s.wide.shape[1]))
-        self.wide = np.empty((len(s.size), s.width))
-        self.control = backend.problem.control_records  # under a loss, a copy with weights: see SchurSystem
-
-
 class SchurSystem:
     """One linearisation; see ``loop.System``. It shares memory with its backend and is renewed when it has lost it."""
 
@@ -84,28 +77,63 @@ class SchurSystem:
         return self._backend.structure
 
     def _fill(self) -> None:
-        b = self._backend.buffers
-        self._backend.evaluate(self.state, b.value, want=True)
-        b.control = self._backend.problem.control_records
+        b, backend = self._backend.buffers, self._backend
+        b.held, b.root_weight = None, np.ones(0)
+        for tile in backend.structure.tiles:
+            backend.evaluate(b.rows(tile), self.state, want=tile.kept)
+        b.control = backend.problem.control_records
         if self._robust is not None:
             self._weigh(self._robust, b)
         b.owner = self
 
-    def _weigh(self, robust: Robust, b: _Buffers) -> None:
+    def _weigh(self, robust: Robust, b: Buffers) -> None:
         """Multiply all rows by the roots of their weights; keep by how much the cost exceeds half their squares."""
-        s, observed = self._backend.structure, self._backend.structure.observed
-        image_squares, control_squares = self._backend.squares_of(b.value, self.state)
+        observed = self._backend.structure.observed
+        control_squares = self._backend.control_squares(self.state)
+        image_squares = np.einsum("ni,ni->n", b.value, b.value)
         image, control, cost = robust.weigh(image_squares, control_squares)
         self._excess = cost - 0.5 * float(np.vdot(image, image_squares) + np.vdot(control, control_squares))
-        self._backend.workers.run(scale_rows, len(s.row), np.sqrt(image), b.value, b.d_image, b.d_ground)
+        b.root_weight = np.sqrt(image)
+        for tile in self._backend.structure.tiles:
+            if tile.kept:
+                self._scale(b.rows(tile), b.root_weight)
+            else:
+                b.value[slice(*tile.points)] *= b.root_weight[slice(*tile.points), None]
         b.control = b.control.copy()
         b.control[observed, :9] *= np.sqrt(control)[:, None]
 
-    def buffers(self) -> _Buffers:
+    def _scale(self, rows: Rows, root_weight: Array) -> None:
+        part = root_weight[slice(*rows.tile.points)]
+        self._backend.workers.run(scale_rows, len(part), part, rows.value, rows.d_image, rows.d_ground)
+
+    def buffers(self) -> Buffers:
         """Arrays that hold this linearisation."""
         if self._backend.buffers.owner is not self:
             self._fill()
         return self._backend.buffers
+
+    def rows(self, tile: Tile) -> Rows:
+        """The whitened, weighted rows of a tile; those that are not kept are lost with the next tile."""
+        b = self.buffers()
+        rows = b.rows(tile)
+        if not tile.kept and b.held is not tile:
+            self._backend.evaluate(rows, self.state, want=True)
+            if len(b.root_weight):
+                self._scale(rows, b.root_weight)
+            b.held = tile
+        return rows
+
+    def rays(self, place: int) -> Rows:
+        """The rows of one ground point, by its place; in memory of their own."""
+        s, root_weight = self.structure, self.buffers().root_weight
+        points = int(s.first[place]), int(s.first[place + 1])
+        n = points[1] - points[0]
+        d_image, d_ground = row_arrays(n, int(s.n_components.max()))
+        rows = Rows(Tile(points, (place, place + 1), (0, 0), False), np.empty((n, 2)), d_image, d_ground)
+        self._backend.evaluate(rows, self.state, want=True)
+        if len(root_weight):
+            self._scale(rows, root_weight)
+        return rows
 
     def reduced(self, damping: float) -> Reduced:
         """Eliminate the points: the reduced camera system, damped by ``damping`` times the identity.
@@ -128,36 +156,43 @@ class SchurSystem:
             A ground point is not determined.
         """
         blocks = self._eliminated(damping)
-        return blocks, self._image_gradient(True)
+        return blocks, self._gathered_gradient()
 
-    def _eliminated(self, damping: float) -> Array:
-        """Blocks (B, k, k) of the reduced system; leaves the point blocks in the buffers."""
-        backend, s, problem, b = self._backend, self._backend.structure, self._backend.problem, self.buffers()
-        bad = backend.workers.run(
-            point_blocks, len(s.number), s.first, s.number, s.free, b.control, self.state.ground, b.value,
-            b.d_ground, damping, b.root, b.gradient,
+    def _point_blocks(self, rows: Rows, damping: float) -> None:
+        s, b, problem, (lo, hi) = self.structure, self.buffers(), self._backend.problem, rows.tile.places
+        bad = self._backend.workers.run(
+            point_blocks, hi - lo, s.first, s.number, s.free, b.control, self.state.ground, damping,
+            rows.tile.points[0], rows.value, rows.d_ground, b.root, b.gradient, b.scaled, start=lo,
         )  # fmt: skip
         for p in bad:
             if p >= 0:
                 raise Singular(f"point {problem.block.points.ids[s.number[p]]} is not determined by its rays")
-        backend.workers.run(
-            pair_blocks, s.cut, s.cut, s.left, s.right, s.image, s.place, s.n_basis, s.n_components, s.basis,
-            b.d_image, b.d_ground, b.root, b.sums,
-        )  # fmt: skip
-        gather_blocks(
-            0, len(s.block_row), s.segments, s.block_row, s.block_column, b.sums, s.wide, s.scale, s.size, s.n_basis,
-            s.n_components, b.blocks,
+
+    def _eliminated(self, damping: float) -> Array:
+        """Blocks (B, k, k) of the reduced system; leaves the point blocks and the gradients in the buffers."""
+        s, workers, b = self.structure, self._backend.workers, self.buffers()
+        for tile in s.tiles:
+            rows, (lo, hi) = self.rows(tile), tile.chunks
+            self._point_blocks(rows, damping)
+            workers.run(
+                pair_blocks, s.cost[lo : hi + 1], s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis,
+                s.n_components, s.basis, tile.points[0], rows.value, rows.d_image, b.scaled, b.root, b.gradient,
+                b.sums, b.gradients, start=lo,
+            )  # fmt: skip
+        workers.run(
+            gather_blocks, s.block_begin, s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, b.sums,
+            s.wide, s.scale, s.size, s.n_basis, s.n_components, b.blocks,
         )  # fmt: skip
         return b.blocks
 
-    def _image_gradient(self, reduced: bool) -> Array:
-        """Gradient (u,) of the image unknowns; needs the point blocks."""
-        backend, s, b = self._backend, self._backend.structure, self.buffers()
-        backend.workers.run(
-            image_gradients, s.begin, s.begin, s.order, s.place, s.n_basis, s.n_components, s.basis, b.value,
-            b.d_image, b.d_ground, b.root, b.gradient, reduced, b.wide,
+    def _gathered_gradient(self) -> Array:
+        """Gradient (u,) of the image unknowns, from those of the chunks."""
+        s, b, wide = self.structure, self.buffers(), np.zeros((len(self.structure.size), self.structure.width))
+        gather_gradients(
+            0, len(s.block_row), s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column,
+            s.n_basis, s.n_components, b.gradients, wide,
         )  # fmt: skip
-        return s.narrowed(b.wide) + backend.prior * backend.problem.image_vector(self.state)
+        return s.narrowed(wide) + self._backend.prior * self._backend.problem.image_vector(self.state)
 
     def solve(self, damping: float) -> SchurStep:
         """Eliminate the points, solve for the images, substitute back.
@@ -178,13 +213,16 @@ class SchurSystem:
 
     def substitute(self, image: Array) -> SchurStep:
         """Step of the points after one (u,) of the images; the points must have been eliminated last."""
-        backend, s, b = self._backend, self._backend.structure, self.buffers()
+        backend, s, b = self._backend, self.structure, self.buffers()
         ground, wide = np.zeros((len(s.number), 3)), s.widened(backend.problem.image_matrix(image))
-        backend.workers.run(
-            back_substitute, len(s.number), s.first, s.image, s.n_basis, s.n_components, s.basis, wide, b.value,
-            b.d_image, b.d_ground, b.root, b.gradient, ground, b.after,
-        )  # fmt: skip
-        return self._step(image, ground, b.after)
+        for tile in reversed(s.tiles):
+            rows, (lo, hi) = self.rows(tile), tile.chunks
+            backend.workers.run(
+                back_substitute, hi - lo, s.chunk_places, s.first, s.image, s.n_basis, s.n_components, s.basis, wide,
+                tile.points[0], rows.value, rows.d_image, rows.d_ground, b.root, b.gradient, ground, b.squares,
+                start=lo,
+            )  # fmt: skip
+        return self._step(image, ground, float(np.sum(b.squares)))
 
     def dogleg(self, radius: float) -> SchurStep:
         """Blend of the steepest-descent and the Gauss-Newton step."""
@@ -210,29 +248,32 @@ class SchurSystem:
 
     def gradient(self) -> tuple[Array, Array]:
         """Gradient of the images (u,) and of the points (P, 3)."""
-        b, state = self.buffers(), self.state
-        self._backend.workers.run(
-            point_blocks, len(self._backend.structure.number), self._backend.structure.first,
-            self._backend.structure.number, self._backend.structure.free, b.control,
-            state.ground, b.value, b.d_ground, 0.0, b.root, b.gradient,
-        )  # fmt: skip
-        return self._image_gradient(False), b.gradient.copy()
+        s, b = self.structure, self.buffers()
+        for tile in s.tiles:
+            rows, (lo, hi) = self.rows(tile), tile.chunks
+            self._point_blocks(rows, 0.0)
+            self._backend.workers.run(
+                image_gradients, hi - lo, s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis, s.n_components,
+                s.basis, tile.points[0], rows.value, rows.d_image, b.scaled, b.root, b.gradient, b.gradients, start=lo,
+            )  # fmt: skip
+        return self._gathered_gradient(), b.gradient.copy()
 
     def curvature(self, image: Array, ground: Array) -> float:
         """Squares of the whitened Jacobian times a direction (u,), (P, 3)."""
-        along = self._product(image, ground)
         own = self._backend.prior * np.sum(image**2)
-        return float(np.sum(along**2) + own + self._whitened_squares(ground))
+        return float(self._squares_along(image, ground, 0.0) + own + self._whitened_squares(ground))
 
-    def _product(self, image: Array, ground: Array) -> Array:
-        """Jacobian of the image points times a step; overwritten by the next."""
-        backend, s, b = self._backend, self._backend.structure, self.buffers()
+    def _squares_along(self, image: Array, ground: Array, share: float) -> float:
+        """Squares of ``share`` of the residuals of the image points plus their Jacobian times a step."""
+        backend, s, b = self._backend, self.structure, self.buffers()
         wide = s.widened(backend.problem.image_matrix(image))
-        backend.workers.run(
-            product, len(s.number), s.first, s.free, s.image, s.n_basis, s.n_components, s.basis, wide, b.d_image,
-            b.d_ground, ground, b.after,
-        )  # fmt: skip
-        return b.after
+        for tile in s.tiles:
+            rows, (lo, hi) = self.rows(tile), tile.chunks
+            backend.workers.run(
+                product, hi - lo, s.chunk_places, s.first, s.free, s.image, s.n_basis, s.n_components, s.basis, wide,
+                tile.points[0], share, rows.value, rows.d_image, rows.d_ground, ground, b.squares, start=lo,
+            )  # fmt: skip
+        return float(np.sum(b.squares))
 
     def _whitened_squares(self, ground: Array) -> float:
         """Sum of squares of the control-point rows times a step (P, 3)."""
@@ -242,14 +283,12 @@ class SchurSystem:
 
     def given(self, image: Array, ground: Array) -> SchurStep:
         """The step (u,), (P, 3) with what the linear model predicts after it."""
-        after = self._product(image, ground)
-        after += self.buffers().value
-        return self._step(image, ground, after)
+        return self._step(image, ground, self._squares_along(image, ground, 1.0))
 
-    def _step(self, image: Array, ground: Array, after: Array) -> SchurStep:
+    def _step(self, image: Array, ground: Array, squares: float) -> SchurStep:
         backend = self._backend
         moved = backend.moved(self.state, image, ground)
-        error = self._excess + backend.half_squares(after, moved, self.buffers().control)
+        error = self._excess + backend.half_rest(moved, self.buffers().control) + 0.5 * squares
         length = max(float(np.abs(image).max()), float(np.abs(ground).max(initial=0.0)))
         return SchurStep(image, ground, length, error)
 
@@ -285,7 +324,7 @@ class SchurBackend:
         self.workers = Workers(automatic if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
         self.reduced = ReducedSystems(self.structure, problem.first, reduced)
-        self.buffers = _Buffers(self)
+        self.buffers = Buffers(self.structure, problem.control_records)
         self.robust: Robust | None = None
 
     def initial(self) -> State:
@@ -304,20 +343,27 @@ class SchurBackend:
 
     def error(self, state: State) -> float:
         """Half the weighted sum of squares, or the cost under the loss; see :meth:`linearise`."""
-        value = self.evaluate(state, self.buffers.after, want=False)
         if self.robust is None:
-            return self.half_squares(value, state)
-        _, _, cost = self.robust.weigh(*self.squares_of(value, state))
+            return self.half_rest(state) + 0.5 * sum(float(np.vdot(v, v)) for v in self._values(state))
+        _, _, cost = self.robust.weigh(*self.squares(state))
         return cost + 0.5 * self.prior * float(np.sum(state.image**2))
 
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``; image points in the order of the structure."""
-        return self.squares_of(self.evaluate(state, self.buffers.after, want=False), state)
+        image = [np.einsum("ni,ni->n", value, value) for value in self._values(state)]
+        return np.concatenate(image), self.control_squares(state)
 
-    def squares_of(self, value: Array, state: State) -> tuple[Array, Array]:
-        """Squared norms of image points from their residuals (n, 2), and of control points."""
-        control = self._control_residuals(state, self.problem.control_records)
-        return np.einsum("ni,ni->n", value, value), np.asarray(np.sum(control**2, axis=1))
+    def _values(self, state: State) -> Iterator[Array]:
+        """Residuals (n, 2) of one tile after the other, each lost with the next."""
+        for tile in self.structure.tiles:
+            space = self.buffers.rows(tile)
+            value = self.buffers.trial[: tile.points[1] - tile.points[0]]
+            self.evaluate(Rows(tile, value, space.d_image, space.d_ground), state, want=False)
+            yield value
+
+    def control_squares(self, state: State) -> Array:
+        """Squared norms (m,) of the residuals of the observed control points."""
+        return np.asarray(np.sum(self._control_residuals(state, self.problem.control_records) ** 2, axis=1))
 
     def retract(self, state: State, step: SchurStep) -> State:
         """State after a step."""
@@ -329,21 +375,31 @@ class SchurBackend:
         moved[self.structure.number] += ground
         return State(state.image + self.problem.image_matrix(image), moved)
 
-    def evaluate(self, state: State, value: Array, *, want: bool) -> Array:
-        """Write the residuals of all image points into ``value`` and, if wanted, Jacobians into the buffers."""
-        s, wide = self.structure, self.structure.widened(state.image)
+    def evaluate(self, rows: Rows, state: State, *, want: bool) -> None:
+        """Write the residuals of a tile's image points and, if wanted, their Jacobians.
+
+        Raises
+        ------
+        NotFiniteError
+            A residual or Jacobian is nan or inf; names the observation.
+        """
+        s, wide, (lo, hi) = self.structure, self.structure.widened(state.image), rows.tile.points
+        at = slice(lo, hi)
         for group in s.groups:
+            members = self.buffers.members[: hi - lo]
+            if group.members is not None:
+                first, end = np.searchsorted(group.members, (lo, hi))
+                members = group.members[first:end] - np.int32(lo)
             kernel: Callable[..., Any] = group.rows
             bad = self.workers.run(
-                kernel, len(group.members), group.members, self.problem.records, s.row, s.image, s.point,
-                group.columns.setup, group.n_basis, s.basis, wide, state.ground, value, self.buffers.d_image,
-                self.buffers.d_ground, want,
+                kernel, len(members), members, self.problem.records, s.row[at], s.image[at], s.point[at],
+                group.columns.setup, group.n_basis, s.basis[at], wide, state.ground, rows.value, rows.d_image,
+                rows.d_ground, want,
             )  # fmt: skip
             for a in bad:
                 if a >= 0:
-                    label = self.problem.label(int(s.row[a]))
+                    label = self.problem.label(int(s.row[lo + a]))
                     raise NotFiniteError(f"{label}: residual or Jacobian is not finite")
-        return value
 
     def _control_residuals(self, state: State, records: Array) -> Array:
         """Whitened residuals (m, 3) of the observed control points, by their records (N, 12)."""
@@ -351,8 +407,13 @@ class SchurBackend:
         difference = state.ground[observed] - records[observed, 9:]
         return np.asarray(np.einsum("nij,nj->ni", records[observed, :9].reshape(-1, 3, 3), difference))
 
-    def half_squares(self, value: Array, state: State, records: Array | None = None) -> float:
+    def half_squares(self, value: Array, state: State, records: Array) -> float:
         """Half the weighted sum of squares, from whitened residuals of the image points and control records."""
+        return self.half_rest(state, records) + 0.5 * sum(
+            float(np.vdot(value[slice(*t.points)], value[slice(*t.points)])) for t in self.structure.tiles
+        )
+
+    def half_rest(self, state: State, records: Array | None = None) -> float:
+        """Half the weighted sum of squares of control points and priors."""
         control = self._control_residuals(state, self.problem.control_records if records is None else records)
-        squares = np.vdot(value, value) + np.sum(control**2) + self.prior * np.sum(state.image**2)
-        return 0.5 * float(squares)
+        return 0.5 * float(np.sum(control**2) + self.prior * np.sum(state.image**2))

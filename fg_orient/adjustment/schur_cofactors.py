@@ -134,15 +134,16 @@ class SchurCofactors(ReducedCofactors):
 
     def _gain_of(self, j: int) -> Gain:
         """See :data:`Gain`."""
-        s, b = self._structure, self._system.buffers()
+        s = self._structure
         p = int(self._place[j])
         r = np.zeros((3, 3))
         r[np.tril_indices(3)] = self._root[p]
         inverse = r.T @ r
         parts: dict[int, Array] = {}
-        for a in range(int(s.first[p]), int(s.first[p + 1])):
+        rows, first = self._system.rays(p), int(s.first[p])
+        for a in range(first, int(s.first[p + 1])):
             k = int(s.image[a])
             basis, component = np.divmod(s.wide[k, : s.size[k]], s.n_components[k])
-            jacobian = b.d_image[a][:, component] * (s.basis[a, basis] * s.scale[k, : s.size[k]])
-            parts[k] = parts.get(k, 0.0) + b.d_ground[a].T @ jacobian
+            jacobian = rows.d_image[a - first][:, component] * (s.basis[a, basis] * s.scale[k, : s.size[k]])
+            parts[k] = parts.get(k, 0.0) + rows.d_ground[a - first].T @ jacobian
         return tuple(parts), inverse, inverse @ np.hstack(list(parts.values()))

@@ -1,4 +1,4 @@
-"""A problem compiled to arrays for the Schur backend, once: sorted observations, columns, pairs, segments.
+"""A problem compiled to arrays for the Schur backend, once: sorted observations, columns, pieces, chunks, tiles.
 
 Image points are sorted by ground point, and ground points by the images that see them: what is used together lies
 together in memory. The layout is that of ``factors.batch``, ``factors.batch_points`` and ``factors.batch_pairs``.
@@ -6,6 +6,7 @@ together in memory. The layout is that of ``factors.batch``, ``factors.batch_poi
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -15,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import batch_pairs
+from factors import batch_sort
 from factors.batch import Columns, batch, has_batch
 from fg_orient.adjustment.models.contract import groups
 from fg_orient.adjustment.problem import Problem
@@ -26,8 +27,19 @@ Small = npt.NDArray[np.int32]
 
 #: Fewer image points than this are computed by one thread: starting a second one costs 50 us at each stage (measured).
 SERIAL_LIMIT: Final = 2000
-#: Pairs of one segment at most: small enough to share out, large enough to make the sums between segments cheap.
-SEGMENT: Final = 2048
+#: Chunks: about so many, of so many image points. Each has sums of its own (some blocks of 6 kB), and they are what is
+#: shared out among threads.
+CHUNKS: Final = 24
+LEAST_CHUNK: Final = 512
+MOST_CHUNK: Final = 16384
+#: Image points whose rows are computed together: 25 MB.
+TILE: Final = 131_072
+#: Up to so many image points all rows are kept, 200 bytes each; of larger blocks this share, so that the working set
+#: stays below 256 bytes per image point. The others are computed three times instead of once.
+ALL_KEPT: Final = 300_000
+KEPT_SHARE: Final = 0.5
+#: Records that are copied at once.
+RECORDS: Final = 32_768
 
 
 def reason_against(problem: Problem) -> str:
@@ -40,13 +52,34 @@ def reason_against(problem: Problem) -> str:
 
 @dataclass(frozen=True)
 class Group:
-    """Images of one equation and one set of unknowns."""
+    """Images of one equation and one set of unknowns.
+
+    ``members`` (m,): their image points in ascending order; None where they are all.
+    """
 
     rows: Callable[..., int]
     columns: Columns
     images: Index
-    members: Index
+    members: Small | None
     n_basis: int
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A run of chunks whose rows are computed, and used, together.
+
+    Parameters
+    ----------
+    points, places, chunks : (2,) int tuples
+        First and end of its image points, of its places among the ground points, of its chunks.
+    kept : bool
+        Whether its rows are kept; those of the others are computed again.
+    """
+
+    points: tuple[int, int]
+    places: tuple[int, int]
+    chunks: tuple[int, int]
+    kept: bool
 
 
 @dataclass(frozen=True)
@@ -56,54 +89,62 @@ class Structure:
     Parameters
     ----------
     groups : tuple of Group
-    row, image, point, place : (n,) int arrays
-        Of the sorted image points: row in the problem, image, ground point, and its place among those seen.
+    row, image, point : (n,) int arrays
+        Of the sorted image points: row in the problem, image, ground point.
     number, free : (P,) int arrays
         Ground point of each place; 0 constant, 1 unknown, 2 unknown and observed.
     first : (P + 1,) int array
         First image point of each place.
-    begin, order : (M + 1,), (n,) int arrays
-        Image points of each image.
     basis : (n, b) array
     n_basis, n_components, size : (M,) int arrays
         Of each image; ``size``: number of its unknowns.
     wide, scale : (M, k) arrays
         Place among the wide numbers and factor of each unknown.
-    left, right : (q,) int arrays
-        Pairs of image points, sorted by block.
-    cut, segments : int arrays
-        First pair of each segment, first segment of each block.
+    pieces, chunks, slots : int arrays
+        See ``factors.batch_pairs``.
+    chunk_places, slot_begin : (N + 1,) int arrays
+        First place and first slot of each chunk.
+    slot_own : (S,) int array
+        1 for slots of rays paired with themselves.
+    cost : (N + 1,) int array
+        Running number of pairs of the chunks.
     block_row, block_column : (B,) int arrays
         Images of each block of the reduced system, row <= column.
+    block_begin, block_slots : (B + 1,), (S,) int arrays
+        Slots of each block.
+    tiles : tuple of Tile
     """
 
     groups: tuple[Group, ...]
-    row: Index
-    image: Index
-    point: Index
-    place: Index
-    number: Index
-    free: Index
-    first: Index
-    begin: Index
-    order: Small
+    row: Small
+    image: Small
+    point: Small
+    number: Small
+    free: npt.NDArray[np.int8]
+    first: Small
     basis: Array
     n_basis: Index
     n_components: Index
     size: Index
     wide: Index
     scale: Array
-    left: Small
-    right: Small
-    cut: Index
-    segments: Index
+    pieces: Index
+    chunks: Index
+    slots: Small
+    chunk_places: Small
+    slot_begin: Index
+    slot_own: Small
+    cost: Index
     block_row: Index
     block_column: Index
+    block_begin: Index
+    block_slots: Small
+    tiles: tuple[Tile, ...]
 
     @property
     def observed(self) -> Index:
         """Ground points with control-point equations."""
-        return np.asarray(self.number[self.free == 2])
+        return np.asarray(self.number[self.free == 2], dtype=np.int64)
 
     @property
     def width(self) -> int:
@@ -120,19 +161,15 @@ class Structure:
 
     def narrowed(self, wide: Array) -> Array:
         """Gradient (u,) of all unknowns from the wide one (M, w)."""
-        return np.concatenate([
-            wide[i, self.wide[i, : self.size[i]]] * self.scale[i, : self.size[i]] for i in range(len(wide))
-        ])  # fmt: skip
+        exists = np.arange(self.wide.shape[1]) < self.size[:, None]
+        return np.asarray((np.take_along_axis(wide, self.wide, axis=1) * self.scale)[exists])
 
 
 def compile_structure(problem: Problem) -> Structure:
     """Sort and index a problem that :func:`reason_against` has nothing against."""
-    o = problem.observations
-    row = _order(o.image, o.point)
-    image, point = o.image[row].astype(np.int64), o.point[row].astype(np.int64)
-    first = np.append(np.flatnonzero(np.diff(point, prepend=-1)), len(point)).astype(np.int64)
-    number, place = point[first[:-1]], np.repeat(np.arange(len(first) - 1), np.diff(first))
-    free = np.where(problem.active[number], np.where(problem.observed[number], 2, 1), 0).astype(np.int64)
+    row, image, point, first = _sorted(problem)
+    number = point[first[:-1]]
+    free = np.where(problem.active[number], np.where(problem.observed[number], 2, 1), 0).astype(np.int8)
     found = _groups(problem, image)
     n_basis, n_components, size = (np.zeros(problem.n_images, np.int64) for _ in range(3))
     widest = int(np.diff(problem.first).max())
@@ -142,66 +179,108 @@ def compile_structure(problem: Problem) -> Structure:
         k = len(g.columns.scale)
         n_basis[g.images], n_components[g.images], size[g.images] = g.n_basis, g.columns.n_components, k
         wide[g.images, :k], scale[g.images, :k] = g.columns.wide, g.columns.scale
-        basis[g.members, : g.n_basis] = g.columns.values(problem.records[row[g.members]])
-    left, right = _pairs(first, image, free, problem.n_images)
-    cut, segments = _segments(image[left] * problem.n_images + image[right])
-    order = np.argsort(image, kind="stable").astype(np.int32)
-    begin = np.concatenate([[0], np.cumsum(np.bincount(image, minlength=problem.n_images))]).astype(np.int64)
-    starts = cut[segments[:-1]]
+        _write_basis(problem, row, g, basis)
+    pieces, chunks = _pieces(first, image, free)
+    chunk_places = np.append(pieces[chunks[:-1], 1], len(number)).astype(np.int32)
+    pairs = np.append(pieces[1:, 4], _entries(pieces)) - pieces[:, 4]
+    cost = np.concatenate([[0], np.cumsum(pairs * pieces[:, 2])])[chunks]
     return Structure(
-        found, row, image, point, place.astype(np.int64), number, free, first, begin, order, basis, n_basis,
-        n_components, size, wide, scale, left, right, cut, segments, image[left[starts]], image[right[starts]],
+        found, row, image, point, number, free, first, basis, n_basis, n_components, size, wide, scale, pieces, chunks,
+        *_slots(pieces, chunks, image, free, problem.n_images, chunk_places, cost),
+        _tiles(first, chunk_places),
     )  # fmt: skip
 
 
-def _order(image: npt.NDArray[np.intp], point: npt.NDArray[np.intp]) -> Index:
-    """Rows of image points by ground point, points by first and last image and number of rays.
+def _sorted(problem: Problem) -> tuple[Small, Small, Small, Small]:
+    """Row, image and ground point of the sorted image points, and the first of each ground point.
 
-    The rays that two images share then lie in few runs of memory, whatever the order of the points in the file: a
-    third of the time of the pairs at 1e5 image points (measured).
+    Image points by ground point, ground points by first and last image, number of rays and all their images: rays that
+    two images share lie in few runs of memory, and points seen in the same images follow each other.
     """
-    row = np.lexsort((image, point))
-    seen, first, place = np.unique(point[row], return_index=True, return_inverse=True)
-    rays = np.diff(np.append(first, len(row)))
-    last = image[row[first + rays - 1]]
-    rank = np.empty(len(seen), np.int64)
-    rank[np.lexsort((rays, last, image[row[first]]))] = np.arange(len(seen))
-    return row[np.argsort(rank[place], kind="stable")].astype(np.int64)
+    o, n, m = problem.observations, len(problem.observations), problem.n_images
+    image, point = np.asarray(o.image, np.int64), np.asarray(o.point, np.int64)
+    order, other = np.arange(n, dtype=np.int32), np.empty(n, np.int32)
+    batch_sort.sort_by(image, order, np.empty(m + 1, np.int64), other)
+    batch_sort.sort_by(point, other, np.empty(len(problem.active) + 1, np.int64), order)
+    key, code, start = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n + 1, np.int32)
+    constant = (~problem.active).astype(np.int8)
+    seen = batch_sort.signatures(order, point, image, constant, m, key, code, start)
+    first = np.empty(seen + 1, np.int32)
+    row, sorted_image, sorted_point = other, np.empty(n, np.int32), np.empty(n, np.int32)
+    points = np.lexsort((code[:seen], key[:seen]))
+    batch_sort.arrange(points, start, order, image, point, row, sorted_image, sorted_point, first)
+    return row, sorted_image, sorted_point, first
 
 
-def _groups(problem: Problem, image: Index) -> tuple[Group, ...]:
+def _groups(problem: Problem, image: Small) -> tuple[Group, ...]:
     """Images with the same equation and unknowns, and their image points."""
-    out = []
-    for images in groups(problem.models):
+    out, found = [], groups(problem.models)
+    for images in found:
         model = problem.models[images[0]]
         rows, columns = batch(model.equation, model.parameters.setup)
-        inside = np.zeros(problem.n_images, dtype=bool)
-        inside[images] = True
-        members = np.flatnonzero(inside[image]).astype(np.int64)
+        members = None
+        if len(found) > 1:
+            inside = np.zeros(problem.n_images, dtype=bool)
+            inside[images] = True
+            members = np.flatnonzero(inside[image]).astype(np.int32)
         out.append(Group(rows, columns, np.array(images, np.int64), members, int(columns.basis.max()) + 1))
     return tuple(out)
 
 
-def _pairs(first: Index, image: Index, free: Index, n_images: int) -> tuple[Small, Small]:
-    """Pairs of rays sorted by image of the first, then of the second ray; by point within."""
-    n = batch_pairs.count_pairs(first, image, free)
-    left, right, other_left, other_right = (np.empty(n, np.int32) for _ in range(4))
-    batch_pairs.list_pairs(first, image, free, left, right)
-    counts = np.empty(n_images + 1, np.int64)
-    batch_pairs.sort_pairs(left, right, False, image, counts, other_left, other_right)
-    batch_pairs.sort_pairs(other_left, other_right, True, image, counts, left, right)
-    return left, right
+def _write_basis(problem: Problem, row: Small, group: Group, basis: Array) -> None:
+    """Write the basis values of a group's image points, some at a time: their records are copied for it."""
+    for lo in range(0, len(row) if group.members is None else len(group.members), RECORDS):
+        at = slice(lo, lo + RECORDS) if group.members is None else group.members[lo : lo + RECORDS]
+        basis[at, : group.n_basis] = group.columns.values(problem.records[row[at]])
 
 
-def _segments(keys: Index) -> tuple[Index, Index]:
-    """First pair of each segment and first segment of each block, both with their ends, of sorted block keys."""
-    starts = np.flatnonzero(np.diff(keys, prepend=-1))
-    lengths = np.diff(np.append(starts, len(keys)))
-    counts = -(-lengths // SEGMENT)
-    segments = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    within = np.arange(segments[-1]) - np.repeat(segments[:-1], counts)
-    cut = np.repeat(starts, counts) + within * SEGMENT
-    return np.append(cut, len(keys)).astype(np.int64), segments
+def _pieces(first: Small, image: Small, free: npt.NDArray[np.int8]) -> tuple[Index, Index]:
+    """Pieces (Q, 5), and the first of each chunk and their number (N + 1,)."""
+    limit = min(max(int(first[-1]) // CHUNKS, LEAST_CHUNK), MOST_CHUNK)
+    pieces, chunks = np.zeros((len(free), 5), np.int64), np.zeros(len(free) + 1, np.int64)
+    n_pieces, n_chunks = batch_sort.cut_pieces(first, image, free, limit, pieces, chunks)
+    return pieces[:n_pieces].copy(), chunks[: n_chunks + 1].copy()
+
+
+def _entries(pieces: Index) -> int:
+    """Number of pairs of rays of all pieces, each piece counted once."""
+    return int(pieces[-1, 4] + pieces[-1, 3] * (pieces[-1, 3] + 1) // 2) if len(pieces) else 0
+
+
+def _slots(
+    pieces: Index, chunks: Index, image: Small, free: npt.NDArray[np.int8], n_images: int, places: Small, cost: Index
+) -> tuple[Small, Small, Index, Small, Index, Index, Index, Index, Small]:  # fmt: skip
+    """Slots of the pieces, and blocks of the slots: the fields of :class:`Structure` from ``slots`` on."""
+    key, kind = np.empty(_entries(pieces), np.int64), np.empty(_entries(pieces), np.int64)
+    batch_sort.list_entries(pieces, chunks, image, free, n_images, key, kind)
+    exists = kind >= 0
+    blocks, block = np.unique(key[exists], return_inverse=True)
+    chunk, own = np.divmod(kind[exists], 2)
+    found, slot = np.unique((chunk * len(blocks) + block) * 2 + own, return_inverse=True)
+    slots = np.full(len(key), -1, np.int32)
+    slots[exists] = slot
+    begin = np.searchsorted(found // (2 * len(blocks)), np.arange(len(chunks)))
+    slot_block = found // 2 % len(blocks)
+    block_begin = np.concatenate([[0], np.cumsum(np.bincount(slot_block, minlength=len(blocks)))])
+    return (
+        slots, places, begin.astype(np.int64), (found % 2).astype(np.int32), cost, blocks // n_images,
+        blocks % n_images, block_begin.astype(np.int64), np.argsort(slot_block, kind="stable").astype(np.int32),
+    )  # fmt: skip
+
+
+def _tiles(first: Small, places: Small) -> tuple[Tile, ...]:
+    """Tiles of about TILE image points; the rows of the first ones are kept."""
+    points = first[places].astype(np.int64)
+    total, cuts = int(points[-1]), [0]
+    while cuts[-1] < len(places) - 1:
+        cuts.append(max(int(np.searchsorted(points, points[cuts[-1]] + TILE, side="right")) - 1, cuts[-1] + 1))
+    out = []
+    for lo, hi in itertools.pairwise(cuts):
+        kept = total <= ALL_KEPT or int(points[hi]) <= KEPT_SHARE * total
+        out.append(
+            Tile((int(points[lo]), int(points[hi])), (int(places[lo]), int(places[hi])), (lo, hi), kept)
+        )  # fmt: skip
+    return tuple(out)
 
 
 class Workers:
@@ -223,12 +302,12 @@ class Workers:
             self._pool, self._process = ThreadPoolExecutor(self.threads - 1), os.getpid()
         return self._pool
 
-    def run(self, kernel: Callable[..., Any], cuts: int | Index, *arguments: Any) -> list[Any]:
+    def run(self, kernel: Callable[..., Any], cuts: int | Index, *arguments: Any, start: int = 0) -> list[Any]:
         """Call ``kernel(lo, hi, *arguments)`` for each part; results in the order of the parts.
 
-        ``cuts`` is the length of the range, or the running sum of the cost of its items from 0.
+        ``cuts`` is the length of the range, or the running sum of the cost of its items; ``start`` its first item.
         """
-        bounds = self._bounds(cuts)
+        bounds = self._bounds(cuts) + start
 
         def part(k: int) -> Any:
             return kernel(int(bounds[k]), int(bounds[k + 1]), *arguments)
@@ -244,6 +323,6 @@ class Workers:
         shares = np.arange(self.threads + 1) / self.threads
         if isinstance(cuts, int):
             return np.asarray(np.round(shares * cuts), dtype=np.int64)
-        bounds: Index = np.searchsorted(cuts, shares * cuts[-1]).astype(np.int64)
+        bounds: Index = np.searchsorted(cuts, cuts[0] + shares * (cuts[-1] - cuts[0])).astype(np.int64)
         bounds[-1] = len(cuts) - 1  # items that cost nothing may stand at the end
         return bounds

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import fg_orient as fg
 from factors.control import CONTROL_POINT
-from fg_orient.adjustment import schur, schur_reduced
+from fg_orient.adjustment import schur, schur_reduced, schur_structure
 from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
@@ -20,7 +20,7 @@ from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend, SchurSystem
 from fg_orient.adjustment.schur_cofactors import SchurCofactors
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.adjustment.schur_structure import SEGMENT, Workers
+from fg_orient.adjustment.schur_structure import Workers
 from fg_orient.adjustment.solve import chosen_backend, solve
 from fg_orient.block import Block, ExtraObservation, Image, ImagePoints
 from fg_orient.names import Role
@@ -227,12 +227,22 @@ def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
         assert not found.point(int(j)).any()
 
 
-def test_same_bits_for_one_and_two_threads() -> None:
-    """Several segments in a block, both reduced solvers, step and error and state after the loop."""
+@pytest.fixture
+def tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tiles of a few chunks, some kept, some computed again."""
+    for name, value in (("TILE", 1200), ("ALL_KEPT", 0), ("KEPT_SHARE", 0.4)):
+        monkeypatch.setattr(schur_structure, name, value)
+
+
+@pytest.mark.parametrize("divided", [False, True])
+def test_same_bits_for_one_and_two_threads(divided: bool, request: pytest.FixtureRequest) -> None:
+    """Several chunks add to a block; all reduced solvers; step and error and state after the loop."""
+    if divided:
+        request.getfixturevalue("tiles")
     problem = compile_problem(with_options(mixed_size(), eop_set=20))
     structure = SchurBackend(problem).structure
-    assert np.diff(structure.segments).max() > 1
-    assert np.diff(structure.cut).max() == SEGMENT
+    assert np.diff(structure.block_begin).max() > 4
+    assert {tile.kept for tile in structure.tiles} == ({True, False} if divided else {True})
     for reduced in ("dense", "graph"):
         ends = []
         for threads in (1, 2, 3):
