@@ -44,7 +44,7 @@ from fg_orient.simulate.block import BlockOptions, simulate_block
 RESULTS: Final = Path(__file__).parent / "results" / "fast_path.json"
 PACKAGES: Final = ("fg-orient", "gtsam", "numpy", "scipy", "numba", "pyceres", "pycolmap")
 #: Image points above which a peer is left to --full, and left out: the graph needs 12 kB for each.
-GRAPH_LIMIT, TRF_LIMIT, CERES_LIMIT = 200_000, 20_000, 20_000
+GRAPH_LIMIT, PEER_LIMIT = 200_000, 20_000
 FULL_PEER_LIMIT: Final = 200_000
 #: Ours: the threads that the backend takes by itself, one, two.
 THREADS: Final = {"schur": None, "schur-1": 1, "schur-2": 2}
@@ -68,11 +68,10 @@ def spot_entries(size: str, given: argparse.Namespace, folder: Path) -> list[Ent
         runs["read"] = reading(size, folder)
     if n <= GRAPH_LIMIT:
         runs["graph"] = own.graph(problem)
-    flat = FlatProblem(problem)
-    if peers and n <= max(TRF_LIMIT, limit):
+    if peers and n <= max(PEER_LIMIT, limit):
+        flat = FlatProblem(problem)
         runs["trf-2-point"] = peers_scipy.trf(flat, analytic=False)
         runs["trf-analytic"] = peers_scipy.trf(flat, analytic=True)
-    if peers and n <= max(CERES_LIMIT, limit):
         runs["pyceres"] = peers_ceres.sparse_schur(flat)
     if given.full and size == "1e4":
         runs["gtsam-native-iterate"] = own.native_iteration(problem)

@@ -12,8 +12,8 @@ from benchmarks.hardware import Hardware, best, iteration_bound, pair_bound
 
 #: A run counts if its cost is within this share of the lowest one found on the same problem.
 SAME_COST: Final = 1e-6
-#: Image points from which and to which the exponent is fitted.
-EXPONENT_FROM, EXPONENT_TO = 800, 2_000_000
+#: Image points from which the exponent is fitted.
+EXPONENT_FROM: Final = 800
 
 Record = dict[str, Any]
 
@@ -158,15 +158,18 @@ class Summary:
         bound = pair_bound(self.hardware, threads, records[0]["n_pairs"])
         return Value.of(r["stages"][stage] / bound for r in records)
 
-    def exponent(self, solver: str) -> float | None:
-        """Slope of log(seconds of an iteration) on log(image points), 1e3 to 1e6."""
+    def exponent(self, solver: str, up_to: int) -> float | None:
+        """Slope of log(seconds of an iteration) on log(image points) from 1e3 on.
+
+        None if the largest block that was run has less than half of ``up_to`` image points.
+        """
         points, seconds = [], []
         for size in self.sizes("spot"):
             found, records = self.value("spot", size, solver, steady_seconds), self.records("spot", size, solver)
-            if found is not None and EXPONENT_FROM <= records[0]["n_image_points"] <= EXPONENT_TO:
+            if found is not None and records[0]["n_image_points"] >= EXPONENT_FROM:
                 points.append(records[0]["n_image_points"])
                 seconds.append(found.median)
-        if len(points) < 2:
+        if len(points) < 2 or 2 * max(points) < up_to:
             return None
         return float(np.polyfit(np.log(points), np.log(seconds), 1)[0])
 

@@ -123,8 +123,8 @@ def test_hardware_counts_at_its_best_and_exponents_come_out() -> None:
     sizes = ("1e3", "1e4", "1e5", "1e6")
     s = summary(record("schur", "94", 5.0, 1.0), *(record("schur", n, 1e-6 * float(n) ** 1.1, 1.0) for n in sizes))
     assert s.hardware.triad == {1: 1e10, 2: 2e10}
-    assert s.exponent("schur") == pytest.approx(1.1, abs=1e-12)
-    assert s.exponent("graph") is None
+    assert s.exponent("schur", 10**6) == pytest.approx(1.1, abs=1e-12)
+    assert s.exponent("schur", 10**7) is None and s.exponent("graph", 10) is None
     assert s.working_set("1e4", 2) == 200.0 and s.working_set("1e4", 2, with_records=True) == 300.0
 
 
