@@ -12,6 +12,7 @@ import numpy as np
 
 from factors import (
     batch,
+    batch_cofactors,
     batch_gather,
     batch_pairs,
     batch_points,
@@ -92,6 +93,9 @@ def _compile_batches() -> None:
         d_image, d_ground = np.zeros((2, 2, columns.n_components)), rng.normal(size=(2, 2, 3))
         rows(0, 2, rays, records, rays, rays, zero, columns.setup, 1, basis, wide, ground, value, d_image,
              d_ground, True)  # fmt: skip
+    batch_cofactors.point_cofactors(0, 1, np.array([0, 2]), np.arange(2), np.ones(2, np.int64), d_image, d_ground,
+                                    np.eye(3)[None], np.arange(4).reshape(2, 2), np.ones((4, 1, 1)),
+                                    np.empty((1, 3, 3)))  # fmt: skip
     _compile_reduction(columns.n_components, basis, value, wide, d_image, d_ground)
 
 

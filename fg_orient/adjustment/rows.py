@@ -50,12 +50,12 @@ def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian:
         d_x, d_point = (np.array(b).reshape(n, 2, -1 if jacobian and n else 0) for b in blocks)
         return found.reshape(n, 2), d_x, d_point
     kernel, columns = batch(model.equation, model.parameters.setup)
-    basis, own = columns.values(records), np.arange(n)
+    basis, own = columns.values(records), np.arange(n, dtype=np.int32)
     wide = np.zeros((1, basis.shape[1] * columns.n_components))
     wide[0, columns.wide] = x * columns.scale
     value, d_image, d_ground = np.empty((n, 2)), np.zeros((n, 2, columns.n_components)), np.zeros((n, 2, 3))
     kernel(
-        0, n, own, records, own, np.zeros(n, np.int64), own, columns.setup, basis.shape[1], basis, wide, ground, value,
+        0, n, own, records, own, np.zeros(n, np.int32), own, columns.setup, basis.shape[1], basis, wide, ground, value,
         d_image, d_ground, jacobian,
     )  # fmt: skip
     if not jacobian:

@@ -61,9 +61,10 @@ def _texts(values: npt.NDArray[Any] | Sequence[str]) -> Sequence[str]:
         return [_quoted(text) for text in values] if needed else values
     if values.dtype.kind != "f":
         return list(map(str, values.tolist()))
-    if len(values) and (values == values[0]).all():
-        return [repr(float(values[0]))] * len(values)
     finite = np.isfinite(values)
+    bits = np.ascontiguousarray(values, np.float64).view(np.int64)
+    if finite[:1].all() and (bits == bits[:1]).all():
+        return [repr(float(value)) for value in values[:1]] * len(values)
     if finite.all():
         return list(map(repr, values.tolist()))
     out = [""] * len(values)

@@ -1,0 +1,151 @@
+"""What is done by columns gives what is done row by row: tables read and written, Jacobians, cofactors of points."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fg_orient.adjustment.problem import State, compile_problem
+from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.block import Block
+from fg_orient.io import observations as observation_files
+from fg_orient.io import points as point_files
+from fg_orient.io.observations import read_observations
+from fg_orient.io.points import read_points
+from fg_orient.io.tables import Faults
+from fg_orient.orient import adjust
+from fg_orient.report.data import read_columns
+from fg_orient.run.columns import Named, write_columns
+from fg_orient.simulate.block import BlockOptions, grid_block
+
+quiet = settings(derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+words = st.text(st.characters(codec="utf-8", exclude_characters="\r\0"), min_size=1, max_size=6)
+figures = st.one_of(st.sampled_from([0.0, -0.0, -1.5, float("nan"), float("inf")]), st.floats())
+
+
+@quiet
+@given(st.lists(st.tuples(words, figures, st.integers(), figures), min_size=1, max_size=9))
+def test_written_bytes_are_those_of_csv_row_by_row(tmp_path: Path, rows: list[tuple[str, float, int, float]]) -> None:
+    ids, first, counts, second = zip(*rows, strict=True)
+    place = np.arange(len(rows))[::-1]
+    write_columns(tmp_path / "t.csv", {
+        "id": ids, "x,m": np.array(first), "n": np.array(counts, object), "y": np.array(second),
+        "to": Named(ids, place),
+    })  # fmt: skip
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["id", "x,m", "n", "y", "to"])
+    for k, (name, x, n, y) in enumerate(rows):
+        cells = [repr(v) if np.isfinite(v) else "" for v in (x, y)]
+        writer.writerow([name, cells[0], n, cells[1], ids[place[k]]])
+    assert (tmp_path / "t.csv").read_bytes() == stream.getvalue().encode()
+
+
+def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fg_orient.run.columns.CHUNK", 7)
+    monkeypatch.setattr("fg_orient.report.data.CHUNK", 5)
+    values, ids = np.random.default_rng(1).normal(size=40), [f"p{k}" for k in range(40)]
+    values[3] = np.nan
+    ids[39] = 'p"39'
+    write_columns(tmp_path / "t.csv", {"id": ids, "x_m": values})
+    table = read_columns(tmp_path / "t.csv")
+    assert table.words["id"] == ids and len(table) == 40
+    np.testing.assert_array_equal(table.figures["x_m"], values)
+    (tmp_path / "t.csv").write_text("id,x_m\na,1\nb\n")
+    with pytest.raises(ValueError, match="2 cells"):
+        read_columns(tmp_path / "t.csv")
+
+
+CELLS = st.sampled_from(["1.5", "7", "-0.4", "-2", "1e3", "", "x", "1,5", " 2 ", "inf", "fixed", "0", '"3"', "a", "b"])
+
+
+@quiet
+@given(st.lists(st.tuples(st.integers(0, 5), CELLS), max_size=2), st.booleans())
+def test_observations_refused_at_once_are_those_refused_row_by_row(
+    tmp_path: Path, changes: list[tuple[int, str]], twice: bool
+) -> None:
+    """Whatever the columns refuse has a fault in some row, and the other way round."""
+    rows = [["left", "a", "1", "2", "0.5", "0.5"], ["left", "b", "3.25", "4", "0.5", "0.4"]]
+    rows += [["right", "b", "1", "2", "0.5", "0.5"]] * (1 + twice)
+    for column, cell in changes:
+        rows[1] = [*rows[1][:column], cell, *rows[1][column + 1 :]]
+    text = "\n".join([",".join(observation_files.COLUMNS), *(",".join(row) for row in rows)])
+    (tmp_path / "o.csv").write_text(text, "utf-8")
+    faults = Faults("o.csv")
+    sizes = {"left": (10, 10), "right": None}
+    found = read_observations(tmp_path / "o.csv", sizes, ["a", "b", "x"], faults)
+    assert (found is None) == bool(faults)
+
+
+@quiet
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(1, 7), CELLS), max_size=2))
+def test_points_converted_at_once_are_those_checked_row_by_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: list[tuple[int, int, str]]
+) -> None:
+    rows = [["c", "control", "30", "40", "5", "1", "1", "2"], ["k", "check", "31", "40.5", "6", "1", "1", "2"],
+            ["t", "tie", "", "", "", "", "", ""]]  # fmt: skip
+    for row, column, cell in changes:
+        rows[row] = [*rows[row][:column], cell, *rows[row][column + 1 :]]
+    header = "id,role,lon_deg,lat_deg,height_m,sigma_east_m,sigma_north_m,sigma_up_m"
+    (tmp_path / "p.csv").write_text("\n".join([header, *(",".join(row) for row in rows)]), "utf-8")
+    outcomes = []
+    for shortcut in (True, False):
+        faults = Faults("p.csv")
+        with monkeypatch.context() as patched:
+            if not shortcut:
+                patched.setattr(point_files, "_converted", lambda *_: None)
+            found = read_points(tmp_path / "p.csv", "EPSG:4979", faults)
+        known = None if found is None else found.points.known
+        arrays = [] if known is None else [known.ecef_m.tolist(), known.sigma_enu_m.tolist(), known.fixed.tolist()]
+        outcomes.append((faults.problems, repr(arrays)))
+    assert outcomes[0] == outcomes[1]
+
+
+@pytest.fixture(scope="module")
+def block() -> Block:
+    options = BlockOptions(points=60)
+    return grid_block(options)[0]
+
+
+@pytest.mark.parametrize("degree", [None, 2])
+def test_rows_of_an_image_are_those_of_its_equation(block: Block, degree: int | None) -> None:
+    problem = compile_problem(replace(block, options=replace(block.options, eop_set=20, look_polynomial=degree)))
+    rng = np.random.default_rng(3)
+    state = State(rng.normal(size=problem.start.image.shape), problem.start.ground + rng.normal(size=(60, 3)))
+    value, j_image, j_ground = problem.image_residuals(state, jacobian=True)
+    every = rows_by_image(problem)
+    assert sorted(np.concatenate(every).tolist()) == list(range(len(value)))
+    for k, rows in enumerate(every):
+        found, d_image, d_ground = image_rows(problem, state, k, rows, jacobian=True)
+        assert (problem.observations.image[rows] == k).all()
+        np.testing.assert_allclose(found, value[rows], rtol=1e-12, atol=1e-10)
+        np.testing.assert_allclose(d_ground, np.array([j_ground[r] for r in rows]), rtol=1e-11, atol=1e-14)
+        expected = np.array([j_image[r] for r in rows])
+        np.testing.assert_allclose(d_image, expected, rtol=1e-11, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("backend", ["schur", "graph", "dense"])
+def test_cofactors_of_all_points_are_those_of_each(block: Block, monkeypatch: pytest.MonkeyPatch, backend: str) -> None:
+    """In one go, in small chunks, and without all cofactors of the images; fixed points have none."""
+    fixed = block.points.known.fixed.copy()
+    fixed[np.flatnonzero(np.isfinite(block.points.known.ecef_m).all(axis=1))[:2]] = True
+    points = replace(block.points, known=replace(block.points.known, fixed=fixed))
+    found = adjust(replace(block, points=points), backend=backend).cofactors
+    assert found is not None
+    each = np.array([found.point(j) for j in range(60)])
+    assert not each[fixed].any() and (np.einsum("nii->ni", each)[~fixed] > 0.0).all()
+    scale = np.sqrt(np.einsum("nii->ni", each)) + fixed[:, None]
+    order = np.random.default_rng(0).permutation(60)
+    for chunk, limit in ((50_000, 6000), (11, 6000), (50_000, 0)):
+        monkeypatch.setattr("fg_orient.adjustment.point_cofactors.CHUNK", chunk)
+        monkeypatch.setattr("fg_orient.adjustment.schur_cofactors.WHOLE_LIMIT", limit)
+        error = (found.points(order) - each[order]) / (scale[order, :, None] * scale[order, None, :])
+        assert np.abs(error).max() < 1e-10
+    assert found.points(np.zeros(0, np.intp)).shape == (0, 3, 3)

@@ -1,0 +1,84 @@
+"""The memory told before a run: against what the arrays really take, and the refusal above the limit."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+from fg_orient import orient
+from fg_orient.adjustment import memory
+from fg_orient.block import Block
+from fg_orient.errors import InputError
+from fg_orient.orient import adjust
+from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
+from tests.support.command import in_process
+
+
+@pytest.fixture(scope="module")
+def block() -> Block:
+    return grid_block(BlockOptions(points=250))[0]
+
+
+@pytest.mark.parametrize("backend", ["schur", "dense"])
+def test_estimate_covers_what_is_allocated_and_not_much_more(block: Block, backend: str) -> None:
+    """Arrays are counted by tracemalloc; GTSAM's own memory is not seen by it."""
+    adjust(block, backend=backend, max_iterations=1)  # what is loaded or compiled once does not count
+    tracemalloc.start()
+    try:
+        solution = adjust(block, backend=backend)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert solution.memory is not None and solution.memory.backend == backend
+    assert peak < solution.memory.needed < 4.0 * peak
+
+
+def test_dense_needs_more_than_graph_and_graph_more_than_schur(block: Block) -> None:
+    needed = [adjust(block, backend=name, max_iterations=1).memory for name in ("schur", "graph", "dense")]
+    sizes = [need.needed for need in needed if need is not None]
+    assert sizes == sorted(sizes) and sizes[0] < sizes[1] < sizes[2]
+
+
+def test_refused_before_anything_is_compiled(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(_: Block) -> None:
+        raise AssertionError("compiled in spite of the limit")
+
+    monkeypatch.setattr(orient, "compile_problem", never)
+    with pytest.raises(InputError) as refused:
+        adjust(block, memory_limit_gb=1e-4)
+    (found,) = refused.value.problems
+    assert found.code == "adjust.memory" and found.value.endswith(" GB") and "0.0001 GB" in found.message
+
+
+def test_commands_tell_the_need_and_refuse(tmp_path: Path) -> None:
+    project = simulate_block(tmp_path / "block", BlockOptions(points=60))
+    told = in_process("validate", project, "--json").json["memory"]
+    assert 0 < told["needed_bytes"] < told["allowed_bytes"]
+    assert "memory: about " in in_process("validate", project).stdout
+    ended = in_process("adjust", project, "--memory-limit-gb", "1e-4", "--json")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "adjust.memory")
+    assert not (project.parent / "result").exists()
+    text = project.read_text("utf-8")
+    project.write_text(text.replace("[adjustment]", "[adjustment]\nmemory_limit_gb = 1e-4"), "utf-8")
+    ended = in_process("validate", project, "--json")
+    assert (ended.code, ended.json["errors"][0]["code"]) == (2, "adjust.memory")
+
+
+def test_available_memory_is_that_of_system_and_control_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    information = tmp_path / "meminfo"
+    information.write_text("MemTotal: 9000 kB\nMemAvailable:    4000 kB\n")
+    monkeypatch.setattr(memory, "_MEMINFO", information)
+    monkeypatch.setattr(memory, "_GROUPS", tmp_path)
+    assert memory.available_bytes() == 4000 * 1024
+    (tmp_path / "memory.max").write_text("max\n")
+    (tmp_path / "memory.current").write_text("500000\n")
+    assert memory.available_bytes() == 4000 * 1024
+    (tmp_path / "memory.max").write_text("2500000\n")
+    assert memory.available_bytes() == 2_000_000
+    assert memory.allowed_bytes(None) == 1_600_000 and memory.allowed_bytes(3.0) == 3_000_000_000
+    information.unlink()
+    (tmp_path / "memory.max").unlink()
+    found = memory.available_bytes()
+    assert found is None or found > 0
