@@ -34,7 +34,7 @@ SIGMA_PX: Final = 1.0
 #: Scale of the unknowns, for the length of steps: there are no priors. Angles in rad; f as a share of its size.
 SIGMA_RAD: Final = 1e-2
 SIGMA_FOCAL: Final = 1e-2
-SIGMA_DISTORTION: Final = 1e-2
+SIGMA_DISTORTION: Final = 1.0
 #: The same for projection centres, as a share of their scatter.
 SIGMA_CENTRE: Final = 1e-2
 #: More than this of anything is no bundle of this world, but a damaged file.
@@ -61,11 +61,19 @@ class BalData:
     points: Array
 
 
-def read_bal(path: str | Path) -> Block:
+def read_bal(path: str | Path, *, keep_behind: bool = True) -> Block:
     """Read a file as a block in a local system, with the options to adjust it as the literature does.
 
     There are no priors and the datum is free; Levenberg-Marquardt; sigma 1 px. Points measured once are left out:
     nothing determines them.
+
+    Parameters
+    ----------
+    path : str or Path
+    keep_behind : bool
+        Keep points whose start values lie behind one of their cameras. The equation holds there as well, but no
+        camera sees backwards. Programs differ: Ceres keeps them; GTSAM's ``GeneralSFMFactor`` lets their residuals
+        count as zero, so that a cost of GTSAM belongs to False.
 
     Raises
     ------
@@ -75,7 +83,7 @@ def read_bal(path: str | Path) -> Block:
     raw = _read(Path(path))
     data = _parse(raw, Path(path).name)
     source = Source(str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest())
-    return bal_block(data, Path(path).name, (source,))
+    return bal_block(data, Path(path).name, (source,), keep_behind=keep_behind)
 
 
 def read_bal_data(path: str | Path) -> BalData:
@@ -89,10 +97,13 @@ def read_bal_data(path: str | Path) -> BalData:
     return _parse(_read(Path(path)), Path(path).name)
 
 
-def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = ()) -> Block:
+def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = (), *, keep_behind: bool = True) -> Block:
     """Make the block of a file's numbers; see :func:`read_bal`."""
-    count = np.bincount(data.point, minlength=len(data.points))
-    rows = count[data.point] >= 2
+    cameras = cameras_of(data)
+    behind = np.zeros(len(data.points), bool)
+    behind[data.point[_depths(data, cameras) <= 0.0]] = True
+    once = np.bincount(data.point, minlength=len(data.points)) == 1
+    rows = ~(once | behind & (not keep_behind))[data.point]
     x, y = data.xy[rows].T
     sigma = np.full(len(x), SIGMA_PX)
     observations = ImagePoints(data.camera[rows], data.point[rows], -y, x, sigma, sigma)
@@ -101,16 +112,24 @@ def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = ()) -> Blo
         Image(str(k), FrameSensor(
             camera, 2 * half + 1, 2 * half + 1, first_line=-half, first_sample=-half, georeferenced=False, file=name,
         ))
-        for k, camera in enumerate(cameras_of(data))
+        for k, camera in enumerate(cameras)
     )  # fmt: skip
     n = len(data.points)
     known = Coordinates(data.points, np.full((n, 3), np.nan), np.zeros(n, bool))
     points = GroundPoints(tuple(map(str, range(n))), (Role.TIE,) * n, known)
     nothing = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)))
     options = Options(datum="free", priors=False, optimizer="levenberg-marquardt", max_iterations=500)
-    dropped = len(data.xy) - len(observations)
-    notes = (f"{dropped} point(s) measured once are left out",) if dropped else ()
+    told = (f"{once.sum()} point(s) measured once are left out", f"{behind.sum()} point(s) begin behind a camera")
+    notes = tuple(text for text, which in zip(told, (once, behind), strict=True) if which.any())
     return Block(name, images, points, observations, nothing, options, sources, notes)
+
+
+def _depths(data: BalData, cameras: list[FrameCamera]) -> Array:
+    """Depth (n,) of the start value of each measured point in its camera."""
+    view = np.array([camera.rotation[2] for camera in cameras])
+    centre = np.array([camera.centre_m for camera in cameras])
+    depth: Array = np.einsum("ni,ni->n", view[data.camera], data.points[data.point] - centre[data.camera])
+    return depth
 
 
 def cameras_of(data: BalData) -> list[FrameCamera]:

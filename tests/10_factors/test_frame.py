@@ -1,0 +1,115 @@
+"""The frame camera against scipy's rotations and the printed formulas; rows of the batch against the equation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from factors import frame, frame_camera
+from factors.batch import batch, has_batch
+
+
+def camera_of(rng: np.random.Generator, distortion: np.ndarray) -> np.ndarray:
+    """A camera that looks up the Z axis of the ground."""
+    out = np.zeros(frame_camera.CAMERA_SIZE)
+    frame_camera.turned(rng.normal(scale=0.1, size=3), np.eye(3).ravel(), out)
+    out[9:12], out[12], out[13:15], out[15:20] = rng.normal(size=3), 1200.0, (30.0, -20.0), distortion
+    return out
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 9.9e-3, 1.01e-2, 0.5, 3.1, 6.0])
+def test_rotation_equals_scipy(angle: float) -> None:
+    """Series and closed form, across their limit at 0.01 rad, up to nearly a full turn."""
+    rng = np.random.default_rng(1)
+    axis, start = rng.normal(size=3), Rotation.random(random_state=2)
+    w = angle * axis / np.linalg.norm(axis)
+    out = np.zeros(frame_camera.CAMERA_SIZE)
+    frame_camera.turned(w, start.as_matrix().ravel(), out)
+    assert np.abs(out[:9].reshape(3, 3) - (Rotation.from_rotvec(w) * start).as_matrix()).max() < 1e-15
+    step = 1e-6
+    ends = []
+    for k in range(3):
+        a, b = (Rotation.from_rotvec(w + sign * step * np.eye(3)[k]) for sign in (1.0, -1.0))
+        ends.append((a * b.inv()).as_rotvec() / (2.0 * step))
+    assert np.abs(out[20:].reshape(3, 3) - np.stack(ends, axis=1)).max() < 1e-8
+
+
+def test_residual_equals_the_printed_formulas() -> None:
+    """OpenCV's documentation written with numpy: 16 digits of some thousand pixels."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        e = frame.example(rng)
+        (observed, weight), start, interior = e.record[:4].reshape(2, 2), e.record[4:13].reshape(3, 3), e.record[13:24]
+        d = np.zeros(frame.N_UNKNOWNS)
+        d[e.setup[0].astype(int)] = e.setup[1] * e.unknowns[0]
+        centre, (f, cx, cy, k1, k2, k3, p1, p2) = interior[:3] + d[3:6], interior[3:] + d[6:]
+        q = Rotation.from_rotvec(d[:3]).apply(start @ (e.unknowns[1] - centre))
+        x, y = q[:2] / q[2]
+        r2 = x**2 + y**2
+        radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        sample = f * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)) + cx
+        line = f * (y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y) + cy
+        found = frame.residual(e.record, e.setup, *e.unknowns)
+        expected = weight * (observed - [line, sample])
+        assert np.abs(found - expected).max() < 1e-11 * max(1.0, float(np.abs([line, sample]).max() * weight.max()))
+
+
+def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
+    rng = np.random.default_rng(4)
+    camera = camera_of(rng, np.array([-0.2, 0.05, -0.01, 1e-3, -2e-3]))
+    ideal = rng.uniform(-0.6, 0.6, (50, 2))
+    pixels = np.array([frame_camera.pixel(camera, x, y) for x, y in ideal])
+    found = frame_camera.ideal_directions(camera, pixels[:, 0].copy(), pixels[:, 1].copy())
+    assert np.abs(found - ideal).max() < 1e-12
+    camera[15:20] = -0.3, 0.0, 0.0, 0.0, 0.0  # x (1 - 0.3 x^2) is largest at 1.054: 0.703
+    beyond = frame_camera.ideal_directions(camera, np.full(2, camera[14]), camera[13] + 1200.0 * np.array([0.70, 0.71]))
+    assert beyond[0, 0] == pytest.approx(1.0, abs=0.1)
+    assert np.isnan(beyond[1]).all()
+
+
+def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarray, list[int]]:
+    """Value and Jacobians of 30 rays of 3 images in one array, computed in parts; what each part reports."""
+    rng = np.random.default_rng(5)
+    e = frame.example(rng)
+    while e.setup.shape[1] != 9:
+        e = frame.example(rng)
+    n, (k, point) = 30, (9, e.unknowns[1])
+    records = np.tile(e.record, (n, 1))
+    records[:, :2] += rng.normal(size=(n, 2))
+    ground = point + rng.normal(size=(10, 3))
+    image, places = np.tile(np.arange(3), 10), np.repeat(np.arange(10), 3)
+    for i in range(3):
+        records[image == i, 13:16] += rng.normal(size=3)
+    wide = rng.normal(size=(3, k))
+    if spoil:
+        ground[4] = np.nan
+    rows, columns = batch(frame.FRAME_BROWN_IDEAL_TO_MEASURED, e.setup)
+    value, d_image, d_ground = np.full((n, 2), 7.0), np.full((n, 2, k), 7.0), np.full((n, 2, 3), 7.0)
+    order, found = np.arange(n), []
+    scaled = wide * columns.scale
+    for lo, hi in parts:
+        found.append(rows(
+            lo, hi, order, records, order, image, places, columns.setup, 1, np.ones((n, 1)), scaled, ground, value,
+            d_image, d_ground, True,
+        ))  # fmt: skip
+    if not spoil:
+        for a in range(n):
+            ours = frame.kernel(records[a], e.setup, wide[image[a]], ground[places[a]], True)
+            # products and sums may fuse in the batch: some roundings
+            for mine, batched in zip(ours, (value[a], d_image[a], d_ground[a]), strict=True):
+                assert np.abs(mine - batched).max() <= 1e-13 * max(1.0, float(np.abs(mine).max()) * 10.0)
+    return np.concatenate([value, d_image.reshape(n, -1), d_ground.reshape(n, -1)], axis=1), found
+
+
+def test_batch_rows_equal_the_equation_and_do_not_depend_on_the_parts() -> None:
+    assert has_batch(frame.FRAME_BROWN_IDEAL_TO_MEASURED)
+    whole, found = rows_of([(0, 30)])
+    assert found == [-1]
+    parts, found = rows_of([(17, 30), (0, 5), (5, 17)])
+    assert found == [-1] * 3
+    assert np.array_equal(whole, parts)
+
+
+def test_batch_rows_report_the_first_ray_that_is_not_finite() -> None:
+    assert rows_of([(0, 13), (13, 30)], spoil=True)[1] == [12, 13]
