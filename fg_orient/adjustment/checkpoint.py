@@ -105,7 +105,7 @@ class Checkpoint:
         if not (self.resume and self.path.exists()):
             return None
         try:
-            with np.load(self.path, allow_pickle=False) as content:
+            with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as content:
                 arrays = dict(content)
             known = int(arrays["format"]) == FORMAT
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:

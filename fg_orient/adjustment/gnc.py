@@ -185,11 +185,12 @@ def graduate(
     plan: Graduated,
     carried: Carried[S],
     max_iterations: int,
+    keep: Callable[[Carried[S]], None],
 ) -> LoopResult[S]:
     """Run the stages from the one that ``carried.mu`` names; the last one's convergence is that of the whole.
 
     ``optimise`` is an optimiser of the loop: from what is carried, at most so many iterations, to this step;
-    ``max_iterations`` bounds the last stage.
+    ``max_iterations`` bounds the last stage; ``keep`` is called with what is carried from stage to stage.
     """
     while True:
         backend.robust, last = plan.robust(carried.mu), carried.mu == EXACT
@@ -199,3 +200,4 @@ def graduate(
             return result
         mu = plan.following(carried.mu, backend.squares(result.state))
         carried = Carried(result.state, log=result.log, begun_at=len(result.log), mu=mu)
+        keep(carried)

@@ -230,7 +230,7 @@ class _Job:
         if not options.gnc:
             return run(carried, options.max_iterations, STEP_TOLERANCE)
         first = replace(carried, mu=PLAIN) if math.isnan(carried.mu) else carried
-        return graduate(backend, run, Graduated.of(options), first, options.max_iterations)
+        return graduate(backend, run, Graduated.of(options), first, options.max_iterations, keep)
 
     def estimate(self, backend: Any, result: LoopResult[S], state: State, linear: Any, solver: str = "") -> Estimate:
         """End of the optimisation; ``linear`` is the undamped linearisation at the state."""
