@@ -18,9 +18,10 @@ import numpy.typing as npt
 from factors.warmup import compile_kernels
 from fg_orient import initial
 from fg_orient.adjustment.checkpoint import Checkpoint
-from fg_orient.adjustment.located import LocatedPoint, locate_point
+from fg_orient.adjustment.located import LocatedPoints, locate_points
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
+from fg_orient.adjustment.point_cofactors import blocks_of_images
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.rows import image_rows, rows_by_image
@@ -206,8 +207,8 @@ def conclude(
     cofactors, withheld = _cofactors(judged, estimate)
     located = _located_afterwards(compiled, estimate.state)
     ground = estimate.state.ground + compiled.origin_m
-    for j, point in located.items():
-        ground[j] = point.ground_m
+    if located is not None:
+        ground[located.index] = located.ground_m
     accuracy = _assess(compiled, ground, located, cofactors)
     found = verdict.judge(compiled, estimate, withheld)
     warnings = verdict.warnings(compiled, estimate, found, observability, block_view, accuracy)
@@ -233,25 +234,23 @@ def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None,
         return None, (f"covariance withheld: {reason}; measure more control points or keep the priors",)
 
 
-def _located_afterwards(compiled: Problem, state: State) -> dict[int, LocatedPoint]:
-    """Excluded check points, located with the adjusted orientation: index to point."""
+def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None:
+    """Excluded check points, located with the adjusted orientation; None if there is none."""
     missing = initial.missing_rows(state.ground)
     o = compiled.block.observations
     rows = missing[o.point]
     if not rows.any():
-        return {}
+        return None
     seen = np.unique(o.point[rows])
     wanted = np.zeros_like(state.ground)
     wanted[seen] = np.nan
     start = initial.ground_points(
         compiled.block.images, o.take(rows), compiled.block.points.ids, wanted, compiled.corrections(state)
     )
-    return {int(j): locate_point(compiled, state, start[j], int(j)) for j in seen}
+    return locate_points(compiled, state, start, seen)
 
 
-def _assess(
-    compiled: Problem, ground: Array, located: dict[int, LocatedPoint], cofactors: Cofactors | None
-) -> Accuracy:
+def _assess(compiled: Problem, ground: Array, located: LocatedPoints | None, cofactors: Cofactors | None) -> Accuracy:
     """Differences at control points and, after opening their coordinates, at check points."""
     points = compiled.block.points
     used = ~initial.missing_rows(ground)
@@ -273,18 +272,18 @@ def _differences(
     index: npt.NDArray[np.intp],
     measured: Coordinates,
     rows: npt.NDArray[np.intp],
-    located: dict[int, LocatedPoint],
+    located: LocatedPoints | None,
     cofactors: Cofactors | None,
 ) -> PointDifferences:
     ids = tuple(compiled.block.points.ids[j] for j in index)
     measured_m = measured.ecef_m[rows].reshape(-1, 3)
     q = np.full((len(index), 3, 3), np.nan)
     if cofactors is not None:
-        unknown = [k for k, j in enumerate(index.tolist()) if j not in located]
-        q[unknown] = cofactors.points(index[unknown])
-        for k, j in enumerate(index.tolist()):
-            if j in located:
-                q[k] = located[j].cofactors(cofactors.joint(located[j].images, ()))
+        after = np.zeros(len(index), bool) if located is None else np.isin(index, located.index)
+        q[~after] = cofactors.points(index[~after])
+        if located is not None and after.any():
+            own = replace(located, index=index[after])
+            q[after] = own.cofactors(lambda pairs: blocks_of_images(compiled, lambda k: cofactors.joint(k, ()), pairs))
     sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
     # East, North, Up of the adjusted point: no estimated sigma may depend on a check coordinate
     return differences(ids, index, ground[index], measured_m, sigma, q, compiled.axes(ground[index].reshape(-1, 3)))

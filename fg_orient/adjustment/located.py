@@ -8,60 +8,85 @@ to the point: ``G = (A^T A)^-1 A^T``, ``Q = G (I + B Q_ee B^T) G^T``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.point_cofactors import cofactors_of_points
 from fg_orient.adjustment.problem import Problem, State, whitened_records
+from fg_orient.adjustment.rows import image_rows, rows_by_image
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 MAX_STEPS = 10
 STEP_M = 1e-6
 
 
 @dataclass(frozen=True)
-class LocatedPoint:
-    """One point: ECEF (3,) m, images that see it, whitened Jacobians (2v, 3) and (2v, u)."""
+class LocatedPoints:
+    """Points located with the orientation of a state held.
 
-    ground_m: Array
-    images: tuple[int, ...]
-    d_ground: Array
-    d_images: Array
-
-    def cofactors(self, q_images: Array) -> Array:
-        """Cofactors (3, 3) m^2 from the joint cofactors of ``images`` (prior sigmas)."""
-        gain = np.linalg.pinv(self.d_ground)
-        noise = np.eye(len(self.d_ground)) + self.d_images @ q_images @ self.d_images.T
-        return np.asarray(gain @ noise @ gain.T)
-
-
-def locate_point(problem: Problem, state: State, start_m: Array, j: int) -> LocatedPoint:
-    """Locate point ``j`` from all its rays, from a start near it (ECEF m).
-
-    The weights are those of the start; it comes from the nearest point of the rays.
+    Parameters
+    ----------
+    problem : Problem
+        All rays of these points, which are its only unknown ground points.
+    state : State
+    index : (n,) int array
+        Ground points.
     """
-    block, models = problem.block, problem.models
-    seen = block.observations.take(np.flatnonzero(block.observations.point == j))
-    everywhere = np.repeat(start_m[None], len(block.points.ids), axis=0)
-    records = whitened_records(models, seen, everywhere, problem.origin_m)
-    x = [problem.unknowns(state, int(k)) for k in seen.image]
-    own = [models[int(k)] for k in seen.image]
-    ground = start_m - problem.origin_m
+
+    problem: Problem
+    state: State
+    index: Index
+
+    @property
+    def ground_m(self) -> Array:
+        """Coordinates (n, 3), ECEF m."""
+        return np.asarray(self.state.ground[self.index] + self.problem.origin_m)
+
+    def cofactors(self, blocks: Callable[[Index], Array]) -> Array:
+        """Cofactors (n, 3, 3) m^2 from joint ones of the images; see ``cofactors_of_points``."""
+        return cofactors_of_points(self.problem, self.state, self.index, blocks)
+
+
+def locate_points(problem: Problem, state: State, start_m: Array, index: Index) -> LocatedPoints:
+    """Locate ground points from all their rays, each by Gauss-Newton steps of its own.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+        Its image unknowns count.
+    start_m : (N, 3) array
+        ECEF m, near the points wanted; the weights are those of the start. Other rows are not looked at.
+    index : (n,) int array
+        Ground points, each seen twice or more.
+    """
+    wanted = np.zeros(len(problem.active), bool)
+    wanted[index] = True
+    seen = problem.block.observations.take(wanted[problem.block.observations.point])
+    records = whitened_records(problem.models, seen, start_m, problem.origin_m)
+    own = replace(problem, observations=seen, records=records, active=wanted, observed=np.zeros_like(wanted))
+    place = np.cumsum(wanted)[seen.point] - 1
+    ground, ascending, rows = start_m - problem.origin_m, np.flatnonzero(wanted), rows_by_image(own)
+    moving = np.ones(len(ascending), bool)
     for _ in range(MAX_STEPS):
-        rows = [
-            model.equation.kernel(records[r], model.parameters.setup, x[r], ground, True) for r, model in enumerate(own)
-        ]
-        value, d_ground = np.concatenate([row[0] for row in rows]), np.vstack([row[2] for row in rows])
-        step = np.linalg.lstsq(d_ground, value, rcond=None)[0]
-        ground = ground - step
-        if np.abs(step).max() < STEP_M:
+        step = _steps(own, State(state.image, ground), rows, place, len(ascending))
+        ground[ascending[moving]] -= step[moving]
+        moving &= np.abs(step).max(axis=1) >= STEP_M
+        if not moving.any():
             break
-    images = tuple(dict.fromkeys(int(k) for k in seen.image))
-    first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
-    d_images = np.zeros((2 * len(seen), first[-1]))
-    for r, k in enumerate(seen.image):
-        at = images.index(int(k))
-        d_images[2 * r : 2 * r + 2, first[at] : first[at + 1]] = rows[r][1]
-    return LocatedPoint(ground + problem.origin_m, images, d_ground, d_images)
+    return LocatedPoints(own, State(state.image, ground), index)
+
+
+def _steps(problem: Problem, state: State, rows: list[Index], place: Index, n: int) -> Array:
+    """Gauss-Newton steps (n, 3) of the points; ``place`` is that of the point of each ray among them."""
+    normal, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    for k, own in enumerate(rows):
+        value, _, d_ground = image_rows(problem, state, k, own, jacobian=True)
+        np.add.at(normal, place[own], np.einsum("nri,nrj->nij", d_ground, d_ground))
+        np.add.at(right, place[own], np.einsum("nri,nr->ni", d_ground, value))
+    return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :, 0])

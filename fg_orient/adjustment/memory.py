@@ -17,7 +17,7 @@ import numpy as np
 
 from factors import pushbroom
 from fg_orient.adjustment.models.contract import image_models
-from fg_orient.adjustment.schur_cofactors import WHOLE_LIMIT
+from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.solve import SCHUR_FROM
 from fg_orient.block import Block
 from fg_orient.errors import InputError, Problem, problem

@@ -17,6 +17,8 @@ Index = npt.NDArray[np.intp]
 
 #: Image points whose Jacobians are held at once.
 CHUNK: Final = 50_000
+#: Image unknowns up to which all their cofactors are formed to give those of all points: 0.3 GB.
+WHOLE_LIMIT: Final = 6000
 
 
 def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Callable[[Index], Array]) -> Array:
@@ -47,6 +49,29 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
         first = np.concatenate([[0], np.cumsum(rays[lo:hi])])
         rows = order[np.repeat(begin[points[lo:hi]] - first[:-1], rays[lo:hi]) + np.arange(first[-1])]
         out[wanted[lo:hi]] = _chunk(problem, state, points[lo:hi], first, rows, block, q)
+    return out
+
+
+def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array], pairs: Index) -> Array:
+    """Joint blocks (B, k, k) of pairs of images, from all cofactors of the images if these are few.
+
+    Parameters
+    ----------
+    problem : Problem
+    joint : callable
+        Joint cofactors of images in ascending order.
+    pairs : (B, 2) int array
+        Row <= column.
+    """
+    first, widest = problem.first, int(np.diff(problem.first).max())
+    out = np.zeros((len(pairs), widest, widest))
+    whole = joint(tuple(range(problem.n_images))) if first[-1] <= WHOLE_LIMIT else None
+    for b, (i, j) in enumerate(pairs.tolist()):
+        n, m = first[i + 1] - first[i], first[j + 1] - first[j]
+        if whole is not None:
+            out[b, :n, :m] = whole[first[i] : first[i + 1], first[j] : first[j + 1]]
+        else:
+            out[b, :n, :m] = joint((i,) if i == j else (i, j))[:n, -m:]
     return out
 
 

@@ -7,20 +7,17 @@ in: with ``K = H^-1 sum G^T J`` its cofactors are ``H^-1 + K Q K^T``, those with
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.point_cofactors import cofactors_of_points
+from fg_orient.adjustment.point_cofactors import blocks_of_images, cofactors_of_points
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur import SchurSystem
 from fg_orient.adjustment.schur_reduced import Reduced
 
 Array = npt.NDArray[np.float64]
 
-#: Image unknowns up to which all their cofactors are formed to give those of all points: 0.3 GB.
-WHOLE_LIMIT: Final = 6000
 #: Images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u).
 Gain = tuple[tuple[int, ...], Array, Array]
 
@@ -71,17 +68,8 @@ class ReducedCofactors:
         return cofactors_of_points(self._problem, self._state, index, self._blocks)
 
     def _blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
-        """Joint blocks (B, k, k) of pairs of images, from all cofactors of the images if these are few."""
-        first, widest = self._problem.first, int(np.diff(self._problem.first).max())
-        out = np.zeros((len(pairs), widest, widest))
-        whole = self._of(tuple(range(self._problem.n_images))) if first[-1] <= WHOLE_LIMIT else None
-        for b, (i, j) in enumerate(pairs.tolist()):
-            n, m = first[i + 1] - first[i], first[j + 1] - first[j]
-            if whole is not None:
-                out[b, :n, :m] = whole[first[i] : first[i + 1], first[j] : first[j + 1]]
-            else:
-                out[b, :n, :m] = self._of((i,) if i == j else (i, j))[:n, -m:]
-        return out
+        """Joint blocks (B, k, k) of pairs of images."""
+        return blocks_of_images(self._problem, self._of, pairs)
 
     def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """See ``Cofactors``."""

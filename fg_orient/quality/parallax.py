@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.located import locate_point
+from fg_orient.adjustment.located import locate_points
 from fg_orient.adjustment.problem import Problem, State
 
 Array = npt.NDArray[np.float64]
@@ -37,9 +37,9 @@ def y_parallaxes(problem: Problem, state: State) -> tuple[npt.NDArray[np.intp], 
     rays = np.bincount(o.point, minlength=len(problem.active))
     wanted = np.flatnonzero((rays == 2) & problem.active & ~problem.observed)
     ground = state.ground.copy()
-    for j in wanted:
-        start = problem.start.ground[j] + problem.origin_m
-        ground[j] = locate_point(problem, state, start, int(j)).ground_m - problem.origin_m
+    if len(wanted):
+        located = locate_points(problem, state, problem.start.ground + problem.origin_m, wanted)
+        ground[wanted] = located.state.ground[wanted]
     v = problem.pixel_residuals(State(state.image, ground))
     squares = np.bincount(o.point, (v**2).sum(axis=1), minlength=len(problem.active))
     return wanted, np.sqrt(2.0 * squares[wanted])

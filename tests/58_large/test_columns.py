@@ -145,7 +145,7 @@ def test_cofactors_of_all_points_are_those_of_each(block: Block, monkeypatch: py
     order = np.random.default_rng(0).permutation(60)
     for chunk, limit in ((50_000, 6000), (11, 6000), (50_000, 0)):
         monkeypatch.setattr("fg_orient.adjustment.point_cofactors.CHUNK", chunk)
-        monkeypatch.setattr("fg_orient.adjustment.schur_cofactors.WHOLE_LIMIT", limit)
+        monkeypatch.setattr("fg_orient.adjustment.point_cofactors.WHOLE_LIMIT", limit)
         error = (found.points(order) - each[order]) / (scale[order, :, None] * scale[order, None, :])
         assert np.abs(error).max() < 1e-10
     assert found.points(np.zeros(0, np.intp)).shape == (0, 3, 3)
