@@ -88,7 +88,7 @@ def _row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, 
     r = x * x + y * y
     k1 = s * own * r
     out[row, 9], out[row, 10], out[row, 11] = k1, k1 * r, k1 * r * r
-    return 0.0 * ((w0 + w1) + (w2 + g0) + (g1 + g2) + k1 * r * r)
+    return float(0.0 * ((w0 + w1) + (w2 + g0) + (g1 + g2) + k1 * r * r))
 
 
 @compiled
