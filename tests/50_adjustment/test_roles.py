@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -48,8 +49,8 @@ def test_withheld_coordinates_are_opened_once_and_last(twin: Block, monkeypatch)
     events = []
     solve = orient.solve
 
-    def recording_solve(*args: object) -> object:
-        out = solve(*args)
+    def recording_solve(*args: Any, **options: Any) -> object:
+        out = solve(*args, **options)
         events.append("solved")
         return out
 
