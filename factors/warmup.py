@@ -14,6 +14,7 @@ from factors import (
     batch,
     batch_cofactors,
     batch_gather,
+    batch_matrix,
     batch_pairs,
     batch_points,
     batch_sort,
@@ -138,3 +139,7 @@ def _compile_reduction(
     batch_gather.gather_blocks(0, 3, to, slots, own, row, column, sums, wide_place, scale, one, one, components,
                                np.zeros((3, 1, 1)))  # fmt: skip
     batch_gather.gather_gradients(0, 3, to, slots, own, row, column, one, components, gradients, wide)
+    blocks, place, ones = np.ones((3, 1, 1)), np.arange(2), np.ones(2)
+    batch_matrix.fill_diagonal(row, column, place, one, blocks, ones)
+    for banded in (False, True):
+        batch_matrix.fill_lower(row, column, place, one, blocks, ones, banded, np.zeros((2, 2)), ones)

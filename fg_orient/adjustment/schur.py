@@ -302,7 +302,7 @@ class SchurBackend:
     threads : int, optional
         Threads of the kernels; by default two where the machine has them, one below 2000 image points.
     reduced : str
-        "dense": LAPACK on the full reduced matrix; "graph": GTSAM on its blocks; "auto": by size.
+        "dense", "banded": LAPACK on the reduced matrix or its band; "graph": GTSAM on its blocks; "auto": by size.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The reduced camera system solved: LAPACK's Cholesky of the full matrix, or GTSAM on its blocks.
+"""The reduced camera system solved: LAPACK's Cholesky of the full or banded matrix, or GTSAM on its blocks.
 
 Blocks are those of the upper triangle, (B, k, k) in the order of ``Pattern.block_row``; the unknowns of image i
 are ``first[i]`` to ``first[i + 1]``. GTSAM eliminates a graph of one HessianFactor per image and one per pair of
@@ -7,12 +7,18 @@ images that share points; its ordering is found once.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from factors.batch_matrix import fill_diagonal, fill_lower
 
 Array = npt.NDArray[np.float64]
 Bounds = npt.NDArray[np.intp]
@@ -21,13 +27,18 @@ Index = npt.NDArray[np.int64]
 #: Condition of the reduced system, its diagonal scaled to 1, beyond which no covariance is given: the relative
 #: rounding error of a cofactor, some eps cond, passes 1e-3 there.
 CONDITION_LIMIT: Final = 1e13
-#: Reduced unknowns up to which the full matrix is always taken, and at all. Between them GTSAM gets systems with fewer
-#: than SPARSE of the blocks. Dense against GTSAM: about equal at 972 unknowns with 0.46 of the blocks, 68 and 42 ms at
-#: 1728 and 0.22, 219 and 102 ms at 2700 and 0.15 (measured; benchmarks/schur_cost.py --reduced).
+#: A band of up to this share of the matrix is taken: LAPACK's banded factorisation against the full one and GTSAM took
+#: 1.7, 2.1 and 3.3 ms at 432 unknowns with a band of 0.62, 6.4, 14.5 and 20 ms at 972 with 0.39, 40, 204 and 92 ms
+#: at 2700 with 0.22 (measured, blocks of 4 x 4, 6 x 6 and 10 x 10 scenes).
+BANDED: Final = 0.65
+#: Elements of the largest band: 0.24 GB.
+BAND_LIMIT: Final = 30_000_000
+#: Without a band, reduced unknowns up to which the full matrix is always taken, and at all. Between them GTSAM gets
+#: systems with fewer than SPARSE of the blocks.
 DENSE_LIMIT: Final = 1000
 FULL_LIMIT: Final = 3000
 SPARSE: Final = 1.0 / 3.0
-REDUCED: Final = ("auto", "dense", "graph")
+REDUCED: Final = ("auto", "dense", "banded", "graph")
 
 
 class Singular(RuntimeError):
@@ -80,8 +91,8 @@ class Reduced(Protocol):
         ...
 
 
-class DenseReduced:
-    """The full matrix.
+class LapackReduced:
+    """Cholesky factor of the full matrix, or of its band where an order of the images makes it narrow.
 
     Parameters
     ----------
@@ -90,6 +101,8 @@ class DenseReduced:
     blocks : (B, k, k) array
     diagonal : float
         Added to the diagonal: priors and damping.
+    order : Order, optional
+        Order of the images for the banded matrix; without one the matrix is full.
 
     Raises
     ------
@@ -97,46 +110,122 @@ class DenseReduced:
         It is not positive definite.
     """
 
-    def __init__(self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float) -> None:
-        self._first = first
-        n = int(first[-1])
-        s, size = np.zeros((n, n)), pattern.size
-        for b, (i, j) in enumerate(zip(pattern.block_row.tolist(), pattern.block_column.tolist(), strict=True)):
-            s[first[i] : first[i + 1], first[j] : first[j + 1]] = blocks[b, : size[i], : size[j]]
-        s.ravel()[:: n + 1] += diagonal
-        d = np.diag(s).copy()
+    def __init__(
+        self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, order: Order | None = None
+    ) -> None:
+        self._first, self._banded, n = first, order is not None, int(first[-1])
+        self._order = order or Order(first[:-1].astype(np.int64), np.arange(n), n - 1)
+        d, sums = np.full(n, diagonal), np.zeros(n)
+        at = (pattern.block_row, pattern.block_column, self._order.place, pattern.size, blocks)
+        fill_diagonal(*at, d)
         if not (d > 0.0).all():
             raise Singular("an unknown of an image is in no observation")
         # scaled to a unit diagonal: pivots are judged alike, whatever the units
         self._scale = 1.0 / np.sqrt(d)
-        s *= self._scale[:, None]
-        s *= self._scale
-        self._factor, info = lapack.dpotrf(s.T, lower=1, clean=0, overwrite_a=1)
+        s = np.zeros((n, self._order.band + 1))
+        fill_lower(*at, self._scale, self._banded, s, sums)
+        s.ravel()[:: s.shape[1] + (0 if self._banded else 1)] = 1.0
+        self._norm = float((sums + diagonal / d).max())
+        factorise = lapack.dpbtrf if self._banded else lapack.dpotrf
+        options = {"overwrite_ab": 1} if self._banded else {"clean": 0, "overwrite_a": 1}
+        self._factor, info = factorise(s.T, lower=1, **options)
         if info != 0:
             raise Singular("the reduced camera system is not positive definite")
         self._inverse: Array | None = None
+        self._condition: float | None = None
 
     def solve(self, gradient: Array) -> Array:
         """See :class:`Reduced`."""
-        x, _ = lapack.dpotrs(self._factor, -gradient * self._scale, lower=1)
-        return np.asarray(x * self._scale)
+        out = np.empty(len(self._scale))
+        out[self._order.unknowns] = self._solved(-gradient[self._order.unknowns] * self._scale) * self._scale
+        return out
+
+    def _solved(self, right: Array) -> Array:
+        """Solve the scaled system, in its order, for one or more right sides."""
+        substitute = lapack.dpbtrs if self._banded else lapack.dpotrs
+        return np.asarray(substitute(self._factor, right, lower=1)[0])
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; the inverse is formed at the first call."""
+        """See :class:`Reduced`; of the full matrix the inverse is formed, else the columns asked for are solved."""
+        self._judge()
+        index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
+        if self._banded:
+            place = np.empty(len(self._scale), np.int64)
+            place[self._order.unknowns] = np.arange(len(place))
+            right = np.zeros((len(self._scale), len(index)), order="F")
+            right[place[index], np.arange(len(index))] = self._scale[place[index]]
+            return np.asarray(self._solved(right)[place[index]] * self._scale[place[index], None])
         if self._inverse is None:
-            root = np.tril(self._factor)
-            norm = float(np.abs(root @ root.T).sum(axis=0).max())
-            reciprocal, _ = lapack.dpocon(self._factor, norm, uplo="L")
-            if not reciprocal * CONDITION_LIMIT > 1.0:
-                raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
             half = np.tril(lapack.dpotri(self._factor, lower=1)[0])
             self._inverse = (half + np.tril(half, -1).T) * np.outer(self._scale, self._scale)
-        index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
         return np.asarray(self._inverse[np.ix_(index, index)])
+
+    def _judge(self) -> None:
+        """Refuse a system whose cofactors would be rounding."""
+        if not self.condition() < CONDITION_LIMIT:
+            raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
+
+    def condition(self) -> float:
+        """Condition of the scaled matrix in the 1-norm, that of the inverse estimated (Hager 1984)."""
+        if self._condition is None:
+            self._condition = self._norm * inverse_norm(self._solved, len(self._scale))
+        return self._condition
+
+
+def inverse_norm(solve: Callable[[Array], Array], n: int) -> float:
+    """Estimate the 1-norm of the inverse of a symmetric matrix from solutions with it (Hager 1984, algorithm 1)."""
+    x, estimate = np.full(n, 1.0 / n), 0.0
+    for _ in range(5):
+        y = solve(x)
+        estimate = max(estimate, float(np.abs(y).sum()))
+        z = solve(np.where(y >= 0.0, 1.0, -1.0))
+        j = int(np.argmax(np.abs(z)))
+        if np.abs(z[j]) <= z @ x:
+            break
+        x = np.zeros(n)
+        x[j] = 1.0
+    return estimate
+
+
+@dataclass(frozen=True)
+class Order:
+    """An order of the images.
+
+    Parameters
+    ----------
+    place : (M,) int array
+        First unknown of each image in this order.
+    unknowns : (u,) int array
+        All unknowns in this order.
+    band : int
+        Elements of a column of the lower triangle below the diagonal.
+    """
+
+    place: Index
+    unknowns: Index
+    band: int
+
+
+def narrowest(pattern: Pattern, first: Bounds) -> Order:
+    """Order of the images as given, or that of Cuthill and McKee reversed (George & Liu 1981): the narrower band."""
+    images = len(pattern.size)
+    links = coo_array((np.ones(len(pattern.block_row)), (pattern.block_row, pattern.block_column)), (images, images))
+    found = []
+    for order in (np.arange(images), reverse_cuthill_mckee((links + links.T).tocsr(), symmetric_mode=True)):
+        place = np.empty(images, np.int64)
+        place[order] = np.concatenate([[0], np.cumsum(pattern.size[order])[:-1]])
+        begin = np.minimum(place[pattern.block_row], place[pattern.block_column])
+        end = np.maximum(
+            place[pattern.block_row] + pattern.size[pattern.block_row],
+            place[pattern.block_column] + pattern.size[pattern.block_column],
+        )
+        unknowns = np.concatenate([np.arange(first[k], first[k + 1]) for k in order])
+        found.append(Order(place, unknowns, int((end - begin).max(initial=1)) - 1))
+    return min(found, key=lambda o: o.band)
 
 
 class GraphReduced:
-    """A GTSAM graph over the images; parameters as for :class:`DenseReduced`, and the elimination order."""
+    """A GTSAM graph over the images; parameters as for :class:`LapackReduced`, and the elimination order."""
 
     def __init__(
         self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, ordering: gtsam.Ordering
@@ -200,13 +289,14 @@ class ReducedSystems:
     pattern : Pattern
     first : (M + 1,) int array
     kind : str
-        "dense": LAPACK on the full matrix; "graph": GTSAM on its blocks; "auto": by size.
+        "dense": LAPACK on the full matrix; "banded": on its band; "graph": GTSAM on its blocks; "auto": by size.
     """
 
     def __init__(self, pattern: Pattern, first: Bounds, kind: str = "auto") -> None:
         self.pattern, self._first = pattern, first
-        sparse = _sparse(pattern, int(first[-1])) if kind == "auto" else kind == "graph"
-        self._ordering: gtsam.Ordering | None = elimination_order(pattern) if sparse else None
+        self._order = narrowest(pattern, first)
+        self.kind = _suitable(pattern, int(first[-1]), self._order.band) if kind == "auto" else kind
+        self._ordering = elimination_order(pattern) if self.kind == "graph" else None
 
     def __call__(self, blocks: Array, diagonal: float) -> Reduced:
         """The system of these blocks (B, k, k), ``diagonal`` added.
@@ -216,13 +306,16 @@ class ReducedSystems:
         Singular
             It is not positive definite.
         """
-        if self._ordering is None:
-            return DenseReduced(self.pattern, self._first, blocks, diagonal)
-        return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
+        if self._ordering is not None:
+            return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
+        order = self._order if self.kind == "banded" else None
+        return LapackReduced(self.pattern, self._first, blocks, diagonal, order)
 
 
-def _sparse(pattern: Pattern, unknowns: int) -> bool:
-    """Whether the reduced system is left to GTSAM."""
+def _suitable(pattern: Pattern, unknowns: int, band: int) -> str:
+    """What solves a pattern soonest."""
+    if band <= BANDED * unknowns and (band + 1) * unknowns <= BAND_LIMIT:
+        return "banded"
     images = len(pattern.size)
     share = 2.0 * len(pattern.block_row) / (images * (images + 1))
-    return unknowns > FULL_LIMIT or (unknowns > DENSE_LIMIT and share < SPARSE)
+    return "graph" if unknowns > FULL_LIMIT or (unknowns > DENSE_LIMIT and share < SPARSE) else "dense"

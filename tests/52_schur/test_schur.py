@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,6 +27,16 @@ from fg_orient.names import Role
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.rpc_block import rpc_twin, twin_with_models
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Blocks of a reduced system."""
+
+    size: np.ndarray
+    block_row: np.ndarray
+    block_column: np.ndarray
+
 
 #: Both backends go on to this scaled step, or until it stops shrinking.
 TOLERANCE = 1e-9
@@ -107,7 +117,7 @@ def assert_same_step(problem: Problem, state: State, damping: float) -> None:
     dense = DenseBackend(problem)
     expected = dense.linearise(state).solve(damping)
     reference = dense.retract(state, expected)
-    for reduced in ("dense", "graph"):
+    for reduced in ("dense", "banded", "graph"):
         backend = SchurBackend(problem, reduced=reduced)
         system = backend.linearise(state)
         assert 2.0 * system.error == pytest.approx(residual @ residual, rel=1e-13)
@@ -196,7 +206,7 @@ def test_dogleg_inside_a_small_region_equals_the_dense_one() -> None:
         assert a.predicted_error == pytest.approx(b.predicted_error, rel=1e-9)
 
 
-@pytest.mark.parametrize("reduced", ["dense", "graph"])
+@pytest.mark.parametrize("reduced", ["dense", "banded", "graph"])
 @pytest.mark.parametrize("name", blocks())
 def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
     """Images, points, and a joint block in an order of its own, against numpy's inverse of J^T J."""
@@ -243,7 +253,7 @@ def test_same_bits_for_one_and_two_threads(divided: bool, request: pytest.Fixtur
     structure = SchurBackend(problem).structure
     assert np.diff(structure.block_begin).max() > 4
     assert {tile.kept for tile in structure.tiles} == ({True, False} if divided else {True})
-    for reduced in ("dense", "graph"):
+    for reduced in ("dense", "banded", "graph"):
         ends = []
         for threads in (1, 2, 3):
             backend = SchurBackend(problem, threads=threads, reduced=reduced)
@@ -288,23 +298,51 @@ def test_workers_cover_the_range_once() -> None:
         assert costly[-1][1] == 3
 
 
-def test_large_sparse_reduced_systems_are_left_to_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By unknowns and by the share of images that see common points; both give the same step."""
+def test_reduced_systems_are_solved_by_what_suits_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By band, unknowns and the share of images that see common points."""
     problem = compile_problem(with_options(grid(2, 3, 60), eop_set=15))  # 6 images, 108 unknowns
-    share = len(SchurBackend(problem).structure.block_row) / 21.0
-
-    def kind() -> str:
-        backend = SchurBackend(problem)
-        return type(backend.linearise(problem.start).reduced(0.0)).__name__
-
-    for full, dense, sparse, expected in (
-        (3000, 1000, 1.0, "DenseReduced"), (107, 1000, 0.0, "GraphReduced"), (3000, 107, share, "DenseReduced"),
-        (3000, 107, share + 0.01, "GraphReduced"), (3000, 108, 1.0, "DenseReduced"),
+    pattern = SchurBackend(problem).structure
+    share, band = len(pattern.block_row) / 21.0, schur_reduced.narrowest(pattern, problem.first).band
+    for full, dense, sparse, banded, limit, expected in (
+        (3000, 1000, 1.0, 0.0, 10**6, "dense"), (107, 1000, 0.0, 0.0, 10**6, "graph"),
+        (3000, 107, share, 0.0, 10**6, "dense"), (3000, 107, share + 0.01, 0.0, 10**6, "graph"),
+        (3000, 108, 1.0, 0.0, 10**6, "dense"), (3000, 1000, 1.0, band / 108, 10**6, "banded"),
+        (3000, 1000, 1.0, (band - 1) / 108, 10**6, "dense"), (3000, 1000, 1.0, 1.0, 108 * band, "dense"),
     ):  # fmt: skip
-        monkeypatch.setattr(schur_reduced, "FULL_LIMIT", full)
-        monkeypatch.setattr(schur_reduced, "DENSE_LIMIT", dense)
-        monkeypatch.setattr(schur_reduced, "SPARSE", sparse)
-        assert kind() == expected
+        for name, value in (
+            ("FULL_LIMIT", full), ("DENSE_LIMIT", dense), ("SPARSE", sparse), ("BANDED", banded), ("BAND_LIMIT", limit)
+        ):  # fmt: skip
+            monkeypatch.setattr(schur_reduced, name, value)
+        assert SchurBackend(problem).reduced.kind == expected
+
+
+def test_a_strip_of_images_has_a_narrow_band_in_any_order() -> None:
+    """Each image shares points with its neighbours only; the order of the images in the block is another one."""
+    rng = np.random.default_rng(0)
+    size = np.array([9, 6, 12, 9, 3, 9, 9, 12])
+    names = rng.permutation(len(size))
+    row = np.concatenate([np.arange(len(size)), np.minimum(names[:-1], names[1:])])
+    column = np.concatenate([np.arange(len(size)), np.maximum(names[:-1], names[1:])])
+    first = np.concatenate([[0], np.cumsum(size)])
+    root = np.zeros((len(row), 12, 12))
+    full = np.zeros((first[-1], first[-1]))
+    for b, (i, j) in enumerate(zip(row.tolist(), column.tolist(), strict=True)):
+        block = rng.normal(size=(size[i], size[j]))
+        root[b, : size[i], : size[j]] = block if i != j else block + block.T + 60.0 * np.eye(size[i])
+        full[first[i] : first[i + 1], first[j] : first[j + 1]] = root[b, : size[i], : size[j]]
+        full[first[j] : first[j + 1], first[i] : first[i + 1]] = root[b, : size[i], : size[j]].T
+    pattern = Pattern(size, row, column)
+    systems = schur_reduced.ReducedSystems(pattern, first)
+    assert systems.kind == "banded"
+    assert schur_reduced.narrowest(pattern, first).band <= 23
+    reduced, right = systems(root, 2.0), rng.normal(size=first[-1])
+    full += 2.0 * np.eye(len(full))
+    assert reduced.solve(right) == pytest.approx(-np.linalg.solve(full, right), rel=1e-10, abs=1e-12)
+    index = np.concatenate([np.arange(first[k], first[k + 1]) for k in (5, 2)])
+    assert reduced.covariance((5, 2)) == pytest.approx(np.linalg.inv(full)[np.ix_(index, index)], rel=1e-9, abs=1e-14)
+    scaled = full / np.sqrt(np.outer(np.diag(full), np.diag(full)))
+    assert isinstance(reduced, schur_reduced.LapackReduced)
+    assert 0.3 * np.linalg.cond(scaled, 1) <= reduced.condition() <= 1.0001 * np.linalg.cond(scaled, 1)
 
 
 def test_a_failure_in_any_thread_is_raised() -> None:
@@ -325,7 +363,7 @@ def test_auto_falls_back_on_the_graph(monkeypatch: pytest.MonkeyPatch) -> None:
         raise Singular("not positive definite")
 
     block = grid(2, 2, 60)
-    monkeypatch.setattr(schur_reduced, "DenseReduced", give_up)
+    monkeypatch.setattr(schur_reduced, "LapackReduced", give_up)
     estimate = solve(compile_problem(block))
     assert (estimate.backend, estimate.converged) == ("graph", True)
     with pytest.raises(fg.NoSolutionError) as caught:
@@ -398,7 +436,7 @@ def test_without_priors_a_well_posed_block_is_solved() -> None:
     assert a.error == pytest.approx(b.error, rel=1e-9)
 
 
-@pytest.mark.parametrize("reduced", ["dense", "graph"])
+@pytest.mark.parametrize("reduced", ["dense", "banded", "graph"])
 def test_singular_systems_are_refused(reduced: str) -> None:
     """Velocity acts on nothing along the track: without priors there is no solution, and no covariance."""
     problem = compile_problem(with_options(grid(2, 2, 60), eop_set=20, priors=False))
@@ -450,7 +488,7 @@ def test_an_image_without_points_keeps_its_priors() -> None:
     """Its unknowns stay zero with the prior's cofactors; without priors the system is singular."""
     block = with_options(grid(1, 2, 24), eop_set=2)
     problem = compile_problem(replace(block, images=(*block.images, Image("idle", block.images[0].sensor))))
-    for reduced in ("dense", "graph"):
+    for reduced in ("dense", "banded", "graph"):
         backend = SchurBackend(problem, reduced=reduced)
         system = backend.linearise(problem.start)
         step = system.solve(0.0)
