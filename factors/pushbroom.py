@@ -75,7 +75,7 @@ def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
 
 @compiled
 def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
-    """Write residual, image and ground Jacobian of one row into ``out`` (2, 1 + k + 3); no allocation.
+    """Write residual, image and ground Jacobian of one row into ``out`` (2, 1 + k + 3).
 
     Returns False if the sizes do not fit or a value is not finite.
     """
