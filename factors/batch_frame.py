@@ -11,7 +11,7 @@ import numpy as np
 from factors import frame
 from factors._contract import Array
 from factors.batch_rows import Index, threaded
-from factors.frame_camera import CAMERA_SIZE, row_of
+from factors.frame_camera import CAMERA_SIZE, direction, pixel, row_of
 
 
 @threaded
@@ -29,10 +29,14 @@ def frame_rows(
         if not known[i]:
             known[i] = True
             table[i] = frame.camera(records[k], setup, wide[i, :c])
-        observed = (records[k, 0], records[k, 1], records[k, 2], records[k, 3])
-        place = (ground[p, 0], ground[p, 1], ground[p, 2])
-        value[a, 0], value[a, 1], zero = frame.rows(observed, row_of(table, i), place, d, want)
+        cam = row_of(table, i)
+        ray = direction(cam, ground[p, 0], ground[p, 1], ground[p, 2])
+        line, sample = pixel(cam, ray[0], ray[1])
+        v_line, v_sample = records[k, 2] * (records[k, 0] - line), records[k, 3] * (records[k, 1] - sample)
+        value[a, 0], value[a, 1] = v_line, v_sample
+        zero = 0.0 * (v_line + v_sample)
         if want:
+            zero += frame.derivatives(cam, ray, records[k, 2], records[k, 3], d)
             for j in range(c):
                 d_image[a, 0, j] = d[0, column[j]] * sigma[j]
                 d_image[a, 1, j] = d[1, column[j]] * sigma[j]

@@ -92,28 +92,23 @@ def _row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, 
 
 
 @compiled
-def rows(record: Any, c: Any, ground: Any, out: Array, want: bool) -> Any:
-    """Whitened residual (a pair), and a number that is 0 if all is finite; derivatives into ``out`` if wanted.
+def derivatives(c: Any, ray: Any, a_line: float, a_sample: float, out: Array) -> float:
+    """Write the whitened derivatives of the residual into ``out`` (2, 17); 0 if they are finite.
 
-    ``c`` is the camera, an array or a tuple; ``out`` (2, 17) takes the whitened derivatives with respect to the
-    14 unknowns in physical units and to the ground point.
+    ``c`` is the camera, an array or a tuple; ``ray`` what :func:`factors.frame_camera.direction` gives; ``a_line`` and
+    ``a_sample`` are the weights, 1/px. Columns: the 14 unknowns in physical units, then the ground point.
     """
-    x, y, inverse = direction(c, ground[0], ground[1], ground[2])
-    line, sample = pixel(c, x, y)
-    line, sample = record[2] * (record[0] - line), record[3] * (record[1] - sample)
-    zero = 0.0 * (line + sample)
-    if want:
-        a_line, a_sample, ray = -record[2], -record[3], (x, y, inverse)
-        mx, my = brown_ideal_to_measured(c, x, y)
-        a, b, d = brown_derivatives(c, x, y)
-        zero += _row(c, y, ray, b, d, a_line, out, 0) + _row(c, x, ray, a, b, a_sample, out, 1)
-        r, xy = x * x + y * y, 2.0 * x * y
-        out[0, 6], out[0, 7], out[0, 8] = a_line * my, 0.0, a_line
-        out[1, 6], out[1, 7], out[1, 8] = a_sample * mx, a_sample, 0.0
-        s_line, s_sample = a_line * c[12], a_sample * c[12]
-        out[0, 12], out[0, 13] = s_line * (r + 2.0 * y * y), s_line * xy
-        out[1, 12], out[1, 13] = s_sample * xy, s_sample * (r + 2.0 * x * x)
-    return line, sample, zero
+    x, y, _ = ray
+    mx, my = brown_ideal_to_measured(c, x, y)
+    a, b, d = brown_derivatives(c, x, y)
+    zero = _row(c, y, ray, b, d, -a_line, out, 0) + _row(c, x, ray, a, b, -a_sample, out, 1)
+    r, xy = x * x + y * y, 2.0 * x * y
+    out[0, 6], out[0, 7], out[0, 8] = -a_line * my, 0.0, -a_line
+    out[1, 6], out[1, 7], out[1, 8] = -a_sample * mx, -a_sample, 0.0
+    s_line, s_sample = -a_line * c[12], -a_sample * c[12]
+    out[0, 12], out[0, 13] = s_line * (r + 2.0 * y * y), s_line * xy
+    out[1, 12], out[1, 13] = s_sample * xy, s_sample * (r + 2.0 * x * x)
+    return float(zero)
 
 
 @compiled
@@ -126,8 +121,12 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
     c = camera(record, setup, x)
-    out[0, 0], out[1, 0], zero = rows(record, c, ground, d, want)
+    ray = direction(c, ground[0], ground[1], ground[2])
+    line, sample = pixel(c, ray[0], ray[1])
+    out[0, 0], out[1, 0] = record[2] * (record[0] - line), record[3] * (record[1] - sample)
+    zero = 0.0 * (out[0, 0] + out[1, 0])
     if want:
+        zero += derivatives(c, ray, record[2], record[3], d)
         for i in range(2):
             for j in range(k):
                 out[i, 1 + j] = d[i, int(setup[0, j])] * setup[1, j]
