@@ -175,7 +175,7 @@ def plain_rmse(residuals: Array) -> tuple[float, float, float]:
 
 
 def fit(
-    points: Observations, model: Model, *, source_names: Sequence[str] = ("x", "y"),
+    points: Observations, model: Model, *, source_names: Sequence[str] = (),
     target_names: Sequence[str] = ("X", "Y"), crs: str = "", optimizer: str | None = None,
 ) -> Fit:  # fmt: skip
     """Adjust a transformation.
@@ -187,7 +187,7 @@ def fit(
     model : Model
         See :func:`fg_orient.rectification.models.find_model`.
     source_names, target_names : sequence of str
-        For the record.
+        For the record; source coordinates without names are x, y, z.
     crs : str
         Of the map side.
     optimizer : str, optional
@@ -207,8 +207,8 @@ def fit(
     _require(points, model)
     source = Scaling.of(points.source[:, : model.dimension], shared=model.shared_scale)
     target = Scaling.of(points.target, shared=model.shared_scale)
-    blank = Transformation(model, np.zeros(model.n_unknowns), source, target, tuple(source_names), tuple(target_names),
-                           crs)  # fmt: skip
+    names = tuple(source_names) or ("x", "y", "z")[: model.dimension]
+    blank = Transformation(model, np.zeros(model.n_unknowns), source, target, names, tuple(target_names), crs)
     backend = _Backend(model, _records(blank, points))
     start = model.start(backend.records[:, :3], backend.records[:, 3:5])
     _require_determined(points, model, backend.rows(start)[1])

@@ -19,6 +19,8 @@ from fg_orient.rectification.models import find_model
 Array = npt.NDArray[np.float64]
 
 RUNS: Final = 400
+#: What a reproduction takes the time for.
+REPRODUCED_RUNS: Final = 60
 #: Scene of 30 km with 30 points, noise of one coordinate in m; the ratio depends on neither size nor noise.
 SCENE_M: Final = 30_000.0
 SCENE_POINTS: Final = 30
@@ -26,6 +28,8 @@ SCENE_SIGMA_M: Final = 20.0
 #: The calibration of the sheets (section 7.2): points, noise, the printed affine transformation (northing, easting).
 SHEET_POINTS: Final = 24
 SHEET_SIGMA_M: Final = 4.34
+#: Extent of the nodes about the islands, east and north, assumed.
+SHEET_EXTENT_KM: Final = (9, 6)
 SHEET_MATRIX: Final = ((1.0010, 0.0007), (-0.0001, 1.0007))
 SHEET_ORIGIN_M: Final = (4_525_000.0, 678_000.0)
 
@@ -78,7 +82,7 @@ class Digitised:
 
 
 @cache
-def digitised_sheets(extent_km: tuple[int, int] = (9, 6), runs: int = RUNS, seed: int = 1) -> Digitised:
+def digitised_sheets(extent_km: tuple[int, int] = SHEET_EXTENT_KM, runs: int = RUNS, seed: int = 1) -> Digitised:
     """Digitise 24 nodes of a grid of 1 km, calibrate the sheet, and compare distances before it.
 
     ``extent_km`` is that of the nodes, east and north.

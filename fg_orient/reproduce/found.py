@@ -20,6 +20,8 @@ class Found:
         From what it follows.
     low, high : float
         Spread in which the published number is expected; nan if the digits are.
+    is_exact : bool
+        Arithmetic on printed numbers: one unit of the last digit is an error, no rounding of values in between.
     is_order : bool
         Only the order of magnitude is expected.
     kind : str, optional
@@ -30,6 +32,7 @@ class Found:
     remark: str = ""
     low: float = math.nan
     high: float = math.nan
+    is_exact: bool = False
     is_order: bool = False
     kind: Kind | None = None
 

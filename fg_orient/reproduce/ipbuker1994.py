@@ -4,7 +4,8 @@ Control points, residuals, coefficients and outlines are not in the thesis. What
 from others beside them, laws and spreads that need no data, physics. The verdicts:
 
 - ``equal``: the printed digits.
-- ``rounding``: one unit of the last digit away, or inside the stated spread.
+- ``rounding``: one unit of the last digit away (not where printed numbers are only added or multiplied), or inside
+  the stated spread.
 - ``order``: a size that is only expected to be of the order of another; the ratio is given.
 - ``differs``: neither, with a sentence; ``not_reproducible`` with the reason.
 """
@@ -69,7 +70,7 @@ def verdicts(
         compute = _COMPUTERS.get(table)
         with one_blas_thread(), np.errstate(all="ignore"):  # a copy may hold any number: nan then differs
             found = compute(values) if compute is not None else {}
-        out |= {cell.key: judge(cell, found.get(cell.key)) for cell in printed.cells if cell.key.table == table}
+            out |= {cell.key: judge(cell, found.get(cell.key)) for cell in printed.cells if cell.key.table == table}
         if progress is not None:
             progress(done, len(wanted))
     return out
@@ -103,7 +104,7 @@ def _digits(cell: PublishedCell, found: Found) -> tuple[str, str]:
     slack = 1e-9 * abs(cell.value)
     if off <= 0.5 * unit + slack:
         return "equal", "all printed digits"
-    if off <= unit + slack:
+    if off <= unit + slack and not found.is_exact:
         return "rounding", "one unit of the last digit"
     return "differs", f"published {cell.text}, reproduced {found.value:.7g}"
 

@@ -11,7 +11,7 @@ from fg_orient.cells import CellKey
 from fg_orient.errors import InputError
 from fg_orient.rectification.areas import mean_spacing_m, pixel_area_m2, planar_area_m2
 from fg_orient.rectification.projections import gauss_krueger, lambert_cylindrical, lambert_polar, project, unproject
-from fg_orient.rectification.synthetic import digitised_sheets
+from fg_orient.rectification.synthetic import REPRODUCED_RUNS, SHEET_EXTENT_KM, digitised_sheets
 from fg_orient.reproduce.found import Found
 
 Values = Mapping[CellKey, float]
@@ -29,7 +29,6 @@ RADIUS_M: Final = 6_370_000.0
 #: 0.309 m and 0.234 m, mean of both directions.
 ROUNDED_M: Final = 0.079
 JOINED: Final = {"heybeliada_plus_kasik": ("heybeliada", "kasik_adasi")}
-RUNS: Final = 100
 #: Errors of table 7.6, by island and side.
 KNOWN: Final = {
     ("heybeliada_plus_kasik", "utm"): "; the printed areas beside it give 21492, too",
@@ -56,13 +55,13 @@ def area_ratio(island: str, area_m2: float, projection: str) -> float:
         lambert = project(projection, *unproject(definition, plane).T)
     except InputError:  # an altered area beyond the projection
         return float("nan")
-    return planar_area_m2(plane) / planar_area_m2(lambert)
+    return float(np.divide(planar_area_m2(plane), planar_area_m2(lambert)))
 
 
 def utm_areas(values: Values) -> dict[CellKey, Found]:
     """Table 7.2: the areas need the outlines; their RMS is compared with what one calibration of the sheet gives."""
-    share = float(digitised_sheets(runs=RUNS).determinant.std(ddof=1))
-    remark = f"one calibration of the sheet leaves {share:.1e} of any area ({RUNS} simulated calibrations)"
+    share = float(digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS).determinant.std(ddof=1))
+    remark = f"one calibration of the sheet leaves {share:.1e} of any area ({REPRODUCED_RUNS} simulated calibrations)"
     return {
         _key("7.2", island, "area_rms"): Found(share * values[_key("7.2", island, "area_utm")], remark, is_order=True)
         for island in PLACES
@@ -74,7 +73,7 @@ def spacings(values: Values) -> dict[CellKey, Found]:
     out = {}
     for island in PLACES:
         length, n = (values[_key("7.3", island, name)] for name in ("coastline", "n_vertices"))
-        out[_key("7.3", island, "mean_spacing")] = Found(mean_spacing_m(length, n), "length by vertices")
+        out[_key("7.3", island, "mean_spacing")] = Found(mean_spacing_m(length, n), "length by vertices", is_exact=True)
     return out
 
 
@@ -103,7 +102,7 @@ def pixel_areas(values: Values) -> dict[CellKey, Found]:
     rows = [key.parameter for key in values if key.table == "7.5" and key.quantity == "pixels_utm"]
     return {
         _key("7.5", row, f"satellite_area_{side}"): Found(
-            pixel_area_m2(values[_key("7.5", row, f"pixels_{side}")], PIXEL_M), "pixels of 900 m2"
+            pixel_area_m2(values[_key("7.5", row, f"pixels_{side}")], PIXEL_M), "pixels of 900 m2", is_exact=True
         )
         for row in rows for side in _SIDES
     }  # fmt: skip
@@ -118,10 +117,12 @@ def differences(values: Values) -> dict[CellKey, Found]:
             computed = sum(values[_key(table, island, name)] for island in JOINED.get(row, (row,)))
             satellite = pixel_area_m2(values[_key("7.5", row, f"pixels_{side}")], PIXEL_M)
             known = KNOWN.get((row, side), "")
-            out[_key("7.6", row, f"computed_area_{side}")] = Found(computed, f"table {table}")
-            out[_key("7.6", row, f"satellite_area_{side}")] = Found(satellite, f"pixels of table 7.5{known}")
+            out[_key("7.6", row, f"computed_area_{side}")] = Found(computed, f"table {table}", is_exact=True)
+            out[_key("7.6", row, f"satellite_area_{side}")] = Found(
+                satellite, f"pixels of table 7.5{known}", is_exact=True
+            )
             out[_key("7.6", row, f"abs_difference_{side}")] = Found(
-                abs(satellite - computed), f"pixels of table 7.5 and table {table}{known}"
+                abs(satellite - computed), f"pixels of table 7.5 and table {table}{known}", is_exact=True
             )
     return out
 

@@ -7,10 +7,17 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from fg_orient.cells import CellKey
 from fg_orient.rectification.study import admissible_points, growing_degrees, terms
-from fg_orient.rectification.synthetic import RUNS, SCENE_POINTS, digitised_sheets, distance_ratios
+from fg_orient.rectification.synthetic import (
+    REPRODUCED_RUNS,
+    SCENE_POINTS,
+    SHEET_EXTENT_KM,
+    digitised_sheets,
+    distance_ratios,
+)
 from fg_orient.reproduce.found import Found
 
 Values = Mapping[CellKey, float]
@@ -23,9 +30,6 @@ BLOCK: Final = "1024 x 1024"
 TEST_POINTS: Final = 40
 #: Pixels that the RMS values of section 6.2 in metres and pixels refer to.
 PIXELS_M: Final = {"welch_1984a": 28.5, "welch_1985bc": 30.0, "borgeson_1985": 28.5}
-#: Extent of the digitised grid points about the islands (section 7.2), km, assumed; runs of the simulation.
-EXTENT_KM: Final = (9, 6)
-SHEET_RUNS: Final = 100
 
 
 def rectifications(values: Values) -> dict[CellKey, Found]:
@@ -59,8 +63,8 @@ def _words(allowed: tuple[int, ...]) -> str:
 
 def _distances(row: str, m0: float, printed: float) -> Found:
     """Distance differences expected of noise alone, from m0 of degree 1."""
-    found = distance_ratios(RUNS // 4)
-    low, middle, high = np.quantile(found.ratio, (0.025, 0.5, 0.975)) * m0
+    found = distance_ratios(REPRODUCED_RUNS)
+    low, middle, high = _spread(found.ratio * m0)
     remark = (
         f"{middle / m0:.2f} m0 of degree 1 in {len(found.ratio)} simulated scenes of {SCENE_POINTS} points with noise "
         f"alone, printed {printed / m0:.2f}"
@@ -68,9 +72,9 @@ def _distances(row: str, m0: float, printed: float) -> Found:
     if row == "spot_pan":
         remark += "; how many points were measured in it is not printed"
     elif printed > high:
-        scale = np.sqrt(printed**2 - middle**2) / float(found.spread_m.mean())
+        scale = np.sqrt(printed**2 - middle**2) / found.spread_m.mean()
         remark += f"; a scale error of {100 * scale:.2f} % left over would explain it"
-    return Found(float(middle), remark, float(low), float(high))
+    return Found(middle, remark, low, high)
 
 
 def north_georgia(values: Values) -> dict[CellKey, Found]:
@@ -108,10 +112,11 @@ def literature(values: Values) -> dict[CellKey, Found]:
 
 def calibration(values: Values) -> dict[CellKey, Found]:
     """Section 7.2: three precisions of one digitised sheet must fit each other."""
-    found = digitised_sheets(EXTENT_KM, SHEET_RUNS)
+    found = digitised_sheets(SHEET_EXTENT_KM, REPRODUCED_RUNS)
+    extent = " x ".join(map(str, SHEET_EXTENT_KM))
     remark = (
-        f"{SHEET_RUNS} simulated calibrations with 24 nodes over {EXTENT_KM[0]} x {EXTENT_KM[1]} km (assumed) and the "
-        "noise that the printed m0 says"
+        f"{REPRODUCED_RUNS} simulated calibrations with 24 nodes over {extent} km (assumed) and the noise that the "
+        "printed m0 says"
     )
     out = {
         CellKey("s7.2", quantity="affine_m0"): Found(
@@ -120,9 +125,15 @@ def calibration(values: Values) -> dict[CellKey, Found]:
     }
     for quantity, runs in (("pair_distance_diff_sd", found.distance_sd),
                            ("helmert_mean_point_error", found.helmert_point_error)):  # fmt: skip
-        low, middle, high = (float(v) for v in np.quantile(runs, (0.025, 0.5, 0.975)))
+        low, middle, high = _spread(runs)
         out[CellKey("s7.2", quantity=quantity)] = Found(middle, remark, low, high)
     return out
+
+
+def _spread(runs: npt.NDArray[np.float64]) -> tuple[float, float, float]:
+    """Mean of some runs, with 1.96 standard deviations below and above."""
+    middle, half = float(runs.mean()), 1.96 * float(runs.std(ddof=1))
+    return middle - half, middle, middle + half
 
 
 COMPUTERS: Final[dict[str, Callable[[Values], dict[CellKey, Found]]]] = {

@@ -1,0 +1,130 @@
+"""İpbüker 1994 beside what follows for it: verdicts, reasons, altered copies."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fg_orient.published import tables as published
+from fg_orient.published.tables import load
+from fg_orient.rectification.synthetic import digitised_sheets
+from fg_orient.reproduce.ipbuker1994 import TABLES
+from fg_orient.reproduce.reproduction import Reproduction, Row, reproduce
+from tests.support.command import in_process as run
+
+Rows = dict[tuple[str, str, str], Row]
+
+
+def test_every_table_is_complete(reproduction: Reproduction) -> None:
+    assert tuple(reproduction.titles) == TABLES
+    counts = Counter(row.table for row in reproduction.rows)
+    assert (counts["6.1"], counts["7.1"], counts["7.6"], counts["s7.2"]) == (26, 16, 24, 19)
+
+
+def test_verdicts(reproduction: Reproduction) -> None:
+    """A changed count is a changed statement: docs/rectification.md has them, too."""
+    assert reproduction.counts() == {
+        "equal": 65, "order": 5, "rounding": 37, "pattern": 0, "differs": 10, "not_reproducible": 218,
+    }  # fmt: skip
+    assert all(row.reason for row in reproduction.rows)
+
+
+def test_what_differs_is_known(rows: Rows) -> None:
+    assert {name for name, row in rows.items() if row.verdict == "differs"} == {
+        ("3.3", "TM", "ifov_as_printed_actually_total_scan_angle"),
+        ("text", "landsat_mss", "total_scan_angle_printed"),
+        ("summary", "1:1000", "effective_resolution"),
+        ("7.1", "landsat5_tm 5 GCPs", "m0_degree_3"),
+        ("7.1", "landsat5_tm 10 GCPs", "pair_distance_sd"),
+        ("7.1", "landsat5_tm 20 GCPs", "pair_distance_sd"),
+        ("7.1", "spot_pan", "pair_distance_sd"),
+        ("7.6", "heybeliada_plus_kasik", "abs_difference_utm"),
+        ("7.6", "sedef_adasi", "satellite_area_azimuthal"),
+        ("7.6", "sedef_adasi", "abs_difference_azimuthal"),
+    }
+
+
+def test_sentences(rows: Rows) -> None:
+    impossible = rows["7.1", "landsat5_tm 5 GCPs", "m0_degree_3"]
+    assert "impossible over 30 points" in impossible.reason and "with 11 to 21 points" in impossible.reason
+    assert impossible.reproduced == pytest.approx(15.48 * np.sqrt(48 / 40))
+    for name, scale in (("landsat5_tm 10 GCPs", "0.23 %"), ("landsat5_tm 20 GCPs", "0.21 %")):
+        assert scale in rows["7.1", name, "pair_distance_sd"].reason
+    assert rows["7.1", "landsat5_tm 5 GCPs", "m0_degree_1"].reason.startswith("control points")
+
+
+def test_area_ratios_of_the_description(rows: Rows) -> None:
+    for island, ratio in (("buyukada", 1.002439), ("heybeliada", 1.002423), ("burgazada", 1.002403),
+                          ("sedef_adasi", 1.002456), ("kasik_adasi", 1.002412)):  # fmt: skip
+        utm = rows["7.2", island, "area_utm"].published
+        assert utm / rows["7.4", island, "area_azimuthal"].reproduced == pytest.approx(ratio, abs=2e-6)
+
+
+def test_law_of_table_6_1(rows: Rows) -> None:
+    fitted = [row for row in rows.values() if row.table == "6.1" and row.verdict == "rounding"]
+    misfit = np.array([row.reproduced - row.published for row in fitted])
+    assert len(fitted) == 20
+    assert "sigma = 19.47 m" in fitted[0].reason
+    assert (np.sqrt(np.mean(misfit**2)), np.abs(misfit).max()) == pytest.approx((0.86, 2.37), abs=0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("extent", "m0", "distance", "helmert"),
+    [
+        ((5, 4), 4.29, 6.10, 6.11),
+        ((9, 6), 4.36, 6.36, 6.26),
+        ((14, 12), 4.35, 6.91, 6.44),
+        ((20, 26), 4.34, 8.81, 6.87),
+    ],
+)
+def test_digitised_sheets_over_400_runs(extent: tuple[int, int], m0: float, distance: float, helmert: float) -> None:
+    """Two means of 400 runs each: their difference has 1.41 times the standard error of one; four of these."""
+    found = digitised_sheets(extent)
+    for runs, expected in ((found.affine_m0, m0), (found.distance_sd, distance), (found.helmert_point_error, helmert)):
+        assert abs(runs.mean() - expected) <= 4.0 * np.sqrt(2.0 / len(runs)) * runs.std()
+
+
+def test_an_altered_copy_changes_the_verdict_of_its_cell(tmp_path: Path) -> None:
+    folder = tmp_path / "ipbuker1994"
+    shutil.copytree(Path(published.__file__).parent / "ipbuker1994", folder)
+    path = folder / "table-7-5-island-area-pixels.csv"
+    path.write_text(
+        path.read_text("utf-8").replace("satellite_area_utm,5418900", "satellite_area_utm,5418901"), "utf-8"
+    )
+    found = {row.cell: row.verdict for row in reproduce("ipbuker1994", tables="7.5", published=folder).rows}
+    assert found["satellite_area_utm, buyukada"] == "differs"
+    assert Counter(found.values()) == {"equal": 7, "differs": 1, "not_reproducible": 8}
+
+
+@pytest.mark.parametrize("value", ["nan", "0", "-1e40", "1e40"])
+def test_absurd_numbers_in_a_copy_differ_and_break_nothing(value: str, tmp_path: Path) -> None:
+    folder = tmp_path / "ipbuker1994"
+    shutil.copytree(Path(published.__file__).parent / "ipbuker1994", folder)
+    for path in folder.glob("*-*.csv"):
+        lines = path.read_text("utf-8").splitlines()
+        head = lines[0].split(",")
+        cells = [line.split(",") for line in lines[1:] if '"' not in line]
+        kept = [line for line in lines[1:] if '"' in line]
+        for row in cells:
+            row[head.index("value")] = value
+        path.write_text("\n".join([lines[0], *(",".join(row) for row in cells), *kept]) + "\n", "utf-8")
+    assert len(load("ipbuker1994", folder).cells) == 335
+    found = reproduce("ipbuker1994", published=folder, tables="text-5.1,7.1-summary")
+    assert {row.verdict for row in found.rows if row.table == "7.3" and "spacing" in row.cell} == {"differs"}
+
+
+def test_command_writes_a_report_without_a_twin(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = run("reproduce", "ipbuker1994", "--tables", "7.3,7.5-7.6", "--out", out)
+    assert done.code == 0, done.stderr
+    record = json.loads((out / "result.json").read_text("utf-8"))
+    assert record["options"] == {"tables": ["7.3", "7.5", "7.6"]}
+    html = (out / "report.html").read_text("utf-8")
+    assert "synthetic twin" not in html and "seeds" not in html.partition("Made with")[2]
+    assert "prints no control points" in html

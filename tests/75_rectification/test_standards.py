@@ -1,0 +1,121 @@
+"""Accuracy standards: verdicts of the description, limits at the border of scales, each formula once more."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fg_orient.errors import InputError
+from fg_orient.rectification.standards import (
+    NAMES,
+    Verdict,
+    check_accuracy,
+    cmas_m,
+    effective_resolution_m,
+    judge_rmse,
+    nmas_limit_m,
+)
+
+
+def by_name(found: tuple[Verdict, ...]) -> dict[str, Verdict]:
+    return {verdict.standard: verdict for verdict in found}
+
+
+def test_limits_of_nmas() -> None:
+    assert nmas_limit_m(24_000) == pytest.approx(12.192)
+    assert nmas_limit_m(20_000) == pytest.approx(10.16)
+    assert nmas_limit_m(19_999) == pytest.approx(19_999 * 0.0254 / 30)
+    assert effective_resolution_m(25_000) == 12.5
+
+
+@pytest.mark.parametrize(
+    ("m0", "cmas", "passes", "fails"),
+    [(14.61, 31.4, 100_000, 50_000), (19.97, 42.9, 100_000, 50_000), (8.86, 19.0, 50_000, 25_000),
+     (9.20, 19.7, 50_000, 25_000)],
+)  # fmt: skip
+def test_verdicts_on_the_m0s_of_table_7_1(m0: float, cmas: float, passes: int, fails: int) -> None:
+    for scale, passed in ((passes, True), (fails, False)):
+        (found,) = judge_rmse(m0, m0, scale=scale, standards=("CMAS",))
+        assert round(found.value_m, 1) == cmas
+        assert found.passed is passed
+
+
+def test_what_1_to_50000_and_1_to_24000_need() -> None:
+    assert nmas_limit_m(50_000) / 2.1460 == pytest.approx(11.84, abs=0.005)
+    assert nmas_limit_m(24_000) / 2.1460 == pytest.approx(5.7, abs=0.05)
+    assert nmas_limit_m(24_000) / 1.5175 == pytest.approx(8.0, abs=0.05)
+    assert cmas_m(12.9, 12.9) == pytest.approx(27.7, abs=0.05)
+    assert cmas_m(12.9 / math.sqrt(2), 12.9 / math.sqrt(2)) == pytest.approx(19.6, abs=0.05)
+    (wong,) = judge_rmse(55 / math.sqrt(2), 55 / math.sqrt(2), scale=250_000, standards=("CMAS",))
+    assert wong.passed
+
+
+def test_factors_are_quantiles_of_the_circular_normal_distribution() -> None:
+    assert stats.rayleigh.ppf(0.90) == pytest.approx(2.1460, abs=5e-5)
+    assert stats.rayleigh.ppf(0.95) == pytest.approx(2.4477, abs=5e-5)
+    values = by_name(judge_rmse(1.0, 1.0))
+    assert values["CMAS"].value_m == pytest.approx(1.5175 * math.sqrt(2), rel=1e-4)
+    assert values["NSSDA"].value_m == pytest.approx(1.7308 * math.sqrt(2), rel=1e-4)
+
+
+def test_nmas_counts_points() -> None:
+    """Of 20 points two may lie beyond the limit, a third may not."""
+    d = np.zeros((20, 2))
+    d[:2, 0] = 100.0
+    d[2, 1] = 25.4
+    (found,) = check_accuracy(d, scale=50_000, standards=("NMAS",))
+    assert found.passed and found.value_m == found.limit_m == pytest.approx(25.4)
+    d[2, 1] = 25.41
+    (found,) = check_accuracy(d, scale=50_000, standards=("NMAS",))
+    assert not found.passed
+    (nine,) = check_accuracy(d[:9], scale=50_000, standards=("NMAS",))
+    assert nine.value_m == 100.0
+
+
+def admissible(error_m: float, scale: float) -> bool:
+    return error_m <= nmas_limit_m(scale) * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("error", [0.5, 10.0, 10.2, 12.0, 16.9, 17.0, 40.0])
+def test_largest_scale_is_the_border_of_what_passes(error: float) -> None:
+    """Also where the limit drops: 12 m pass at 1:15000 and at 1:24000, not at 1:20000."""
+    (found,) = check_accuracy([[error, 0.0]], standards=("NMAS",))
+    assert admissible(error, found.largest_scale) and not admissible(error, 0.9999 * found.largest_scale)
+    assert bool([text for text in found.remarks if "not from" in text]) == (10.16 < error < 20_000 * 0.0254 / 30)
+    assert found.passed is None
+
+
+def test_asprs() -> None:
+    found = by_name(judge_rmse(3.0, 4.0, scale=20_000, class_m=4.5, check_point_rmse_m=0.5, n_points=25))
+    assert (found["ASPRS-1990"].limit_m, found["ASPRS-1990"].passed) == (pytest.approx(5.0), True)
+    assert found["ASPRS-1990"].largest_scale == pytest.approx(16_000)
+    assert (found["ASPRS-2014"].value_m, found["ASPRS-2014"].passed) == (4.0, True)
+    assert (found["ASPRS-2023"].value_m, found["ASPRS-2023"].passed) == (pytest.approx(math.sqrt(25.25)), False)
+    assert any("30" in text for text in found["ASPRS-2023"].remarks)
+    (second,) = judge_rmse(7.0, 8.0, scale=20_000, standards=("ASPRS-1990",))
+    assert second.passed is False and second.remarks == ("class 2 is met",)
+    (small,) = judge_rmse(1.0, 1.0, scale=50_000, standards=("ASPRS-1990",))
+    assert small.passed and "1:20000" in small.remarks[0]
+
+
+def test_all_standards_in_one_call_and_unequal_axes_are_remarked() -> None:
+    rng = np.random.default_rng(1)
+    found = check_accuracy(rng.normal(size=(40, 2)) * (1.0, 3.0), scale=10_000)
+    assert tuple(verdict.standard for verdict in found) == NAMES
+    assert all(any("circle" in text for text in by_name(found)[name].remarks) for name in ("CMAS", "NSSDA"))
+    assert by_name(found)["NSSDA"].passed is None
+
+
+@pytest.mark.parametrize(
+    ("differences", "options", "code"),
+    [([[1.0]], {}, "rectify.differences"), ([[np.nan, 1.0]], {}, "rectify.differences"),
+     ([[1.0, 1.0]], {"scale": 0.0}, "rectify.positive"), ([[1.0, 1.0]], {"class_m": -1.0}, "rectify.positive"),
+     ([[1.0, 1.0]], {"standards": ("EMAS",)}, "rectify.standard")],
+)  # fmt: skip
+def test_refusals(differences: list[list[float]], options: dict[str, object], code: str) -> None:
+    with pytest.raises(InputError) as caught:
+        check_accuracy(differences, **options)  # type: ignore[arg-type]
+    assert caught.value.problems[0].code == code
