@@ -35,7 +35,7 @@ class Outcome:
     stages : dict
         Seconds of parts, by name.
     inner : int
-        Solutions that ran one after the other; the seconds are of one.
+        Solutions that ran one after the other; the seconds are of the one of median duration.
     """
 
     solve: float

@@ -16,25 +16,24 @@ from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
 from fg_orient.block import Block
 
-#: Short solutions run several times in a row, so that a record takes about this long.
-LEAST_S = 0.02
+#: Solutions shorter than this run several times in a row for one record.
+SHORT_S = 0.1
 
 
 def repeated(once: Callable[[], Outcome]) -> Callable[[], Outcome]:
-    """Run a short solution several times in a row; seconds are means."""
+    """Run a short solution several times more and take the one of median duration: the first finds cold memory."""
+
+    def seconds(outcome: Outcome) -> float:
+        return outcome.solve + outcome.structure
 
     def run() -> Outcome:
         first = once()
-        n = max(1, min(50, int(LEAST_S / max(first.solve + first.structure, 1e-9))))
-        if n == 1:
+        if seconds(first) > SHORT_S:
             return first
-        all_runs = [once() for _ in range(n)]
-        last = all_runs[-1]
-        last.solve = sum(o.solve for o in all_runs) / n
-        last.structure = sum(o.structure for o in all_runs) / n
-        last.stages = {name: sum(o.stages[name] for o in all_runs) / n for name in last.stages}
-        last.inner = n
-        return last
+        n = max(3, min(51, int(SHORT_S / seconds(first))))
+        found = sorted((once() for _ in range(n)), key=seconds)[n // 2]
+        found.inner = n
+        return found
 
     return run
 
@@ -62,9 +61,9 @@ class _TimedWorkers:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._workers, name)
 
-    def run(self, kernel: Any, *arguments: Any) -> Any:
+    def run(self, kernel: Any, *arguments: Any, **options: Any) -> Any:
         start = time.perf_counter()
-        result = self._workers.run(kernel, *arguments)
+        result = self._workers.run(kernel, *arguments, **options)
         name = getattr(kernel, "__name__", str(kernel))
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
         return result
@@ -109,7 +108,7 @@ def damped(problem: Problem, threads: int | None) -> Callable[[], Outcome]:
     """
 
     def once() -> Outcome:
-        log = []
+        log: list[IterationRecord] = []
 
         def judge(record: IterationRecord) -> None:
             log.append(record)

@@ -112,7 +112,7 @@ class Summary:
         self, problem: str, size: str, peer: str, own: str, of: Callable[[Record], float],
         own_of: Callable[[Record], float] | None = None,
     ) -> Value | None:  # fmt: skip
-        """Peer over ours: median over median, quartiles of the repeats that ran in the same rounds.
+        """Peer over ours in the rounds in which both ran: median and quartiles.
 
         A lower bound where the peer did not come to the common cost; None where either was not run, or ours did not.
         """
@@ -120,10 +120,8 @@ class Summary:
         if not theirs or not ours or not self.reached(ours):
             return None
         ours_of = own_of or of
-        middle = np.median([of(r) for r in theirs]) / np.median([ours_of(r) for r in ours])
         pairs = [of(a) / ours_of(b) for a, b in zip(theirs, ours, strict=False)]
-        low, high = np.percentile(pairs, [25.0, 75.0])
-        return Value(float(middle), float(low), float(high), len(pairs), not self.reached(theirs))
+        return Value.of(pairs, not self.reached(theirs))
 
     def per_point_us(self, problem: str, size: str, solver: str, of: Callable[[Record], float]) -> Value | None:
         """Microseconds per image point."""
