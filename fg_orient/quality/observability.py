@@ -157,7 +157,7 @@ def analyse_block(problem: Problem) -> BlockObservability:
 def _eliminated(problem: Problem, j_image: list[Array], j_ground: list[Array]) -> Array:
     """Rows (q, u) of all image unknowns with the ground points eliminated, compressed by QR on the way."""
     first, u, image = problem.first, problem.n_image_unknowns, problem.observations.image
-    rest = np.zeros((0, u))
+    parts, height = [np.zeros((0, u))], 0
     for j, rows in problem.rows_by_point():
         b = np.zeros((2 * len(rows), u))
         for r, row in enumerate(rows):
@@ -168,10 +168,12 @@ def _eliminated(problem: Problem, j_image: list[Array], j_ground: list[Array]) -
                 a = np.vstack([a, problem.control_records[j, :9].reshape(3, 3)])
                 b = np.vstack([b, np.zeros((3, u))])
             b = np.linalg.qr(a, mode="complete")[0][:, 3:].T @ b
-        rest = np.vstack([rest, b])
-        if len(rest) > 4 * u + 100:
-            rest = np.linalg.qr(rest).R
-    return rest
+        parts.append(b)
+        height += len(b)
+        if height > 4 * u + 100:
+            parts = [np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))]
+            height = len(parts[0])
+    return np.vstack(parts)
 
 
 def _datum(problem: Problem, rest: Array, j_image: list[Array], j_ground: list[Array]) -> tuple[str, ...]:

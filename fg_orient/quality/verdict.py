@@ -131,9 +131,11 @@ def warnings(
             "not each alone"
         )
     out += _outside(problem, estimate)
-    suspicious = dict.fromkeys(row[0] for row in accuracy.check.suspicious())
+    suspicious = list(dict.fromkeys(row[0] for row in accuracy.check.suspicious()))
     if suspicious:
-        out.append(f"check points beyond 3 standard deviations of the difference: {', '.join(suspicious)}")
+        more = f" ... ({len(suspicious)} of {len(accuracy.check)})" if len(suspicious) > NAMED else ""
+        named = ", ".join(suspicious[:NAMED]) + more
+        out.append(f"check points beyond 3 standard deviations of the difference: {named}")
     n = len(accuracy.check)
     if not n:
         out.append("no check points: the accuracy is not verified independently")
