@@ -31,12 +31,13 @@ Array = npt.NDArray[np.float64]
 N_CAMERA: Final = 9
 #: Sigma of an image coordinate: the cost of the block is then that of the literature, in px^2.
 SIGMA_PX: Final = 1.0
-#: Scale of the unknowns, for the length of steps: there are no priors. Angles in rad; f as a share of its size.
+#: Scale of the unknowns, for the length of damped steps: there are no priors. Each moves the pixels by some units, as a
+#: unit of a ground point does. Angles in rad; f as a share of its size.
 SIGMA_RAD: Final = 1e-2
-SIGMA_FOCAL: Final = 1e-2
+SIGMA_FOCAL: Final = 2.5e-2
 SIGMA_DISTORTION: Final = 1.0
 #: The same for projection centres, as a share of their scatter.
-SIGMA_CENTRE: Final = 1e-2
+SIGMA_CENTRE: Final = 2e-2
 #: More than this of anything is no bundle of this world, but a damaged file.
 LARGEST: Final = 10**9
 
