@@ -1,7 +1,7 @@
 """Memory an adjustment will need, told before anything is allocated, and the memory there is.
 
 The estimate counts the arrays of the problem, of the backend and of what follows; a run above the limit is refused
-with both figures. Constants per image point are measured (docs/performance.md); the arrays of the dense backend and
+with both figures. Constants per image point are measured, at 1e6 of them; the arrays of the dense backend and
 the reduced matrix are counted. The block itself is there already.
 """
 

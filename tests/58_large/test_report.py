@@ -1,0 +1,36 @@
+"""The page of a large block: points are thinned, long lists are cut, and what is left out is said."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from fg_orient.report import write_report
+from fg_orient.report.html import MANY
+from fg_orient.simulate.block import BlockOptions, simulate_block
+from tests.support.command import in_process
+
+
+def test_long_lists_are_cut_and_the_rest_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    project = simulate_block(tmp_path / "block", BlockOptions(points=60))
+    folder = tmp_path / "result"
+    assert in_process("adjust", project, "--out", folder, "--quiet").code == 0
+    record = json.loads((folder / "result.json").read_text("utf-8"))
+    row = {"id": "c7", "axis": "east", "difference_m": 1.0, "ratio": 3.5}
+    record["accuracy"]["check"]["suspicious"] = [row] * (MANY["rows"] + 23)
+    (folder / "result.json").write_text(json.dumps(record), "utf-8")
+    monkeypatch.setitem(MANY, "images", 3)
+    monkeypatch.setitem(MANY, "terms", 10)
+    monkeypatch.setattr("fg_orient.report.svg.MAX_POINTS", 20)
+    path, comparison = write_report(folder, project.parent / "truth")
+    text = path.read_text("utf-8")
+    assert text.count('<td class="id">c7</td>') == MANY["rows"] and "23 more are in result.json" in text
+    assert comparison is not None and f"{len(comparison['eop']) - 10} more with --json" in text
+    assert "1 more images are in eop.csv" in text
+    maps = re.findall(r"<svg.*?</svg>", text, re.DOTALL)[:2]
+    for drawn in maps:
+        assert drawn.count("<title>") <= 20 and f"{60 - drawn.count('<title>')} points are not drawn" in drawn
+        assert drawn.count('class="control"') - 1 == 6  # none of the control points is left out; one is in the legend
