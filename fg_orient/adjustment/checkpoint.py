@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 FORMAT: Final = 1
 EVERY_S: Final = 60.0
 #: Options that do not change what an iteration does.
-_FREE: Final = ("max_iterations",)
+_FREE: Final = ("max_iterations", "memory_limit_gb")
 _NUMBERS: Final = ("control", "growth", "previous", "rejected", "rising", "begun_at", "mu")
 _WHOLE: Final = ("rejected", "rising", "begun_at")
 

@@ -31,8 +31,8 @@ ADJUST: Final = {
     "initial.behind": ("its rays meet behind a sensor", "check the point's identity in every image"),
     "adjust.memory": (
         "the adjustment needs more memory than it may take, which is {allowed}",
-        "choose backend schur, adjust in parts on several machines (docs/parallel.md), take a machine with more memory, "
-        "or raise --memory-limit-gb",
+        "choose backend schur, adjust in parts on several machines (docs/parallel.md), take a machine with more "
+        "memory, or raise --memory-limit-gb",
     ),
     "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
     "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
@@ -42,7 +42,8 @@ ADJUST: Final = {
     ),
     "adjust.relative_priors": (
         "without control points and without priors nothing holds the block in the world",
-        'keep the priors, or leave out datum = "priors" and measure control points; datum = "free" lets the block float',
+        'keep the priors, or leave out datum = "priors" and measure control points; '
+        'datum = "free" lets the block float',
     ),
     "adjust.native_dense": (
         "GTSAM's own optimisers work on the graph only",

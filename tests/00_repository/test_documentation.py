@@ -25,11 +25,11 @@ def test_own_equation_solver_and_rule_of_the_extending_page_work(
     """Runs the page top to bottom as one module, checks its Jacobian by complex step, its solvers against LAPACK."""
     import numpy as np
 
-    from factors import _contract
+    from factors import _contract, losses
     from fg_orient.linear import kappa, registry
 
-    registry.solvers(), kappa.kappa_rules()  # all loaded before the copies
-    for module in (_contract, registry, kappa):
+    registry.solvers(), kappa.kappa_rules(), losses.losses()  # all loaded before the copies
+    for module in (_contract, registry, kappa, losses):
         monkeypatch.setattr(module, "_REGISTRY", dict(module._REGISTRY))
     path = tmp_path / "extending_page.py"
     path.write_text("\n".join(blocks(repository / "docs" / "extending.md", "python")), "utf-8")
@@ -49,6 +49,9 @@ def test_own_equation_solver_and_rule_of_the_extending_page_work(
     assert np.abs(jacobian[0] - numeric).max() <= 1e-14 * np.abs(jacobian).max()
     assert equation.kernel(state.record, state.setup, ground, False)[0] == value
     _check_linear(np.random.default_rng(4))
+    u = np.linspace(0.0, 6.0, 6001)
+    own = losses.losses()["docs_fair"]
+    assert np.abs(np.gradient(own.cost(u), u, edge_order=2) - u * own.weight(u)).max() <= 1e-6  # step 1e-3, squared
 
 
 def _check_linear(rng: Any) -> None:

@@ -78,6 +78,7 @@ OPTIONS = [
         look_sigma_rad=3e-5, small_angle=True, backend="dense", solver="cholesky_elimination",
         optimizer="dogleg", max_iterations=7, check_points="exclude", datum="priors", rpc_compensation="affine",
         rpc_shift_sigma_px=3.5, rpc_linear_sigma_px=0.25, memory_limit_gb=1.5,
+        loss="tls", gnc=True, inlier_probability=0.975,
     ),
 ]  # fmt: skip
 

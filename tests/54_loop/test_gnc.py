@@ -7,9 +7,10 @@ import pytest
 from scipy.stats import chi2
 
 import fg_orient as fg
+from fg_orient.adjustment.dense import Columns, assemble
 from fg_orient.adjustment.gnc import EXACT, PLAIN, SCHEDULES, Graduated, stages_left
 from fg_orient.adjustment.problem import compile_problem
-from fg_orient.adjustment.robust import FLOOR
+from fg_orient.adjustment.robust import FLOOR, weighted_problem
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.errors import InputError
 from fg_orient.quality.verdict import DOWN
@@ -140,3 +141,22 @@ def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
     solution = fg.adjust(replace(block, observations=tiny), loss="welsch", max_iterations=500, backend="schur")
     assert solution.status is fg.Status.NOT_TRUSTWORTHY
     assert "have a weight below 0.5: the model does not hold" in solution.reason
+
+
+def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
+    """Schur and graph against the inverse of the dense normal equations of the weighted problem."""
+    block, _ = spoiled_block((3.0, 6.0), 2, 2, 40)
+    solutions = [fg.adjust(block, loss="tls", gnc=True, backend=backend) for backend in ("schur", "graph")]
+    problem, state, weights = solutions[0].problem, solutions[0].state, solutions[0].weights
+    assert weights is not None
+    _, design = assemble(weighted_problem(problem, weights), state)
+    inverse = np.linalg.inv(design.T @ design)
+    columns = Columns.of(problem)
+    turned_down = int(problem.observations.point[np.argmin(weights.image)])
+    for solution in solutions:
+        assert solution.cofactors is not None
+        for k in range(problem.n_images):
+            expected = inverse[columns.image(k), columns.image(k)]
+            assert np.abs(solution.cofactors.image(k) - expected).max() <= 1e-7 * np.abs(expected).max()
+        expected = inverse[columns.point(turned_down), columns.point(turned_down)]
+        assert np.abs(solution.cofactors.point(turned_down) - expected).max() <= 1e-7 * np.abs(expected).max()

@@ -222,18 +222,18 @@ def test_file_or_link_is_no_output_folder(run: Any, twin: Path, result: Path, tm
 
 @pytest.mark.parametrize("existing", [False, True])
 def test_interrupted_run_leaves_nothing(run: Any, twin: Path, monkeypatch: pytest.MonkeyPatch, existing: bool) -> None:
-    """Ctrl-C after the first iteration: exit code 130; an earlier result stays."""
+    """Ctrl-C in the first iteration: exit code 130; an earlier result stays, there is nothing to resume."""
     if existing:
         assert run("adjust", twin, "--quiet").code == 0
     before = content(twin.parent)
     adjust = runs.adjust
 
-    def interrupted(block: Any, callback: Any) -> Any:
+    def interrupted(block: Any, callback: Any, **how: Any) -> Any:
         def stop(iteration: Any) -> None:
             callback(iteration)
             raise KeyboardInterrupt
 
-        return adjust(block, callback=stop)
+        return adjust(block, callback=stop, **how)
 
     monkeypatch.setattr(runs, "adjust", interrupted)
     ended = run("adjust", twin, "--overwrite", "--out", twin.parent / "result", "--json")
