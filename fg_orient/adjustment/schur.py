@@ -7,6 +7,7 @@ of ``factors.control``. Sums run in an order that does not depend on the number 
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -68,6 +69,7 @@ class SchurSystem:
         self._backend, self.state = backend, state
         self._newton: SchurStep | None = None
         self._robust, self._excess = backend.robust, 0.0
+        self._eliminated_at: float | None = None
         self._fill()
         self.error = self._excess + backend.half_squares(backend.buffers.value, state, backend.buffers.control)
 
@@ -78,13 +80,21 @@ class SchurSystem:
 
     def _fill(self) -> None:
         b, backend = self._backend.buffers, self._backend
-        b.held, b.root_weight = None, np.ones(0)
-        for tile in backend.structure.tiles:
-            backend.evaluate(b.rows(tile), self.state, want=tile.kept)
+        b.held, b.root_weight, b.owner, self._eliminated_at = None, np.ones(0), self, None
         b.control = backend.problem.control_records
+        kept, others = ([t for t in self.structure.tiles if t.kept is want] for want in (True, False))
+        for tile in kept:
+            backend.evaluate(b.rows(tile), self.state, want=True)
+        if others and self._robust is None and backend.last_damping == 0.0:
+            # Gauss-Newton eliminates next: at once, before the rows are lost
+            with contextlib.suppress(Singular):
+                self._eliminate(0.0)
+                return
+        b.held = None
+        for tile in others:
+            backend.evaluate(b.rows(tile), self.state, want=False)
         if self._robust is not None:
             self._weigh(self._robust, b)
-        b.owner = self
 
     def _weigh(self, robust: Robust, b: Buffers) -> None:
         """Multiply all rows by the roots of their weights; keep by how much the cost exceeds half their squares."""
@@ -170,20 +180,28 @@ class SchurSystem:
 
     def _eliminated(self, damping: float) -> Array:
         """Blocks (B, k, k) of the reduced system; leaves the point blocks and the gradients in the buffers."""
-        s, workers, b = self.structure, self._backend.workers, self.buffers()
-        for tile in s.tiles:
-            rows, (lo, hi) = self.rows(tile), tile.chunks
-            self._point_blocks(rows, damping)
-            workers.run(
-                pair_blocks, s.cost[lo : hi + 1], s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis,
-                s.n_components, s.basis, tile.points[0], rows.value, rows.d_image, b.scaled, b.root, b.gradient,
-                b.sums, b.gradients, start=lo,
-            )  # fmt: skip
-        workers.run(
+        s, b = self.structure, self.buffers()
+        if self._eliminated_at != damping:
+            self._eliminate(damping)
+        self._backend.workers.run(
             gather_blocks, s.block_begin, s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, b.sums,
             s.wide, s.scale, s.size, s.n_basis, s.n_components, b.blocks,
         )  # fmt: skip
         return b.blocks
+
+    def _eliminate(self, damping: float) -> None:
+        """Eliminate the points, tile by tile: point blocks, sums and gradients of the chunks."""
+        s, b, backend = self.structure, self._backend.buffers, self._backend
+        self._eliminated_at, backend.last_damping = None, damping
+        for tile in s.tiles:
+            rows, (lo, hi) = self.rows(tile), tile.chunks
+            self._point_blocks(rows, damping)
+            backend.workers.run(
+                pair_blocks, s.cost[lo : hi + 1], s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis,
+                s.n_components, s.basis, tile.points[0], rows.value, rows.d_image, b.scaled, b.root, b.gradient,
+                b.sums, b.gradients, start=lo,
+            )  # fmt: skip
+        self._eliminated_at = damping
 
     def _gathered_gradient(self) -> Array:
         """Gradient (u,) of the image unknowns, from those of the chunks."""
@@ -249,6 +267,7 @@ class SchurSystem:
     def gradient(self) -> tuple[Array, Array]:
         """Gradient of the images (u,) and of the points (P, 3)."""
         s, b = self.structure, self.buffers()
+        self._eliminated_at = None
         for tile in s.tiles:
             rows, (lo, hi) = self.rows(tile), tile.chunks
             self._point_blocks(rows, 0.0)
@@ -326,6 +345,7 @@ class SchurBackend:
         self.reduced = ReducedSystems(self.structure, problem.first, reduced)
         self.buffers = Buffers(self.structure, problem.control_records)
         self.robust: Robust | None = None
+        self.last_damping = 0.0
 
     def initial(self) -> State:
         """Start values."""

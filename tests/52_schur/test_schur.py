@@ -17,6 +17,7 @@ from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.robust import robust_of
 from fg_orient.adjustment.schur import SchurBackend, SchurSystem
 from fg_orient.adjustment.schur_cofactors import SchurCofactors
 from fg_orient.adjustment.schur_reduced import Singular
@@ -261,6 +262,47 @@ def test_same_bits_for_one_and_two_threads(divided: bool, request: pytest.Fixtur
             result = OPTIMIZERS["levenberg-marquardt"](backend, problem.start, 50)
             ends.append((result.error, result.state.image.tobytes(), result.state.ground.tobytes()))
         assert ends[0] == ends[1] == ends[2]
+
+
+def test_rows_computed_again_change_no_bits(request: pytest.FixtureRequest) -> None:
+    """Gauss-Newton's state, a damped step under a loss, the gradient and cofactors, with and without tiles."""
+    problem = compile_problem(with_options(mixed_size(), eop_set=15))
+    loss = robust_of(replace(problem.block.options, loss="huber"))
+    place = int(np.flatnonzero(problem.active)[7])
+
+    def results() -> list[bytes]:
+        backend = SchurBackend(problem)
+        end = OPTIMIZERS["gauss-newton"](backend, problem.start, 50).state
+        cofactors = SchurCofactors(problem, backend.linearise(end))
+        found = [end.image, end.ground, cofactors.point(place), *backend.linearise(moved(problem, 3)).gradient()]
+        backend.robust = loss
+        system = backend.linearise(moved(problem, 3))
+        step = system.solve(0.3)
+        found += [step.image, step.ground, *backend.squares(end), system.rays(5).value]
+        tiles.append(len(backend.structure.tiles))
+        return [array.tobytes() for array in found]
+
+    tiles: list[int] = []
+    whole = results()
+    request.getfixturevalue("tiles")
+    assert results() == whole
+    assert tiles[0] == 1
+    assert tiles[1] > 3
+
+
+def test_points_that_only_damping_determines(request: pytest.FixtureRequest) -> None:
+    """A tie point on one ray: what Gauss-Newton would eliminate at once is put off until there is a damping."""
+    request.getfixturevalue("tiles")
+    problem = compile_problem(with_options(grid(1, 2, 900), eop_set=2))
+    o = problem.observations
+    tie = next(int(j) for j in np.flatnonzero(problem.active & ~problem.observed))
+    keep = (o.point != tie) | (np.arange(len(o)) == int(np.flatnonzero(o.point == tie)[0]))
+    lonely = replace(problem, observations=o.take(keep), records=problem.records[keep])
+    system = SchurBackend(lonely).linearise(lonely.start)
+    assert system.error > 0.0
+    with pytest.raises(Singular):
+        system.solve(0.0)
+    assert np.isfinite(system.solve(1.0).length)
 
 
 def mixed_size() -> Block:
