@@ -237,7 +237,8 @@ def _local(workers: int) -> Iterator[Any]:
         tempfile.TemporaryDirectory(prefix="fg-orient-", ignore_cleanup_errors=True) as scratch,
         dask.config.set({"distributed.scheduler.work-stealing": False}),
         distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0, env=one,
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False}, memory_limit=0, env=one,
             silence_logs=logging.CRITICAL, local_directory=scratch,
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,

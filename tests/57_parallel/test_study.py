@@ -13,6 +13,7 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.block import Block
+from fg_orient.comparison.model import Comparison
 from fg_orient.experiments.claims import Claim, Outcome, outcome, run_claims
 from fg_orient.parallel.study import dumps, loads, study
 
@@ -87,19 +88,35 @@ def test_claims_are_shared_by_seed() -> None:
     assert found.reason == "even: not in 2 of 4" and told == [(k, 4) for k in range(1, 5)]
 
 
+def assert_same_comparison(a: Comparison, b: Comparison) -> None:
+    """All but the times."""
+    np.testing.assert_equal(without_times(a.rows), without_times(b.rows))
+    for x, y in zip(a.spectra, b.spectra, strict=True):
+        np.testing.assert_array_equal(x.values, y.values)
+
+
 def without_times(rows: Any) -> list[dict[str, Any]]:
     return [{k: v for k, v in row.as_dict().items() if k != "seconds"} for row in rows]
 
 
-def test_workers_share_a_study_and_a_comparison(client: Any, small: Block, tmp_path: Path) -> None:
-    task = partial(operator.mul, 3)
-    assert study(task, [5, 1, 4], cluster=client) == [15, 3, 12]
-    given: dict[str, Any] = {"eop_sets": [1, 15], "solvers": "qr", "backends": "dense,graph"}
-    alone, shared = fg.compare(small, **given), fg.compare(small, **given, cluster=client, folder=tmp_path)
-    np.testing.assert_equal(without_times(shared.rows), without_times(alone.rows))
-    for a, b in zip(alone.spectra, shared.spectra, strict=True):
-        np.testing.assert_array_equal(a.values, b.values)
+def test_workers_share_a_study(client: Any) -> None:
+    assert study(partial(operator.mul, 3), [5, 1, 4], cluster=client) == [15, 3, 12]
+
+
+def test_a_comparison_keeps_its_sets(small: Block, tmp_path: Path) -> None:
+    """The same rows as without; a second run takes them, a comparison of another kind does not."""
+    given: dict[str, Any] = {"eop_sets": [1, 15], "solvers": "qr", "backends": "dense"}
+    alone, shared = fg.compare(small, **given), fg.compare(small, **given, folder=tmp_path)
+    assert_same_comparison(shared, alone)
     told: list[tuple[int, int, str]] = []
     kept = fg.compare(small, **given, folder=tmp_path, callback=lambda *step: told.append(step))
     assert [row.seconds for row in kept.rows] == [row.seconds for row in shared.rows]
-    assert [step[:2] for step in told] == [(2, 4), (4, 4)]
+    assert [step[:2] for step in told] == [(1, 2), (2, 2)]
+    fg.compare(small, **{**given, "eop_sets": [1]}, look_polynomial=0, folder=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.slow
+def test_workers_share_a_comparison(client: Any, small: Block) -> None:
+    given: dict[str, Any] = {"eop_sets": [1, 15], "solvers": "qr", "backends": "dense,graph"}
+    assert_same_comparison(fg.compare(small, **given, cluster=client), fg.compare(small, **given))

@@ -1,0 +1,78 @@
+"""``adjust`` in parts and ``compare`` with workers, from the command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
+from tests.support.command import in_process as run
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Project file of the twin; not to be changed."""
+    folder = tmp_path_factory.mktemp("twin") / "zonguldak"
+    simulate_zonguldak(folder, ZonguldakOptions())
+    return folder / "project.toml"
+
+
+def table(path: Path, name: str) -> list[dict[str, str]]:
+    """Rows of a table of a folder."""
+    with (path / name).open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_adjust_in_parts_writes_the_same_result(project: Path, tmp_path: Path) -> None:
+    records = []
+    for name, words in (("whole", ("--backend", "schur")), ("parts", ("--parts", 3, "--work-dir", tmp_path))):
+        ended = run("adjust", project, "--out", tmp_path / name, "--json", *words)
+        assert ended.code == 0, ended.stderr
+        records.append(ended.json)
+    assert records[1]["backend"] == "schur"
+    assert records[1]["sigma0"] == pytest.approx(records[0]["sigma0"], rel=1e-10)
+    assert records[1]["accuracy"]["check"]["rmse_up_m"] == pytest.approx(records[0]["accuracy"]["check"]["rmse_up_m"])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["parts", "whole"]
+
+
+@pytest.mark.slow
+def test_adjust_on_a_scheduler(project: Path, client: Any, tmp_path: Path) -> None:
+    bits = []
+    for words in (("--workers", 1), ("--scheduler", client.scheduler.address)):
+        ended = run("adjust", project, "--out", tmp_path / words[0].strip("-"), "--json", "--parts", 4, *words)
+        assert ended.code == 0, ended.stderr
+        bits.append((tmp_path / words[0].strip("-") / "points.csv").read_bytes())
+    assert bits[0] == bits[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "place"),
+    [
+        (("--parts", 1000), "parallel.parts", "--parts"),
+        (("--scheduler", "nonsense"), "parallel.unreachable", "--scheduler"),
+    ],
+)
+def test_adjust_names_what_is_wrong(project: Path, tmp_path: Path, words: Any, code: str, place: str) -> None:
+    ended = run("adjust", project, "--out", tmp_path / "out", "--json", *words)
+    (problem,) = ended.json["errors"]
+    assert (ended.code, problem["code"], problem["place"]) == (2, code, place)
+
+
+@pytest.mark.slow
+def test_compare_shares_the_sets(project: Path, client: Any, tmp_path: Path) -> None:
+    words = ("--eop-sets", "1,9", "--solvers", "qr", "--backends", "dense,graph", "--json")
+    for name, more in (("alone", ()), ("shared", ("--scheduler", client.scheduler.address))):
+        ended = run("compare", project, "--out", tmp_path / name, *words, *more)
+        assert ended.code == 0, ended.stderr
+    alone, shared = (
+        [{k: v for k, v in row.items() if k != "seconds"} for row in table(tmp_path / name, "compare.csv")]
+        for name in ("alone", "shared")
+    )
+    assert alone == shared
+    assert len(alone) == 4
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["alone", "shared"]
+    assert json.loads((tmp_path / "shared" / "result.json").read_text("utf-8"))["eop_sets"] == [1, 9]
