@@ -94,7 +94,7 @@ def draw(results: dict[str, Any], mark: str, path: Path) -> None:
 
     s = Summary(results)
     mpl.rcParams |= {"svg.hashsalt": mark, "svg.fonttype": "none"}
-    figure, axes = plt.subplots(figsize=(7.0, 4.5), layout="constrained")
+    figure, axes = plt.subplots(figsize=(9.0, 4.5), layout="constrained")
     sizes = s.sizes("spot")
     names = dict.fromkeys(name for size in sizes for name in s.solvers("spot", size))
     for name in names:
@@ -117,7 +117,7 @@ def draw(results: dict[str, Any], mark: str, path: Path) -> None:
     axes.plot([n for n, _ in bounds], [b / n * 1e6 for n, b in bounds if b], "k:", label="hardware bound, 2 threads")
     axes.set(xscale="log", yscale="log", xlabel="image points", ylabel="µs per image point and iteration")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small")
+    figure.legend(loc="outside right upper", fontsize="small")
     figure.savefig(path, metadata={"Date": None, "Description": f"results {mark}"})
     plt.close(figure)
 
