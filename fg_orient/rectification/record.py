@@ -47,7 +47,7 @@ def record_of(
         "redundancy": fit.redundancy, "weighted": bool((fit.points.sigma != 1.0).any()),
         "m0": fit.m0, "rmse": _named(axes, fit.rmse), "check_rmse": _named(axes, found.check_rmse),
         "condition": fit.condition, "iterations": len(fit.log),
-        "coefficients": _coefficients(found), "points": _rows(found, tests),
+        "coefficients": _coefficients(found), "cofactors": fit.cofactors, "points": _rows(found, tests),
         "pruning": None if pruning is None else {"dropped": list(pruning.dropped), "rmse": list(pruning.history)},
         "pair_distances": None if distances is None else {
             "standard_deviation_m": distances.standard_deviation, "mean_m": distances.mean,

@@ -57,6 +57,14 @@ def test_rpc_bundle(repository: Path) -> None:
     assert out.count("shifted together") == 3
 
 
+def test_rectify_by_points(repository: Path) -> None:
+    out = run(repository, "rectify_by_points.py")
+    assert "suspected: 12\n" in out
+    m0 = [float(v) for v in re.findall(r"m0 (\S+) m", out)]
+    assert len(m0) == 3 and all(10.0 < v < 22.0 for v in m0)
+    assert out.count("1:100000 passed") == 2
+
+
 @pytest.mark.real_data
 @pytest.mark.parametrize(
     "name", ["geocosicorr3d/SPOT5.DIM", "geocosicorr3d/SPOT6.XML", "geoetrim-pleiades/DIM_PHR1A_derived_img1.XML"]
