@@ -17,6 +17,8 @@ MARGIN: Final = 28.0
 FOOT: Final = 66.0
 #: Length of a large residual (90 % quantile) as a share of the width.
 SHARE: Final = 0.07
+#: Room left for the longest residual, at most, as a share of the width.
+MOST: Final = 0.2
 #: More points than this are thinned.
 MAX_POINTS: Final = 3000
 CONTROL: Final = "#0067b0"
@@ -43,13 +45,15 @@ def residual_figure(record: dict[str, Any]) -> str:
     sign = -1.0 if "line" in (first, second) else 1.0
     at = _columns(rows, f"{across}_{unit}", f"{up}_{unit}") * np.array([1.0, sign])
     vector = _columns(rows, f"residual_{across}_{unit}", f"residual_{up}_{unit}") * np.array([1.0, sign])
-    low, size = at.min(axis=0), np.maximum(np.ptp(at, axis=0), 1e-9)
-    per_unit = min((WIDTH - 2 * MARGIN) / size[0], (WIDTH - 2 * MARGIN) / size[1])
-    height = size[1] * per_unit + 2 * MARGIN
-    place = np.column_stack([MARGIN + (at[:, 0] - low[0]) * per_unit, height - MARGIN - (at[:, 1] - low[1]) * per_unit])
     lengths = np.linalg.norm(vector, axis=1)
     large = float(np.quantile(lengths, 0.9))
     scale = WIDTH * SHARE / large if large > 0.0 else 0.0
+    margin = MARGIN + min(float(lengths.max()) * scale, MOST * WIDTH)
+    low, size = at.min(axis=0), np.maximum(np.ptp(at, axis=0), 1e-9)
+    per_unit = (WIDTH - 2 * margin) / float(size.max())
+    height = size[1] * per_unit + 2 * margin
+    left = 0.5 * (WIDTH - size[0] * per_unit)
+    place = np.column_stack([left + (at[:, 0] - low[0]) * per_unit, height - margin - (at[:, 1] - low[1]) * per_unit])
     parts = [_point(row, p, v * scale * np.array([1.0, -1.0])) for row, p, v in zip(rows, place, vector, strict=True)]
     parts.append(_foot(height, per_unit, scale, unit))
     return (
