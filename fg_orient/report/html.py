@@ -79,7 +79,11 @@ def verdict(record: dict[str, Any]) -> dict[str, str]:
     if sigma0 is None:
         return {"kind": "warn", "title": "Converged, unchecked", "text": "Without redundancy nothing was checked."}
     fit = "The observations fit the model within their standard deviations."
-    if low is not None and sigma0 < low:
+    robust = record.get("robust")  # results of earlier versions have none
+    if robust is not None:
+        down, n = robust["n_image_points_below_half"], record["n_image_points"]
+        fit = f"The loss {record['loss']} has turned down {down} of {n} image points; the fit of the rest is untested."
+    elif low is not None and sigma0 < low:
         fit = "The observations fit the model better than they should; see the warnings."
     return {"kind": "warn" if record["warnings"] else "good", "title": "Converged", "text": fit}
 

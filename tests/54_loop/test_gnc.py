@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -14,6 +17,8 @@ from fg_orient.adjustment.robust import FLOOR, weighted_problem
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.errors import InputError
 from fg_orient.quality.verdict import DOWN
+from fg_orient.run import run_project
+from fg_orient.simulate.block import BlockOptions, simulate_block
 
 from .conftest import clean_block, spoiled_block, with_options
 
@@ -160,3 +165,33 @@ def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
             assert np.abs(solution.cofactors.image(k) - expected).max() <= 1e-7 * np.abs(expected).max()
         expected = inverse[columns.point(turned_down), columns.point(turned_down)]
         assert np.abs(solution.cofactors.point(turned_down) - expected).max() <= 1e-7 * np.abs(expected).max()
+
+
+def test_result_folder_under_a_loss(tmp_path: Path) -> None:
+    """Weights stand in the tables, chi2 follows from them, and the report does not say that the observations fit."""
+    project = simulate_block(tmp_path / "project", BlockOptions(rows=1, columns=2, points=24))
+    record = run_project(project, tmp_path / "out", options={"loss": "huber", "max_iterations": 200})
+    tables = {}
+    for name in ("residuals", "points", "eop"):
+        with (tmp_path / "out" / f"{name}.csv").open(encoding="utf-8") as stream:
+            tables[name] = list(csv.DictReader(stream))
+    squares = sum(
+        float(row["weight"]) * (float(row[f"v_{axis}_px"]) / float(row[f"sigma_{axis}_px"])) ** 2
+        for row in tables["residuals"] for axis in ("line", "sample")
+    )  # fmt: skip
+    squares += sum(
+        float(row["weight"]) * (float(row[f"difference_{axis}_m"]) / float(row[f"own_sigma_{axis}_m"])) ** 2
+        for row in tables["points"] if row["role"] == "control" for axis in ("east", "north", "up")
+    )  # fmt: skip
+    squares += sum((float(row["value_per_tau"]) / float(row["prior_sigma"])) ** 2 for row in tables["eop"])
+    assert record["status"] == "converged", record["reason"]
+    assert record["chi2"] == pytest.approx(squares, rel=1e-9)
+    assert {row["sigma_scale"] for row in tables["points"]} == {"prior"}
+    assert record["sigma0_interval_99_9"] == [None, None]
+    assert record["suspicious_observations"] is None
+    assert record["robust"]["n_image_points_below_half"] == sum(float(r["weight"]) < DOWN for r in tables["residuals"])
+    assert len(record["robust"]["least"]) == record["robust"]["n_image_points_below_half"]
+    text = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert "The loss huber has turned down" in text
+    assert "not tested under a loss" in text
+    assert "fit the model within their standard deviations" not in text
