@@ -20,7 +20,7 @@ import numpy.typing as npt
 from factors.losses import Curve, losses
 from factors.losses.geman_mcclure import GEMAN_MCCLURE
 from fg_orient.adjustment.loop import STEP_TOLERANCE, Backend, Carried, LoopResult
-from fg_orient.adjustment.robust import CONTROL, IMAGE, Robust, RobustBackend, ScaledLoss, inlier_limit
+from fg_orient.adjustment.robust import CONTROL, IMAGE, Robust, RobustBackend, ScaledLoss, inlier_limit, robust_of
 from fg_orient.block import Options
 
 Array = npt.NDArray[np.float64]
@@ -89,6 +89,18 @@ class TruncatedLeastSquares:
 
 #: Losses that can be approached.
 SCHEDULES: Final[dict[str, Schedule]] = {"tls": TruncatedLeastSquares(), "geman_mcclure": GemanMcClure()}
+
+
+class Plan(Protocol):
+    """Stages on the way to a loss, from PLAIN to EXACT."""
+
+    def robust(self, mu: float) -> Robust:
+        """Losses of a stage."""
+        ...
+
+    def following(self, mu: float, squares: tuple[Array, Array]) -> float:
+        """Stage after the one that ended with these squared norms of image points and control points."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -161,6 +173,33 @@ def _truncated_cost(mu: float, u: Array) -> Array:
     return np.asarray(0.5 * np.where(u <= low, u**2, np.where(u < high, band, 1.0)))
 
 
+@dataclass(frozen=True)
+class Direct:
+    """A loss straight after plain least squares: metadata are off by many sigmas, where bounded losses see nothing."""
+
+    loss: Robust
+
+    def robust(self, mu: float) -> Robust:
+        """See :class:`Plan`."""
+        if mu == EXACT:
+            return self.loss
+        return Robust(
+            *(ScaledLoss(np.ones_like, _half_square, s.constant) for s in (self.loss.image, self.loss.control))
+        )
+
+    def following(self, mu: float, squares: tuple[Array, Array]) -> float:
+        """See :class:`Plan`."""
+        return EXACT
+
+
+def plan_of(options: Options) -> Plan | None:
+    """How the loss of the options is approached; None for least squares."""
+    if options.gnc:
+        return Graduated.of(options)
+    loss = robust_of(options)
+    return None if loss is None else Direct(loss)
+
+
 def _half_square(u: Array) -> Array:
     return np.asarray(0.5 * u**2)
 
@@ -182,7 +221,7 @@ class GraduatedBackend(Backend[S], RobustBackend[S], Protocol[S]):
 def graduate(
     backend: GraduatedBackend[S],
     optimise: Callable[[Carried[S], int, float], LoopResult[S]],
-    plan: Graduated,
+    plan: Plan,
     carried: Carried[S],
     max_iterations: int,
     keep: Callable[[Carried[S]], None],

@@ -74,7 +74,7 @@ class IterationRecord:
 
     ``step`` is the largest scaled element; ``chi2`` and ``chi2_after`` are weighted sums of squares (under a loss
     twice the cost); ``ratio`` is actual over predicted decrease (nan where the predicted decrease is rounding: such a
-    step is taken); ``mu`` is the stage of graduated non-convexity (nan without).
+    step is taken); ``mu`` is the stage under a loss (nan without).
     """
 
     iteration: int

@@ -14,7 +14,7 @@ import numpy as np
 
 from factors._contract import NotFiniteError
 from fg_orient.adjustment.checkpoint import Checkpoint
-from fg_orient.adjustment.gnc import PLAIN, SCHEDULES, Graduated, graduate
+from fg_orient.adjustment.gnc import PLAIN, SCHEDULES, graduate, plan_of
 from fg_orient.adjustment.loop import (
     OPTIMIZERS,
     ROUNDING_STEP,
@@ -27,7 +27,7 @@ from fg_orient.adjustment.loop import (
     LoopResult,
 )
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import NONE, Robust, Weights, find_loss, robust_of, weights_at
+from fg_orient.adjustment.robust import NONE, Robust, Weights, find_loss, weights_at
 from fg_orient.block import Options
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.linear.threads import one_blas_thread
@@ -190,7 +190,7 @@ class _Job:
 
     def __init__(self, problem: Problem, callback: Callback | None, checkpoint: Checkpoint | None) -> None:
         self.problem, self.options = problem, problem.block.options
-        self._callback, self._checkpoint = callback, checkpoint
+        self._callback, self._checkpoint, self._plan = callback, checkpoint, plan_of(self.options)
         found = None if checkpoint is None else checkpoint.read(problem)
         self.backend = chosen_backend(problem) if found is None else found[0]
         self._found = None if found is None else found[1]
@@ -198,7 +198,7 @@ class _Job:
 
     def robust(self) -> Robust | None:
         """Losses of the first iteration; None for least squares."""
-        return Graduated.of(self.options).robust(PLAIN) if self.options.gnc else robust_of(self.options)
+        return None if self._plan is None else self._plan.robust(PLAIN)
 
     def start_again(self, backend: str) -> None:
         """Begin from the start with another backend."""
@@ -227,10 +227,10 @@ class _Job:
             )  # fmt: skip
 
         backend.robust = self.robust()
-        if not options.gnc:
+        if self._plan is None:
             return run(carried, options.max_iterations, STEP_TOLERANCE)
         first = replace(carried, mu=PLAIN) if math.isnan(carried.mu) else carried
-        return graduate(backend, run, Graduated.of(options), first, options.max_iterations, keep)
+        return graduate(backend, run, self._plan, first, options.max_iterations, keep)
 
     def estimate(self, backend: Any, result: LoopResult[S], state: State, linear: Any, solver: str = "") -> Estimate:
         """End of the optimisation; ``linear`` is the undamped linearisation at the state."""

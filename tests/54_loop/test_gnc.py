@@ -170,7 +170,7 @@ def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
 def test_result_folder_under_a_loss(tmp_path: Path) -> None:
     """Weights stand in the tables, chi2 follows from them, and the report does not say that the observations fit."""
     project = simulate_block(tmp_path / "project", BlockOptions(rows=1, columns=2, points=24))
-    record = run_project(project, tmp_path / "out", options={"loss": "huber", "max_iterations": 200})
+    record = run_project(project, tmp_path / "out", options={"loss": "welsch", "max_iterations": 200})
     tables = {}
     for name in ("residuals", "points", "eop"):
         with (tmp_path / "out" / f"{name}.csv").open(encoding="utf-8") as stream:
@@ -192,6 +192,6 @@ def test_result_folder_under_a_loss(tmp_path: Path) -> None:
     assert record["robust"]["n_image_points_below_half"] == sum(float(r["weight"]) < DOWN for r in tables["residuals"])
     assert len(record["robust"]["least"]) == record["robust"]["n_image_points_below_half"]
     text = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "The loss huber has turned down" in text
+    assert "The loss welsch has turned down" in text
     assert "not tested under a loss" in text
     assert "fit the model within their standard deviations" not in text
