@@ -16,6 +16,7 @@ from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.robust import Weights
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.names import Status
+from fg_orient.quality import conditioning
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 
@@ -122,6 +123,7 @@ def warnings(
             f"{east:+.1f}, {north:+.1f}, {up:+.1f} m {', '.join(problem.axis_names)}. No figure of it is an accuracy; "
             "if it moved farther than the vendor's own location error, give that error as prior sigma"
         )
+    out += conditioning.sentences(problem, estimate)
     dead = sum(o.rank_defect for o in observability)
     if dead:
         out.append(f"{dead} direction(s) of the orientation are not observable and are held by their priors alone")

@@ -25,6 +25,7 @@ from fg_orient.adjustment.schur_structure import Workers
 from fg_orient.adjustment.solve import chosen_backend, solve
 from fg_orient.block import Block, ExtraObservation, Image, ImagePoints
 from fg_orient.names import Role
+from fg_orient.quality import conditioning
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.rpc_block import rpc_twin, twin_with_models
@@ -499,6 +500,30 @@ def test_covariance_of_an_ill_conditioned_system_is_withheld(monkeypatch: pytest
     monkeypatch.setattr("fg_orient.adjustment.schur_reduced.CONDITION_LIMIT", 1.0)
     with pytest.raises(Indeterminate, match="condition"):
         cofactors_of(problem, estimate)
+
+
+def test_an_ill_conditioned_system_is_reported_by_all_backends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The condition is that of numpy's reduced system; above the limit each backend warns with the same sentence."""
+    block = grid(2, 2, 60)
+    problem = compile_problem(with_options(block, eop_set=15))
+    estimates = [
+        solve(compile_problem(with_options(block, eop_set=15, backend=b))) for b in ("schur", "graph", "dense")
+    ]
+    _, design = assemble(problem, estimates[0].state)
+    normal, u = design.T @ design, problem.n_image_unknowns
+    reduced = normal[:u, :u] - normal[:u, u:] @ np.linalg.solve(normal[u:, u:], normal[u:, :u])
+    expected = np.linalg.cond(reduced / np.sqrt(np.outer(np.diag(reduced), np.diag(reduced))), 1)
+    for estimate in estimates:
+        found = conditioning.condition(problem, estimate)
+        assert found is not None
+        assert 0.3 * expected <= found <= 1.001 * expected
+        assert not conditioning.sentences(problem, estimate)
+    monkeypatch.setattr(conditioning, "ILL_CONDITIONED", 0.2 * expected)
+    said = {fg.adjust(block, eop_set=15, backend=name).warnings[0] for name in ("schur", "graph", "dense")}
+    assert len(said) == 1
+    assert "ill-conditioned" in said.pop()
+    hidden = compile_problem(with_options(block, eop_set=20, priors=False))
+    assert (conditioning.condition(hidden, replace(estimates[1], state=hidden.start)) or 0.0) > 1e13
 
 
 def test_a_point_on_one_ray_is_named() -> None:

@@ -1,0 +1,64 @@
+"""Condition of the normal equations at the solution, the same measure whichever backend solved."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.solve import Estimate
+from fg_orient.linear.threads import one_blas_thread
+
+#: Beyond this condition solutions of different solvers agree to 5 or 6 digits only (eps times condition is 2e-6).
+ILL_CONDITIONED: Final = 1e10
+#: Image points up to which the points are eliminated once more for a solution of the graph or the dense backend.
+ELIMINATED_AGAIN: Final = 20_000
+
+
+def condition(problem: Problem, estimate: Estimate) -> float | None:
+    """Condition (1-norm) of the reduced normal equations of the images, scaled to a unit diagonal.
+
+    Ground points are eliminated in compiled kernels, whatever backend solved. None where they do not apply: own
+    observations, a free datum, parts, a loss without the Schur backend, systems that are left to GTSAM. Infinite for a
+    singular system.
+    """
+    from fg_orient.adjustment.dense import DenseSystem
+    from fg_orient.adjustment.schur import SchurBackend, SchurSystem
+    from fg_orient.adjustment.schur_reduced import LapackReduced, Singular
+    from fg_orient.adjustment.schur_structure import reason_against
+
+    linear = estimate.linear
+    if problem.least_damping > 0.0:
+        return None
+    if not isinstance(linear, SchurSystem):
+        small = len(problem.observations) <= ELIMINATED_AGAIN and (isinstance(linear, DenseSystem) or _is_graph(linear))
+        if not small or estimate.weights is not None or reason_against(problem):
+            return None
+        linear = SchurBackend(problem, threads=1).linearise(estimate.state)
+    try:
+        with one_blas_thread():
+            reduced = linear.reduced(0.0)
+            return reduced.condition() if isinstance(reduced, LapackReduced) else None
+    except Singular:
+        return float("inf")
+
+
+def _is_graph(linear: object) -> bool:
+    from fg_orient.adjustment.graph import GraphSystem
+
+    return isinstance(linear, GraphSystem)
+
+
+def sentences(problem: Problem, estimate: Estimate) -> list[str]:
+    """Say that the normal equations are ill-conditioned, and what that means; nothing if they are not."""
+    found = condition(problem, estimate)
+    if found is None or found <= ILL_CONDITIONED:
+        return []
+    if not np.isfinite(found):
+        return ["the normal equations are ill-conditioned: to working precision they are singular"]
+    digits = max(0, int(-np.log10(np.finfo(float).eps * found)))
+    return [
+        f"the normal equations are ill-conditioned (condition {found:.0e} with scaled unknowns, the limit is "
+        f"{ILL_CONDITIONED:.0e}): solvers agree to about {digits} digits of the image unknowns only"
+    ]
