@@ -7,7 +7,6 @@ neither the number of workers nor the order in which they are ready changes the 
 from __future__ import annotations
 
 import logging
-import operator
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -80,6 +79,32 @@ class Pool(Protocol):
         ...
 
 
+def summed(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+    """Sum of a task over arguments, in a binary tree."""
+    if len(arguments) == 1:
+        return task(*arguments[0])
+    half = len(arguments) // 2
+    return summed(task, arguments[:half]) + summed(task, arguments[half:])
+
+
+def branches(arguments: Sequence[tuple[Any, ...]], depth: int) -> Iterator[Sequence[tuple[Any, ...]]]:
+    """Arguments of the branches of this tree at a depth, in order; a branch of one is not divided."""
+    if depth == 0 or len(arguments) == 1:
+        yield arguments
+        return
+    half = len(arguments) // 2
+    yield from branches(arguments[:half], depth - 1)
+    yield from branches(arguments[half:], depth - 1)
+
+
+def _top(sums: Iterator[Any], count: int, depth: int) -> Any:
+    """Sum of the branches at a depth, as :func:`summed` adds them."""
+    if depth == 0 or count == 1:
+        return next(sums)
+    left = _top(sums, count // 2, depth - 1)
+    return left + _top(sums, count - count // 2, depth - 1)
+
+
 class InProcess:
     """One task after another, in this process."""
 
@@ -87,10 +112,7 @@ class InProcess:
 
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
         """See :class:`Pool`."""
-        if len(arguments) == 1:
-            return task(*arguments[0])
-        half = len(arguments) // 2
-        return self.total(task, arguments[:half]) + self.total(task, arguments[half:])
+        return summed(task, arguments)
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
         """See :class:`Pool`."""
@@ -128,15 +150,8 @@ class Cluster:
             for home, argument in zip(homes, arguments, strict=True)
         ]
 
-    def _summed(self, futures: list[Any]) -> Any:
-        if len(futures) == 1:
-            return futures[0]
-        half = len(futures) // 2
-        left, right = self._summed(futures[:half]), self._summed(futures[half:])
-        return self.client.submit(operator.add, left, right, pure=False)
-
     def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-        """See :class:`Pool`.
+        """See :class:`Pool`; branches of the tree are summed where they were computed, its top here.
 
         Raises
         ------
@@ -144,7 +159,13 @@ class Cluster:
             Workers die again and again, or the scheduler is gone.
         """
         with _failures():
-            return self._summed(self._submit(task, arguments)).result()
+            workers = max(len(self.workers()), 1)
+            depth, found = 0, list(branches(arguments, 0))
+            while len(found) < min(4 * workers, len(arguments)) and (len(found) < workers or len(found) % workers):
+                depth += 1
+                found = list(branches(arguments, depth))
+            sums = self.client.gather(self._submit(summed, [(task, branch) for branch in found]))
+            return _top(iter(sums), len(arguments), depth)
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
         """See :class:`Pool`; raises as :meth:`total`."""

@@ -20,7 +20,7 @@ from fg_orient.block import Block
 from fg_orient.parallel import pool as pool_module
 from fg_orient.parallel.backend import PartedBackend
 from fg_orient.parallel.parts import read_part
-from fg_orient.parallel.pool import Cluster, Execution, InProcess, Pool, opened, work_folder
+from fg_orient.parallel.pool import Cluster, Execution, InProcess, Pool, branches, opened, summed, work_folder
 from fg_orient.parallel.tasks import forget
 from fg_orient.simulate.block import BlockOptions, grid_block
 
@@ -86,6 +86,23 @@ def test_the_bits_do_not_depend_on_the_number_of_workers(
     problem: Problem, client: Any, alone: State, count: int
 ) -> None:
     assert_same_bits(run(problem, Few(client, count)), alone)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 8])
+def test_branches_are_those_of_the_tree(count: int) -> None:
+    """Words show the order of the sum; whatever the depth, the top adds the branches as the whole tree does."""
+    arguments = [(k,) for k in range(count)]
+
+    class Word(str):
+        def __add__(self, other: str) -> Word:
+            return Word(f"({self}{other})")
+
+    whole = summed(lambda k: Word(k), arguments)
+    for depth in range(5):
+        found = list(branches(arguments, depth))
+        assert [a for branch in found for a in branch] == arguments
+        sums = iter([summed(lambda k: Word(k), branch) for branch in found])
+        assert pool_module._top(sums, count, depth) == whole
 
 
 def test_four_workers_agree_with_one_piece(small: Block, problem: Problem, client: Any) -> None:
