@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
-import gtsam
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
@@ -19,6 +18,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from factors.batch_matrix import fill_diagonal, fill_lower
+
+if TYPE_CHECKING:
+    import gtsam
 
 Array = npt.NDArray[np.float64]
 Bounds = npt.NDArray[np.intp]
@@ -230,6 +232,8 @@ class GraphReduced:
     def __init__(
         self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, ordering: gtsam.Ordering
     ) -> None:
+        import gtsam
+
         self._first, self._ordering = first, ordering
         self._off, self._own = gtsam.GaussianFactorGraph(), []
         size = pattern.size.tolist()
@@ -247,6 +251,8 @@ class GraphReduced:
         self._marginals: gtsam.Marginals | None = None
 
     def _graph(self, gradient: Array) -> gtsam.GaussianFactorGraph:
+        import gtsam
+
         graph = gtsam.GaussianFactorGraph()
         for i, block in enumerate(self._own):
             graph.add(gtsam.HessianFactor(i, block, -gradient[self._first[i] : self._first[i + 1]], 0.0))
@@ -259,6 +265,8 @@ class GraphReduced:
 
     def covariance(self, images: tuple[int, ...]) -> Array:
         """See :class:`Reduced`."""
+        import gtsam
+
         if self._marginals is None:
             zero = gtsam.VectorValues()
             for i, block in enumerate(self._own):
@@ -272,6 +280,8 @@ class GraphReduced:
 
 def elimination_order(pattern: Pattern) -> gtsam.Ordering:
     """COLAMD order of the images by the pattern of the blocks."""
+    import gtsam
+
     graph, one = gtsam.GaussianFactorGraph(), np.eye(1)
     for i in range(len(pattern.size)):
         graph.add(gtsam.HessianFactor(i, one, np.zeros(1), 0.0))

@@ -23,7 +23,6 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
     observations, a free datum, parts, a loss without the Schur backend, systems that are left to GTSAM. Infinite for a
     singular system.
     """
-    from fg_orient.adjustment.dense import DenseSystem
     from fg_orient.adjustment.schur import SchurBackend, SchurSystem
     from fg_orient.adjustment.schur_reduced import LapackReduced, Singular
     from fg_orient.adjustment.schur_structure import reason_against
@@ -32,7 +31,7 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
     if problem.least_damping > 0.0:
         return None
     if not isinstance(linear, SchurSystem):
-        small = len(problem.observations) <= ELIMINATED_AGAIN and (isinstance(linear, DenseSystem) or _is_graph(linear))
+        small = len(problem.observations) <= ELIMINATED_AGAIN and estimate.backend in ("graph", "dense")
         if not small or estimate.weights is not None or reason_against(problem):
             return None
         linear = SchurBackend(problem, threads=1).linearise(estimate.state)
@@ -42,12 +41,6 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
             return reduced.condition() if isinstance(reduced, LapackReduced) else None
     except Singular:
         return float("inf")
-
-
-def _is_graph(linear: object) -> bool:
-    from fg_orient.adjustment.graph import GraphSystem
-
-    return isinstance(linear, GraphSystem)
 
 
 def sentences(problem: Problem, estimate: Estimate) -> list[str]:
