@@ -120,6 +120,19 @@ def test_refusals() -> None:
         with_options(block, inlier_probability=1.0)
 
 
+@pytest.mark.parametrize("loss", ["geman_mcclure", "welsch", "tukey", "tls"])
+def test_bounded_losses_start_from_least_squares(loss: str) -> None:
+    """At the metadata most residuals lie beyond c: without the plain stage they would have no weight."""
+    block = clean_block(2, 2, 40)
+    found, plain = adjusted(block, loss=loss, gnc=False), adjusted(block, loss="none", gnc=False)
+    assert found.weights is not None
+    assert np.count_nonzero(found.weights.image < DOWN) <= 0.05 * len(block.observations)
+    assert np.abs(found.state.image - plain.state.image).max() <= 0.5
+    problem = compile_problem(block)
+    residual, _, _ = problem.image_residuals(problem.start)
+    assert np.median(np.linalg.norm(residual, axis=1)) > 10.0
+
+
 def test_solution_says_what_its_figures_are() -> None:
     block, bad = spoiled_block((5.0, 30.0))
     solution = fg.adjust(block, loss="tls", gnc=True)
