@@ -25,7 +25,7 @@ from fg_orient.adjustment.point_cofactors import blocks_of_images
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.rows import image_rows, rows_by_image
-from fg_orient.adjustment.solve import Estimate, solve
+from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.errors import RankDeficientError, problem
 from fg_orient.linear.threads import one_blas_thread
@@ -126,7 +126,8 @@ def adjust(
         "loss": loss, "gnc": gnc, "inlier_probability": inlier_probability,
     }  # fmt: skip
     block = replace(block, options=replace(block.options, **{k: v for k, v in given.items() if v is not None}))
-    memory = require_memory(block, parts or 1)
+    require_possible(block.options)
+    memory = require_memory(block, elsewhere=cluster is not None)
     jit_s = compile_kernels()
     start = time.perf_counter()
     tell = stage or (lambda name, count: None)

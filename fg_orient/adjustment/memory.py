@@ -62,15 +62,15 @@ class Need:
         )  # fmt: skip
 
 
-def need_of(block: Block, parts: int = 1) -> Need:
+def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     """Estimate what the adjustment of a block needs beside the block itself.
 
     Parameters
     ----------
     block : Block
         With the options of the run.
-    parts : int
-        Parts that the points are adjusted in; the backend holds one at a time.
+    elsewhere : bool
+        Other machines eliminate the ground points: their arrays are not held here.
 
     Raises
     ------
@@ -86,23 +86,24 @@ def need_of(block: Block, parts: int = 1) -> Need:
     if backend == "auto":
         free = options.priors or options.datum == "free"
         backend = "schur" if n >= SCHUR_FROM and free and not block.extra else "graph"
-    working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes), max(parts, 1))
+    working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
+    working -= n * SCHUR if backend == "schur" and elsewhere else 0
     return Need(backend, int(common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
 
 
-def _schur(block: Block, n: int, u: int, widest: int, parts: int) -> float:
+def _schur(block: Block, n: int, u: int, widest: int) -> float:
     """Working set, reduced matrix with factor and inverse, blocks of pairs of images."""
     images = len(block.images)
     whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0
-    return n * SCHUR / parts + whole + 2 * 8 * widest**2 * images * (images + 1) / 2
+    return n * SCHUR + whole + 2 * 8 * widest**2 * images * (images + 1) / 2
 
 
-def _graph(block: Block, n: int, u: int, widest: int, parts: int) -> float:
+def _graph(block: Block, n: int, u: int, widest: int) -> float:
     """All that GTSAM holds; joint cofactors of the images."""
     return n * GRAPH + 2 * 8 * u**2
 
 
-def _dense(block: Block, n: int, u: int, widest: int, parts: int) -> float:
+def _dense(block: Block, n: int, u: int, widest: int) -> float:
     """Jacobian, its scaled copy and its factorisation; cofactors."""
     points = block.points
     fixed = int(points.known.fixed.sum())
@@ -111,7 +112,7 @@ def _dense(block: Block, n: int, u: int, widest: int, parts: int) -> float:
     return 8 * (3 * rows * unknowns + 2 * unknowns**2)
 
 
-def require_memory(block: Block, parts: int = 1) -> Need:
+def require_memory(block: Block, *, elsewhere: bool = False) -> Need:
     """Give the need of a block, if the run may take it.
 
     Raises
@@ -119,7 +120,7 @@ def require_memory(block: Block, parts: int = 1) -> Need:
     InputError
         It is above the limit.
     """
-    need = need_of(block, parts)
+    need = need_of(block, elsewhere=elsewhere)
     if not need.fits:
         raise InputError(need.problem(block.name))
     return need

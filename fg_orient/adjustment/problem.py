@@ -117,15 +117,19 @@ class Problem:
 
     def image_vector(self, state: State) -> Array:
         """Unknowns of all images, one after the other."""
-        return np.concatenate([self.unknowns(state, k) for k in range(self.n_images)])
+        return np.asarray(state.image[self._exists])
 
     def image_matrix(self, vector: Array) -> Array:
         """Make the matrix ``State.image`` of unknowns of all images, one after the other."""
-        out = np.zeros((self.n_images, int(np.diff(self.first).max())))
-        for k in range(self.n_images):
-            part = vector[self.first[k] : self.first[k + 1]]
-            out[k, : len(part)] = part
+        out = np.zeros(self._exists.shape)
+        out[self._exists] = vector
         return out
+
+    @cached_property
+    def _exists(self) -> npt.NDArray[np.bool_]:
+        """Elements (M, k) of ``State.image`` that are unknowns."""
+        size = np.diff(self.first)
+        return np.asarray(np.arange(size.max()) < size[:, None])
 
     @property
     def least_damping(self) -> float:

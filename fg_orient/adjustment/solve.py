@@ -118,7 +118,7 @@ def solve(
     KeyboardInterrupt
         Its text says whether a checkpoint was written.
     """
-    _judge(problem.block.options)
+    require_possible(problem.block.options)
     try:
         with _garbage_collection_off():
             return _run(_Job(problem, callback, checkpoint), schur)
@@ -148,8 +148,14 @@ def chosen_backend(problem: Problem) -> str:
     return "schur" if large and possible else "graph"
 
 
-def _judge(options: Options) -> None:
-    """Refuse names that do not exist and choices that do not go together."""
+def require_possible(options: Options) -> None:
+    """Refuse names that do not exist and choices that do not go together.
+
+    Raises
+    ------
+    InputError
+        See :func:`solve`.
+    """
     if options.backend not in BACKENDS:
         raise InputError.of("adjust.backend", place="backend", value=options.backend, known=", ".join(BACKENDS))
     own = options.backend in ("dense", "schur")
