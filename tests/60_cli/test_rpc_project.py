@@ -186,7 +186,7 @@ def test_relative_adjustment_from_the_command_line(tmp_path: Path, run: Run) -> 
     assert "not where they lie" in html
     told = run("adjust", project, "--datum", "priors", "--overwrite").stdout
     assert "y-parallax of 47 tie points" in told
-    wrong = run("adjust", project, "--datum", "free", "--json", "--overwrite")
+    wrong = run("adjust", project, "--datum", "nowhere", "--json", "--overwrite")
     assert (wrong.code, wrong.json["errors"][0]["place"]) == (2, "--datum")
     wrong = run("adjust", project, "--rpc-compensation", "bias", "--json", "--overwrite")
     assert (wrong.code, wrong.json["errors"][0]["place"]) == (2, "--rpc-compensation")

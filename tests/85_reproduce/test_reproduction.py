@@ -20,6 +20,8 @@ from fg_orient.reproduce.reproduction import SOURCES, Row, pair, select
 
 #: Publications that are computed on the twin; the other one: tests/75_rectification.
 TWINS = tuple(name for name, source in SOURCES.items() if source.compute is not None)
+#: Verdicts of numbers that are reproduced.
+REPRODUCED = ("equal", "order")
 Computed = dict[str, dict[CellKey, npt.NDArray[np.float64]]]
 Printed = dict[str, PublishedTables]
 
@@ -85,6 +87,13 @@ def records_of(path: Path) -> tuple[list[str], list[dict[str, str]]]:
         return list(reader.fieldnames or ()), list(reader)
 
 
+def key_of(record: dict[str, str]) -> CellKey:
+    """Key of a published record."""
+    return CellKey(record["table"], record["eop_set_no"], record["stage"], record["pre_adjustment_type"],
+                   record["point_role"], record["quantity"], record["method"], record.get("parameter", ""),
+                   record.get("point_set", ""))  # fmt: skip
+
+
 def alter(path: Path, row: int) -> CellKey:
     """Move the value of one record by 40 decades, in place; give its key."""
     columns, records = records_of(path)
@@ -94,28 +103,30 @@ def alter(path: Path, row: int) -> CellKey:
         writer = csv.DictWriter(stream, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(records)
-    return CellKey(of["table"], of["eop_set_no"], of["stage"], of["pre_adjustment_type"], of["point_role"],
-                   of["quantity"], of["method"], of.get("parameter", ""), of.get("point_set", ""))  # fmt: skip
+    return key_of(of)
 
 
 @pytest.mark.parametrize("name", TWINS)
 def test_one_altered_cell_changes_one_verdict(
     name: str, printed: Printed, computed: Computed, copied: Callable[[str], Path]
 ) -> None:
+    """40 decades: the verdict of a reproduced cell falls, no other row moves; what is wild already stays so."""
     before = rows_of(name, printed[name], computed)
-    folder, rng, changed = copied(name), random.Random(5), 0
+    verdicts = {(row.table, str(row.cell)): row.verdict for row in before}
+    folder, rng = copied(name), random.Random(5)
     files = [path for path in sorted(folder.glob("table-*.csv")) if "quantity" in records_of(path)[0]]
     files = [path for path in files if "spot6" not in path.name]  # real points: test_spot6.py
-    places = [(path, row) for path in files for row in range(len(records_of(path)[1]))]
-    for path, row in rng.sample(places, 8):
+    places = [(path, row, key_of(record)) for path in files for row, record in enumerate(records_of(path)[1])]
+    good = [place for place in places if verdicts.get((place[2].table, str(place[2]))) in REPRODUCED]
+    for path, row, key in [*rng.sample(good, 5), *rng.sample(places, 3)]:
         original = path.read_bytes()
-        key = alter(path, row)
+        assert alter(path, row) == key
         after = rows_of(name, load(name, folder), computed)
         differing = [(b, a) for b, a in zip(before, after, strict=True) if repr(b) != repr(a)]
         assert [(b.table, b.cell) for b, _ in differing] == [(key.table, str(key))]
-        changed += differing[0][0].verdict != differing[0][1].verdict
+        if differing[0][0].verdict in REPRODUCED:
+            assert differing[0][1].verdict not in REPRODUCED
         path.write_bytes(original)
-    assert changed >= 5, "40 decades must change most verdicts; what is wild or broken down stays so"
 
 
 def test_as_run_shows_the_constant_residual_of_the_program(printed: Printed) -> None:
