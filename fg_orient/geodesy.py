@@ -205,6 +205,33 @@ def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) ->
     return np.where(inside, x, np.nan), np.where(inside, y, np.nan)
 
 
+def to_geographic(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Array, Array]:
+    """Transform horizontal coordinates of N points of a raster's CRS to WGS84 longitude, latitude (degrees).
+
+    The way back of :func:`from_geographic`, with its parameters and errors; nan outside the domain of the CRS.
+    """
+    first, second = np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float))
+    lon, lat = (np.asarray(a) for a in _transformer(crs, "EPSG:4326", horizontal=True).transform(first, second))
+    inside = np.isfinite(lon) & np.isfinite(lat)
+    return np.where(inside, lon, np.nan), np.where(inside, lat, np.nan)
+
+
+def same_crs(one: str, other: str) -> bool:
+    """Tell whether two CRS (WKT or EPSG codes) are the same, whatever the order of their axes.
+
+    Raises
+    ------
+    InputError
+        A CRS is unknown.
+    """
+    proj = _pyproj()
+    try:
+        first, second = proj.CRS.from_user_input(one), proj.CRS.from_user_input(other)
+    except proj.exceptions.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="crs", value=f"{one}, {other}") from None
+    return bool(first.equals(second, ignore_axis_order=True))
+
+
 def vertical_reference(crs: str) -> tuple[str, str]:
     """Name of the vertical CRS that heights given in ``crs`` refer to, and the unit of its height axis.
 

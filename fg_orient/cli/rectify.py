@@ -10,9 +10,11 @@ from typing import Annotated, Any, Literal
 import typer
 
 from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.cli.ortho import ortho
 from fg_orient.errors import InputError
 
-app = typer.Typer(help="Rectify images by points: fit a transformation, plan the points, check the accuracy of a map.")
+app = typer.Typer(help="Rectify images: by points or on a DEM; plan the points, check the accuracy of a map.")
+app.command("ortho")(ortho)
 
 Points = Annotated[
     Path,

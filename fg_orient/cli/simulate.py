@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, say
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, progress_bar, say
 from fg_orient.errors import InputError
 
 app = typer.Typer(help="Write synthetic projects in the real file formats, with the truth beside them.")
@@ -36,6 +36,13 @@ def zonguldak(
             metavar="ROLL,PITCH,YAW", help="True attitude, rad, for instance --attitude=-1.6e-4,-7.2e-4,9e-4."
         ),
     ] = "0,0,0",
+    dem: Annotated[bool, typer.Option("--dem", help="Write dem.tif, a terrain through the points.")] = False,
+    raster: Annotated[
+        bool, typer.Option("--raster", help="Render the images on this terrain (12000 x 12000, minutes); writes both.")
+    ] = False,
+    raster_window: Annotated[
+        int, typer.Option(metavar="PX", help="Render only squares of this size about the points; 0: all.")
+    ] = 0,
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("zonguldak"),
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -43,13 +50,17 @@ def zonguldak(
 ) -> None:
     """Write the Zonguldak twin: a SPOT-5 stereo pair with 47 points, and its truth."""
     with outcome(as_json, debug):
+        from fg_orient.simulate.render import RasterOptions
         from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 
         options = ZonguldakOptions(
             seed=seed, point_set=point_set, image_noise_px=image_noise, errors=errors, distortion_rad=distortion,
             radial_velocity_m_s=radial_velocity, attitude_rad=_three(attitude),
         )  # fmt: skip
-        _tell(simulate_zonguldak(out, options, overwrite=overwrite), as_json)
+        rasters = RasterOptions(raster, raster_window) if dem or raster else None
+        with progress_bar("rendering", as_json or not raster) as progress:
+            project = simulate_zonguldak(out, options, overwrite=overwrite, rasters=rasters, progress=progress)
+        _tell(project, as_json)
 
 
 @app.command("block")

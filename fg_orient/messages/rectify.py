@@ -69,4 +69,38 @@ RECTIFY: Final = {
     "rectify.projection": ("not a projection that PROJ knows", "write it as PROJ does: +proj=tmerc +lon_0=27 ..."),
     "rectify.outside": ("this point lies outside the domain of the projection", "check longitude and latitude"),
     "rectify.saved": ("not a transformation that was written here", "give transformation.json of a result folder"),
+    "ortho.no_rasterio": ("rasters need rasterio", "install the extra: pip install 'fg-orient[geo]'"),
+    "ortho.image": ("the image cannot be read", "give a raster that GDAL reads"),
+    "ortho.kind": ("values of this type cannot be resampled", "give an image of real numbers, whole or not"),
+    "ortho.size": (
+        "the image does not have the {lines} x {samples} pixels of its metadata",
+        "give image and metadata that belong together, the whole image",
+    ),
+    "ortho.no_crs": (
+        "no coordinate system of the map is known",
+        "add --crs with a projected coordinate system, for instance EPSG:32636",
+    ),
+    "ortho.other_crs": ("the transformation was fitted in {fitted}", "leave out --crs, or fit in this system"),
+    "ortho.no_heights": ("rectification through this model needs heights", "give --dem or --height"),
+    "ortho.resampling": ("no such resampling", "known: {known}"),
+    "ortho.grid": (
+        "no such map raster: sides {value} at a resolution of {resolution:g}, at most {most} pixels each",
+        "check --bounds (left bottom right top) and --resolution, both in units of the map",
+    ),
+    "ortho.no_overlap": (
+        "{what} and the image have no ground in common",
+        "check that both show the same region, and the coordinate system",
+    ),
+    "ortho.hole": (
+        "the DEM has no height inside the image (map pixel row {row}, column {column})",
+        "fill the holes of the DEM, or add --allow-holes to leave them empty",
+    ),
+    "ortho.result": (
+        "not a result folder of adjust with this image",
+        "give the folder that adjust wrote; images in it: {known}",
+    ),
+    "ortho.other_sensor": (
+        "the result was computed with another kind of model than this metadata file has",
+        "give the metadata file of the project",
+    ),
 }

@@ -72,6 +72,25 @@ class RasterDem:
             raise InputError.of("dem.vertical_unit", file=self.path, value=wrong[0])
 
     @property
+    def heights_m(self) -> Array:
+        """Heights (rows, columns), nan where there is none."""
+        return np.asarray(self._heights)
+
+    @property
+    def crs(self) -> str:
+        """Coordinate system as WKT."""
+        return str(self._crs)
+
+    def outline(self) -> tuple[Array, Array]:
+        """Longitude and latitude (degrees) of places along the border of the raster's cell centres."""
+        from fg_orient.geodesy import to_geographic
+
+        rows, columns = self._heights.shape
+        r, c = (a.ravel() for a in np.meshgrid(*(np.linspace(0.5, n - 0.5, 9) for n in (rows, columns)), indexing="ij"))
+        x, y = ~self._pixel_from_crs * (c, r)
+        return to_geographic(self._crs, x, y)
+
+    @property
     def range_m(self) -> tuple[float, float]:
         """Lowest and highest height of the raster."""
         return float(np.nanmin(self._heights)), float(np.nanmax(self._heights))

@@ -26,18 +26,22 @@ if TYPE_CHECKING:
 
     from fg_orient.simulate.simulation import Simulation, Truth
 
+    #: Writes further files of a simulation into its folder.
+    More = Callable[[Path, Simulation], None]
+
 PROJECT_FILE = "project.toml"
 #: Only a folder that a simulation wrote may be replaced: a real project has no ``truth/options.json``.
 CONTENTS: Final = Contents(
     "truth/options.json",
     (PROJECT_FILE, "points.csv", "observations.csv", "*.DIM", "truth/points.csv", "truth/eop.csv",
-     "truth/options.json"),
+     "truth/options.json", "*.tif"),
 )  # fmt: skip
 
 
 def write_simulation(
-    out: str | Path, simulation: Simulation, options: DataclassInstance, command: str, *, overwrite: bool = False
-) -> Path:
+    out: str | Path, simulation: Simulation, options: DataclassInstance, command: str, *, overwrite: bool = False,
+    more: More | None = None,
+) -> Path:  # fmt: skip
     """Write a simulated block.
 
     Parameters
@@ -52,6 +56,8 @@ def write_simulation(
     overwrite : bool
         Replace a folder that an earlier simulation wrote (``truth/options.json``) and that holds
         nothing else.
+    more : callable, optional
+        Writes further files into the folder.
 
     Returns
     -------
@@ -70,15 +76,18 @@ def write_simulation(
         with writing(target):
             (folder / "truth").mkdir()
         _write_truth(folder / "truth", simulation, values)
+        if more is not None:
+            more(folder, simulation)
     return target / PROJECT_FILE
 
 
 def simulate_to(
-    out: str | Path, draw: Callable[[], Simulation], options: DataclassInstance, command: str, *, overwrite: bool
-) -> Path:
+    out: str | Path, draw: Callable[[], Simulation], options: DataclassInstance, command: str, *, overwrite: bool,
+    more: More | None = None,
+) -> Path:  # fmt: skip
     """Do :func:`write_simulation` of what ``draw`` gives; an unusable folder is refused before anything is drawn."""
     require_free(Path(out), overwrite=overwrite, contents=CONTENTS)
-    return write_simulation(out, draw(), options, command, overwrite=overwrite)
+    return write_simulation(out, draw(), options, command, overwrite=overwrite, more=more)
 
 
 def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any]) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.point_sets import CHECK_COUNT, N_POINTS, roles_of
+from fg_orient.simulate.render import Progress, RasterOptions, write_rasters
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
     ERRORS,
@@ -103,7 +105,10 @@ class ZonguldakOptions:
             require(good, name, values, f"three numbers from {low:g} to {limit:g}")
 
 
-def simulate_zonguldak(out: str | Path, options: ZonguldakOptions | None = None, *, overwrite: bool = False) -> Path:
+def simulate_zonguldak(
+    out: str | Path, options: ZonguldakOptions | None = None, *, overwrite: bool = False,
+    rasters: RasterOptions | None = None, progress: Progress | None = None,
+) -> Path:  # fmt: skip
     """Write the twin: metadata files, points, observations, project file and ``truth/``.
 
     Parameters
@@ -113,6 +118,10 @@ def simulate_zonguldak(out: str | Path, options: ZonguldakOptions | None = None,
     options : ZonguldakOptions, optional
     overwrite : bool
         Replace a folder that an earlier simulation wrote.
+    rasters : RasterOptions, optional
+        Write ``dem.tif`` and the images, too.
+    progress : callable, optional
+        Called with blocks done, blocks in all and the image while images are rendered.
 
     Returns
     -------
@@ -125,7 +134,8 @@ def simulate_zonguldak(out: str | Path, options: ZonguldakOptions | None = None,
         The folder exists (without ``overwrite``) or cannot be written.
     """
     chosen = options or ZonguldakOptions()
-    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate zonguldak", overwrite=overwrite)
+    more = None if rasters is None else partial(write_rasters, options=rasters, progress=progress)
+    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate zonguldak", overwrite=overwrite, more=more)
 
 
 def zonguldak_block(options: ZonguldakOptions | None = None) -> tuple[Block, Truth]:

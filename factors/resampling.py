@@ -1,0 +1,157 @@
+"""Maps of pixels for rasters: where a map pixel lies in the image, and the grey value there.
+
+Pixels are (line, sample) or (row, column), (0, 0) = centre of the first pixel. Nodata is nan.
+Kernel of the cubic convolution: Keys (1981), eq. 4 with his a = -1/2, and a = -1 of Simon (1975) and Rifman (1973).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from factors._contract import Array, compiled, inlined
+
+NEAREST, BILINEAR, CUBIC = 0, 1, 2
+#: Values of a knot: DEM row, DEM column; line and sample as c0 + c1 t + c2 t^2 of the scaled height t.
+KNOT_SIZE = 8
+#: Pixels beyond the place itself that a kernel may need.
+REACH = 2
+
+
+@inlined
+def surface_height(heights: Any, row: float, column: float) -> Any:
+    """Height of a raster at one place, bilinear between centres; nan outside or beside nodata."""
+    rows, columns = heights.shape
+    if not (0.0 <= row <= rows - 1.0 and 0.0 <= column <= columns - 1.0):
+        return np.nan
+    i, j = min(int(row), rows - 2), min(int(column), columns - 2)
+    u, v = row - i, column - j
+    above = heights[i, j] * (1.0 - v) + heights[i, j + 1] * v
+    below = heights[i + 1, j] * (1.0 - v) + heights[i + 1, j + 1] * v
+    return above * (1.0 - u) + below * u
+
+
+@compiled
+def pixel_positions(
+    first_row: int, first_column: int, step: int, knots: Array, heights: Array, scaling: Array, limits: Array,
+    line: Array, sample: Array,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Fill line and sample (R, C) of the map pixels of a window; nan where there is no height or no image.
+
+    Parameters
+    ----------
+    first_row, first_column : int
+        Of the window in the map.
+    step : int
+        Map pixels between two knots, the same for rows and columns; the first knot is map pixel (0, 0).
+    knots : (M, N, 8) array
+        See ``KNOT_SIZE``; bilinear between knots.
+    heights : (P, Q) array
+        DEM, m.
+    scaling : (2,) array
+        Offset and scale of the height: t = (height - offset) / scale.
+    limits : (4,) array
+        First and last line, first and last sample that lie in the image.
+    line, sample : (R, C) arrays
+        Results.
+
+    Returns
+    -------
+    tuple of int
+        Pixels inside the DEM's raster without a height that lie in the image at t = 0; row and column of the first.
+    """
+    holes, hole_row, hole_column = 0, -1, -1
+    a, b, k = np.empty(KNOT_SIZE), np.empty(KNOT_SIZE), np.empty(KNOT_SIZE)
+    for r in range(line.shape[0]):
+        i, u = (first_row + r) // step, ((first_row + r) % step) / step
+        cell = -1
+        for c in range(line.shape[1]):
+            j, v = (first_column + c) // step, ((first_column + c) % step) / step
+            if j != cell:
+                cell = j
+                for m in range(KNOT_SIZE):
+                    a[m] = knots[i, j, m] * (1.0 - u) + knots[i + 1, j, m] * u
+                    b[m] = knots[i, j + 1, m] * (1.0 - u) + knots[i + 1, j + 1, m] * u
+            for m in range(KNOT_SIZE):
+                k[m] = a[m] * (1.0 - v) + b[m] * v
+            h = surface_height(heights, k[0], k[1])
+            t = 0.0 if np.isnan(h) else (h - scaling[0]) / scaling[1]
+            x, y = k[2] + t * (k[3] + t * k[4]), k[5] + t * (k[6] + t * k[7])
+            inside = limits[0] <= x <= limits[1] and limits[2] <= y <= limits[3]
+            if np.isnan(h):
+                covered = 0.0 <= k[0] <= heights.shape[0] - 1.0 and 0.0 <= k[1] <= heights.shape[1] - 1.0
+                if covered and inside:
+                    holes += 1
+                    if hole_row < 0:
+                        hole_row, hole_column = first_row + r, first_column + c
+                inside = False
+            line[r, c] = x if inside else np.nan
+            sample[r, c] = y if inside else np.nan
+    return holes, hole_row, hole_column
+
+
+@inlined
+def _weights(kind: int, a: float, x: float, w: Any) -> int:
+    """Weights of the pixels from floor(x) + the number given back on; x from the floor, 0 to 1."""
+    if kind == NEAREST:
+        w[0] = 1.0
+        return 1 if x >= 0.5 else 0
+    if kind == BILINEAR:
+        w[0], w[1] = 1.0 - x, x
+        return 0
+    y = 1.0 - x
+    w[0] = a * x * y * y
+    w[1] = 1.0 + x * x * ((a + 2.0) * x - (a + 3.0))
+    w[2] = 1.0 + y * y * ((a + 2.0) * y - (a + 3.0))
+    w[3] = a * y * x * x
+    return -1
+
+
+@compiled
+def resample(image: Array, first_line: int, first_sample: int, line: Array, sample: Array, kind: int, a: float,
+             out: Array) -> int:  # fmt: skip
+    """Fill grey values (R, C) at the places; nan where a pixel of weight above 0 in size is nan, or the place is.
+
+    Parameters
+    ----------
+    image : (P, Q) array
+        Window of the image; beyond it its border pixels are repeated.
+    first_line, first_sample : int
+        Of the window in the image.
+    line, sample : (R, C) arrays
+    kind : int
+        NEAREST, BILINEAR or CUBIC.
+    a : float
+        Slope of the cubic kernel at distance 1.
+    out : (R, C) array
+        Result.
+
+    Returns
+    -------
+    int
+        Places with a value.
+    """
+    taps = 1 if kind == NEAREST else 2 if kind == BILINEAR else 4
+    rows, columns, n = image.shape[0], image.shape[1], 0
+    wl, ws = np.empty(4), np.empty(4)
+    for r in range(line.shape[0]):
+        for c in range(line.shape[1]):
+            if np.isnan(line[r, c]):
+                out[r, c] = np.nan
+                continue
+            i, j = int(np.floor(line[r, c])), int(np.floor(sample[r, c]))
+            p = i - first_line + _weights(kind, a, line[r, c] - i, wl)
+            q = j - first_sample + _weights(kind, a, sample[r, c] - j, ws)
+            total = 0.0
+            for m in range(taps):
+                if wl[m] != 0.0:
+                    y = min(max(p + m, 0), rows - 1)
+                    across = 0.0
+                    for k in range(taps):
+                        if ws[k] != 0.0:
+                            across += ws[k] * image[y, min(max(q + k, 0), columns - 1)]
+                    total += wl[m] * across
+            out[r, c] = total
+            n += 0 if np.isnan(total) else 1
+    return n

@@ -1,0 +1,1 @@
+"""Rasters: orthorectification and resampling of large images in windows."""

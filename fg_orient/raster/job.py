@@ -1,0 +1,101 @@
+"""``rectify ortho``: files in, a map raster out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from fg_orient.errors import InputError
+from fg_orient.io.sensor import read_sensor
+from fg_orient.raster.adjusted import read_correction
+from fg_orient.raster.grid import Bounds
+from fg_orient.raster.lattice import LevelSurface, Surface
+from fg_orient.raster.models import SensorModel, point_model
+from fg_orient.raster.ortho import OrthoOptions, Progress, orthorectify
+from fg_orient.raster.output import rasterio_of
+from fg_orient.rectification.transformation import read_transformation
+from fg_orient.sensors.surface import RasterDem
+
+
+def rectify_image(
+    image: Path, model: Path, out: Path, *, dem: Path | None = None, height_m: float | None = None,
+    result: Path | None = None, image_id: str = "", crs: str = "", resolution: float | None = None,
+    bounds: Bounds | None = None, options: OrthoOptions | None = None, overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Orthorectify an image.
+
+    Parameters
+    ----------
+    image : Path
+        Raster in sensor geometry.
+    model : Path
+        Metadata file of its sensor; or ``transformation.json`` of ``rectify fit``, or the folder.
+    out : Path
+        GeoTIFF.
+    dem : Path, optional
+        Ellipsoidal heights; or ``height_m``, one height. Plane transformations need neither.
+    result : Path, optional
+        Result folder of ``adjust`` whose orientation is taken; ``image_id``: the image in it.
+    crs : str
+        Of the map; default that of the transformation or of the DEM.
+    resolution, bounds, options, overwrite, progress
+        See :func:`fg_orient.raster.ortho.orthorectify`.
+
+    Returns
+    -------
+    dict
+        See :func:`fg_orient.raster.ortho.orthorectify`.
+
+    Raises
+    ------
+    InputError
+        Unusable files, no coordinate system, no heights, no common ground, holes of the DEM.
+    """
+    surface: Surface | None = RasterDem(dem) if dem is not None else None
+    if height_m is not None:
+        surface = LevelSurface(height_m)
+    if model.is_dir() or model.suffix.lower() == ".json":
+        if result is not None:
+            raise InputError.of("cli.two_ways", place="--result", options="--result, a transformation by points")
+        return _by_points(image, model, out, surface, crs, resolution, bounds, options, overwrite, progress)
+    if surface is None:
+        raise InputError.of("ortho.no_heights", file=model, place="--dem")
+    chosen = _system(crs or (surface.crs if isinstance(surface, RasterDem) else ""), image)
+    sensor = read_sensor(model)
+    correction = None if result is None else read_correction(result, sensor, image_id)
+    bound = SensorModel(sensor, correction, chosen, surface.range_m[1])
+    return orthorectify(image, bound, surface, out, crs=chosen, resolution=resolution, bounds=bounds, options=options,
+                        overwrite=overwrite, progress=progress)  # fmt: skip
+
+
+def _by_points(
+    image: Path, model: Path, out: Path, surface: Surface | None, crs: str, resolution: float | None,
+    bounds: Bounds | None, options: OrthoOptions | None, overwrite: bool, progress: Progress | None,
+) -> dict[str, Any]:  # fmt: skip
+    found = read_transformation(model)
+    chosen = _system(crs or found.crs, image)
+    bound = point_model(found, chosen)
+    if bound.needs_heights and surface is None:
+        raise InputError.of("ortho.no_heights", file=model, place="--dem")
+    # a plane transformation knows no heights: a DEM would only cut the map
+    over = surface if bound.needs_heights and surface is not None else LevelSurface(0.0)
+    return orthorectify(image, bound, over, out, crs=chosen, resolution=resolution, bounds=bounds, options=options,
+                        overwrite=overwrite, progress=progress)  # fmt: skip
+
+
+def _system(crs: str, image: Path) -> str:
+    """Coordinate system of the map as WKT.
+
+    Raises
+    ------
+    InputError
+        None is given, or rasterio does not know it.
+    """
+    if not crs:
+        raise InputError.of("ortho.no_crs", place="--crs")
+    rasterio = rasterio_of(image)
+    try:
+        return str(rasterio.crs.CRS.from_user_input(crs).to_wkt())
+    except rasterio.errors.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="--crs", value=crs) from None

@@ -1,0 +1,72 @@
+"""GeoTIFF files written whole or not at all, window by window."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from fg_orient.errors import InputError
+from fg_orient.raster.grid import MapGrid
+
+#: Edge of the tiles inside a file.
+TILE: Final = 512
+#: Cache of GDAL for blocks of files, bytes: else it takes 5 % of the machine.
+CACHE_BYTES: Final = 128 * 2**20
+
+
+def rasterio_of(file: str | Path) -> Any:
+    """Import rasterio.
+
+    Raises
+    ------
+    InputError
+        It is not installed.
+    """
+    try:
+        import rasterio
+    except ImportError as error:
+        raise InputError.of("ortho.no_rasterio", file=file) from error
+    return rasterio
+
+
+@contextlib.contextmanager
+def staged_file(out: Path, *, overwrite: bool) -> Iterator[Path]:
+    """Give a hidden name beside ``out`` that is renamed to it if the block ends well, else removed.
+
+    Raises
+    ------
+    InputError
+        ``out`` exists (without ``overwrite``), or cannot be written.
+    """
+    if out.exists() and not overwrite:
+        raise InputError.of("output.exists", file=out, place="--out")
+    if out.is_dir() or not out.absolute().parent.is_dir():
+        raise InputError.of("output.unwritable", file=out, place="--out")
+    temporary = out.with_name(f".{out.name[:200]}.{secrets.token_hex(4)}.tmp.tif")
+    try:
+        yield temporary
+        temporary.replace(out)
+    except OSError as error:
+        raise InputError.of("output.unwritable", file=out, place="--out", value=error.strerror or error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def profile(grid: MapGrid, *, bands: int, dtype: str, nodata: float | None, compress: str) -> dict[str, Any]:
+    """Creation options of a tiled GeoTIFF on a map grid."""
+    return {
+        "driver": "GTiff", "width": grid.columns, "height": grid.rows, "count": bands, "dtype": dtype,
+        "crs": grid.crs, "transform": grid.transform(), "nodata": nodata, "tiled": True, "blockxsize": TILE,
+        "blockysize": TILE, "compress": compress, "interleave": "band", "BIGTIFF": "IF_SAFER",
+    }  # fmt: skip
+
+
+def as_cog(source: Path, target: Path, compress: str) -> None:
+    """Copy a GeoTIFF into a cloud optimised one, with overviews."""
+    from rasterio.shutil import copy
+
+    copy(source, target, driver="COG", compress=compress, blocksize=TILE, overviews="AUTO")

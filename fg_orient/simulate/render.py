@@ -1,0 +1,165 @@
+"""Images of the twin: rendered by ray against its terrain with the true orientation.
+
+Every pixel corner's ray is followed to the terrain; the texture of the ground (smooth noise, at every point a bright
+disc in a dark ring) is averaged over 4 x 4 places of each pixel. The way is image to ground, the opposite of
+rectification, and no projection ground to image takes part.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.rendering import corners, expose
+from fg_orient.geodesy import ecef_to_geodetic
+from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.simulate.scene import as_read
+from fg_orient.simulate.simulation import Simulation, require
+from fg_orient.simulate.terrain import Terrain, rasterio_for, terrain_through, write_terrain
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+
+DEM_FILE: Final = "dem.tif"
+#: Intervals between knots along an image axis: 50 pixels of 12000; bilinear errors of 0.002 px.
+INTERVALS: Final = 240
+#: Edge of the blocks and tiles, pixels.
+BLOCK: Final = 512
+#: Radii of disc and ring, m on the map: 2.5 and 6 pixels of 5 m.
+RADII_M: Final = (12.5, 30.0)
+
+
+@dataclass(frozen=True)
+class RasterOptions:
+    """What rasters the twin gets.
+
+    Parameters
+    ----------
+    images : bool
+        Render the images; else the DEM alone is written.
+    window_px : int
+        Render only a square of this size about every point; 0: the whole images.
+
+    Raises
+    ------
+    InputError
+        A size that is negative or beyond the image.
+    """
+
+    images: bool = True
+    window_px: int = 0
+
+    def __post_init__(self) -> None:
+        require(0 <= self.window_px <= 12000, "raster_window", self.window_px, "0 (whole images) to 12000 px")
+
+
+class Renderer:
+    """The true geometry of one image over a terrain.
+
+    Parameters
+    ----------
+    sensor : PushbroomSensor
+    correction : Correction
+        True minus metadata.
+    terrain : Terrain
+    """
+
+    def __init__(self, sensor: PushbroomSensor, correction: Correction, terrain: Terrain) -> None:
+        self._terrain, self._heights = terrain, terrain.heights_m.astype(float)
+        low, high = float(self._heights.min()), float(self._heights.max())
+        self._scaling = np.array([0.5 * (low + high), 0.5 * (high - low) + 1.0])
+        size = sensor.n_lines, sensor.n_samples
+        self._step = np.array(size) / INTERVALS
+        line, sample = (
+            a.ravel() for a in np.meshgrid(*(np.linspace(-0.5, n - 0.5, INTERVALS + 1) for n in size), indexing="ij")
+        )
+        cells = []
+        for t in (-1.0, 0.0, 1.0):
+            height = float(self._scaling[0] + t * self._scaling[1])
+            ground = sensor.locate(line, sample, height_m=height, correction=correction)
+            lon, lat, _ = ecef_to_geodetic(ground)
+            cells.append(terrain.cells(lon, lat))
+        below, middle, above = cells
+        knots = np.stack([middle, 0.5 * (above - below), 0.5 * (above + below) - middle], axis=2)
+        self._knots = np.ascontiguousarray(knots.reshape(INTERVALS + 1, INTERVALS + 1, 6))
+
+    def corners(self, line: int, sample: int, rows: int, columns: int) -> Array:
+        """Map coordinates (rows + 1, columns + 1, 2) where the corners of pixels lie on the terrain; nan beside it."""
+        t, cell = self._terrain, self._cells(line, sample, rows, columns)
+        x, y = t.left_m + (cell[..., 1] + 0.5) * t.step_m, t.top_m - (cell[..., 0] + 0.5) * t.step_m
+        return np.stack([x, y], axis=-1)
+
+    def _cells(self, line: int, sample: int, rows: int, columns: int) -> Array:
+        out = np.empty((rows + 1, columns + 1, 2))
+        corners(line, sample, self._step, self._knots, self._heights, self._scaling, out)
+        return out
+
+    def render(self, line: int, sample: int, rows: int, columns: int) -> npt.NDArray[np.uint8]:
+        """Grey values (rows, columns) of a block; 0 where it leaves the terrain."""
+        t, out = self._terrain, np.empty((rows, columns), np.uint8)
+        to_map = np.array([t.left_m + 0.5 * t.step_m, t.top_m - 0.5 * t.step_m, t.step_m])
+        expose(self._cells(line, sample, rows, columns), to_map, t.targets_m, np.array(RADII_M), out)
+        return out
+
+
+def write_rasters(
+    folder: Path, simulation: Simulation, options: RasterOptions, progress: Progress | None = None
+) -> None:
+    """Write ``dem.tif`` and ``<image>.tif`` of a simulated pair into its folder.
+
+    Raises
+    ------
+    InputError
+        rasterio is not installed.
+    """
+    terrain = terrain_through(simulation.truth.lon_lat_height)
+    write_terrain(folder / DEM_FILE, terrain)
+    if not options.images:
+        return
+    for k, (name, written, correction) in enumerate(
+        zip(simulation.truth.image_ids, simulation.metadata, simulation.truth.corrections, strict=True)
+    ):
+        sensor = as_read(written)
+        pixels = simulation.truth.pixels[simulation.image == k]
+        places = _places(pixels, sensor, options.window_px)
+        _write_image(folder / f"{name}.tif", Renderer(sensor, correction, terrain), sensor, places, progress)
+
+
+def _places(pixels: Array, sensor: PushbroomSensor, window_px: int) -> list[tuple[int, int, int, int]]:
+    """Blocks to render: first line and sample, lines, samples."""
+    size = np.array([sensor.n_lines, sensor.n_samples])
+    if window_px:
+        first = np.clip(np.rint(pixels).astype(int) - window_px // 2, 0, size - window_px)
+        return [(int(line), int(sample), window_px, window_px) for line, sample in first]
+    return [
+        (line, sample, min(BLOCK, sensor.n_lines - line), min(BLOCK, sensor.n_samples - sample))
+        for line in range(0, sensor.n_lines, BLOCK)
+        for sample in range(0, sensor.n_samples, BLOCK)
+    ]
+
+
+def _write_image(
+    path: Path, renderer: Renderer, sensor: PushbroomSensor, places: list[tuple[int, int, int, int]],
+    progress: Progress | None,
+) -> None:  # fmt: skip
+    """Write the blocks; what is not rendered stays 0 (nodata) and takes no space."""
+    rasterio = rasterio_for(path)
+    settings = {
+        "driver": "GTiff", "width": sensor.n_samples, "height": sensor.n_lines, "count": 1, "dtype": "uint8",
+        "nodata": 0, "tiled": True, "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "deflate", "SPARSE_OK": True,
+    }  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **settings) as sink:
+            for done, (line, sample, rows, columns) in enumerate(places):
+                if progress is not None:
+                    progress(done, len(places), path.name)
+                window = rasterio.windows.Window(sample, line, columns, rows)
+                sink.write(renderer.render(line, sample, rows, columns), 1, window=window)
