@@ -4,7 +4,8 @@ The state belongs to Python; a backend only linearises, solves and retracts
 (docs/equations.md 9: GTSAM's own optimisers copy all values at every callback of a
 Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so one step
 length speaks for all. The loop ends when the scaled step is below the tolerance, or below
-1e-6 and no longer shrinking (rounding); never on a relative cost. ``tolerance`` replaces the default one.
+1e-6 and no longer shrinking (rounding); never on a relative cost. Full steps that shrink fast also end it when the
+next one, judged by the rate and with a margin of ten, would be below the tolerance. ``tolerance`` replaces the default.
 
 All that one iteration hands to the next is in :class:`Carried`: a loop that starts from it goes on as if it had never
 stopped, bit by bit.
@@ -202,6 +203,12 @@ def _small(step: float, previous: float, tolerance: float, shrink: float) -> boo
     return step < tolerance or (step < ROUNDING_STEP and step > shrink * previous)
 
 
+def _settled(step: float, previous: float, tolerance: float) -> bool:
+    """Whether full steps that shrink at this rate have, with a margin of ten, less than the tolerance before them."""
+    rate = step / previous if 0.0 < previous < math.inf else 1.0
+    return rate < 0.1 and 10.0 * step * rate < tolerance
+
+
 def gauss_newton(
     backend: Backend[S],
     start: S | Carried[S],
@@ -222,6 +229,7 @@ def gauss_newton(
         carried, step = course.carried, system.solve(0.0)
         state = backend.retract(carried.state, step)
         last = _small(step.length, carried.previous, tolerance, shrink)
+        last = last or _settled(step.length, carried.previous, tolerance)
         following = None if last else backend.linearise(state)
         error = following.error if following else backend.error(state)
         course.judge(system.error, error, step, 0.0, always=True)
