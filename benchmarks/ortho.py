@@ -68,13 +68,13 @@ def ours(folder: Path, size: int, out: Path) -> dict[str, Any]:
 
 def gdal(folder: Path, size: int, out: Path) -> dict[str, Any]:
     import rasterio
-    from rasterio.transform import from_origin
+    from rasterio import Affine
     from rasterio.warp import Resampling, reproject
 
     left, _, _, top = bounds_of(size)
     settings = {
         "driver": "GTiff", "width": size, "height": size, "count": 1, "dtype": "uint8", "crs": CRS, "nodata": 0,
-        "transform": from_origin(left, top, RESOLUTION_M, RESOLUTION_M), "tiled": True, "blockxsize": 512,
+        "transform": Affine(RESOLUTION_M, 0.0, left, 0.0, -RESOLUTION_M, top), "tiled": True, "blockxsize": 512,
         "blockysize": 512,
     }  # fmt: skip
     with rasterio.Env(GDAL_CACHEMAX=128 * 2**20, GDAL_NUM_THREADS=1), rasterio.open(folder / "image.tif") as source:

@@ -40,6 +40,7 @@ def zonguldak(
     raster: Annotated[
         bool, typer.Option("--raster", help="Render the images on this terrain (12000 x 12000, minutes); writes both.")
     ] = False,
+    dem_step: Annotated[float, typer.Option(metavar="M", help="Edge of the DEM's cells, m.")] = 30.0,
     raster_window: Annotated[
         int, typer.Option(metavar="PX", help="Render only squares of this size about the points; 0: all.")
     ] = 0,
@@ -57,7 +58,7 @@ def zonguldak(
             seed=seed, point_set=point_set, image_noise_px=image_noise, errors=errors, distortion_rad=distortion,
             radial_velocity_m_s=radial_velocity, attitude_rad=_three(attitude),
         )  # fmt: skip
-        rasters = RasterOptions(raster, raster_window) if dem or raster else None
+        rasters = RasterOptions(raster, raster_window, dem_step) if dem or raster else None
         with progress_bar("rendering", as_json or not raster) as progress:
             project = simulate_zonguldak(out, options, overwrite=overwrite, rasters=rasters, progress=progress)
         _tell(project, as_json)

@@ -68,9 +68,9 @@ class MapGrid:
 
     def transform(self) -> Any:
         """Affine transformation of pixel corners, as GeoTIFF has it."""
-        from rasterio.transform import from_origin
+        from rasterio import Affine
 
-        return from_origin(self.left, self.top, self.resolution, self.resolution)
+        return Affine(self.resolution, 0.0, self.left, 0.0, -self.resolution, self.top)
 
     @property
     def bounds(self) -> Bounds:

@@ -10,6 +10,7 @@ another unit than the metre, is refused until geoid grids are supported.
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -87,10 +88,10 @@ class RasterDem:
 
         rows, columns = self._heights.shape
         r, c = (a.ravel() for a in np.meshgrid(*(np.linspace(0.5, n - 0.5, 9) for n in (rows, columns)), indexing="ij"))
-        x, y = ~self._pixel_from_crs * (c, r)
-        return to_geographic(self._crs, x, y)
+        t = ~self._pixel_from_crs
+        return to_geographic(self._crs, t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
 
-    @property
+    @cached_property
     def range_m(self) -> tuple[float, float]:
         """Lowest and highest height of the raster."""
         return float(np.nanmin(self._heights)), float(np.nanmax(self._heights))

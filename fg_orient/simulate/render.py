@@ -22,7 +22,7 @@ from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.scene import as_read
 from fg_orient.simulate.simulation import Simulation, require
-from fg_orient.simulate.terrain import Terrain, rasterio_for, terrain_through, write_terrain
+from fg_orient.simulate.terrain import STEP_M, Terrain, rasterio_for, terrain_through, write_terrain
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -46,18 +46,22 @@ class RasterOptions:
         Render the images; else the DEM alone is written.
     window_px : int
         Render only a square of this size about every point; 0: the whole images.
+    dem_step_m : float
+        Edge of the DEM's cells.
 
     Raises
     ------
     InputError
-        A size that is negative or beyond the image.
+        A size that is negative or beyond the image, cells that are too small or too large.
     """
 
     images: bool = True
     window_px: int = 0
+    dem_step_m: float = STEP_M
 
     def __post_init__(self) -> None:
         require(0 <= self.window_px <= 12000, "raster_window", self.window_px, "0 (whole images) to 12000 px")
+        require(10.0 <= self.dem_step_m <= 200.0, "dem_step", self.dem_step_m, "10 to 200 m")
 
 
 class Renderer:
@@ -119,7 +123,7 @@ def write_rasters(
     InputError
         rasterio is not installed.
     """
-    terrain = terrain_through(simulation.truth.lon_lat_height)
+    terrain = terrain_through(simulation.truth.lon_lat_height, step_m=options.dem_step_m)
     write_terrain(folder / DEM_FILE, terrain)
     if not options.images:
         return

@@ -98,7 +98,7 @@ def write_terrain(path: Path, terrain: Terrain) -> None:
     rows, columns = terrain.heights_m.shape
     with rasterio.open(
         path, "w", driver="GTiff", width=columns, height=rows, count=1, dtype="float32", crs=CRS,
-        transform=rasterio.transform.from_origin(terrain.left_m, terrain.top_m, terrain.step_m, terrain.step_m),
+        transform=rasterio.Affine(terrain.step_m, 0.0, terrain.left_m, 0.0, -terrain.step_m, terrain.top_m),
         tiled=True, blockxsize=256, blockysize=256, compress="deflate", predictor=3,
     ) as sink:  # fmt: skip
         sink.write(terrain.heights_m, 1)
@@ -114,7 +114,6 @@ def rasterio_for(path: Path) -> Any:
     """
     try:
         import rasterio
-        import rasterio.transform
         import rasterio.windows
     except ImportError as error:
         raise InputError.of("ortho.no_rasterio", file=path) from error

@@ -1,0 +1,241 @@
+"""Map rasters: georeferencing, windows, GDAL beside it, refusals, the command."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.rpc import RPC
+from rasterio.warp import Resampling, reproject
+
+from fg_orient.errors import InputError
+from fg_orient.io.sensor import read_sensor
+from fg_orient.raster.grid import MapGrid
+from fg_orient.raster.job import rectify_image
+from fg_orient.raster.lattice import LevelSurface
+from fg_orient.raster.models import PointModel, SensorModel
+from fg_orient.raster.ortho import RESAMPLING, OrthoOptions, orthorectify
+from fg_orient.rectification.models import find_model
+from fg_orient.rectification.transformation import Scaling, Transformation
+from fg_orient.rpc.fitting import fit_image
+from fg_orient.sensors.rpc_sensor import RpcSensor
+from fg_orient.sensors.surface import RasterDem
+from tests.support.command import in_process as run
+
+from .conftest import CRS, Twin
+
+Array = np.ndarray
+
+
+def bounds_about(twin: Twin, k: int, half: float = 200.0) -> tuple[float, float, float, float]:
+    x, y = (5.0 * np.round(v / 5.0) for v in twin.targets[k])
+    return float(x - half), float(y - half), float(x + half), float(y + half)
+
+
+def ortho(twin: Twin, out: Path, **options: object) -> Array:
+    bounds = options.pop("bounds", bounds_about(twin, 0))
+    rectify_image(
+        twin.folder / "left.tif", twin.folder / "left.DIM", out, dem=twin.folder / "dem.tif", resolution=5.0,
+        bounds=bounds, overwrite=True, options=OrthoOptions(**options),
+    )  # fmt: skip
+    with rasterio.open(out) as source:
+        return source.read(1)
+
+
+def plain(east: float, north: float, size: float, *, forward: bool) -> Transformation:
+    """Pixel (line, sample) to map: centre of the first pixel at (east, north), square pixels, north up."""
+    plane, unit = Scaling(np.array([east, north]), np.ones(2)), Scaling(np.zeros(2), np.ones(2))
+    slope = size if forward else 1.0 / size
+    rows = np.array([[0.0, slope, 0.0], [0.0, 0.0, -slope]])
+    order = [tuple(power) for power in find_model("affine", None).setup.T.astype(int)]
+    by_power = {(0, 0): 0, (1, 0): 1, (0, 1): 2}
+    values = np.array([rows[axis, by_power[power]] for axis in (0, 1) for power in order], float)
+    ground, image = ("easting", "northing"), ("sample", "line")
+    sides = (unit, plane, image, ground) if forward else (plane, unit, ground, image)
+    return Transformation(find_model("affine", None), values, *sides, CRS)
+
+
+@pytest.fixture
+def picture(tmp_path: Path, rng: np.random.Generator) -> Path:
+    """An image of 40 x 60 pixels, two bands, without georeferencing."""
+    path = tmp_path / "picture.tif"
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        with rasterio.open(path, "w", driver="GTiff", width=60, height=40, count=2, dtype="uint16") as sink:
+            sink.write(rng.integers(1, 5000, (2, 40, 60), dtype=np.uint16))
+    return path
+
+
+@pytest.mark.parametrize("forward", [True, False])
+@pytest.mark.parametrize("name", list(RESAMPLING))
+def test_a_map_on_the_pixels_of_the_image_is_the_image(picture: Path, forward: bool, name: str) -> None:
+    """Corner and centre: the centre of the first pixel lies at (1005, 5025), so its corner at (990, 5040)."""
+    out = picture.with_name("map.tif")
+    record = orthorectify(
+        picture, PointModel(plain(1005.0, 5025.0, 30.0, forward=forward)), LevelSurface(0.0), out, crs=CRS,
+        resolution=30.0, options=OrthoOptions(name, window=32),
+    )  # fmt: skip
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(picture) as source:
+        given = source.read()
+    with rasterio.open(out) as found:
+        assert found.transform == rasterio.Affine(30.0, 0.0, 990.0, 0.0, -30.0, 5040.0)
+        assert found.crs.to_epsg() == 32636 and found.nodata == 0
+        assert np.array_equal(found.read(), given)
+    assert record["filled"] == 1.0
+
+
+@pytest.mark.parametrize("name", list(RESAMPLING))
+def test_pixels_do_not_depend_on_the_windows(twin: Twin, tmp_path: Path, name: str) -> None:
+    whole = ortho(twin, tmp_path / "a.tif", resampling=name)
+    assert (whole > 0).any()
+    for window in (17, 48):
+        assert np.array_equal(whole, ortho(twin, tmp_path / "b.tif", resampling=name, window=window))
+
+
+def test_pixels_do_not_depend_on_the_bounds_where_they_keep_the_knots(twin: Twin, tmp_path: Path) -> None:
+    """Another raster over the same ground: places differ by the error between knots, grey values by less than two."""
+    left, bottom, right, top = bounds_about(twin, 0)
+    whole = ortho(twin, tmp_path / "a.tif").astype(int)
+    part = ortho(twin, tmp_path / "b.tif", bounds=(left + 55.0, bottom, right, top - 35.0)).astype(int)
+    both = (whole[7:, 11:] > 0) & (part > 0)
+    assert both.sum() > 1000
+    assert np.abs(whole[7:, 11:] - part)[both].max() <= 1
+
+
+def test_gdal_makes_the_same_map_of_the_same_rpc(twin: Twin, tmp_path: Path) -> None:
+    """GDAL's warper with the RPC fitted to the model, same terrain, kernel and grid: grey values agree."""
+    model, _ = fit_image(read_sensor(twin.folder / "left.DIM"), (-50.0, 1850.0))
+    image, dem = tmp_path / "left.tif", RasterDem(twin.folder / "dem.tif")
+    shutil.copy(twin.folder / "left.tif", image)
+    values = {"err_bias": None, "err_rand": None}
+    for k, axis in enumerate(("line", "samp", "long", "lat", "height")):
+        values |= {f"{axis}_off": float(model.offsets[k]), f"{axis}_scale": float(model.scales[k])}
+    for name, row in zip(("line_num", "line_den", "samp_num", "samp_den"), model.coefficients, strict=True):
+        values[f"{name}_coeff"] = row.tolist()
+    left, bottom, right, top = bounds_about(twin, 0)
+    theirs = np.zeros((80, 80), np.uint8)
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(image, "r+") as source:
+        source.rpcs = RPC(**values)
+    with rasterio.open(image) as source:
+        reproject(
+            rasterio.band(source, 1), theirs, rpcs=source.rpcs, dst_crs=CRS, dst_nodata=0,
+            dst_transform=rasterio.Affine(5.0, 0.0, left, 0.0, -5.0, top), resampling=Resampling.bilinear,
+            XSCALE=1, YSCALE=1, RPC_DEM=str(twin.folder / "dem.tif"),
+        )  # fmt: skip
+    out = tmp_path / "ours.tif"
+    orthorectify(image, SensorModel(RpcSensor(model), None, CRS, dem.range_m[1]), dem, out, crs=CRS, resolution=5.0,
+                 bounds=(left, bottom, right, top))  # fmt: skip
+    with rasterio.open(out) as found:
+        ours = found.read(1)
+    both = (ours > 0) & (theirs > 0)
+    assert both.sum() > 5000
+    assert np.abs(ours.astype(int) - theirs)[both].max() <= 2
+    assert np.mean(ours[both] != theirs[both]) < 0.1
+
+
+def code(error: pytest.ExceptionInfo[InputError]) -> str:
+    return error.value.problems[0].code
+
+
+def altered_dem(twin: Twin, path: Path, *, hole: bool = False, crs: str | None = CRS, east: float = 0.0) -> Path:
+    with rasterio.open(twin.folder / "dem.tif") as source:
+        heights, place = source.read(1), source.transform
+    if hole:
+        x, y = twin.targets[0]
+        row, column = int((place.f - y) / place.a), int((x - place.c) / place.a)
+        heights[row + 1, column + 1] = -9999.0
+    rows, columns = heights.shape
+    with rasterio.open(
+        path, "w", driver="GTiff", width=columns, height=rows, count=1, dtype="float32", nodata=-9999.0, crs=crs,
+        transform=rasterio.Affine(place.a, place.b, place.c + east, place.d, place.e, place.f),
+    ) as sink:  # fmt: skip
+        sink.write(heights, 1)
+    return path
+
+
+def refused(twin: Twin, tmp: Path, dem: Path, **options: object) -> str:
+    with pytest.raises(InputError) as error:
+        rectify_image(twin.folder / "left.tif", twin.folder / "left.DIM", tmp / "no.tif", dem=dem, resolution=5.0,
+                      **options)  # fmt: skip
+    assert not list(tmp.glob("*no.tif*")), "nothing is left behind"
+    return code(error)
+
+
+def test_refusals(twin: Twin, tmp_path: Path, picture: Path) -> None:
+    good = twin.folder / "dem.tif"
+    assert refused(twin, tmp_path, altered_dem(twin, tmp_path / "far.tif", east=3e5)) == "ortho.no_overlap"
+    assert refused(twin, tmp_path, altered_dem(twin, tmp_path / "none.tif", crs=None)) == "dem.no_crs"
+    far = (5e5, 4.4e6, 5.01e5, 4.401e6)
+    assert refused(twin, tmp_path, good, bounds=far) == "ortho.no_overlap"
+    assert refused(twin, tmp_path, good, crs="EPSG:99999") == "geodesy.unknown_crs"
+    assert refused(twin, tmp_path, good, bounds=(4e5, 4.57e6, 3e5, 4.58e6)) == "ortho.grid"
+    assert refused(twin, tmp_path, good, result=tmp_path) == "ortho.result"
+    assert refused(twin, tmp_path, good, result=twin.result, image_id="third") == "ortho.result"
+    for options, expected in (({}, "ortho.no_heights"), ({"height_m": 0.0}, "ortho.no_crs")):
+        with pytest.raises(InputError) as error:
+            rectify_image(twin.folder / "left.tif", twin.folder / "left.DIM", tmp_path / "no.tif", **options)
+        assert code(error) == expected
+    with pytest.raises(InputError) as error:
+        rectify_image(picture, twin.folder / "left.DIM", tmp_path / "no.tif", dem=good)
+    assert code(error) == "ortho.size"
+    with pytest.raises(InputError) as error:
+        OrthoOptions("sinc")
+    assert code(error) == "ortho.resampling"
+
+
+def test_holes_are_refused_or_left_empty(twin: Twin, tmp_path: Path) -> None:
+    dem, bounds = altered_dem(twin, tmp_path / "hole.tif", hole=True), bounds_about(twin, 0)
+    assert refused(twin, tmp_path, dem, bounds=bounds) == "ortho.hole"
+    whole = ortho(twin, tmp_path / "whole.tif")
+    rectify_image(
+        twin.folder / "left.tif", twin.folder / "left.DIM", tmp_path / "part.tif", dem=dem, resolution=5.0,
+        bounds=bounds, options=OrthoOptions(allow_holes=True),
+    )  # fmt: skip
+    with rasterio.open(tmp_path / "part.tif") as source:
+        part = source.read(1)
+    lost = (part == 0) & (whole > 0)
+    assert 500 <= lost.sum() <= 36 * 36  # 180 m about the cell, in pixels of 5 m, cut by the window
+    assert np.array_equal(part[~lost], whole[~lost])
+
+
+def test_grid_keeps_whole_multiples() -> None:
+    grid = MapGrid.over((400_002.0, 4_570_000.0, 400_098.0, 4_570_101.0), 5.0, CRS)
+    assert grid.bounds == (400_000.0, 4_570_000.0, 400_100.0, 4_570_105.0)
+    assert (grid.rows, grid.columns) == (21, 20)
+    assert [float(v) for v in grid.centres(0, 0)] == [400_002.5, 4_570_102.5]
+
+
+def test_the_command_writes_a_cloud_optimised_file(twin: Twin, tmp_path: Path) -> None:
+    out = tmp_path / "map.tif"
+    words = ("rectify", "ortho", twin.folder / "left.tif", twin.folder / "left.DIM", "--dem", twin.folder / "dem.tif",
+             "--result", twin.result, "--resolution", "5", "--bounds",
+             ",".join(str(v) for v in bounds_about(twin, 0)), "--cog", "--out", out)  # fmt: skip
+    done = run(*words, "--json")
+    assert done.code == 0, done.stderr
+    assert done.json["error_px"] <= 0.01 and done.json["rows"] == 80
+    with rasterio.open(out) as source:
+        assert source.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert source.res == (5.0, 5.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["map.tif"]
+    again = run(*words)
+    assert again.code == 2 and "exists already" in again.stderr
+
+
+def test_a_fit_by_points_is_taken(picture: Path, tmp_path: Path) -> None:
+    points = ["id,line,sample,easting_m,northing_m"]
+    for k, (line, sample) in enumerate([(0, 0), (0, 59), (39, 0), (39, 59), (20, 30)]):
+        points.append(f"{k},{line},{sample},{1005 + 30 * sample},{5025 - 30 * line}")
+    (tmp_path / "points.csv").write_text("\n".join(points) + "\n", encoding="utf-8")
+    fitted = run("rectify", "fit", tmp_path / "points.csv", "--crs", CRS, "--out", tmp_path / "fit")
+    assert fitted.code == 0, fitted.stderr
+    done = run("rectify", "ortho", picture, tmp_path / "fit", "--out", tmp_path / "map.tif", "--resampling", "nearest")
+    assert done.code == 0, done.stderr
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(picture) as source:
+        given = source.read()
+    with rasterio.open(tmp_path / "map.tif") as found:
+        assert found.bounds == (990.0, 3840.0, 2790.0, 5040.0)
+        assert np.array_equal(found.read(), given)
+    other = run("rectify", "ortho", picture, tmp_path / "fit", "--crs", "EPSG:32635", "--out", tmp_path / "no.tif")
+    assert other.code == 2 and "was fitted in" in other.stderr
