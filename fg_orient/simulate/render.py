@@ -28,8 +28,8 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
 DEM_FILE: Final = "dem.tif"
-#: Intervals between knots along an image axis: 50 pixels of 12000; bilinear errors of 0.002 px.
-INTERVALS: Final = 240
+#: Intervals between knots along an image axis: 75 pixels of 12000; bilinear errors of 0.003 px.
+INTERVALS: Final = 160
 #: Edge of the blocks and tiles, pixels.
 BLOCK: Final = 512
 #: Radii of disc and ring, m on the map: 2.5 and 6 pixels of 5 m.

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fg_orient.geodesy import from_geographic
+from fg_orient.io.sensor import read_sensor
+from fg_orient.raster.models import SensorModel
 from fg_orient.run import run_project
+from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.sensors.surface import RasterDem
 from fg_orient.simulate.render import RADII_M, RasterOptions
 from fg_orient.simulate.zonguldak import simulate_zonguldak
 
@@ -29,6 +34,19 @@ class Twin:
     folder: Path
     result: Path
     targets: Array
+
+    @cached_property
+    def dem(self) -> RasterDem:
+        return RasterDem(self.folder / "dem.tif")
+
+    @cached_property
+    def sensors(self) -> dict[str, PushbroomSensor]:
+        return {image: read_sensor(self.folder / f"{image}.DIM") for image in ("left", "right")}
+
+    @cached_property
+    def left(self) -> SensorModel:
+        """The left image by its metadata."""
+        return SensorModel(self.sensors["left"], None, CRS, self.dem.range_m[1])
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,6 @@ import pytest
 import rasterio
 
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic
-from fg_orient.io.sensor import read_sensor
 from fg_orient.raster.adjusted import read_correction
 from fg_orient.raster.models import SensorModel
 from fg_orient.raster.ortho import orthorectify
@@ -18,20 +17,20 @@ from fg_orient.sensors.surface import RasterDem
 from fg_orient.simulate.render import Renderer
 from fg_orient.simulate.terrain import terrain_through
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate
+from tests.support.command import in_process as run
 
-from .conftest import CRS, DEM_STEP_M, RESOLUTION_M, Twin, find_target
+from .conftest import CRS, DEM_STEP_M, RESOLUTION_M, Twin, find_target, true_positions
 
 Array = np.ndarray
 
 RMS_PX, LARGEST_PX = 0.5, 1.0
-#: Half the edge of the map raster about a target, m: the search knows no better.
-HALF_M = 200.0
+#: Half the edge of the map raster about a target, and of the square in which it is searched for, m.
+HALF_M, SEARCH_M = 200.0, 190.0
 
 
-def misses(twin: Twin, image: str, tmp: Path, *, adjusted: bool, dem: Path | None = None, every: int = 1) -> Array:
+def misses(twin: Twin, image: str, tmp: Path, *, adjusted: bool, dem: RasterDem | None = None, every: int = 1) -> Array:
     """Found minus true position (n, 2) of targets in map pixels, east and north."""
-    surface = RasterDem(dem or twin.folder / "dem.tif")
-    sensor = read_sensor(twin.folder / f"{image}.DIM")
+    surface, sensor = dem or twin.dem, twin.sensors[image]
     correction = read_correction(twin.result, sensor) if adjusted else None
     model = SensorModel(sensor, correction, CRS, surface.range_m[1])
     out, found = tmp / "ortho.tif", []
@@ -43,11 +42,7 @@ def misses(twin: Twin, image: str, tmp: Path, *, adjusted: bool, dem: Path | Non
             bounds=(left, bottom, left + 2 * HALF_M, bottom + 2 * HALF_M), overwrite=True,
         )  # fmt: skip
         assert record["error_px"] <= 0.01
-        with rasterio.open(out) as source:
-            row, column = find_target(source.read(1))
-            place = source.transform
-        east, north = place.c + (column + 0.5) * place.a, place.f + (row + 0.5) * place.e
-        found.append(((east - x) / RESOLUTION_M, (north - y) / RESOLUTION_M))
+        found.append(targets_in(out, np.array([[x, y]]))[0])
     return np.array(found)
 
 
@@ -56,12 +51,12 @@ def passes(found: Array) -> bool:
     return bool(np.sqrt(np.mean(distance**2)) <= RMS_PX and distance.max() <= LARGEST_PX)
 
 
-@pytest.mark.parametrize("image", ["left", "right"])
+@pytest.mark.parametrize(("image", "every", "count"), [("left", 4, 12), ("right", 1, 47)])
 def test_every_target_lies_where_it_should_with_the_adjusted_orientation(
-    twin: Twin, tmp_path: Path, image: str
+    twin: Twin, tmp_path: Path, image: str, every: int, count: int
 ) -> None:
-    found = misses(twin, image, tmp_path, adjusted=True)
-    assert len(found) == 47
+    found = misses(twin, image, tmp_path, adjusted=True, every=every)
+    assert len(found) == count
     assert passes(found), found
 
 
@@ -70,8 +65,7 @@ def test_the_unadjusted_model_is_off_by_the_simulated_bias(twin: Twin, tmp_path:
     found = misses(twin, "right", tmp_path, adjusted=False, every=6)
     truth = simulate(ZonguldakOptions()).truth
     pixels = truth.pixels[len(truth.pixels) // 2 :][::6]  # the second image
-    sensor, dem = read_sensor(twin.folder / "right.DIM"), RasterDem(twin.folder / "dem.tif")
-    lon, lat, _ = ecef_to_geodetic(sensor.locate(*pixels.T, dem=dem))
+    lon, lat, _ = ecef_to_geodetic(twin.sensors["right"].locate(*pixels.T, dem=twin.dem))
     bias = (np.stack(from_geographic(CRS, lon, lat), axis=1) - twin.targets[::6]) / RESOLUTION_M
     assert np.hypot(*bias.T).min() > 4.0
     assert np.abs(found - bias).max() < 0.25
@@ -87,25 +81,59 @@ def test_a_terrain_shifted_by_50_m_fails(twin: Twin, tmp_path: Path) -> None:
     with rasterio.open(shifted, "w", **profile) as sink:
         sink.write(heights)
     assert passes(misses(twin, "right", tmp_path, adjusted=True, every=3))
-    assert not passes(misses(twin, "right", tmp_path, adjusted=True, dem=shifted, every=3))
+    assert not passes(misses(twin, "right", tmp_path, adjusted=True, dem=RasterDem(shifted), every=3))
 
 
 def test_rendered_rays_meet_the_terrain_where_the_sensor_says(twin: Twin) -> None:
     """Corners by the kernel against rays by ``locate``: other code for march, intersection and interpolation."""
     simulation = simulate(ZonguldakOptions())
     terrain = terrain_through(simulation.truth.lon_lat_height, step_m=DEM_STEP_M)
-    sensor, correction = read_sensor(twin.folder / "left.DIM"), simulation.truth.corrections[0]
+    sensor, correction = twin.sensors["left"], simulation.truth.corrections[0]
     renderer = Renderer(sensor, correction, terrain)
     rng = np.random.default_rng(5)
     corner = rng.integers(1, 11999, (40, 2))
     ours = np.stack([renderer.corners(line, sample, 0, 0)[0, 0] for line, sample in corner])
-    ground = sensor.locate(*(corner - 0.5).T, dem=RasterDem(twin.folder / "dem.tif"), correction=correction)
+    ground = sensor.locate(*(corner - 0.5).T, dem=twin.dem, correction=correction)
     lon, lat, _ = ecef_to_geodetic(ground)
     assert np.abs(ours - np.stack(from_geographic(CRS, lon, lat), axis=1)).max() < 0.02
 
 
 def test_points_lie_on_the_terrain(twin: Twin) -> None:
     truth = simulate(ZonguldakOptions()).truth
-    dem = RasterDem(twin.folder / "dem.tif")
-    heights = dem.height_m(truth.lon_lat_height[:, 0], truth.lon_lat_height[:, 1])
+    heights = twin.dem.height_m(truth.lon_lat_height[:, 0], truth.lon_lat_height[:, 1])
     assert np.abs(heights - truth.lon_lat_height[:, 2]).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_whole_images_rectified_in_one_run(tmp_path: Path) -> None:
+    """12000 x 12000 pixels each, rendered whole, rectified whole by the command: all targets of both images."""
+    folder, result = tmp_path / "twin", tmp_path / "result"
+    for words in (("simulate", "zonguldak", "--raster", "--out", folder),
+                  ("adjust", folder / "project.toml", "--out", result)):  # fmt: skip
+        done = run(*words)
+        assert done.code == 0, done.stderr
+    for image in ("left", "right"):
+        out = tmp_path / f"{image}_map.tif"
+        done = run(
+            "rectify", "ortho", folder / f"{image}.tif", folder / f"{image}.DIM", "--dem", folder / "dem.tif",
+            "--result", result, "--resolution", RESOLUTION_M, "--out", out,
+        )  # fmt: skip
+        assert done.code == 0, done.stderr
+        found = targets_in(out, true_positions(folder))
+        assert len(found) == 47
+        assert passes(found), found
+
+
+def targets_in(raster: Path, targets: Array) -> Array:
+    """Found minus true position (n, 2) of targets in one map raster, in its pixels."""
+    found, reach = [], int(SEARCH_M / RESOLUTION_M)
+    with rasterio.open(raster) as source:
+        place = source.transform
+        for x, y in targets:
+            first_row = int((y - place.f) / place.e) - reach
+            first_column = int((x - place.c) / place.a) - reach
+            window = rasterio.windows.Window(first_column, first_row, 2 * reach, 2 * reach)
+            row, column = find_target(source.read(1, window=window))
+            found.append((first_column + column + 0.5 - (x - place.c) / place.a,
+                          (y - place.f) / place.e - first_row - row - 0.5))  # fmt: skip
+    return np.array(found)
