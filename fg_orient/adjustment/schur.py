@@ -30,10 +30,10 @@ from fg_orient.adjustment.schur_structure import (
     SERIAL_LIMIT,
     Structure,
     Tile,
-    Workers,
     compile_structure,
     reason_against,
 )
+from fg_orient.adjustment.threads import Workers
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -44,12 +44,14 @@ MAX_THREADS: Final = 2
 
 @dataclass(frozen=True)
 class SchurStep:
-    """A step; see ``loop.Step``. ``image`` (u,) prior sigmas, ``ground`` (P, 3) m."""
+    """A step; see ``loop.Step``. ``image`` (u,) prior sigmas, ``ground`` (P, 3) m, the states before and after it."""
 
     image: Array
     ground: Array
     length: float
     predicted_error: float
+    before: State
+    after: State
 
     @property
     def data(self) -> tuple[Array, Array]:
@@ -309,7 +311,7 @@ class SchurSystem:
         moved = backend.moved(self.state, image, ground)
         error = self._excess + backend.half_rest(moved, self.buffers().control) + 0.5 * squares
         length = max(float(np.abs(image).max()), float(np.abs(ground).max(initial=0.0)))
-        return SchurStep(image, ground, length, error)
+        return SchurStep(image, ground, length, error, self.state, moved)
 
 
 class SchurBackend:
@@ -387,7 +389,7 @@ class SchurBackend:
 
     def retract(self, state: State, step: SchurStep) -> State:
         """State after a step."""
-        return self.moved(state, step.image, step.ground)
+        return step.after if state is step.before else self.moved(state, step.image, step.ground)
 
     def moved(self, state: State, image: Array, ground: Array) -> State:
         """State moved by image unknowns (u,) and points (P, 3)."""

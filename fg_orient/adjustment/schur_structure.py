@@ -7,11 +7,9 @@ together in memory. The layout is that of ``factors.batch``, ``factors.batch_poi
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -156,7 +154,7 @@ class Structure:
         out = np.zeros((len(image), self.width))
         for group in self.groups:
             c = group.columns
-            out[np.ix_(group.images, c.wide)] = image[group.images][:, : len(c.scale)] * c.scale
+            out[group.images[:, None], c.wide] = image[group.images][:, : len(c.scale)] * c.scale
         return out
 
     def narrowed(self, wide: Array) -> Array:
@@ -281,48 +279,3 @@ def _tiles(first: Small, places: Small) -> tuple[Tile, ...]:
             Tile((int(points[lo]), int(points[hi])), (int(places[lo]), int(places[hi])), (lo, hi), kept)
         )  # fmt: skip
     return tuple(out)
-
-
-class Workers:
-    """Run a kernel over a range, divided among threads; results do not depend on their number.
-
-    Parameters
-    ----------
-    threads : int
-    """
-
-    def __init__(self, threads: int) -> None:
-        self.threads = threads
-        self._pool: ThreadPoolExecutor | None = None
-        self._process = 0
-
-    def _others(self) -> ThreadPoolExecutor:
-        """Threads beside the caller's, kept: to start one takes 0.1 to 0.5 ms. A forked process has lost them."""
-        if self._pool is None or self._process != os.getpid():
-            self._pool, self._process = ThreadPoolExecutor(self.threads - 1), os.getpid()
-        return self._pool
-
-    def run(self, kernel: Callable[..., Any], cuts: int | Index, *arguments: Any, start: int = 0) -> list[Any]:
-        """Call ``kernel(lo, hi, *arguments)`` for each part; results in the order of the parts.
-
-        ``cuts`` is the length of the range, or the running sum of the cost of its items; ``start`` its first item.
-        """
-        bounds = self._bounds(cuts) + start
-
-        def part(k: int) -> Any:
-            return kernel(int(bounds[k]), int(bounds[k + 1]), *arguments)
-
-        others = [self._others().submit(part, k) for k in range(1, self.threads)]
-        try:
-            own = part(0)
-        finally:
-            wait(others)  # they write to the arrays of the caller
-        return [own, *(other.result() for other in others)]
-
-    def _bounds(self, cuts: int | Index) -> Index:
-        shares = np.arange(self.threads + 1) / self.threads
-        if isinstance(cuts, int):
-            return np.asarray(np.round(shares * cuts), dtype=np.int64)
-        bounds: Index = np.searchsorted(cuts, cuts[0] + shares * (cuts[-1] - cuts[0])).astype(np.int64)
-        bounds[-1] = len(cuts) - 1  # items that cost nothing may stand at the end
-        return bounds

@@ -21,8 +21,8 @@ from fg_orient.adjustment.robust import robust_of
 from fg_orient.adjustment.schur import SchurBackend, SchurSystem
 from fg_orient.adjustment.schur_cofactors import SchurCofactors
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.adjustment.schur_structure import Workers
 from fg_orient.adjustment.solve import chosen_backend, solve
+from fg_orient.adjustment.threads import Workers
 from fg_orient.block import Block, ExtraObservation, Image, ImagePoints
 from fg_orient.names import Role
 from fg_orient.quality import conditioning
