@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -55,7 +56,7 @@ class Columns:
         """Number of components."""
         return int(self.setup.shape[1])
 
-    @property
+    @cached_property
     def wide(self) -> Index:
         """Place (k,) of each unknown among the wide numbers."""
         return self.basis * self.n_components + self.component

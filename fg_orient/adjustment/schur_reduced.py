@@ -211,6 +211,8 @@ class Order:
 def narrowest(pattern: Pattern, first: Bounds) -> Order:
     """Order of the images as given, or that of Cuthill and McKee reversed (George & Liu 1981): the narrower band."""
     images = len(pattern.size)
+    if len(pattern.block_row) == images * (images + 1) // 2:  # all share points: no order is better than another
+        return Order(first[:-1].astype(np.int64), np.arange(first[-1]), int(first[-1]) - 1)
     links = coo_array((np.ones(len(pattern.block_row)), (pattern.block_row, pattern.block_column)), (images, images))
     found = []
     for order in (np.arange(images), reverse_cuthill_mckee((links + links.T).tocsr(), symmetric_mode=True)):

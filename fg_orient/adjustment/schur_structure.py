@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -139,12 +140,12 @@ class Structure:
     block_slots: Small
     tiles: tuple[Tile, ...]
 
-    @property
+    @cached_property
     def observed(self) -> Index:
         """Ground points with control-point equations."""
         return np.asarray(self.number[self.free == 2], dtype=np.int64)
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Largest number of wide numbers of an image."""
         return int((self.n_basis * self.n_components).max())

@@ -14,7 +14,7 @@ from fg_orient.messages import CATALOGUE
 
 ALWAYS = {"file", "place", "value"}
 DOMAINS = {code.split(".")[0] for code in CATALOGUE}
-FILE_SUFFIXES = {"csv", "toml", "json", "jsonl", "html", "npz", "txt", "py", "xml"}
+FILE_SUFFIXES = {"csv", "toml", "json", "jsonl", "html", "npz", "txt", "py", "xml", "tif"}
 CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$")
 
 
