@@ -16,8 +16,8 @@ from fg_orient.raster.models import SensorModel
 from fg_orient.run import run_project
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.surface import RasterDem
-from fg_orient.simulate.render import RADII_M, RasterOptions
-from fg_orient.simulate.zonguldak import simulate_zonguldak
+from fg_orient.simulate.render import RADII_M
+from tests.support.command import in_process as run
 
 Array = np.ndarray
 
@@ -53,8 +53,9 @@ class Twin:
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
     """Squares of 112 pixels about the points of both images, rendered; the block adjusted from its files."""
     folder = tmp_path_factory.mktemp("ortho") / "twin"
-    project = simulate_zonguldak(folder, rasters=RasterOptions(window_px=112, dem_step_m=DEM_STEP_M))
-    run_project(project, folder.parent / "result")
+    done = run("simulate", "zonguldak", "--raster", "--raster-window", 112, "--dem-step", DEM_STEP_M, "--out", folder)
+    assert done.code == 0, done.stderr
+    run_project(folder / "project.toml", folder.parent / "result")
     return Twin(folder, folder.parent / "result", true_positions(folder))
 
 

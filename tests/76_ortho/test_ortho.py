@@ -133,6 +133,29 @@ def test_gdal_makes_the_same_map_of_the_same_rpc(twin: Twin, tmp_path: Path) -> 
     assert np.mean(ours[both] != theirs[both]) < 0.1
 
 
+def test_a_transformation_with_heights_takes_them(picture: Path, tmp_path: Path) -> None:
+    """100 m move a point by a line and two samples; at this height the map is the image, shifted by whole pixels."""
+    rng, points = np.random.default_rng(3), ["id,line,sample,easting_m,northing_m,height_m"]
+    for k in range(12):
+        line, sample, height = (float(v) for v in rng.uniform(0.0, (60.0, 60.0, 300.0)))
+        east, north = 1005.0 + 30.0 * (sample + 0.02 * height), 5025.0 - 30.0 * (line - 0.01 * height)
+        points.append(f"{k},{line!r},{sample!r},{east!r},{north!r},{height!r}")
+    (tmp_path / "points.csv").write_text("\n".join(points) + "\n", encoding="utf-8")
+    fitted = run(
+        "rectify", "fit", tmp_path / "points.csv", "--model", "affine-3d", "--crs", CRS, "--out", tmp_path / "fit"
+    )
+    assert fitted.code == 0, fitted.stderr
+    words = ("rectify", "ortho", picture, tmp_path / "fit", "--out", tmp_path / "map.tif", "--resampling", "nearest")
+    assert "needs heights" in run(*words).stderr
+    done = run(*words, "--height", 100, "--resolution", 30)
+    assert done.code == 0, done.stderr
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(picture) as source:
+        given = source.read()
+    with rasterio.open(tmp_path / "map.tif") as found:
+        assert (found.bounds.left, found.bounds.top) == (990.0 + 60.0, 5040.0 + 30.0)
+        assert np.array_equal(found.read(), given)
+
+
 def code(error: pytest.ExceptionInfo[InputError]) -> str:
     return error.value.problems[0].code
 
