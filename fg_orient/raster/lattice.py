@@ -61,7 +61,8 @@ class Lattice:
     scaling : (2,) array
         Offset and scale of heights.
     error_px : float
-        Largest difference found between knots inside the image, pixels of the image or cells of the DEM.
+        Largest difference found between knots inside the image, pixels of the image or cells of the DEM; nan where no
+        middle of four knots lies in the image.
     """
 
     step: int
@@ -70,7 +71,7 @@ class Lattice:
     error_px: float
 
 
-def lattice(grid: MapGrid, model: MapModel, surface: Surface, limits: Array) -> Lattice:
+def lattice(grid: MapGrid, model: MapModel, surface: Surface, limits: Array) -> Lattice | None:
     """Ask the model at knots, and halve their distance until ``ERROR_PX`` is kept.
 
     Parameters
@@ -84,13 +85,15 @@ def lattice(grid: MapGrid, model: MapModel, surface: Surface, limits: Array) -> 
     Returns
     -------
     Lattice
-        With steps of ``LEAST_STEP`` whatever its error is; it is stated.
+        With steps of ``LEAST_STEP`` whatever its error is; it is stated. None if no knot is near the image.
     """
     low, high = surface.range_m
     scaling = np.array([0.5 * (low + high), 0.5 * max(high - low, LEAST_RANGE_M)])
     step = FIRST_STEP
     while True:
         knots = _knots(grid, model, surface, scaling, step)
+        if not _meets(knots, limits):
+            return None
         error = _error(grid, model, surface, scaling, step, knots, limits)
         if error <= ERROR_PX or step <= LEAST_STEP:
             return Lattice(step, knots, scaling, error)
@@ -110,6 +113,16 @@ def _knots(grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, ste
     return np.ascontiguousarray(out.reshape(len(rows), len(columns), KNOT_SIZE))
 
 
+def _meets(knots: Array, limits: Array) -> bool:
+    """Tell whether the pixels between the outermost knots, at all heights, and the image have some in common."""
+    for (low, high), k in zip(limits.reshape(2, 2), (2, 5), strict=True):
+        middle, reach = knots[..., k], np.abs(knots[..., k + 1]) + np.abs(knots[..., k + 2])
+        first, last = (middle - reach)[np.isfinite(middle)], (middle + reach)[np.isfinite(middle)]
+        if not len(first) or first.min() > high or last.max() < low:
+            return False
+    return True
+
+
 def _cells(grid: MapGrid, surface: Surface, x: Array, y: Array) -> Array:
     """Row and column (n, 2) of the surface's raster."""
     if isinstance(surface, LevelSurface):
@@ -121,7 +134,7 @@ def _cells(grid: MapGrid, surface: Surface, x: Array, y: Array) -> Array:
 def _error(
     grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, step: int, knots: Array, limits: Array
 ) -> float:
-    """Largest difference at the middles of cells whose middle lies in the image; 0 where none does."""
+    """Largest difference at the middles of cells whose middle lies in the image; nan where none does."""
     rows, columns = ((np.arange(n - 1.0) + 0.5) * step for n in knots.shape[:2])
     r, c = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
     x, y = grid.centres(r, c)
@@ -133,7 +146,7 @@ def _error(
         & (found[:, 1] >= limits[2]) & (found[:, 1] <= limits[3])
     )  # fmt: skip
     if not len(some):
-        return 0.0
+        return np.nan
     x, y = x[some], y[some]
     exact = model.pixels(x, y, scaling[0] + t[some] * scaling[1])
     differences = np.concatenate([found[some] - exact, k[some, :2] - _cells(grid, surface, x, y)], axis=1)

@@ -59,6 +59,8 @@ class SensorModel:
         As ``sensor.project`` takes it.
     crs : str
         Of the map.
+    top_m : float
+        Largest height that is common: up to it the projection is quick.
     """
 
     needs_heights = True

@@ -121,6 +121,8 @@ def orthorectify(
         grid = _grid(model, surface, size, crs, resolution, bounds)
         limits = np.array([-0.5, size[0] - 0.5, -0.5, size[1] - 0.5])
         knots = lattice(grid, model, surface, limits)
+        if knots is None:
+            raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
         nodata = _nodata(source, chosen)
         with staged_file(Path(out), overwrite=overwrite) as staged:
             target = staged.with_suffix(".work.tif") if chosen.cog else staged

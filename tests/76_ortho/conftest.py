@@ -51,9 +51,9 @@ class Twin:
 
 @pytest.fixture(scope="session")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
-    """Squares of 112 pixels about the points of both images, rendered; the block adjusted from its files."""
+    """Squares of 80 pixels about the points of both images, rendered; the block adjusted from its files."""
     folder = tmp_path_factory.mktemp("ortho") / "twin"
-    done = run("simulate", "zonguldak", "--raster", "--raster-window", 112, "--dem-step", DEM_STEP_M, "--out", folder)
+    done = run("simulate", "zonguldak", "--raster", "--raster-window", 80, "--dem-step", DEM_STEP_M, "--out", folder)
     assert done.code == 0, done.stderr
     run_project(folder / "project.toml", folder.parent / "result")
     return Twin(folder, folder.parent / "result", true_positions(folder))

@@ -16,7 +16,7 @@ from fg_orient.errors import InputError
 from fg_orient.raster.adjusted import read_correction
 from fg_orient.raster.grid import MapGrid
 from fg_orient.raster.job import rectify_image
-from fg_orient.raster.lattice import LevelSurface
+from fg_orient.raster.lattice import ERROR_PX, FIRST_STEP, LevelSurface, lattice
 from fg_orient.raster.models import PointModel, SensorModel
 from fg_orient.raster.ortho import RESAMPLING, OrthoOptions, orthorectify
 from fg_orient.rectification.models import find_model
@@ -92,8 +92,8 @@ def test_pixels_do_not_depend_on_the_windows(twin: Twin, tmp_path: Path, name: s
     assert np.array_equal(whole, ortho(twin, tmp_path / "b.tif", resampling=name, window=window))
 
 
-def test_pixels_do_not_depend_on_the_bounds_where_they_keep_the_knots(twin: Twin, tmp_path: Path) -> None:
-    """Another raster over the same ground: places differ by the error between knots, grey values by less than two."""
+def test_another_raster_over_the_same_ground_agrees(twin: Twin, tmp_path: Path) -> None:
+    """Its knots lie elsewhere: places differ by the error between knots, grey values by one after rounding."""
     left, bottom, right, top = bounds_about(twin, 0)
     whole = ortho(twin, tmp_path / "a.tif").astype(int)
     part = ortho(twin, tmp_path / "b.tif", bounds=(left + 55.0, bottom, right, top - 35.0)).astype(int)
@@ -128,7 +128,7 @@ def test_gdal_makes_the_same_map_of_the_same_rpc(twin: Twin, tmp_path: Path) -> 
     with rasterio.open(out) as found:
         ours = found.read(1)
     both = (ours > 0) & (theirs > 0)
-    assert both.sum() > 5000
+    assert both.sum() > 3000
     assert np.abs(ours.astype(int) - theirs)[both].max() <= 2
     assert np.mean(ours[both] != theirs[both]) < 0.1
 
@@ -257,3 +257,25 @@ def test_a_fit_by_points_is_taken(picture: Path, tmp_path: Path) -> None:
         assert np.array_equal(found.read(), given)
     other = run("rectify", "ortho", picture, tmp_path / "fit", "--crs", "EPSG:32635", "--out", tmp_path / "no.tif")
     assert other.code == 2 and "was fitted in" in other.stderr
+
+
+def test_knots_come_closer_until_the_bound_is_kept(twin: Twin) -> None:
+    """A coarse map has more pixels between knots: the step shrinks, and what it states holds at random places."""
+    grid = MapGrid.over((395_000.0, 4_565_000.0, 410_000.0, 4_580_000.0), 30.0, CRS)
+    limits = np.array([-0.5, 11999.5, -0.5, 11999.5])
+    found = lattice(grid, twin.left, twin.dem, limits)
+    assert found is not None and found.step < FIRST_STEP and found.error_px <= ERROR_PX
+    rng = np.random.default_rng(11)
+    row, column = rng.uniform(0, grid.rows - 1, 300), rng.uniform(0, grid.columns - 1, 300)
+    t = rng.uniform(-1.0, 1.0, 300)
+    (i, u), (j, v) = ((np.floor(a / found.step).astype(int), a / found.step % 1.0) for a in (row, column))
+    corners = (((1 - u) * (1 - v), 0, 0), (u * (1 - v), 1, 0), ((1 - u) * v, 0, 1), (u * v, 1, 1))
+    k = sum(w[:, None] * found.knots[i + a, j + b] for w, a, b in corners)
+    ours = np.stack([k[:, m] + t * (k[:, m + 1] + t * k[:, m + 2]) for m in (2, 5)], axis=1)
+    exact = twin.left.pixels(*grid.centres(row, column), found.scaling[0] + t * found.scaling[1])
+    assert np.abs(ours - exact).max() < 1.2 * found.error_px
+
+
+def test_knots_far_from_the_image_are_none(twin: Twin) -> None:
+    grid = MapGrid.over((495_000.0, 4_565_000.0, 500_000.0, 4_580_000.0), 30.0, CRS)
+    assert lattice(grid, twin.left, twin.dem, np.array([-0.5, 11999.5, -0.5, 11999.5])) is None
