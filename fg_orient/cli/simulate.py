@@ -42,7 +42,7 @@ def zonguldak(
     ] = False,
     dem_step: Annotated[float, typer.Option(metavar="M", help="Edge of the DEM's cells, m.")] = 30.0,
     raster_window: Annotated[
-        int, typer.Option(metavar="PX", help="Render only squares of this size about the points; 0: all.")
+        int, typer.Option(metavar="PX", help="Render only squares of this size about the points; 0: all pixels.")
     ] = 0,
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("zonguldak"),
     overwrite: Overwrite = False,
@@ -58,8 +58,9 @@ def zonguldak(
             seed=seed, point_set=point_set, image_noise_px=image_noise, errors=errors, distortion_rad=distortion,
             radial_velocity_m_s=radial_velocity, attitude_rad=_three(attitude),
         )  # fmt: skip
-        rasters = RasterOptions(raster, raster_window, dem_step) if dem or raster else None
-        with progress_bar("rendering", as_json or not raster) as progress:
+        images = raster or raster_window != 0
+        rasters = RasterOptions(images, raster_window, dem_step) if dem or images else None
+        with progress_bar("rendering", as_json or not images) as progress:
             project = simulate_zonguldak(out, options, overwrite=overwrite, rasters=rasters, progress=progress)
         _tell(project, as_json)
 

@@ -223,6 +223,8 @@ def _fill(
             seen += int(np.count_nonzero(~np.isnan(line)))
             place = rasterio.windows.Window(column, row, shape[1], shape[0])
             filled += _window(rasterio, source, sink, place, line, sample, nodata, options.resampling)
+    if progress is not None:
+        progress(len(corners), len(corners), "windows")
     return seen, filled
 
 

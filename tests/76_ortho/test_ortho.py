@@ -24,6 +24,7 @@ from fg_orient.rectification.transformation import Scaling, Transformation
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.sensors.surface import RasterDem
+from fg_orient.simulate.render import RasterOptions
 from tests.support.command import in_process as run
 
 from .conftest import CRS, Twin
@@ -274,6 +275,21 @@ def test_knots_come_closer_until_the_bound_is_kept(twin: Twin) -> None:
     ours = np.stack([k[:, m] + t * (k[:, m + 1] + t * k[:, m + 2]) for m in (2, 5)], axis=1)
     exact = twin.left.pixels(*grid.centres(row, column), found.scaling[0] + t * found.scaling[1])
     assert np.abs(ours - exact).max() < 1.2 * found.error_px
+
+
+def test_rasters_of_the_twin_that_cannot_be() -> None:
+    for options in ({"window_px": -1}, {"window_px": 12001}, {"dem_step_m": 1.0}, {"dem_step_m": 500.0}):
+        assert refused(RasterOptions, **options) == "simulate.option"
+
+
+def test_progress_ends_at_the_number_of_windows(picture: Path) -> None:
+    told: list[tuple[int, int]] = []
+    model = PointModel(plain(1005.0, 5025.0, 30.0, forward=True))
+    orthorectify(
+        picture, model, LevelSurface(0.0), picture.with_name("map.tif"), crs=CRS, resolution=30.0,
+        options=OrthoOptions(window=32), progress=lambda done, total, text: told.append((done, total)),
+    )  # fmt: skip
+    assert told == [(k, 4) for k in range(5)]
 
 
 def test_knots_far_from_the_image_are_none(twin: Twin) -> None:
