@@ -3,8 +3,9 @@
 Both fill the same map raster from the same image with the same DEM and kernel: we through the rigorous model, GDAL
 through the RPC fitted to it (the nearest thing it knows). Each runs in a process of its own, after a small run that
 loads and compiles everything; peak memory is above what is held by then. GDAL widens its bilinear kernel where it
-thinks the map coarser than the image: XSCALE and YSCALE of 1 forbid that. The files are uncompressed, so that no
-compressor is timed.
+thinks the map coarser than the image: XSCALE and YSCALE of 1 forbid that. With an RPC and a DEM rasterio has GDAL
+compute every pixel's place (its ``tolerance`` changes neither a grey value nor the time); we interpolate. The files are
+uncompressed, so that no compressor is timed.
 
     python -m benchmarks.ortho --size 12000
 """
