@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="of each way, in turn; the fastest counts")
     parser.add_argument("--measure", nargs=2, metavar=("WAY", "FOLDER"), help=argparse.SUPPRESS)
     options = parser.parse_args()
+    warnings.filterwarnings("ignore", message="Dataset has no geotransform")  # an image in sensor geometry
     if options.measure:
         sys.stdout.write(json.dumps(measure(options.measure[0], Path(options.measure[1]), options.size)))
         return
