@@ -1,6 +1,6 @@
 """Our backends against other software, in one run: raw records as JSON, one table.
 
-    python -m benchmarks.fast_path [--full] [--sizes 94 1e3 ...] [--repeats N] [--no-peers] [--json FILE] [--page]
+    python -m benchmarks.fast_path [--full] [--sizes 94 1e3 ...] [--repeats N] [--no-peers] [--budget S] [--json FILE] [--page]
 
 Without --full sizes up to 1e5, three repeats and the peers that end within seconds: some minutes. With --full all
 sizes, seven repeats and all peers: hours; it writes benchmarks/results/fast_path.json and docs/performance.md. All
@@ -173,9 +173,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     try:
         entries = [entry for size in given.sizes for entry in spot_entries(size, given, folder)]
         entries += resection_entries(given) + pinhole_entries(given)
-        run_rounds(
-            entries, FULL_BUDGET_S if given.full else BUDGET_S, lambda: results["hardware"].append(meter.measure())
-        )
+        run_rounds(entries, given.budget, lambda: results["hardware"].append(meter.measure()))
     finally:
         shutil.rmtree(folder)
     results["records"] = [record for entry in entries for record in entry.records]
@@ -193,7 +191,9 @@ def main() -> int:
     parser.add_argument("--reduced", nargs="+", default=[], help="also these solvers of the reduced system")
     parser.add_argument("--json", type=Path, help="where the records go")
     parser.add_argument("--page", action="store_true", help="write docs/performance.md from this run")
+    parser.add_argument("--budget", type=float, help="seconds for all repeats of one entry, after its first run")
     given = parser.parse_args()
+    given.budget = given.budget or (FULL_BUDGET_S if given.full else BUDGET_S)
     given.repeats = given.repeats or (7 if given.full else 3)
     given.sizes = given.sizes or (list(cases.SIZES) if given.full else ["94", "1e3", "1e4", "1e5"])
     results = run(given)

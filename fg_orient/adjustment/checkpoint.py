@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient import __version__
 from fg_orient.adjustment.loop import Carried, IterationRecord
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.errors import InputError
@@ -44,6 +45,8 @@ class Checkpoint:
         Seconds between two writings at least; 0 writes after each iteration.
     resume : bool
         Go on from the file if it exists; otherwise it is overwritten.
+    scope : str
+        What else decides the last bits, such as the number of parts: a run goes on in the same scope only.
 
     Raises
     ------
@@ -51,12 +54,13 @@ class Checkpoint:
         ``every_s`` is negative or not finite.
     """
 
-    def __init__(self, path: str | Path, *, every_s: float = EVERY_S, resume: bool = False) -> None:
+    def __init__(self, path: str | Path, *, every_s: float = EVERY_S, resume: bool = False, scope: str = "") -> None:
         if not (math.isfinite(every_s) and every_s >= 0.0):
             raise InputError.of("options.value", place="checkpoint_every", value=every_s, expected="seconds from 0")
-        self.path, self.every_s, self.resume = Path(path), every_s, resume
+        self.path, self.every_s, self.resume, self.scope = Path(path), every_s, resume, scope
         self._last = time.monotonic()
         self._pending: tuple[Problem, str, Carried[State]] | None = None
+        self._of: Problem | None = None
         self._fingerprint = ""
 
     def keep(self, problem: Problem, backend: str, carried: Carried[State]) -> None:
@@ -67,6 +71,8 @@ class Checkpoint:
         InputError
             The file cannot be written.
         """
+        if self._of is not problem:
+            self._of, self._fingerprint = problem, ""
         self._pending = problem, backend, carried
         if time.monotonic() - self._last >= self.every_s:
             self.write()
@@ -82,7 +88,7 @@ class Checkpoint:
         if self._pending is None:
             return None
         problem, backend, carried = self._pending
-        self._fingerprint = self._fingerprint or fingerprint(problem)
+        self._fingerprint = self._fingerprint or fingerprint(problem, self.scope)
         stream = io.BytesIO()
         np.savez(
             stream, allow_pickle=False, format=np.array(FORMAT), fingerprint=np.array(self._fingerprint),
@@ -102,20 +108,21 @@ class Checkpoint:
         InputError
             The file is no checkpoint, or that of another problem.
         """
+        self._pending = None
         if not (self.resume and self.path.exists()):
             return None
         try:
             with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as content:
                 arrays = dict(content)
-            known = int(arrays["format"]) == FORMAT
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            if int(arrays["format"]) != FORMAT:
+                raise InputError.of("checkpoint.unreadable", file=self.path, value=f"format {arrays['format']}")
+            found = str(arrays["fingerprint"]), str(arrays["backend"]), _carried(arrays)
+        except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise InputError.of("checkpoint.unreadable", file=self.path, value=type(error).__name__) from error
-        if not known:
-            raise InputError.of("checkpoint.unreadable", file=self.path, value=f"format {arrays['format']}")
-        self._fingerprint = fingerprint(problem)
-        if str(arrays["fingerprint"]) != self._fingerprint:
+        self._of, self._pending, self._fingerprint = problem, None, fingerprint(problem, self.scope)
+        if found[0] != self._fingerprint:
             raise InputError.of("checkpoint.other", file=self.path, place="--resume")
-        return str(arrays["backend"]), _carried(arrays)
+        return found[1:]
 
     def remove(self) -> None:
         """Remove the file; the run has ended."""
@@ -135,14 +142,16 @@ def _record(row: list[float]) -> IterationRecord:
     return IterationRecord(**values | {"iteration": int(values["iteration"]), "accepted": bool(values["accepted"])})
 
 
-def fingerprint(problem: Problem) -> str:
-    """SHA-256 of everything that decides what an iteration does."""
-    digest = hashlib.sha256()
+def fingerprint(problem: Problem, scope: str = "") -> str:
+    """SHA-256 of everything that decides what an iteration does; ``scope``: see :class:`Checkpoint`."""
+    digest = hashlib.sha256(repr((__version__, scope)).encode())
     options = {name: value for name, value in asdict(problem.block.options).items() if name not in _FREE}
     digest.update(repr(options).encode())
-    for parameters in problem.parameters:
-        digest.update(repr(parameters.names).encode())
-        digest.update(parameters.setup.tobytes())
+    for model in problem.models:
+        digest.update(repr((model.equation.name, model.parameters.names)).encode())
+        digest.update(model.parameters.setup.tobytes())
+    for extra in problem.block.extra:
+        digest.update(repr((extra.equation.name, extra.unknowns, extra.n_residuals)).encode())
     o = problem.observations
     for array in (
         problem.records, problem.control_records, problem.active, problem.observed, problem.origin_m, o.image, o.point,

@@ -18,6 +18,7 @@ import numpy as np
 from factors import pushbroom
 from fg_orient.adjustment.models.contract import image_models
 from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
+from fg_orient.adjustment.schur_structure import LEAST_CHUNKS
 from fg_orient.adjustment.solve import SCHUR_FROM
 from fg_orient.block import Block
 from fg_orient.errors import InputError, Problem, problem
@@ -27,7 +28,7 @@ from fg_orient.names import Role
 SHARE: Final = 0.8
 #: Bytes per image point: arrays of the Schur backend; factors, values, linear graph and Bayes tree of GTSAM; start
 #: values and results (cofactors, tables, report).
-SCHUR: Final = 300
+SCHUR: Final = 350
 GRAPH: Final = 13_000
 RESULTS: Final = 400
 #: Numbers per ground point in problem, state and results.
@@ -35,6 +36,7 @@ PER_POINT: Final = 60
 GB: Final = 1e9
 _MEMINFO: Final = Path("/proc/meminfo")
 _GROUPS: Final = Path("/sys/fs/cgroup")
+_OWN_GROUPS: Final = Path("/proc/self/cgroup")
 
 
 @dataclass(frozen=True)
@@ -92,10 +94,10 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
 
 
 def _schur(block: Block, n: int, u: int, widest: int) -> float:
-    """Working set, reduced matrix with factor and inverse, blocks of pairs of images."""
+    """Working set, reduced matrix with factor and inverse, blocks of pairs of images and the sums they are made of."""
     images = len(block.images)
     whole = 3 * 8 * u**2 if u <= WHOLE_LIMIT else 0
-    return n * SCHUR + whole + 2 * 8 * widest**2 * images * (images + 1) / 2
+    return n * SCHUR + whole + (2 + LEAST_CHUNKS) * 8 * widest**2 * images * (images + 1) / 2
 
 
 def _graph(block: Block, n: int, u: int, widest: int) -> float:
@@ -152,12 +154,43 @@ def _of_system() -> Iterator[int]:
 
 
 def _of_group() -> Iterator[int]:
-    """What control groups leave, versions 2 and 1; a group without a limit has a word or a huge number."""
-    pairs = (("memory.max", "memory.current"), ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"))
-    for limit, usage in pairs:
+    """What the control groups of this process leave, versions 2 and 1; memory of files that can be given up is free.
+
+    A group without a limit has a word or a huge number.
+    """
+    for limit, usage, reclaimable, folder in _group_files():
         try:
-            most, used = (int((_GROUPS / name).read_text("ascii")) for name in (limit, usage))
+            most, used = (int((folder / name).read_text("ascii")) for name in (limit, usage))
         except (OSError, ValueError):
             continue
+        free = _number_of(folder / "memory.stat", reclaimable)
         if most < np.iinfo(np.int64).max // 2:
-            yield max(most - used, 0)
+            yield max(most - used + free, 0)
+
+
+def _number_of(path: Path, name: str) -> int:
+    """The number that follows a name at the beginning of a line; 0 without one."""
+    try:
+        lines = path.read_text("ascii").splitlines()
+    except (OSError, ValueError):
+        return 0
+    return sum(int(line.split()[1]) for line in lines if line.startswith(f"{name} "))
+
+
+def _group_files() -> Iterator[tuple[str, str, str, Path]]:
+    """Names of limit, use and reclaimable part, and the folders from the own group up to the root of all."""
+    two = ("memory.max", "memory.current", "inactive_file")
+    one = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+    try:
+        groups = _OWN_GROUPS.read_text("ascii").split()
+    except (OSError, ValueError):
+        groups = []
+    for group in [*groups, "0::/", "1:memory:/"]:
+        _, controllers, place = group.split(":", 2)
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root = _GROUPS / "memory" if controllers else _GROUPS
+        own = root / place.lstrip("/")
+        for folder in (own, *own.parents):
+            if folder.is_relative_to(root):
+                yield (*(one if controllers else two), folder)

@@ -7,6 +7,7 @@ in: with ``K = H^-1 sum G^T J`` its cofactors are ``H^-1 + K Q K^T``, those with
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,9 @@ Array = npt.NDArray[np.float64]
 
 #: Images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u).
 Gain = tuple[tuple[int, ...], Array, Array]
+
+#: Joint blocks that are remembered.
+KNOWN: Final = 1000
 
 
 class ReducedCofactors:
@@ -46,8 +50,10 @@ class ReducedCofactors:
         self._of((0,))  # an ill-conditioned system is found when first asked, not when made
 
     def _of(self, images: tuple[int, ...]) -> Array:
-        """Cofactors of images in ascending order; points that are seen in the same images share them."""
+        """Cofactors of images in ascending order; points that are seen in the same images share the last ones."""
         if images not in self._known:
+            if len(self._known) > KNOWN:
+                self._known.clear()
             self._known[images] = self._reduced.covariance(images)
         return self._known[images]
 

@@ -31,6 +31,10 @@ SERIAL_LIMIT: Final = 2000
 CHUNKS: Final = 24
 LEAST_CHUNK: Final = 512
 MOST_CHUNK: Final = 16384
+#: Bytes per image point that the sums of the chunks may take, and bytes they always may; chunks there always are.
+SUMS: Final = 48
+LEAST_SUMS: Final = 32_000_000
+LEAST_CHUNKS: Final = 4
 #: Image points whose rows are computed together: 25 MB.
 TILE: Final = 131_072
 #: Up to so many image points all rows are kept, 200 bytes each; of larger blocks this share, so that the working set
@@ -179,7 +183,7 @@ def compile_structure(problem: Problem) -> Structure:
         n_basis[g.images], n_components[g.images], size[g.images] = g.n_basis, g.columns.n_components, k
         wide[g.images, :k], scale[g.images, :k] = g.columns.wide, g.columns.scale
         _write_basis(problem, row, g, basis)
-    pieces, chunks = _pieces(first, image, free)
+    pieces, chunks = _pieces(first, image, free, problem.n_images, int(n_basis.max() * n_components.max()) ** 2)
     chunk_places = np.append(pieces[chunks[:-1], 1], len(number)).astype(np.int32)
     pairs = np.append(pieces[1:, 4], _entries(pieces)) - pieces[:, 4]
     cost = np.concatenate([[0], np.cumsum(pairs * pieces[:, 2])])[chunks]
@@ -233,12 +237,23 @@ def _write_basis(problem: Problem, row: Small, group: Group, basis: Array) -> No
         basis[at, : group.n_basis] = group.columns.values(problem.records[row[at]])
 
 
-def _pieces(first: Small, image: Small, free: npt.NDArray[np.int8]) -> tuple[Index, Index]:
-    """Pieces (Q, 5), and the first of each chunk and their number (N + 1,)."""
-    limit = min(max(int(first[-1]) // CHUNKS, LEAST_CHUNK), MOST_CHUNK)
+def _pieces(
+    first: Small, image: Small, free: npt.NDArray[np.int8], n_images: int, numbers: int
+) -> tuple[Index, Index]:  # fmt: skip
+    """Pieces (Q, 5), and the first of each chunk and their number (N + 1,).
+
+    Chunks become fewer where their sums, ``numbers`` for each of their blocks, would outgrow the rows: where the images
+    of neighbouring points have nothing in common.
+    """
+    total = int(first[-1])
+    limit = min(max(total // CHUNKS, LEAST_CHUNK), MOST_CHUNK)
     pieces, chunks = np.zeros((len(free), 5), np.int64), np.zeros(len(free) + 1, np.int64)
-    n_pieces, n_chunks = batch_sort.cut_pieces(first, image, free, limit, pieces, chunks)
-    return pieces[:n_pieces].copy(), chunks[: n_chunks + 1].copy()
+    while True:
+        n_pieces, n_chunks = batch_sort.cut_pieces(first, image, free, limit, pieces, chunks)
+        slots = batch_sort.count_slots(pieces, chunks[: n_chunks + 1], image, np.zeros(n_images**2, np.int32))
+        if n_chunks <= LEAST_CHUNKS or slots * numbers * 8 <= max(SUMS * total, LEAST_SUMS):
+            return pieces[:n_pieces].copy(), chunks[: n_chunks + 1].copy()
+        limit *= 2
 
 
 def _entries(pieces: Index) -> int:

@@ -48,6 +48,8 @@ OPTIMIZER_NAMES = (*OPTIMIZERS, *NATIVE)
 BACKENDS = ("auto", "graph", "schur", "dense")
 #: Image points from which "auto" takes the Schur complement.
 SCHUR_FROM = 100
+#: Image points up to which "auto" goes over to the graph where the Schur complement gives up: it takes 13 kB for each.
+GRAPH_FALLBACK = 100_000
 
 
 @dataclass(frozen=True)
@@ -265,7 +267,8 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
     try:
         return {"dense": _run_dense, "schur": _run_schur, "graph": _run_graph}[job.backend](job)
     except RuntimeError:
-        if (job.options.backend, job.backend) != ("auto", "schur"):
+        few = len(job.problem.observations) <= GRAPH_FALLBACK
+        if (job.options.backend, job.backend) != ("auto", "schur") or not few:
             raise
     job.start_again("graph")
     return _run_graph(job)

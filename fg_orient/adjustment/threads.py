@@ -35,12 +35,14 @@ class Workers:
         """
         bounds = [start + cut for cut in self._bounds(cuts)]
         mates = self._others() if self.threads > 1 else ()
-        for mate, lo, hi in zip(mates, bounds[1:], bounds[2:], strict=False):
-            mate.inbox.put((kernel, lo, hi, arguments))
+        asked = 0
         try:
+            for mate, lo, hi in zip(mates, bounds[1:], bounds[2:], strict=False):
+                mate.inbox.put((kernel, lo, hi, arguments))
+                asked += 1
             own = kernel(bounds[0], bounds[1], *arguments)
         finally:
-            others = self._results(mates)  # they write to the arrays of the caller
+            others = self._results(mates[:asked])  # they write to the arrays of the caller
         for _, error in others:
             if error is not None:
                 raise error

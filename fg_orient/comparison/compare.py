@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import math
+import pickle
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
@@ -146,8 +147,11 @@ def _shared(
 def _key(block: Block, plan: _Plan) -> str:
     """What the rows of a set depend on."""
     o, known = block.observations, block.points.known
-    digest = hashlib.sha256(repr((plan, block.options, block.sources)).encode())
-    for array in (o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px, known.ecef_m, known.fixed):
+    points = block.points.ids, block.points.roles
+    digest = hashlib.sha256(repr((plan, block.options, block.sources, points)).encode())
+    digest.update(pickle.dumps(block.images))
+    arrays = (o.line, o.sample, o.sigma_line_px, o.sigma_sample_px, known.ecef_m, known.sigma_enu_m)
+    for array in (o.image, o.point, known.fixed, *arrays):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 

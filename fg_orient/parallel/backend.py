@@ -8,6 +8,7 @@ are those of every backend.
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -171,8 +172,17 @@ class PartedSystem:
 
     def summed(self) -> SummedSystem:
         """What the covariance needs."""
-        found, state = self._eliminated(0.0), State(self.state.image, self.state.ground)
+        state = State(self.state.image, self.state.ground)
+        try:
+            found = self._eliminated(0.0)
+        except RuntimeError as error:
+            return SummedSystem(state, functools.partial(_raise, error))
         return SummedSystem(state, lambda: self._backend.reduced(found, 0.0))
+
+
+def _raise(error: Exception) -> Reduced:
+    """Give no system, but the reason."""
+    raise error
 
 
 class PartedBackend:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
 from fg_orient.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.linear.threads import one_blas_thread
 from fg_orient.parallel import tasks
 
 T = TypeVar("T")
@@ -85,6 +86,12 @@ def summed(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> An
         return task(*arguments[0])
     half = len(arguments) // 2
     return summed(task, arguments[:half]) + summed(task, arguments[half:])
+
+
+def _summed_on_worker(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+    """The same where BLAS may have more threads, which would change last bits."""
+    with one_blas_thread():
+        return summed(task, arguments)
 
 
 def branches(arguments: Sequence[tuple[Any, ...]], depth: int) -> Iterator[Sequence[tuple[Any, ...]]]:
@@ -164,7 +171,7 @@ class Cluster:
             while len(found) < min(4 * workers, len(arguments)) and (len(found) < workers or len(found) % workers):
                 depth += 1
                 found = list(branches(arguments, depth))
-            sums = self.client.gather(self._submit(summed, [(task, branch) for branch in found]))
+            sums = self.client.gather(self._submit(_summed_on_worker, [(task, branch) for branch in found]))
             return _top(iter(sums), len(arguments), depth)
 
     def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:

@@ -43,6 +43,8 @@ def solve_in_parts(
     judged = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
     with opened(execution) as pool, work_folder(execution, pool) as folder:
         parts = execution.parts or default_parts(problem)
+        if checkpoint is not None:
+            checkpoint.scope = f"{parts} parts"
         estimate = solve(judged, callback, lambda p: PartedBackend(p, pool, folder, parts), checkpoint)
         summed = cast(PartedSystem, estimate.linear).summed()
     return replace(estimate, state=summed.state, linear=summed)

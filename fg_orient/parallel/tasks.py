@@ -7,11 +7,14 @@ of the work folder, named after the state.
 
 from __future__ import annotations
 
+import functools
 import io
 import shutil
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +27,8 @@ from fg_orient.parallel.parts import read_part, write_whole
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 #: Name of the state whose ground points stand in the part files.
 START: Final = "start"
@@ -141,7 +146,7 @@ class _Open:
     """A part as this process has opened it: the backend, and the last linearisation."""
 
     def __init__(self, problem: Problem, threads: int | None) -> None:
-        self.problem, self.backend = problem, SchurBackend(problem, threads=threads)
+        self.problem, self.backend, self.lock = problem, SchurBackend(problem, threads=threads), threading.Lock()
         self._at = ("", 0)
         self._system: SchurSystem | None = None
         self._ground: dict[str, Array] = {START: problem.start.ground}
@@ -183,13 +188,28 @@ class _Open:
 
 
 _OPEN: dict[tuple[str, int], _Open] = {}
+_OPENING: Final = threading.Lock()
 
 
 def _opened(at: At) -> _Open:
     key = at.folder, at.part
-    if key not in _OPEN:
-        _OPEN[key] = _Open(read_part(at.folder, at.part), at.threads)
-    return _OPEN[key]
+    with _OPENING:
+        if key not in _OPEN:
+            for other in {folder for folder, _ in _OPEN if not Path(folder).is_dir()}:
+                forget(other)  # its client died
+            _OPEN[key] = _Open(read_part(at.folder, at.part), at.threads)
+        return _OPEN[key]
+
+
+def _alone(task: F) -> F:
+    """One task at a time on a part: a worker may have threads, and a failed sum leaves tasks behind that still run."""
+
+    @functools.wraps(task)
+    def run(at: At, *arguments: Any) -> Any:
+        with _opened(at).lock:
+            return task(at, *arguments)
+
+    return cast(F, run)
 
 
 def forget(folder: str) -> None:
@@ -225,6 +245,7 @@ def read_ground(folder: str | Path, part: int, name: str) -> Array:
         raise InputError.of("parallel.folder", file=path, value=type(error).__name__) from error
 
 
+@_alone
 def error(at: At) -> float:
     """Half the weighted sum of squares of a part, without priors of the images."""
     part = _opened(at)
@@ -232,12 +253,14 @@ def error(at: At) -> float:
     return part.backend.error(part.state(at))
 
 
+@_alone
 def squares(at: At) -> Squares:
     """Squared whitened norms of a part, unweighted."""
     part = _opened(at)
     return Squares(*part.backend.squares(part.state(at)))
 
 
+@_alone
 def eliminate(at: At, damping: float) -> Partial:
     """Linearise a part and eliminate its ground points, damped.
 
@@ -254,18 +277,21 @@ def eliminate(at: At, damping: float) -> Partial:
     return Partial(row, column, own, gradient, part.system(at).error)
 
 
+@_alone
 def substitute(at: At, damping: float, image: Array, target: str) -> Moved:
     """Move the ground points of a part after a step (u,) of the images; ``target`` names the new state."""
     part = _opened(at)
     return _moved(part, at, part.substitute(at, damping, image), target)
 
 
+@_alone
 def gradient(at: At) -> Slope:
     """Gradient of a part."""
     image, ground = _opened(at).gradient(at)
     return Slope(image, float(np.sum(ground**2)))
 
 
+@_alone
 def bend(at: At, damping: float, slope: Array, newton: Array) -> Bend:
     """What the dogleg needs of a part: ``slope`` and ``newton``, which has this damping, (u,) of the images."""
     part = _opened(at)
@@ -274,6 +300,7 @@ def bend(at: At, damping: float, slope: Array, newton: Array) -> Bend:
     return Bend(part.system(at).curvature(slope, ground), float(np.sum(ground * step)))
 
 
+@_alone
 def blend(at: At, damping: float, slope: Array, newton: Array, multiples: tuple[float, float], target: str) -> Moved:
     """Move a part by a multiple of the gradient plus a multiple of the Newton step."""
     part = _opened(at)

@@ -125,11 +125,14 @@ def checkpoint_path(out: str | Path) -> Path:
 
 
 def _adjust_and_log(block: Block, folder: Path, callback: Callback | None, out: Path, how: dict[str, Any]) -> Solution:
-    """Adjust; each iteration is on disk as soon as it is done."""
+    """Adjust; each iteration is on disk as soon as it is done, those of a backend that gave up are not kept."""
     with (folder / "iterations.jsonl").open("w", encoding="utf-8") as stream:
 
         def note(record: IterationRecord) -> None:
             with writing(out):
+                if record.iteration == 1:
+                    stream.seek(0)
+                    stream.truncate()
                 stream.write(dumps(asdict(record)) + "\n")
                 stream.flush()
             if callback is not None:

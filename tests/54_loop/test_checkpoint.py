@@ -195,3 +195,29 @@ def test_files_of_others_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(InputError, match="checkpoint_every"):
         Checkpoint(path, every_s=-1.0)
     assert fingerprint(problem) == fingerprint(spoiled(backend="schur"))
+    assert fingerprint(problem) != fingerprint(problem, "4 parts")
+
+
+@pytest.mark.parametrize("left_out", ["fingerprint", "backend", "numbers", "log", "all"])
+def test_a_file_with_something_missing_is_no_checkpoint(tmp_path: Path, left_out: str) -> None:
+    path, problem = tmp_path / "file", spoiled(backend="schur")
+    keeper = Checkpoint(path)
+    keeper.keep(problem, "schur", Carried(problem.start))
+    keeper.write()
+    with np.load(path) as content:
+        arrays = {name: array for name, array in content.items() if name != left_out}
+    with path.open("wb") as stream:
+        np.save(stream, np.arange(3.0)) if left_out == "all" else np.savez(stream, **arrays)
+    with pytest.raises(InputError, match="no checkpoint of this version"):
+        Checkpoint(path, resume=True).read(problem)
+
+
+def test_a_checkpoint_used_for_two_problems_belongs_to_the_second(tmp_path: Path) -> None:
+    path, first, second = tmp_path / "file", spoiled(backend="schur"), spoiled(backend="schur", eop_set=2)
+    keeper = Checkpoint(path, every_s=0.0)
+    keeper.keep(first, "schur", Carried(first.start))
+    keeper.keep(second, "schur", Carried(second.start))
+    resumed = Checkpoint(path, resume=True)
+    assert resumed.read(second) is not None
+    with pytest.raises(InputError, match="belongs to other input files or options"):
+        resumed.read(first)

@@ -71,12 +71,22 @@ def test_available_memory_is_that_of_system_and_control_group(tmp_path: Path, mo
     information.write_text("MemTotal: 9000 kB\nMemAvailable:    4000 kB\n")
     monkeypatch.setattr(memory, "_MEMINFO", information)
     monkeypatch.setattr(memory, "_GROUPS", tmp_path)
+    monkeypatch.setattr(memory, "_OWN_GROUPS", tmp_path / "groups")
     assert memory.available_bytes() == 4000 * 1024
     (tmp_path / "memory.max").write_text("max\n")
     (tmp_path / "memory.current").write_text("500000\n")
     assert memory.available_bytes() == 4000 * 1024
     (tmp_path / "memory.max").write_text("2500000\n")
     assert memory.available_bytes() == 2_000_000
+    (tmp_path / "memory.stat").write_text("anon 400000\ninactive_file 100000\n")
+    assert memory.available_bytes() == 2_100_000, "memory of files can be given up"
+    (tmp_path / "own" / "inner").mkdir(parents=True)
+    (tmp_path / "groups").write_text("3:cpu:/else\n0::/own/inner\n")
+    (tmp_path / "own" / "memory.max").write_text("1000000\n")
+    (tmp_path / "own" / "memory.current").write_text("1\n")
+    assert memory.available_bytes() == 999_999, "the group above the own one has the narrowest limit"
+    (tmp_path / "own" / "memory.max").unlink()
+    (tmp_path / "memory.stat").unlink()
     assert memory.allowed_bytes(None) == 1_600_000 and memory.allowed_bytes(3.0) == 3_000_000_000
     information.unlink()
     (tmp_path / "memory.max").unlink()
