@@ -1,6 +1,7 @@
 """Our backends against other software, in one run: raw records as JSON, one table.
 
-    python -m benchmarks.fast_path [--full] [--sizes 94 1e3 ...] [--repeats N] [--no-peers] [--budget S] [--json FILE] [--page]
+    python -m benchmarks.fast_path [--full] [--sizes 94 1e3 ...] [--repeats N] [--no-peers] [--budget S] [--json FILE]
+                                   [--page]
 
 Without --full sizes up to 1e5, three repeats and the peers that end within seconds: some minutes. With --full all
 sizes, seven repeats and all peers: hours; it writes benchmarks/results/fast_path.json and docs/performance.md. All
