@@ -65,8 +65,8 @@ class BalData:
 def read_bal(path: str | Path, *, keep_behind: bool = True) -> Block:
     """Read a file as a block in a local system, with the options to adjust it as the literature does.
 
-    There are no priors and the datum is free; Levenberg-Marquardt; sigma 1 px. Points measured once are left out:
-    nothing determines them.
+    There are no priors and the datum is free; Levenberg-Marquardt; sigma 1 px. Points measured in one image
+    only, once or more, are left out: nothing determines their depth.
 
     Parameters
     ----------
@@ -81,10 +81,9 @@ def read_bal(path: str | Path, *, keep_behind: bool = True) -> Block:
     InputError
         The file cannot be read, is truncated or damaged: with the line of the first fault.
     """
-    raw = _read(Path(path))
+    raw, sha256 = _read(Path(path))
     data = _parse(raw, Path(path).name)
-    source = Source(str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest())
-    return bal_block(data, Path(path).name, (source,), keep_behind=keep_behind)
+    return bal_block(data, Path(path).name, (Source(str(path), sha256),), keep_behind=keep_behind)
 
 
 def read_bal_data(path: str | Path) -> BalData:
@@ -95,7 +94,7 @@ def read_bal_data(path: str | Path) -> BalData:
     InputError
         See :func:`read_bal`.
     """
-    return _parse(_read(Path(path)), Path(path).name)
+    return _parse(_read(Path(path))[0], Path(path).name)
 
 
 def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = (), *, keep_behind: bool = True) -> Block:
@@ -103,8 +102,8 @@ def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = (), *, kee
     cameras = cameras_of(data)
     behind = np.zeros(len(data.points), bool)
     behind[data.point[_depths(data, cameras) <= 0.0]] = True
-    once = np.bincount(data.point, minlength=len(data.points)) == 1
-    rows = ~(once | behind & (not keep_behind))[data.point]
+    alone = _in_one_image(data)
+    rows = ~(alone | behind & (not keep_behind))[data.point]
     x, y = data.xy[rows].T
     sigma = np.full(len(x), SIGMA_PX)
     observations = ImagePoints(data.camera[rows], data.point[rows], -y, x, sigma, sigma)
@@ -120,9 +119,21 @@ def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = (), *, kee
     points = GroundPoints(tuple(map(str, range(n))), (Role.TIE,) * n, known)
     nothing = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)))
     options = Options(datum="free", priors=False, optimizer="levenberg-marquardt", max_iterations=500)
-    told = (f"{once.sum()} point(s) measured once are left out", f"{behind.sum()} point(s) begin behind a camera")
-    notes = tuple(text for text, which in zip(told, (once, behind), strict=True) if which.any())
+    told = (
+        f"{alone.sum()} point(s) measured in one image only are left out",
+        f"{behind.sum()} point(s) begin behind a camera",
+    )
+    notes = tuple(text for text, which in zip(told, (alone, behind), strict=True) if which.any())
     return Block(name, images, points, observations, nothing, options, sources, notes)
+
+
+def _in_one_image(data: BalData) -> npt.NDArray[np.bool_]:
+    """Points (N,) that are measured, but in one image only."""
+    some, several = (np.zeros(len(data.points), bool) for _ in range(2))
+    any_camera = np.zeros(len(data.points), np.intp)
+    some[data.point], any_camera[data.point] = True, data.camera
+    several[data.point[data.camera != any_camera[data.point]]] = True
+    return some & ~several
 
 
 def _depths(data: BalData, cameras: list[FrameCamera]) -> Array:
@@ -154,13 +165,14 @@ def cameras_of(data: BalData) -> list[FrameCamera]:
     ]  # fmt: skip
 
 
-def _read(path: Path) -> bytes:
-    """Content of a file, decompressed; its first bytes tell how."""
+def _read(path: Path) -> tuple[bytes, str]:
+    """Content of a file, decompressed as its first bytes tell, and the SHA-256 of the file."""
     try:
         raw = path.read_bytes()
+        sha256 = hashlib.sha256(raw).hexdigest()
         if raw[:2] == b"\x1f\x8b":
-            return gzip.decompress(raw)
-        return bz2.decompress(raw) if raw[:3] == b"BZh" else raw
+            return gzip.decompress(raw), sha256
+        return (bz2.decompress(raw) if raw[:3] == b"BZh" else raw), sha256
     except (OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError.of("bal.unreadable", file=path.name, value=error) from None
 
@@ -169,7 +181,7 @@ def _parse(raw: bytes, file: str) -> BalData:
     """Numbers of a file; on any fault the line is looked for."""
     tokens = raw.split()
     try:
-        n_cameras, n_points, n = (int(token) for token in tokens[:3])
+        n_cameras, n_points, n = (_whole(token) for token in tokens[:3])
     except ValueError:
         raise InputError.of("bal.header", file=file, place="line 1", value=_shown(raw)) from None
     if not (0 < n_cameras <= LARGEST and 0 < n_points <= LARGEST and 0 < n <= LARGEST):
@@ -178,10 +190,7 @@ def _parse(raw: bytes, file: str) -> BalData:
     if len(tokens) != expected:
         place = f"line {raw.count(10) + 1}"
         raise InputError.of("bal.count", file=file, place=place, value=f"{len(tokens)} numbers", expected=expected)
-    try:
-        values = np.array(tokens[3:], dtype=np.float64)
-    except ValueError:
-        _refuse(raw, file, next(k for k in range(3, expected) if not _is_number(tokens[k])), "bal.number")
+    values = _numbers(raw, tokens, file)
     if not np.isfinite(values).all():
         _refuse(raw, file, 3 + int(np.flatnonzero(~np.isfinite(values))[0]), "bal.number")
     observed = values[: 4 * n].reshape(n, 4)
@@ -198,12 +207,29 @@ def _parse(raw: bytes, file: str) -> BalData:
     return BalData(index[:, 0], index[:, 1], observed[:, 2:].copy(), cameras.copy(), points)
 
 
+def _whole(token: bytes) -> int:
+    """Whole number of digits alone; ValueError for others (``int`` would take 1_0 for 10)."""
+    if not token.lstrip(b"-").isdigit():
+        raise ValueError(token)
+    return int(token)
+
+
+def _numbers(raw: bytes, tokens: list[bytes], file: str) -> Array:
+    """Numbers behind the header."""
+    if b"_" not in raw:  # numpy would take 1_0 for 10
+        try:
+            return np.array(tokens[3:], dtype=np.float64)
+        except ValueError:
+            pass
+    _refuse(raw, file, next(k for k in range(3, len(tokens)) if not _is_number(tokens[k])), "bal.number")
+
+
 def _is_number(token: bytes) -> bool:
     try:
         float(token)
     except ValueError:
         return False
-    return True
+    return b"_" not in token
 
 
 def _refuse(raw: bytes, file: str, wrong: int, code: str, **fields: object) -> NoReturn:

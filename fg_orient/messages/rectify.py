@@ -69,6 +69,12 @@ RECTIFY: Final = {
     "rectify.projection": ("not a projection that PROJ knows", "write it as PROJ does: +proj=tmerc +lon_0=27 ..."),
     "rectify.outside": ("this point lies outside the domain of the projection", "check longitude and latitude"),
     "rectify.saved": ("not a transformation that was written here", "give transformation.json of a result folder"),
+    "rectify.result": ("not a result of rectify fit as it was written here", "give its folder, unchanged"),
+    "rectify.pruned": (
+        "points were left out until the RMSE was small, and there are no check points: what is left tells no accuracy",
+        "give some points the role check, and fit again",
+    ),
+    "rectify.ellipsoid": ("not an ellipsoid that PROJ knows", "give PROJ's name, for instance WGS84, intl, clrk66"),
     "ortho.no_rasterio": ("rasters need rasterio", "install the extra: pip install 'fg-orient[geo]'"),
     "ortho.image": ("the image cannot be read", "give a raster that GDAL reads"),
     "ortho.kind": ("values of this type cannot be resampled", "give an image of real numbers, whole or not"),

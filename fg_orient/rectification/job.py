@@ -125,7 +125,8 @@ def read_differences(path: Path) -> tuple[Array, str]:
     Raises
     ------
     InputError
-        All faults of the file, or a result whose residuals are pixels.
+        All faults of the file; a result that was edited or whose residuals are pixels; one without check points whose
+        control points were chosen by their residuals (pruning): these say nothing of the map.
     """
     return _of_folder(path) if path.is_dir() else (_of_table(path), "points of the table")
 
@@ -145,15 +146,18 @@ def _of_table(path: Path) -> Array:
 def _of_folder(path: Path) -> tuple[Array, str]:
     try:
         record = json.loads((path / "result.json").read_text("utf-8"))
-        rows, way = record["points"], record["direction"]
+        rows, way, pruning = record["points"], record["direction"], record["pruning"]
+        if way != DIRECTIONS[0]:
+            raise InputError.of("rectify.direction", file=path, value=f"{way}: residuals in pixels")
+        check = [row for row in rows if row["role"] == "check"]
+        chosen = not check and pruning is not None and len(pruning["dropped"]) > 0
+        used = [[row["residual_easting_m"], row["residual_northing_m"]] for row in check or rows]
+        differences = np.array(used, float)
     except (OSError, ValueError, KeyError, TypeError):
-        raise InputError.of("rectify.saved", file=path) from None
-    if way != DIRECTIONS[0]:
-        raise InputError.of("rectify.direction", file=path, value=f"{way}: residuals in pixels")
-    check = [row for row in rows if row["role"] == "check"]
-    words = "check points" if check else "control points, which say less: there are no check points"
-    used = check or rows
-    return np.array([[row["residual_easting_m"], row["residual_northing_m"]] for row in used], float), words
+        raise InputError.of("rectify.result", file=path) from None
+    if chosen:
+        raise InputError.of("rectify.pruned", file=path, value=f"{len(pruning['dropped'])} point(s) left out")
+    return differences, "check points" if check else "control points, which say less: there are no check points"
 
 
 def study_points(

@@ -117,9 +117,9 @@ def prune(
     Raises
     ------
     InputError
-        See :func:`fg_orient.rectification.fit.fit`; of the first fit.
+        See :func:`fg_orient.rectification.fit.fit`; also of a later fit, if the points left do not determine it.
     NoSolutionError
-        The target is not reached with one point more than the fewest that have redundancy.
+        The target is not reached with the fewest points that have redundancy, or a fit does not converge.
     """
     again = refit or (lambda some: fit(some, model))
     found, dropped, history = again(points), list[str](), list[float]()

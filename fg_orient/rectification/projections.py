@@ -113,14 +113,18 @@ def ellipsoidal_area(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, ellipsoid: 
     Raises
     ------
     InputError
-        Fewer than three vertices, or values that are not finite.
+        Fewer than three vertices, values that are not finite, or no such ellipsoid.
     """
     from pyproj import Geod
 
     from fg_orient.rectification.areas import outline
 
     vertices = outline(np.column_stack([np.asarray(lon_deg, float), np.asarray(lat_deg, float)]))
-    area, perimeter = Geod(ellps=ellipsoid).polygon_area_perimeter(*vertices.T)
+    try:
+        geodesics = Geod(ellps=ellipsoid)
+    except KeyError:
+        raise InputError.of("rectify.ellipsoid", value=ellipsoid) from None
+    area, perimeter = geodesics.polygon_area_perimeter(*vertices.T)
     return abs(float(area)), float(perimeter)
 
 

@@ -55,7 +55,8 @@ class Verdict:
     passed : bool or None
         None if there is nothing to pass: no scale or class asked for, or the standard has none.
     largest_scale : float
-        Denominator of the largest scale that would pass (nan for standards without scales).
+        Denominator of the largest scale that would pass; nan for standards without scales, and for errors of 0, which
+        pass at any.
     remarks : tuple of str
         Doubts, and what the standard asks beside the number.
     """
@@ -91,6 +92,8 @@ def nssda_m(rmse_x_m: float, rmse_y_m: float) -> float:
 
 def _largest_nmas_scale(limit_at_90_m: float) -> tuple[float, str]:
     """Denominator of the largest scale at which an error is within NMAS, and the scales between that fail."""
+    if limit_at_90_m == 0.0:
+        return np.nan, ""
     large, small = limit_at_90_m / NMAS_LARGE_M, limit_at_90_m / NMAS_SMALL_M
     if large >= NMAS_LIMIT_SCALE:
         return small, ""
@@ -113,14 +116,14 @@ def check_accuracy(
     class_m : float, optional
         Accuracy class to judge (ASPRS 2014, 2023), m.
     check_point_rmse_m : float
-        Radial RMSE of the check points' own coordinates (ASPRS 2023).
+        Radial RMSE of the check points' own coordinates (ASPRS 2023), 0 or more.
     standards : tuple of str
         Some of ``NAMES``.
 
     Raises
     ------
     InputError
-        Differences that are none, a standard that is none, a scale or class that is not above 0.
+        Differences that are none, a standard that is none, a scale or class that is not above 0, an RMSE below 0.
     """
     d = np.atleast_2d(np.asarray(differences_m, float))
     if d.ndim != 2 or d.shape[1:] != (2,) or not len(d) or not np.isfinite(d).all():
@@ -141,10 +144,14 @@ def judge_rmse(
 
     Parameters and errors as in :func:`check_accuracy`; ``n_points`` only adds remarks.
     """
-    for place, value, unit in (("--scale", scale, "denominator"), ("--class-m", class_m, "m"),
-                               ("RMSE", rmse_x_m + rmse_y_m, "m")):  # fmt: skip
-        if value is not None and not (np.isfinite(value) and (value > 0.0 or place == "RMSE")):
+    for place, value, unit in (("--scale", scale, "denominator"), ("--class-m", class_m, "m")):
+        if value is not None and not (np.isfinite(value) and value > 0.0):
             raise InputError.of("rectify.positive", place=place, value=value, unit=unit)
+    for place, rmse in (("RMSE", rmse_x_m), ("RMSE", rmse_y_m), ("--check-point-rmse", check_point_rmse_m)):
+        if not (np.isfinite(rmse) and rmse >= 0.0):
+            raise InputError.of(
+                "options.value", place=place, value=rmse, expected="a finite number of metres, not below 0"
+            )
     unknown = [name for name in standards if name not in NAMES[1:]]
     if unknown:
         raise InputError.of("rectify.standard", place="--standard", value=unknown[0], known=", ".join(NAMES))
@@ -200,7 +207,7 @@ def _nssda(x: float, y: float, n_points: int | None) -> Verdict:
 
 def _asprs_1990(x: float, y: float, scale: float | None) -> Verdict:
     value = max(x, y)
-    largest, limit = value / ASPRS_1990_M, np.nan
+    largest, limit = value / ASPRS_1990_M if value > 0.0 else np.nan, np.nan
     remarks: tuple[str, ...] = ()
     passed = None
     if scale is not None:

@@ -133,9 +133,13 @@ def without_redundancy(degrees: Sequence[int], n_points: int) -> tuple[int, ...]
 
 
 def admissible_points(m0_by_degree: Mapping[int, float], most: int = 200) -> tuple[int, ...]:
-    """Numbers of points, up to ``most``, for which a row of m0s is possible."""
+    """Numbers of points up to and with ``most`` for which a row of m0s is possible.
+
+    m0s that do not grow with the degree are possible with any number: ``most`` at the end is then where the search
+    stopped, no limit of the row.
+    """
     least = terms(max(m0_by_degree)) + 1
-    return tuple(n for n in range(least, most) if not growing_degrees(m0_by_degree, n))
+    return tuple(n for n in range(least, most + 1) if not growing_degrees(m0_by_degree, n))
 
 
 def improvement_test(

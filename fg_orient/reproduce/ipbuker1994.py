@@ -24,7 +24,7 @@ from fg_orient.published.tables import PublishedCell, PublishedTables
 from fg_orient.reproduce import ipbuker1994_islands, ipbuker1994_orbits, ipbuker1994_points
 from fg_orient.reproduce.found import Found
 from fg_orient.reproduce.sources import Source
-from fg_orient.reproduce.verdict import ORDER, Verdict, last_digit
+from fg_orient.reproduce.verdict import ORDER, Kind, Verdict, last_digit
 
 Values = Mapping[CellKey, float]
 TABLES: Final = ("3.1", "3.2", "3.3", "3.5", "text", "s4.2.2", "5.1", "s6.2", "6.1", "7.1", "s7.2", "7.2", "7.3", "7.4",
@@ -85,20 +85,32 @@ def judge(cell: PublishedCell, found: Found | None) -> Verdict:
     if found.kind is not None:
         return Verdict(found.kind, found.remark, found.value, found.low, found.high)
     if found.is_order:
-        ratio = found.value / cell.value
-        kind, words = ("order" if 1.0 / ORDER <= ratio <= ORDER else "differs"), f"reproduced / published = {ratio:.2g}"
+        kind, words = _order(cell, found)
     elif found.has_spread:
-        half = 0.5 * last_digit(cell.text)
-        inside = found.low - half <= cell.value <= found.high + half
-        kind, words = ("rounding" if inside else "differs"), f"{'inside' if inside else 'outside'} the spread"
+        kind, words = _spread(cell, found)
     else:
         kind, words = _digits(cell, found)
     reason = f"{words}: {found.remark}" if found.remark else words
-    return Verdict("order" if kind == "order" else "rounding" if kind == "rounding" else "equal" if kind == "equal"
-                   else "differs", reason, found.value, found.low, found.high)  # fmt: skip
+    return Verdict(kind, reason, found.value, found.low, found.high)
 
 
-def _digits(cell: PublishedCell, found: Found) -> tuple[str, str]:
+def _order(cell: PublishedCell, found: Found) -> tuple[Kind, str]:
+    """Compare the sizes."""
+    if cell.value == 0.0:
+        return "differs", f"published 0, reproduced {found.value:.2g}"
+    ratio = found.value / cell.value
+    return ("order" if 1.0 / ORDER <= ratio <= ORDER else "differs"), f"reproduced / published = {ratio:.2g}"
+
+
+def _spread(cell: PublishedCell, found: Found) -> tuple[Kind, str]:
+    """Compare with the stated spread, widened by the rounding of the print."""
+    half = 0.5 * last_digit(cell.text)
+    if found.low - half <= cell.value <= found.high + half:
+        return "rounding", "inside the spread"
+    return "differs", "outside the spread"
+
+
+def _digits(cell: PublishedCell, found: Found) -> tuple[Kind, str]:
     """Compare with the printed digits; the slack is the decimal print of a double."""
     off, unit = abs(found.value - cell.value), last_digit(cell.text)
     slack = 1e-9 * abs(cell.value)

@@ -80,10 +80,21 @@ def test_points_seen_once_and_points_behind_are_told(tmp_path: Path) -> None:
     path = tmp_path / "bundle.txt"
     path.write_text("\n".join(lines))
     kept, dropped = read_bal(path), read_bal(path, keep_behind=False)
-    assert kept.notes == ("1 point(s) measured once are left out", "1 point(s) begin behind a camera")
+    assert kept.notes == ("1 point(s) measured in one image only are left out", "1 point(s) begin behind a camera")
     assert len(kept.observations) == 34
     assert len(dropped.observations) == 31
     assert not np.isin(dropped.observations.point, [0, 11]).any()
+
+
+def test_two_measurements_in_one_image_do_not_make_a_second(tmp_path: Path) -> None:
+    """Point 0 is measured by cameras 0, 1, 2; the second and third line are given to camera 0."""
+    lines = text().splitlines()
+    lines[2:4] = [line.replace(old, "0 0 ", 1) for line, old in zip(lines[2:4], ("1 0 ", "2 0 "), strict=True)]
+    path = tmp_path / "bundle.txt"
+    path.write_text("\n".join(lines))
+    block = read_bal(path)
+    assert block.notes == ("1 point(s) measured in one image only are left out",)
+    assert len(block.observations) == 33 and not (block.observations.point == 0).any()
 
 
 @pytest.mark.parametrize(
@@ -97,6 +108,8 @@ def test_points_seen_once_and_points_behind_are_told(tmp_path: Path) -> None:
         (lambda t: t + "1.0\n", "bal.count", ""),
         (lambda t: t.replace("\n2 4 ", "\n2 x ", 1), "bal.number", "line 16"),
         (lambda t: t.replace("\n2 4 ", "\n2 nan ", 1), "bal.number", "line 16"),
+        (lambda t: t.replace("\n2 4 ", "\n2 0_4 ", 1), "bal.number", "line 16"),
+        (lambda t: t.replace("3 12 36", "3 1_2 36", 1), "bal.header", "line 1"),
         (lambda t: t.replace("\n2 4 ", "\n3 4 ", 1), "bal.index", "line 16"),
         (lambda t: t.replace("\n2 4 ", "\n2 12 ", 1), "bal.index", "line 16"),
         (lambda t: t.replace("\n2 4 ", "\n2 1.5 ", 1), "bal.index", "line 16"),

@@ -220,5 +220,35 @@ def test_check_refuses_what_it_cannot_judge(points: Path, tmp_path: Path) -> Non
     pixels = run("rectify", "check", out)
     assert pixels.code == 2 and "residuals in pixels" in pixels.stderr
     (tmp_path / "empty").mkdir()
-    assert run("rectify", "check", tmp_path / "empty").code == 2
+    empty = run("rectify", "check", tmp_path / "empty")
+    assert empty.code == 2 and "not a result of rectify fit" in empty.stderr
     assert run("rectify", "check", tmp_path / "nowhere.csv").code == 2
+
+
+@pytest.mark.parametrize("name", ["role", "residual_easting_m", "residual_northing_m"])
+@pytest.mark.parametrize("value", [None, "x"], ids=["missing", "word"])
+def test_check_refuses_an_edited_result(name: str, value: object, points: Path, tmp_path: Path) -> None:
+    out = tmp_path / "fit"
+    assert run("rectify", "fit", points, "--out", out).code == 0
+    record = json.loads((out / "result.json").read_text("utf-8"))
+    for row in record["points"]:
+        if value is None:
+            del row[name]
+        else:
+            row[name] = row["residual_easting_m"] = value
+    (out / "result.json").write_text(json.dumps(record), "utf-8")
+    done = run("rectify", "check", out)
+    assert done.code == 2 and "not a result of rectify fit" in done.stderr
+
+
+def test_check_does_not_judge_points_chosen_by_their_residuals(tmp_path: Path, rng: np.random.Generator) -> None:
+    image, plane, _ = scene(rng, 20)
+    plane[6] += (300.0, 0.0)
+    codes = []
+    for check in (0, 8):
+        path, out = write_points(tmp_path / "p.csv", image, plane, check=check), tmp_path / f"fit{check}"
+        record = run("rectify", "fit", path, "--prune-to", "30", "--out", out, "--json").json
+        assert record["pruning"]["dropped"] == ["P7"]
+        codes.append(run("rectify", "check", out, "--scale", "1000000"))
+    assert codes[0].code == 2 and "tells no accuracy" in codes[0].stderr
+    assert codes[1].code == 0 and "check points" in codes[1].stdout

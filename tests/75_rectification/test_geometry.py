@@ -254,3 +254,9 @@ def test_a_made_up_coast_has_its_area_and_length() -> None:
     for length in (7_900.0, 1e6):
         with pytest.raises(InputError):
             synthetic_outline(5e6, length, 500, seed=4)
+
+
+def test_an_unknown_ellipsoid_is_refused() -> None:
+    with pytest.raises(InputError) as caught:
+        ellipsoidal_area([29.0, 29.1, 29.0], [41.0, 41.0, 41.1], "nonsense")
+    assert caught.value.problems[0].code == "rectify.ellipsoid"

@@ -113,9 +113,24 @@ def test_all_standards_in_one_call_and_unequal_axes_are_remarked() -> None:
     ("differences", "options", "code"),
     [([[1.0]], {}, "rectify.differences"), ([[np.nan, 1.0]], {}, "rectify.differences"),
      ([[1.0, 1.0]], {"scale": 0.0}, "rectify.positive"), ([[1.0, 1.0]], {"class_m": -1.0}, "rectify.positive"),
+     ([[1.0, 1.0]], {"check_point_rmse_m": -4.0}, "options.value"),
+     ([[1.0, 1.0]], {"check_point_rmse_m": np.nan, "standards": ("NMAS",)}, "options.value"),
      ([[1.0, 1.0]], {"standards": ("EMAS",)}, "rectify.standard")],
 )  # fmt: skip
 def test_refusals(differences: list[list[float]], options: dict[str, object], code: str) -> None:
     with pytest.raises(InputError) as caught:
         check_accuracy(differences, **options)  # type: ignore[arg-type]
     assert caught.value.problems[0].code == code
+
+
+@pytest.mark.parametrize("rmse", [(-4.0, 4.0), (4.0, -4.0), (np.nan, 1.0), (np.inf, 1.0)])
+def test_rmses_that_are_none_are_refused(rmse: tuple[float, float]) -> None:
+    with pytest.raises(InputError) as caught:
+        judge_rmse(*rmse)
+    assert caught.value.problems[0].code == "options.value"
+
+
+def test_no_error_limits_no_scale() -> None:
+    found = by_name(check_accuracy([[0.0, 0.0]], scale=1000.0))
+    assert all(math.isnan(verdict.largest_scale) for verdict in found.values())
+    assert all(found[name].passed for name in ("NMAS", "CMAS", "ASPRS-1990"))
