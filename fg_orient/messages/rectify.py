@@ -97,6 +97,10 @@ RECTIFY: Final = {
         "{what} and the image have no ground in common",
         "check that both show the same region, and the coordinate system",
     ),
+    "ortho.outline": (
+        "the model finds no place on the map for this pixel, so the extent of the image is unknown",
+        "give --bounds and --resolution, or another transformation",
+    ),
     "ortho.hole": (
         "the DEM has no height inside the image (map pixel row {row}, column {column})",
         "fill the holes of the DEM, or add --allow-holes to leave them empty",

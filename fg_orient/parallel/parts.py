@@ -6,10 +6,8 @@ its image points, so that neither sensors nor metadata travel. Files are ``.npz`
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
-import secrets
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -26,6 +24,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_structure import reason_against
 from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, Sensor, WithheldCoordinates
 from fg_orient.errors import InputError
+from fg_orient.io.atomic import write_bytes
 from fg_orient.parameters import ImageParameters
 
 Array = npt.NDArray[np.float64]
@@ -139,14 +138,7 @@ def write_whole(path: Path, data: bytes) -> None:
     InputError
         It cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise InputError.of("output.unwritable", file=path, value=error.strerror) from error
+    write_bytes(path, data, durable=False)
 
 
 def part_file(folder: str | Path, number: int) -> Path:

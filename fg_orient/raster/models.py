@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
@@ -22,8 +23,8 @@ Sensor = PushbroomSensor | RpcSensor
 #: Pixels along each side of an image whose places give its outline on the map.
 BORDER: Final = 9
 NEWTON_STEPS: Final = 30
-#: A place is found when a step is shorter, pixels.
-STEP_PX: Final = 1e-9
+#: A place is found when a step is shorter, by its size (1 and more: pixels, metres).
+LAST_STEP: Final = 1e-9
 
 
 class MapModel(Protocol):
@@ -128,26 +129,16 @@ class PointModel:
     def _inverse(self, plane: Array) -> Array:
         """Sample and line (n, 2) whose map coordinates these are; from the centre of the control points."""
         t = self._t
-        pixel = np.tile(t.source.offset, (len(plane), 1))
-        todo = np.arange(len(plane))
-        half = 0.5 * t.source.scale * 1e-3
-        for _ in range(NEWTON_STEPS):
-            if not len(todo):
-                break
-            at = pixel[todo]
-            columns = [(t.apply(at + d) - t.apply(at - d)) / (2.0 * d.sum()) for d in np.diag(half)]
-            jacobian = np.stack(columns, axis=2)
-            regular = np.abs(np.linalg.det(jacobian)) > 0.0
-            step = np.full_like(at, np.nan)
-            miss = (plane[todo] - t.apply(at))[regular, :, None]
-            step[regular] = np.linalg.solve(jacobian[regular], miss)[:, :, 0]
-            pixel[todo] += step
-            todo = todo[np.abs(step).max(axis=1) > STEP_PX * np.maximum(1.0, np.abs(at).max(axis=1))]
-        pixel[todo] = np.nan
-        return pixel
+        return solved(t.apply, plane, t.source.offset, t.source.scale)
 
     def outline(self, size: tuple[int, int], heights_m: tuple[float, float]) -> tuple[Array, Array]:
-        """See ``MapModel``; without heights only for image-to-map, else the border is searched for by Newton."""
+        """See ``MapModel``; without heights only for image-to-map, else the border is searched for by Newton.
+
+        Raises
+        ------
+        InputError
+            A pixel of the border is not found on the map.
+        """
         line, sample = border_pixels(size)
         pixel = np.stack([sample, line], axis=1)
         if self._forward:
@@ -158,20 +149,53 @@ class PointModel:
         return x, y
 
     def _ground(self, pixel: Array, height_m: float) -> Array:
-        """Map coordinates (n, 2) of (sample, line) at a height: Newton from the centre of the control points."""
+        """Map coordinates (n, 2) of (sample, line) at a height; from the centre of the control points."""
         t = self._t
-        place = np.tile(t.source.offset[:2], (len(pixel), 1))
-        height = np.full(len(pixel), height_m)
-        half = 0.5e-3 * t.source.scale[:2]
-        for _ in range(NEWTON_STEPS):
-            columns = [(self._swapped(place + d, height) - self._swapped(place - d, height)) / (2.0 * d.sum())
-                       for d in np.diag(half)]  # fmt: skip
-            miss = (pixel - self._swapped(place, height))[:, :, None]
-            place += np.linalg.solve(np.stack(columns, axis=2), miss)[:, :, 0]
+
+        def image(place: Array) -> Array:
+            return self.pixels(place[:, 0], place[:, 1], np.full(len(place), height_m))[:, ::-1]
+
+        place = solved(image, pixel, t.source.offset[:2], t.source.scale[:2])
+        lost = np.flatnonzero(np.isnan(place).any(axis=1))
+        if len(lost):
+            sample, line = pixel[lost[0]]
+            raise InputError.of("ortho.outline", place=f"line {line:g}, sample {sample:g}")
         return place
 
-    def _swapped(self, place: Array, height: Array) -> Array:
-        return self.pixels(place[:, 0], place[:, 1], height)[:, ::-1]
+
+def solved(map_of: Callable[[Array], Array], wanted: Array, start: Array, scale: Array) -> Array:
+    """Places that a map takes to wanted values, by Newton's method with central differences.
+
+    Parameters
+    ----------
+    map_of : callable
+        Takes places (n, 2) to values (n, 2).
+    wanted : (n, 2) array
+    start, scale : (2,) arrays
+        Place to begin at; differences are a thousandth of the scale wide.
+
+    Returns
+    -------
+    (n, 2) array
+        nan where the iteration does not end, or the derivatives vanish.
+    """
+    found = np.tile(start, (len(wanted), 1))
+    todo = np.arange(len(wanted))
+    half = 0.5e-3 * scale
+    for _ in range(NEWTON_STEPS):
+        if not len(todo):
+            break
+        at = found[todo]
+        columns = [(map_of(at + d) - map_of(at - d)) / (2.0 * d.sum()) for d in np.diag(half)]
+        jacobian = np.stack(columns, axis=2)
+        regular = np.abs(np.linalg.det(jacobian)) > 0.0
+        step = np.full_like(at, np.nan)
+        miss = (wanted[todo] - map_of(at))[regular, :, None]
+        step[regular] = np.linalg.solve(jacobian[regular], miss)[:, :, 0]
+        found[todo] += step
+        todo = todo[np.abs(step).max(axis=1) > LAST_STEP * np.maximum(1.0, np.abs(at).max(axis=1))]
+    found[todo] = np.nan
+    return found
 
 
 def point_model(transformation: Transformation, crs: str) -> PointModel:

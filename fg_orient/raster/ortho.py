@@ -19,10 +19,11 @@ import numpy.typing as npt
 
 from factors.resampling import BILINEAR, CUBIC, NEAREST, REACH, pixel_positions, resample
 from fg_orient.errors import InputError
+from fg_orient.io.rasters import rasterio_of
 from fg_orient.raster.grid import Bounds, MapGrid
 from fg_orient.raster.lattice import Lattice, Surface, dem_outline, lattice
 from fg_orient.raster.models import BORDER, MapModel
-from fg_orient.raster.output import CACHE_BYTES, as_cog, profile, rasterio_of, staged_file
+from fg_orient.raster.output import CACHE_BYTES, as_cog, profile, staged_file
 from fg_orient.sensors.surface import RasterDem
 
 Array = npt.NDArray[np.float64]
@@ -32,6 +33,7 @@ Progress = Callable[[int, int, str], None]
 RESAMPLING: Final = {
     "nearest": (NEAREST, 0.0), "bilinear": (BILINEAR, 0.0), "cubic": (CUBIC, -0.5), "cubic-sharp": (CUBIC, -1.0),
 }  # fmt: skip
+COMPRESSIONS: Final = ("deflate", "lzw", "zstd", "none")
 #: Edge of the windows, map pixels.
 WINDOW: Final = 1024
 
@@ -53,13 +55,13 @@ class OrthoOptions:
     window : int
         Edge of the windows, map pixels; the result does not depend on it.
     nodata : float, optional
-        Value of empty pixels; default the image's own, else 0 (whole numbers; grey values that meet it become the
-        next value) or nan.
+        Value of empty pixels, one that the type of the image holds; default the image's own if it is such a value,
+        else 0 (whole numbers; grey values that meet it become the next value) or nan.
 
     Raises
     ------
     InputError
-        No such resampling.
+        No such resampling or compression, a window without pixels.
     """
 
     resampling: str = "bilinear"
@@ -73,6 +75,11 @@ class OrthoOptions:
         if self.resampling not in RESAMPLING:
             raise InputError.of("ortho.resampling", place="--resampling", value=self.resampling,
                                 known=", ".join(RESAMPLING))  # fmt: skip
+        if self.compress not in COMPRESSIONS:
+            raise InputError.of("options.value", place="compress", value=self.compress,
+                                expected=" or ".join(COMPRESSIONS))  # fmt: skip
+        if not (isinstance(self.window, int) and self.window > 0):
+            raise InputError.of("options.value", place="window", value=self.window, expected="a whole number above 0")
 
 
 def orthorectify(
@@ -112,18 +119,19 @@ def orthorectify(
     Raises
     ------
     InputError
-        An unreadable image, sizes that do not fit, no common ground, holes of the DEM, an unwritable output.
+        An image that cannot be read, also in part; sizes that do not fit, a value for empty pixels that its type cannot
+        hold, no common ground, holes of the DEM, an unwritable output.
     """
     chosen, rasterio = options or OrthoOptions(), rasterio_of(image)
     with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES), _opened(rasterio, image) as source:
         size = (source.height, source.width)
         _require_fitting(source, model, image)
+        nodata = _nodata(source, chosen, image)
         grid = _grid(model, surface, size, crs, resolution, bounds)
         limits = np.array([-0.5, size[0] - 0.5, -0.5, size[1] - 0.5])
         knots = lattice(grid, model, surface, limits)
         if knots is None:
             raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
-        nodata = _nodata(source, chosen)
         with staged_file(Path(out), overwrite=overwrite) as staged:
             target = staged.with_suffix(".work.tif") if chosen.cog else staged
             try:
@@ -161,18 +169,32 @@ def _require_fitting(source: Any, model: MapModel, image: str | Path) -> None:
                             lines=model.size[0], samples=model.size[1])  # fmt: skip
 
 
-def _nodata(source: Any, options: OrthoOptions) -> float:
+def _nodata(source: Any, options: OrthoOptions, image: str | Path) -> float:
+    kind = np.dtype(source.dtypes[0])
+    if options.nodata is not None and not _holds(kind, options.nodata):
+        limits = np.iinfo(kind) if kind.kind in "iu" else np.finfo(kind)
+        raise InputError.of("options.value", file=image, place="nodata", value=options.nodata,
+                            expected=f"a value of {kind}, {limits.min} to {limits.max}")  # fmt: skip
     if options.nodata is not None:
-        return options.nodata
-    if source.nodata is not None:
+        return float(options.nodata)
+    if source.nodata is not None and _holds(kind, source.nodata):
         return float(source.nodata)
-    return 0.0 if np.dtype(source.dtypes[0]).kind in "iu" else math.nan
+    return 0.0 if kind.kind in "iu" else math.nan
+
+
+def _holds(kind: np.dtype[Any], value: float) -> bool:
+    """Tell whether a type has this value; one with a point also rounds."""
+    if kind.kind in "iu":
+        return math.isfinite(value) and float(value).is_integer() and np.iinfo(kind).min <= value <= np.iinfo(kind).max
+    return not math.isfinite(value) or abs(value) <= float(np.finfo(kind).max)
 
 
 def _grid(
     model: MapModel, surface: Surface, size: tuple[int, int], crs: str, resolution: float | None, bounds: Bounds | None
 ) -> MapGrid:
     """Grid over what image and surface have in common, or over the bounds."""
+    if resolution is not None and bounds is not None:
+        return MapGrid.over(bounds, resolution, crs)
     x, y = model.outline(size, surface.range_m)
     if resolution is None:
         resolution = _pixel_size(x, y, size)
@@ -243,7 +265,7 @@ def _window(
     kind, a = RESAMPLING[resampling]
     out, count = np.empty(line.shape), 0
     for band in source.indexes:
-        grey = _read(source, band, part)
+        grey = _read(rasterio, source, band, part)
         n = resample(grey, first_l, first_s, line, sample, kind, a, out)
         count = n if band == source.indexes[0] else count
         sink.write(_stored(out, source.dtypes[0], nodata), band, window=place)
@@ -256,8 +278,12 @@ def _needed(positions: Array, n: int) -> tuple[int, int]:
     return min(max(low - REACH, 0), n - 1), max(min(high + REACH + 1, n), 1)
 
 
-def _read(source: Any, band: int, part: Any) -> Array:
-    grey = source.read(band, window=part).astype(float)
+def _read(rasterio: Any, source: Any, band: int, part: Any) -> Array:
+    try:
+        grey = source.read(band, window=part).astype(float)
+    except rasterio.RasterioIOError as error:  # an OSError: it would pass for one of the output
+        raise InputError.of("ortho.image", file=source.name, place=f"band {band}, from line {part.row_off}",
+                            value=error.__cause__ or error) from error  # fmt: skip
     nodata = source.nodatavals[band - 1]
     if nodata is not None and not math.isnan(nodata):
         grey[grey == nodata] = np.nan

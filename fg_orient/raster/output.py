@@ -3,33 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 from fg_orient.errors import InputError
+from fg_orient.io import atomic
 from fg_orient.raster.grid import MapGrid
 
 #: Edge of the tiles inside a file.
 TILE: Final = 512
 #: Cache of GDAL for blocks of files, bytes: else it takes 5 % of the machine.
 CACHE_BYTES: Final = 128 * 2**20
-
-
-def rasterio_of(file: str | Path) -> Any:
-    """Import rasterio.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
-    try:
-        import rasterio
-    except ImportError as error:
-        raise InputError.of("ortho.no_rasterio", file=file) from error
-    return rasterio
 
 
 @contextlib.contextmanager
@@ -45,15 +30,8 @@ def staged_file(out: Path, *, overwrite: bool) -> Iterator[Path]:
         raise InputError.of("output.exists", file=out, place="--out")
     if out.is_dir() or not out.absolute().parent.is_dir():
         raise InputError.of("output.unwritable", file=out, place="--out")
-    temporary = out.with_name(f".{out.name[:200]}.{secrets.token_hex(4)}.tmp.tif")
-    try:
+    with atomic.staged_file(out, place="--out", suffix=".tif") as temporary:
         yield temporary
-        temporary.replace(out)
-    except OSError as error:
-        raise InputError.of("output.unwritable", file=out, place="--out", value=error.strerror or error) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def profile(grid: MapGrid, *, bands: int, dtype: str, nodata: float | None, compress: str) -> dict[str, Any]:

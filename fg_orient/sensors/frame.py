@@ -19,7 +19,7 @@ from factors import ellipsoid, frame, frame_camera
 from fg_orient.errors import InputError, OutOfImage, problem
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.sensors.correction import HeightSurface
-from fg_orient.sensors.surface import on_surface
+from fg_orient.sensors.surface import at_height, on_surface
 
 Array = npt.NDArray[np.float64]
 
@@ -187,13 +187,8 @@ class FrameSensor:
         p, u = self.rays(line, sample, correction)
         if dem is not None:
             return on_surface(p, u, dem, self.file)
-        h = np.ascontiguousarray(np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), line.shape))
-        ground = ellipsoid.intersect(p, u, h)
-        bad = np.flatnonzero(~np.isfinite(ground).all(axis=1))
-        if len(bad):
-            place, value = f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}", f"height {h[bad[0]]:g} m"
-            raise InputError.of("sensor.ray_misses", file=self.file, place=place, value=value)
-        return ground
+        h = np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), line.shape)
+        return at_height(p, u, h, (line, sample), self.file)
 
     def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
         """Tell which pixels lie in the image, half a pixel of border included."""

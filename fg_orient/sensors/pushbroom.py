@@ -26,7 +26,7 @@ from fg_orient.sensors.metadata import (
     QuaternionList,
     QuaternionPolynomial,
 )
-from fg_orient.sensors.surface import on_surface
+from fg_orient.sensors.surface import at_height, on_surface
 
 Array = npt.NDArray[np.float64]
 
@@ -261,14 +261,7 @@ class PushbroomSensor:
         if dem is not None:
             return on_surface(p, u, dem, self.file)
         h = np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), line.shape)
-        ground = ellipsoid.intersect(p, u, np.ascontiguousarray(h))
-        if not np.isfinite(ground).all():
-            bad = int(np.flatnonzero(~np.isfinite(ground).all(axis=1))[0])
-            raise InputError.of(
-                "sensor.ray_misses", file=self.file, place=f"line {line[bad]:g}, sample {sample[bad]:g}",
-                value=f"height {h[bad]:g} m",
-            )  # fmt: skip
-        return ground
+        return at_height(p, u, h, (line, sample), self.file)
 
     def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
         """Tell which pixels lie in the image and have look angles, half a pixel of border included."""

@@ -161,6 +161,33 @@ def on_surface(position_m: Array, direction: Array, dem: HeightSurface, file: st
     return ground
 
 
+def at_height(position_m: Array, direction: Array, height_m: Array, pixels: tuple[Array, Array], file: str) -> Array:
+    """Points of N rays at ellipsoidal heights: (N, 3) ECEF m.
+
+    Parameters
+    ----------
+    position_m, direction : (N, 3) arrays
+        Rays, ECEF.
+    height_m : (N,) array
+    pixels : two (N,) arrays
+        Line and sample of the rays, for messages.
+    file : str
+        Metadata file of the rays, for messages.
+
+    Raises
+    ------
+    InputError
+        A ray does not come down to its height.
+    """
+    ground = ellipsoid.intersect(position_m, direction, np.ascontiguousarray(height_m))
+    bad = np.flatnonzero(~np.isfinite(ground).all(axis=1))
+    if len(bad):
+        line, sample = (values[bad[0]] for values in pixels)
+        raise InputError.of("sensor.ray_misses", file=file, place=f"line {line:g}, sample {sample:g}",
+                            value=f"height {height_m[bad[0]]:g} m")  # fmt: skip
+    return np.asarray(ground)
+
+
 def _bracket(p: Array, u: Array, dem: HeightSurface) -> tuple[Array, Array]:
     """Heights just above and below the first hit of each ray: the march; nan where there is none."""
     top, bottom = dem.range_m[1] + MARGIN_M, dem.range_m[0] - MARGIN_M

@@ -18,7 +18,6 @@ from fg_orient.sensors.projection import STEP_PX, conditions, pixel_derivative
 from fg_orient.sensors.pushbroom import PushbroomSensor
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 #: Nodes of the fit along line and sample, and its heights; powers East and North together, and of the height.
 NODES = 9

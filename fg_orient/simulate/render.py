@@ -18,11 +18,12 @@ import numpy.typing as npt
 
 from factors.rendering import corners, expose
 from fg_orient.geodesy import ecef_to_geodetic
+from fg_orient.io.rasters import rasterio_of
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.scene import as_read
 from fg_orient.simulate.simulation import Simulation, require
-from fg_orient.simulate.terrain import STEP_M, Terrain, rasterio_for, terrain_through, write_terrain
+from fg_orient.simulate.terrain import STEP_M, Terrain, terrain_through, write_terrain
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -154,7 +155,7 @@ def _write_image(
     progress: Progress | None,
 ) -> None:  # fmt: skip
     """Write the blocks; what is not rendered stays 0 (nodata) and takes no space."""
-    rasterio = rasterio_for(path)
+    rasterio = rasterio_of(path)
     settings = {
         "driver": "GTiff", "width": sensor.n_samples, "height": sensor.n_lines, "count": 1, "dtype": "uint8",
         "nodata": 0, "tiled": True, "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "deflate", "SPARSE_OK": True,

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
 from fg_orient.geodesy import from_geographic
+from fg_orient.io.rasters import rasterio_of
 
 Array = npt.NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def write_terrain(path: Path, terrain: Terrain) -> None:
     InputError
         rasterio is not installed.
     """
-    rasterio = rasterio_for(path)
+    rasterio = rasterio_of(path)
     rows, columns = terrain.heights_m.shape
     with rasterio.open(
         path, "w", driver="GTiff", width=columns, height=rows, count=1, dtype="float32", crs=CRS,
@@ -102,19 +102,3 @@ def write_terrain(path: Path, terrain: Terrain) -> None:
         tiled=True, blockxsize=256, blockysize=256, compress="deflate", predictor=3,
     ) as sink:  # fmt: skip
         sink.write(terrain.heights_m, 1)
-
-
-def rasterio_for(path: Path) -> Any:
-    """Import rasterio.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
-    try:
-        import rasterio
-        import rasterio.windows
-    except ImportError as error:
-        raise InputError.of("ortho.no_rasterio", file=path) from error
-    return rasterio
