@@ -247,6 +247,8 @@ def compile_problem(block: Block) -> Problem:
         raise InputError.of("adjust.relative_priors", file=block.name, place="priors", value="false")
     models = image_models(block.images, options)
     observations = _participating(block)
+    if not len(observations):
+        raise InputError.of("block.no_rays", file=block.name, place="image points", value=0)
     _require_finite(block, observations, control_rows)
     if not block.georeferenced and any(image.sensor.georeferenced for image in block.images):
         raise InputError.of("frame.mixed", file=block.name, place="images")

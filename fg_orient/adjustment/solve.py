@@ -144,7 +144,8 @@ def chosen_backend(problem: Problem) -> str:
         return options.backend
     from fg_orient.adjustment.schur_structure import reason_against
 
-    large = len(problem.observations) >= SCHUR_FROM and bool(problem.active.any())
+    # under a loss also small ones: where all rays of a point are turned down, GTSAM gives no covariance
+    large = (len(problem.observations) >= SCHUR_FROM or options.loss != NONE) and bool(problem.active.any())
     regular = options.priors or problem.least_damping > 0.0
     possible = regular and options.optimizer in OPTIMIZERS and not reason_against(problem)
     return "schur" if large and possible else "graph"

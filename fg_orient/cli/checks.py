@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from fg_orient.errors import FgOrientError, InputError
 if TYPE_CHECKING:
     from fg_orient.adjustment.memory import Need
     from fg_orient.block import Block
+    from fg_orient.errors import Problem
 
 
 def validate(
@@ -25,9 +27,11 @@ def validate(
         from fg_orient.io.validate import checked_project, is_remark
 
         block, found = checked_project(project)
-        need = None if block is None else _memory(block)
+        impossible = [] if block is None else _impossible(block, project)
+        found += impossible
+        need = None if block is None or impossible else _memory(block)
         if block is not None and need is not None and not need.fits:
-            found.append(need.problem(block.name))
+            found.append(need.problem(str(project)))
         errors = [p for p in found if not is_remark(p)]
         remarks = [p for p in found if is_remark(p)]
         if as_json:
@@ -45,6 +49,17 @@ def validate(
                 say("no errors")
         if errors:
             raise typer.Exit(InputError.exit_code)
+
+
+def _impossible(block: Block, project: Path) -> list[Problem]:
+    """Options that ``adjust`` would refuse."""
+    from fg_orient.adjustment.solve import require_possible
+
+    try:
+        require_possible(block.options)
+    except InputError as error:
+        return [replace(p, file=str(project)) for p in error.problems]
+    return []
 
 
 def _memory(block: Block) -> Need:

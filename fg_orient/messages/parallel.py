@@ -6,6 +6,7 @@ from typing import Final
 
 PARALLEL: Final = {
     "parallel.number": ("this number is not possible", "give a whole number from {low} to {high}"),
+    "parallel.kind": ("this kind of value is not possible", "give: {expected}"),
     "parallel.parts": (
         "the {points} ground points cannot be divided into so many parts",
         "give a number from 1 to {points}, or leave it out",
@@ -29,8 +30,11 @@ PARALLEL: Final = {
     ),
     "parallel.killed": (
         "the same work ended several workers",
-        "look at the memory of the workers: take more parts or fewer workers",
+        "look at the memory of the workers: take fewer of them, or more parts (a checkpoint needs the same parts)",
     ),
-    "parallel.lost": ("the cluster has gone or no longer answers", "look at its scheduler; start the command again"),
+    "parallel.lost": (
+        "the cluster has gone or no longer answers",
+        "look at its scheduler; adjust goes on with --resume",
+    ),
     "parallel.result": ("this file of an earlier run cannot be read", "remove it; its case is then computed again"),
 }

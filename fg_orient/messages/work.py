@@ -31,8 +31,8 @@ ADJUST: Final = {
     "initial.behind": ("its rays meet behind a sensor", "check the point's identity in every image"),
     "adjust.memory": (
         "the adjustment needs more memory than it may take, which is {allowed}",
-        "choose backend schur, adjust in parts on several machines (docs/parallel.md), take a machine with more "
-        "memory, or raise --memory-limit-gb",
+        "choose backend schur if it is another one, adjust in parts on several machines (docs/parallel.md), take a "
+        "machine with more memory, or raise --memory-limit-gb",
     ),
     "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
     "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
@@ -111,6 +111,10 @@ ADJUST: Final = {
     "block.not_finite": (
         "pixels, coordinates or sigmas are not finite, or sigmas not positive",
         "correct them or leave the point out",
+    ),
+    "block.no_rays": (
+        "no image point takes part in the adjustment",
+        "measure points in two images at least; check points alone determine nothing where they are excluded",
     ),
     "block.no_control": (
         "no control point is measured in any image: the block has no datum",

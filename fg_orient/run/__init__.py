@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from factors.warmup import compile_kernels
 from fg_orient.adjustment.checkpoint import EVERY_S, Checkpoint
-from fg_orient.errors import NoSolutionError, RankDeficientError
+from fg_orient.adjustment.solve import require_possible
+from fg_orient.errors import InputError, NoSolutionError, RankDeficientError
 from fg_orient.io.folder import RESULT, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
 from fg_orient.orient import Stage, adjust
@@ -94,6 +95,7 @@ def run_project(
     jit_s = compile_kernels()
     tell("reading", 0)
     block = read_project(project, **dict(options or {}))
+    _require_possible(block, project, options or {})
     read_s = time.perf_counter() - start - jit_s
     try:
         with staged_folder(out, overwrite=overwrite) as folder:
@@ -111,11 +113,24 @@ def run_project(
     except RankDeficientError as error:
         seconds = {"read": read_s, "total": time.perf_counter() - start}
         return deficient_summary(error, block) | {"seconds": seconds}
-    except NoSolutionError:
-        checkpoint.remove()
+    except NoSolutionError as error:
+        if any(p.code.startswith("parallel.") for p in error.problems):
+            checkpoint.write()  # the workers failed, not the equations
+        else:
+            checkpoint.remove()
         raise
     checkpoint.remove()
     return {**record, "out": str(out)}
+
+
+def _require_possible(block: Block, project: str | Path, given: Mapping[str, object]) -> None:
+    """Refuse options that do not go together; those of the project file with its name."""
+    try:
+        require_possible(block.options)
+    except InputError as error:
+        typed = {name for name, value in given.items() if value is not None}
+        problems = [p if p.place in typed else replace(p, file=str(project)) for p in error.problems]
+        raise InputError(*problems) from None
 
 
 def checkpoint_path(out: str | Path) -> Path:

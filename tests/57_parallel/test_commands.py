@@ -9,6 +9,13 @@ from typing import Any
 
 import pytest
 
+from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.loop import Carried
+from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.schur_reduced import Singular
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.parallel import pool
+from fg_orient.run import checkpoint_path, run_project
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
 
@@ -76,3 +83,45 @@ def test_compare_shares_the_sets(project: Path, client: Any, tmp_path: Path) -> 
     assert len(alone) == 4
     assert sorted(p.name for p in tmp_path.iterdir()) == ["alone", "shared"]
     assert json.loads((tmp_path / "shared" / "result.json").read_text("utf-8"))["eop_sets"] == [1, 9]
+
+
+@pytest.mark.parametrize(
+    ("code", "kept"), [("parallel.lost", True), ("parallel.killed", True), ("adjust.broken_down", False)]
+)
+def test_a_lost_cluster_leaves_the_checkpoint(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, kept: bool
+) -> None:
+    """The workers failed, not the equations: what was reached is kept."""
+
+    def lost(problem: Problem, execution: object, callback: object, checkpoint: Checkpoint) -> None:
+        checkpoint.keep(problem, "schur", Carried(problem.start))
+        raise NoSolutionError.of(code, place="here", value="x", why="x")
+
+    monkeypatch.setattr("fg_orient.orient.solve_in_parts", lost)
+    with pytest.raises(NoSolutionError):
+        run_project(project, tmp_path / "out", execution={"parts": 2}, checkpoint_every_s=1e9)
+    assert checkpoint_path(tmp_path / "out").exists() == kept
+
+
+@pytest.mark.parametrize(
+    "fault", [OSError("Timed out trying to connect"), RuntimeError("ConnectionPool is closed"), TimeoutError()]
+)
+def test_what_dask_says_of_a_lost_scheduler_is_one_message(fault: Exception) -> None:
+    with pytest.raises(NoSolutionError, match="no longer answers"), pool._failures():
+        raise fault
+
+
+@pytest.mark.parametrize("fault", [FileNotFoundError(2, "no file"), RuntimeError("another"), Singular("point")])
+def test_other_faults_pass(fault: Exception) -> None:
+    with pytest.raises(type(fault)) as caught, pool._failures():
+        raise fault
+    assert caught.value is fault
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"parts": 2.5}, {"parts": "3"}, {"parts": True}, {"workers": "2"}, {"work_dir": 5}, {"cluster": 7}]
+)
+def test_wrong_kinds_are_refused_in_words(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="this kind of value is not possible") as caught:
+        pool.Execution(**wrong)
+    assert caught.value.problems[0].place == next(iter(wrong))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,20 @@ def test_validate(run: Any, twin: Path) -> None:
     assert ended.code == 2
     assert "points.id_twice" in {e["code"] for e in ended.json["errors"]}
     assert len(ended.stderr.splitlines()) == len(ended.json["errors"])
+
+
+@pytest.mark.parametrize(
+    ("entry", "place"), [('loss = "nonsense"', "loss"), ("gnc = true", "gnc"), ('optimizer = "newton"', "optimizer")]
+)
+def test_validate_refuses_what_adjust_refuses(run: Any, twin: Path, entry: str, place: str) -> None:
+    """With the file and the entry, the same in both."""
+    text, count = re.subn(rf"^{place} = .*$", entry, twin.read_text("utf-8"), flags=re.MULTILINE)
+    assert count == 1
+    twin.write_text(text, "utf-8")
+    for command in ("validate", "adjust"):
+        ended = run(command, twin, "--json")
+        found = ended.json["errors"][0]
+        assert (ended.code, found["file"], found["place"]) == (2, str(twin), place)
 
 
 def test_doctor(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
