@@ -58,7 +58,7 @@ def _impossible(block: Block, project: Path) -> list[Problem]:
     try:
         require_possible(block.options)
     except InputError as error:
-        return [replace(p, file=str(project)) for p in error.problems]
+        return [replace(p, file=str(project), place=f"adjustment.{p.place}") for p in error.problems]
     return []
 
 

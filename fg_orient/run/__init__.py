@@ -129,7 +129,10 @@ def _require_possible(block: Block, project: str | Path, given: Mapping[str, obj
         require_possible(block.options)
     except InputError as error:
         typed = {name for name, value in given.items() if value is not None}
-        problems = [p if p.place in typed else replace(p, file=str(project)) for p in error.problems]
+        problems = [
+            p if p.place in typed else replace(p, file=str(project), place=f"adjustment.{p.place}")
+            for p in error.problems
+        ]
         raise InputError(*problems) from None
 
 

@@ -71,7 +71,7 @@ def test_validate_refuses_what_adjust_refuses(run: Any, twin: Path, entry: str, 
     for command in ("validate", "adjust"):
         ended = run(command, twin, "--json")
         found = ended.json["errors"][0]
-        assert (ended.code, found["file"], found["place"]) == (2, str(twin), place)
+        assert (ended.code, found["file"], found["place"]) == (2, str(twin), f"adjustment.{place}")
 
 
 def test_doctor(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
