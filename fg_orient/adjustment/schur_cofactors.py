@@ -19,7 +19,7 @@ from fg_orient.adjustment.schur_reduced import Reduced
 
 Array = npt.NDArray[np.float64]
 
-#: Images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u).
+# Images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u).
 Gain = tuple[tuple[int, ...], Array, Array]
 
 #: Joint blocks that are remembered.

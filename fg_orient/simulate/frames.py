@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+from scipy import spatial
 
 from factors import frame_camera
 from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
@@ -75,7 +75,7 @@ def pinhole_block(
     rng = np.random.default_rng(seed)
     centre, cameras = _cameras(n_images, rng)
     ground = _points(centre, n_points, rng)
-    _, seen = cKDTree(centre[:, :2]).query(ground[:, :2], k=views)
+    _, seen = spatial.KDTree(centre[:, :2]).query(ground[:, :2], k=views)
     image, point = np.sort(seen, axis=1).ravel(), np.repeat(np.arange(n_points), views)
     line, sample = _observed(cameras, image, ground[point])
     noise = noise_px * rng.standard_normal((2, len(point)))
