@@ -46,7 +46,7 @@ format: $(STAMP)  ## let ruff mend and format the code
 
 docs: $(STAMP)  ## build the documentation into docs/_build/html, warnings are errors
 	rm -rf docs/api  # made at each build; pages of modules that moved must go
-	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/sphinx-build -W --keep-going -q -j auto -b html docs docs/_build/html
 	@echo "documentation: $(CURDIR)/docs/_build/html/index.html"
 
 bench: $(STAMP)  ## time our backends against other software (ARGS="--full": hours), factors, RPC projection

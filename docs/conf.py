@@ -7,7 +7,16 @@ from pathlib import Path
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import numpydoc.docscrape_sphinx as _numpydoc
+from jinja2.sandbox import SandboxedEnvironment
+
 import fg_orient
+
+# numpydoc makes an environment, and compiles its one template, for each of two thousand objects
+_environments = {}
+_numpydoc.SandboxedEnvironment = lambda loader: _environments.setdefault(
+    type(loader), SandboxedEnvironment(loader=loader)
+)
 
 project = "fg_orient"
 author = "the fg_orient developers"
