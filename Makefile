@@ -13,7 +13,7 @@ PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
              && echo $$p && exit; done)
 ARGS    ?=
 
-.PHONY: help demo test test-slow check format bench docs clean
+.PHONY: help demo test test-slow check lint format bench docs clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -34,11 +34,13 @@ test-slow: $(STAMP)  ## the full simulations
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
 check: $(STAMP)  ## ruff, mypy, import-linter, documentation
+	$(MAKE) --no-print-directory --jobs=2 --output-sync lint docs
+
+lint: $(STAMP)  ## ruff, mypy, import-linter
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(MAKE) --no-print-directory docs
 
 format: $(STAMP)  ## let ruff mend and format the code
 	$(BIN)/ruff check --fix .
