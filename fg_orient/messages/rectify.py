@@ -87,6 +87,9 @@ RECTIFY: Final = {
         "add --crs with a projected coordinate system, for instance EPSG:32636",
     ),
     "ortho.other_crs": ("the transformation was fitted in {fitted}", "leave out --crs, or fit in this system"),
+    "ortho.over_input": ("the map would replace a file that it is made of", "give another --out"),
+    "ortho.foreign": ("this file is no raster that --overwrite may replace", "give another --out, or move it"),
+    "rectify.seed": ("no seed of random numbers", "give a whole number from 0"),
     "ortho.no_heights": ("rectification through this model needs heights", "give --dem or --height"),
     "ortho.resampling": ("no such resampling", "known: {known}"),
     "ortho.grid": (

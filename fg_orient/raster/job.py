@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from fg_orient.errors import InputError
 from fg_orient.io.rasters import rasterio_of
@@ -15,6 +15,9 @@ from fg_orient.raster.models import SensorModel, point_model
 from fg_orient.raster.ortho import OrthoOptions, Progress, orthorectify
 from fg_orient.rectification.transformation import read_transformation
 from fg_orient.sensors.surface import RasterDem
+
+#: First bytes of TIFF and BigTIFF files in both byte orders.
+TIFF_MARKS: Final = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 
 
 def rectify_image(
@@ -52,6 +55,7 @@ def rectify_image(
     InputError
         Unusable files, no coordinate system, no heights, no common ground, holes of the DEM.
     """
+    _require_other(out, image, model, *([] if dem is None else [dem]))
     surface: Surface | None = RasterDem(dem) if dem is not None else None
     if height_m is not None:
         surface = LevelSurface(height_m)
@@ -67,6 +71,17 @@ def rectify_image(
     bound = SensorModel(sensor, correction, chosen, surface.range_m[1])
     return orthorectify(image, bound, surface, out, crs=chosen, resolution=resolution, bounds=bounds, options=options,
                         overwrite=overwrite, progress=progress)  # fmt: skip
+
+
+def _require_other(out: Path, *inputs: Path) -> None:
+    """Refuse to write over what is read, or over a file that is no raster, whatever ``overwrite`` says."""
+    if any(path.resolve() == out.resolve() for path in inputs):
+        raise InputError.of("ortho.over_input", file=out, place="--out")
+    if out.is_file():
+        with out.open("rb") as stream:
+            mark = stream.read(4)
+        if mark not in TIFF_MARKS:
+            raise InputError.of("ortho.foreign", file=out, place="--out")
 
 
 def _by_points(

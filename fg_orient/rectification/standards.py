@@ -221,17 +221,24 @@ def _asprs_1990(x: float, y: float, scale: float | None) -> Verdict:
     return Verdict("ASPRS-1990", "larger RMSE of an axis, class 1", value, limit, passed, largest, remarks)
 
 
+def _smallest_class(value_m: float) -> str:
+    """Four digits, rounded up: a class below the value is not met."""
+    text = f"{100.0 * value_m:.4g}"
+    text = text if float(text) >= 100.0 * value_m else f"{100.05 * value_m:.4g}"
+    return f"{text} cm is the smallest class that is met"
+
+
 def _asprs_2014(x: float, y: float, class_m: float | None, n_points: int | None) -> Verdict:
     value, limit = max(x, y), np.nan if class_m is None else class_m
     passed = None if class_m is None else bool(value <= limit)
-    remarks = (f"{100 * value:.4g} cm is the smallest class that is met", *_few(n_points, NSSDA_POINTS))
+    remarks = (_smallest_class(value), *_few(n_points, NSSDA_POINTS))
     return Verdict("ASPRS-2014", "larger RMSE of an axis", value, limit, passed, np.nan, remarks)
 
 
 def _asprs_2023(x: float, y: float, class_m: float | None, own_m: float, n_points: int | None) -> Verdict:
     value, limit = float(np.sqrt(x * x + y * y + own_m * own_m)), np.nan if class_m is None else class_m
     passed = None if class_m is None else bool(value <= limit)
-    remarks = (f"{100 * value:.4g} cm is the smallest class that is met", *_few(n_points, ASPRS_2023_POINTS))
+    remarks = (_smallest_class(value), *_few(n_points, ASPRS_2023_POINTS))
     if own_m == 0.0:
         remarks = (*remarks, "the error of the check points is taken as 0")
     return Verdict("ASPRS-2023", "radial RMSE with that of the check points", value, limit, passed, np.nan, remarks)

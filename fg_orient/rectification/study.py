@@ -74,12 +74,15 @@ def design_study(
     Raises
     ------
     InputError
-        A count that is not there, an impossible degree; no layout is refused for this: its cell has the reason.
+        A count that is not there, an impossible degree, a negative seed; no layout is refused for this: its cell has
+        the reason.
     """
     most = len(control)
     for count in counts:
         if not 1 <= count <= most:
             raise InputError.of("rectify.counts", place="--counts", value=count, most=most)
+    if seed < 0:
+        raise InputError.of("rectify.seed", place="--seed", value=seed)
     rng, out = np.random.default_rng(seed), list[Cell]()
     for count in counts:
         n = 1 if count == most else layouts

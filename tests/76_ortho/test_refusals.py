@@ -9,6 +9,7 @@ import pytest
 import rasterio
 
 from fg_orient.errors import InputError
+from fg_orient.raster.job import rectify_image
 from fg_orient.raster.lattice import LevelSurface
 from fg_orient.raster.models import PointModel, solved
 from fg_orient.raster.ortho import OrthoOptions, orthorectify
@@ -117,3 +118,15 @@ def test_an_image_beyond_the_fold_of_a_polynomial_has_no_outline(tmp_path: Path)
     record = orthorectify(image, bound, LevelSurface(0.0), out, crs=CRS, resolution=30.0,
                           bounds=(900.0, 600.0, 3000.0, 3000.0))  # fmt: skip
     assert record["filled"] == 1.0
+
+
+@pytest.mark.parametrize("which", ["image", "dem", "model", "foreign"])
+def test_nothing_that_is_read_and_no_foreign_file_is_replaced(tmp_path: Path, which: str) -> None:
+    """Whatever --overwrite says; judged before anything is read."""
+    files = {name: tmp_path / f"{name}.tif" for name in ("image", "dem", "model", "foreign")}
+    for path in files.values():
+        path.write_bytes(b"not to be lost")
+    with pytest.raises(InputError) as caught:
+        rectify_image(files["image"], files["model"], files[which], dem=files["dem"], overwrite=True)
+    assert caught.value.problems[0].code == ("ortho.foreign" if which == "foreign" else "ortho.over_input")
+    assert files[which].read_bytes() == b"not to be lost"
