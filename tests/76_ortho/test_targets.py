@@ -82,6 +82,11 @@ def test_a_terrain_shifted_by_50_m_fails(twin: Twin, tmp_path: Path) -> None:
         sink.write(heights)
     assert passes(misses(twin, "right", tmp_path, adjusted=True, every=3))
     assert not passes(misses(twin, "right", tmp_path, adjusted=True, dem=RasterDem(shifted), every=3))
+    profile["transform"] = place
+    with rasterio.open(shifted, "w", **profile) as sink:
+        sink.write(heights + np.float32(50.0))
+    for image in ("left", "right"):  # shifted east the left image, seen more from above, still passes
+        assert not passes(misses(twin, image, tmp_path, adjusted=True, dem=RasterDem(shifted), every=4))
 
 
 def test_rendered_rays_meet_the_terrain_where_the_sensor_says(twin: Twin) -> None:
