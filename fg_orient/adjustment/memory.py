@@ -28,9 +28,11 @@ from fg_orient.names import Role
 SHARE: Final = 0.8
 #: Bytes per image point: arrays of the Schur backend; factors, values, linear graph and Bayes tree of GTSAM; start
 #: values and results (cofactors, tables, report).
-SCHUR: Final = 350
+SCHUR: Final = 400
 GRAPH: Final = 13_000
 RESULTS: Final = 400
+#: Bytes of what does not grow with the block: models, names, records of the run.
+FIXED: Final = 500_000
 #: Numbers per ground point in problem, state and results.
 PER_POINT: Final = 60
 GB: Final = 1e9
@@ -90,7 +92,7 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
         backend = "schur" if n >= SCHUR_FROM and free and not block.extra else "graph"
     working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
     working -= n * SCHUR if backend == "schur" and elsewhere else 0
-    return Need(backend, int(common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
+    return Need(backend, int(FIXED + common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
 
 
 def _schur(block: Block, n: int, u: int, widest: int) -> float:

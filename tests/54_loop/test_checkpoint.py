@@ -111,7 +111,10 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     ("options", "after"),
-    [({"optimizer": "levenberg-marquardt"}, 3), ({"loss": "tls", "gnc": True, "inlier_probability": 0.8}, 6)],
+    [
+        ({"loss": "tls", "gnc": True, "inlier_probability": 0.8}, 6),
+        pytest.param({"optimizer": "levenberg-marquardt"}, 3, marks=pytest.mark.slow),  # in process: the tests above
+    ],
 )
 def test_killed_process_is_resumed_with_the_same_bits(
     project: Path, options: dict[str, Any], after: int, tmp_path: Path
