@@ -97,22 +97,6 @@ def cut_pieces(first: Small, image: Small, free: Flags, limit: int, pieces: Inde
 
 
 @threaded
-def count_slots(pieces: Index, chunks: Index, image: Small, seen: Small) -> int:
-    """Different blocks of each chunk, summed; ``seen`` (M * M,) of zeros is scratch space."""
-    total, n_images = 0, int(np.sqrt(len(seen)))
-    for g in range(len(chunks) - 1):
-        for q in range(chunks[g], chunks[g + 1]):
-            first, end = pieces[q, 0], pieces[q, 0] + pieces[q, 3]
-            for a in range(first, end):
-                for b in range(a, end):
-                    block = image[a] * n_images + image[b]
-                    if seen[block] != g + 1:
-                        seen[block] = g + 1
-                        total += 1
-    return total
-
-
-@threaded
 def list_entries(
     pieces: Index, chunks: Index, image: Small, free: Flags, n_images: int, block: Index, kind: Index
 ) -> None:  # fmt: skip

@@ -18,8 +18,9 @@ import numpy as np
 from factors import pushbroom
 from fg_orient.adjustment.models.contract import image_models
 from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
+from fg_orient.adjustment.problem import participating
 from fg_orient.adjustment.schur_structure import LEAST_CHUNKS
-from fg_orient.adjustment.solve import SCHUR_FROM
+from fg_orient.adjustment.solve import suitable_backend
 from fg_orient.block import Block
 from fg_orient.errors import InputError, Problem, problem
 from fg_orient.names import Role
@@ -82,14 +83,13 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
         An image whose sensor has no model.
     """
     options = block.options
-    sizes = [len(model.parameters) for model in image_models(block.images, options)]
+    models = image_models(block.images, options)
+    sizes = [len(model.parameters) for model in models]
     n, u = len(block.observations), sum(sizes)
     records = 8 * pushbroom.RECORD_SIZE
     common = n * (2 * records + 48) + len(block.points.ids) * 8 * PER_POINT
-    backend = options.backend
-    if backend == "auto":
-        free = options.priors or options.datum == "free"
-        backend = "schur" if n >= SCHUR_FROM and free and not block.extra else "graph"
+    rays = participating(block)
+    backend = suitable_backend(block, models, len(rays), not bool(block.points.known.fixed[rays.point].all()))
     working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
     working -= n * SCHUR if backend == "schur" and elsewhere else 0
     return Need(backend, int(FIXED + common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))

@@ -246,7 +246,7 @@ def compile_problem(block: Block) -> Problem:
     if options.datum == "priors" and not options.priors:
         raise InputError.of("adjust.relative_priors", file=block.name, place="priors", value="false")
     models = image_models(block.images, options)
-    observations = _participating(block)
+    observations = participating(block)
     if not len(observations):
         raise InputError.of("block.no_rays", file=block.name, place="image points", value=0)
     _require_finite(block, observations, control_rows)
@@ -294,7 +294,7 @@ def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArra
         raise InputError.of("block.not_finite", file=block.name, place=f"point {point}", value=f"{len(bad)} value(s)")
 
 
-def _participating(block: Block) -> ImagePoints:
+def participating(block: Block) -> ImagePoints:
     """Image points that enter the adjustment: all, or those of other than check points."""
     if block.options.check_points == "use":
         return block.observations

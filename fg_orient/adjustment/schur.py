@@ -334,7 +334,7 @@ class SchurBackend:
     name = "schur"
 
     def __init__(self, problem: Problem, threads: int | None = None, reduced: str = "auto") -> None:
-        reason = reason_against(problem)
+        reason = reason_against(problem.block, problem.models)
         if reason:
             raise InputError.of("adjust.schur", place="backend", value=reason)
         if reduced not in REDUCED:

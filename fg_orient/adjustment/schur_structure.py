@@ -7,18 +7,21 @@ together in memory. The layout is that of ``factors.batch``, ``factors.batch_poi
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from factors import batch_sort
 from factors.batch import Columns, batch, has_batch
-from fg_orient.adjustment.models.contract import groups
+from fg_orient.adjustment.models.contract import ImageModel, groups
 from fg_orient.adjustment.problem import Problem
+
+if TYPE_CHECKING:
+    from fg_orient.block import Block
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -45,11 +48,11 @@ KEPT_SHARE: Final = 0.5
 RECORDS: Final = 32_768
 
 
-def reason_against(problem: Problem) -> str:
-    """Why the Schur backend cannot take a problem; empty if it can."""
-    if problem.block.extra:
+def reason_against(block: Block, models: Sequence[ImageModel]) -> str:
+    """Why the Schur backend cannot take a block; empty if it can."""
+    if block.extra:
         return "the block has own observations"
-    unknown = sorted({m.equation.name for m in problem.models if not has_batch(m.equation)})
+    unknown = sorted({m.equation.name for m in models if not has_batch(m.equation)})
     return f"no batch for the equation {', '.join(unknown)}" if unknown else ""
 
 
@@ -183,14 +186,14 @@ def compile_structure(problem: Problem) -> Structure:
         n_basis[g.images], n_components[g.images], size[g.images] = g.n_basis, g.columns.n_components, k
         wide[g.images, :k], scale[g.images, :k] = g.columns.wide, g.columns.scale
         _write_basis(problem, row, g, basis)
-    pieces, chunks = _pieces(first, image, free, problem.n_images, int(n_basis.max() * n_components.max()) ** 2)
+    numbers = int(n_basis.max() * n_components.max()) ** 2
+    pieces, chunks, slots = _chunks(first, image, free, problem.n_images, numbers)
     chunk_places = np.append(pieces[chunks[:-1], 1], len(number)).astype(np.int32)
     pairs = np.append(pieces[1:, 4], _entries(pieces)) - pieces[:, 4]
     cost = np.concatenate([[0], np.cumsum(pairs * pieces[:, 2])])[chunks]
     return Structure(
         found, row, image, point, number, free, first, basis, n_basis, n_components, size, wide, scale, pieces, chunks,
-        *_slots(pieces, chunks, image, free, problem.n_images, chunk_places, cost),
-        _tiles(first, chunk_places),
+        chunk_places=chunk_places, cost=cost, tiles=_tiles(first, chunk_places), **slots,
     )  # fmt: skip
 
 
@@ -237,22 +240,23 @@ def _write_basis(problem: Problem, row: Small, group: Group, basis: Array) -> No
         basis[at, : group.n_basis] = group.columns.values(problem.records[row[at]])
 
 
-def _pieces(
+def _chunks(
     first: Small, image: Small, free: npt.NDArray[np.int8], n_images: int, numbers: int
-) -> tuple[Index, Index]:  # fmt: skip
-    """Pieces (Q, 5), and the first of each chunk and their number (N + 1,).
+) -> tuple[Index, Index, dict[str, Any]]:  # fmt: skip
+    """Pieces (Q, 5), the first of each chunk and their number (N + 1,), and what :func:`_slots` gives of them.
 
-    Chunks become fewer where their sums, ``numbers`` for each of their blocks, would outgrow the rows: where the images
-    of neighbouring points have nothing in common.
+    Chunks become fewer where their sums, ``numbers`` for each slot, would outgrow the rows: where the images of
+    neighbouring points have nothing in common.
     """
     total = int(first[-1])
     limit = min(max(total // CHUNKS, LEAST_CHUNK), MOST_CHUNK)
-    pieces, chunks = np.zeros((len(free), 5), np.int64), np.zeros(len(free) + 1, np.int64)
+    space, begin = np.zeros((len(free), 5), np.int64), np.zeros(len(free) + 1, np.int64)
     while True:
-        n_pieces, n_chunks = batch_sort.cut_pieces(first, image, free, limit, pieces, chunks)
-        slots = batch_sort.count_slots(pieces, chunks[: n_chunks + 1], image, np.zeros(n_images**2, np.int32))
-        if n_chunks <= LEAST_CHUNKS or slots * numbers * 8 <= max(SUMS * total, LEAST_SUMS):
-            return pieces[:n_pieces].copy(), chunks[: n_chunks + 1].copy()
+        n_pieces, n_chunks = batch_sort.cut_pieces(first, image, free, limit, space, begin)
+        pieces, chunks = space[:n_pieces].copy(), begin[: n_chunks + 1].copy()
+        slots = _slots(pieces, chunks, image, free, n_images)
+        if n_chunks <= LEAST_CHUNKS or len(slots["slot_own"]) * numbers * 8 <= max(SUMS * total, LEAST_SUMS):
+            return pieces, chunks, slots
         limit *= 2
 
 
@@ -262,9 +266,9 @@ def _entries(pieces: Index) -> int:
 
 
 def _slots(
-    pieces: Index, chunks: Index, image: Small, free: npt.NDArray[np.int8], n_images: int, places: Small, cost: Index
-) -> tuple[Small, Small, Index, Small, Index, Index, Index, Index, Small]:  # fmt: skip
-    """Slots of the pieces, and blocks of the slots: the fields of :class:`Structure` from ``slots`` on."""
+    pieces: Index, chunks: Index, image: Small, free: npt.NDArray[np.int8], n_images: int
+) -> dict[str, Any]:  # fmt: skip
+    """Slots of the pieces, and blocks of the slots: fields of :class:`Structure` by name."""
     key, kind = np.empty(_entries(pieces), np.int64), np.empty(_entries(pieces), np.int64)
     batch_sort.list_entries(pieces, chunks, image, free, n_images, key, kind)
     exists = kind >= 0
@@ -276,10 +280,12 @@ def _slots(
     begin = np.searchsorted(found // (2 * len(blocks)), np.arange(len(chunks)))
     slot_block = found // 2 % len(blocks)
     block_begin = np.concatenate([[0], np.cumsum(np.bincount(slot_block, minlength=len(blocks)))])
-    return (
-        slots, places, begin.astype(np.int64), (found % 2).astype(np.int32), cost, blocks // n_images,
-        blocks % n_images, block_begin.astype(np.int64), np.argsort(slot_block, kind="stable").astype(np.int32),
-    )  # fmt: skip
+    return {
+        "slots": slots, "slot_begin": begin.astype(np.int64), "slot_own": (found % 2).astype(np.int32),
+        "block_row": blocks // n_images, "block_column": blocks % n_images,
+        "block_begin": block_begin.astype(np.int64),
+        "block_slots": np.argsort(slot_block, kind="stable").astype(np.int32),
+    }  # fmt: skip
 
 
 def _tiles(first: Small, places: Small) -> tuple[Tile, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -28,13 +28,14 @@ from fg_orient.adjustment.loop import (
 )
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import NONE, Robust, Weights, find_loss, weights_at
-from fg_orient.block import Options
+from fg_orient.block import Block, Options
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.linear.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.dense import DenseSystem
     from fg_orient.adjustment.graph import GraphBackend, GraphSystem
+    from fg_orient.adjustment.models.contract import ImageModel
     from fg_orient.adjustment.schur import SchurSystem
     from fg_orient.adjustment.schur_summed import SummedSystem
 
@@ -135,19 +136,24 @@ def solve(
 
 
 def chosen_backend(problem: Problem) -> str:
+    """See :func:`suitable_backend`."""
+    return suitable_backend(problem.block, problem.models, len(problem.observations), bool(problem.active.any()))
+
+
+def suitable_backend(block: Block, models: Sequence[ImageModel], n_image_points: int, has_unknown_points: bool) -> str:
     """Backend of the options; for "auto" the Schur complement if it can take the block and pays, else the graph.
 
     Without priors the graph is taken: its QR does not square the condition.
     """
-    options = problem.block.options
+    options = block.options
     if options.backend != "auto":
         return options.backend
     from fg_orient.adjustment.schur_structure import reason_against
 
     # under a loss also small ones: where all rays of a point are turned down, GTSAM gives no covariance
-    large = (len(problem.observations) >= SCHUR_FROM or options.loss != NONE) and bool(problem.active.any())
-    regular = options.priors or problem.least_damping > 0.0
-    possible = regular and options.optimizer in OPTIMIZERS and not reason_against(problem)
+    large = (n_image_points >= SCHUR_FROM or options.loss != NONE) and has_unknown_points
+    regular = options.priors or options.datum == "free"
+    possible = regular and options.optimizer in OPTIMIZERS and not reason_against(block, models)
     return "schur" if large and possible else "graph"
 
 

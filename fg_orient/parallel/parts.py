@@ -52,7 +52,7 @@ def divide(problem: Problem, parts: int) -> list[Index]:
     InputError
         More parts than ground points, or less than one; a block that the Schur backend cannot take.
     """
-    reason = reason_against(problem)
+    reason = reason_against(problem.block, problem.models)
     if reason:
         raise InputError.of("adjust.schur", place="parts", value=reason)
     o = problem.observations

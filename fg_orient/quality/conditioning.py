@@ -32,7 +32,7 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
         return None
     if not isinstance(linear, SchurSystem):
         small = len(problem.observations) <= ELIMINATED_AGAIN and estimate.backend in ("graph", "dense")
-        if not small or estimate.weights is not None or reason_against(problem):
+        if not small or estimate.weights is not None or reason_against(problem.block, problem.models):
             return None
         linear = SchurBackend(problem, threads=1).linearise(estimate.state)
     try:

@@ -394,7 +394,7 @@ def test_sums_of_chunks_stay_small_where_neighbours_share_no_images() -> None:
     rng, rays, images, numbers = np.random.default_rng(0), 10, 60, 27**2
     image = np.concatenate([np.sort(rng.choice(images, rays, replace=False)) for _ in range(4000)]).astype(np.int32)
     first, free = np.arange(4001, dtype=np.int32) * np.int32(rays), np.ones(4000, np.int8)
-    pieces, chunks = schur_structure._pieces(first, image, free, images, numbers)
+    pieces, chunks, _ = schur_structure._chunks(first, image, free, images, numbers)
     cut = [set(image[pieces[lo, 0] : pieces[hi - 1, 0] + rays].tolist()) for lo, hi in itertools.pairwise(chunks)]
     assert all(len(seen) == images for seen in cut[:-1])
     many = len(cut) * images * (images + 1) / 2 * numbers * 8
