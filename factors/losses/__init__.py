@@ -5,6 +5,8 @@ A loss acts on the whitened norm t of one observation (2 numbers of an image poi
 ``cost(u) = int_0^u s w(s) ds``: half the square where the weight is 1. A file of this package that calls
 :func:`register` adds a loss.
 
+A loss that is given by its weight alone gets cost and constants from :mod:`factors.losses.construct`.
+
 The constant c leaves the estimate the efficiency 95 % at the normal distribution. For residuals of d independent
 normal numbers the asymptotic efficiency is ``E[w t^2]^2 / (d E[w^2 t^2])`` (Huber 1981, ch. 6; the derivative of
 ``w r`` is replaced through Stein's identity), so c depends on d.
@@ -35,6 +37,10 @@ class Loss:
         c for 95 % efficiency in 1, 2 and 3 dimensions.
     source : str
         Author year.
+    corners : tuple of float
+        Where w or its slope jumps, in u.
+    redescending : bool
+        The influence u w(u) falls again, so there can be several minima: such a loss wants a robust start.
     """
 
     name: str
@@ -42,6 +48,8 @@ class Loss:
     cost: Curve
     constants: tuple[float, float, float]
     source: str
+    corners: tuple[float, ...] = ()
+    redescending: bool = True
 
     def constant(self, dimension: int) -> float:
         """C of a residual of 1, 2 or 3 numbers."""
@@ -49,6 +57,8 @@ class Loss:
 
 
 _REGISTRY: dict[str, Loss] = {}
+#: Other names of losses.
+ALIASES: dict[str, str] = {"beaton_tukey": "tukey", "biweight": "tukey", "lorentz": "cauchy"}
 
 
 def register(loss: Loss) -> Loss:
@@ -60,10 +70,17 @@ def register(loss: Loss) -> Loss:
         Another one has this name.
     """
     present = _REGISTRY.get(loss.name)
+    if loss.name in ALIASES:
+        raise ValueError(f"{loss.name!r} is another name of the loss {ALIASES[loss.name]!r}")
     if present is not None and present.weight.__module__ != loss.weight.__module__:
         raise ValueError(f"a loss named {loss.name!r} is registered already")
     _REGISTRY[loss.name] = loss
     return loss
+
+
+def find(name: str) -> Loss | None:
+    """Find a loss by its name or another name of it; None if there is none."""
+    return losses().get(ALIASES.get(name, name))
 
 
 def losses() -> dict[str, Loss]:

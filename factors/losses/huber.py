@@ -18,4 +18,8 @@ def cost(u: Array) -> Array:
     return np.asarray(np.where(u <= 1.0, 0.5 * u**2, u - 0.5))
 
 
-HUBER = register(Loss("huber", weight, cost, (1.344997509, 1.501141084, 1.627987920), "Huber 1964"))
+HUBER = register(
+    Loss(
+        "huber", weight, cost, (1.344997509, 1.501141084, 1.627987920), "Huber 1964", corners=(1.0,), redescending=False
+    )
+)

@@ -18,4 +18,6 @@ def cost(u: Array) -> Array:
     return np.asarray((1.0 - np.maximum(1.0 - u**2, 0.0) ** 3) / 6.0)
 
 
-TUKEY = register(Loss("tukey", weight, cost, (4.685064949, 5.122986090, 5.490249208), "Beaton & Tukey 1974"))
+TUKEY = register(
+    Loss("tukey", weight, cost, (4.685064949, 5.122986090, 5.490249208), "Beaton & Tukey 1974", corners=(1.0,))
+)

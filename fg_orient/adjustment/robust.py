@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammaincinv
 
-from factors.losses import Curve, Loss, losses
+from factors.losses import Curve, Loss, find, losses
 from fg_orient.adjustment.problem import Problem, State, whitened_records
 from fg_orient.block import ImagePoints, Options
 from fg_orient.errors import InputError
@@ -101,10 +101,10 @@ def find_loss(name: str) -> Loss:
     InputError
         There is none of this name.
     """
-    known = losses()
-    if name not in known:
-        raise InputError.of("adjust.loss", place="loss", value=name, known=", ".join((NONE, *known)))
-    return known[name]
+    loss = find(name)
+    if loss is None:
+        raise InputError.of("adjust.loss", place="loss", value=name, known=", ".join((NONE, *losses())))
+    return loss
 
 
 def robust_of(options: Options) -> Robust | None:

@@ -237,6 +237,6 @@ def test_register_and_find(monkeypatch: pytest.MonkeyPatch) -> None:
     own = register(Loss("own", np.ones_like, lambda u: 0.5 * u**2, (1.0, 1.0, 1.0), "nobody"))
     robust = robust_of(with_options(clean_block(2, 2, 40), loss="own").options)
     assert robust == Robust(ScaledLoss(own.weight, own.cost, 1.0), ScaledLoss(own.weight, own.cost, 1.0))
-    with pytest.raises(InputError, match="choose one of none, cauchy"):
+    with pytest.raises(InputError, match="choose one of none, andrews, cauchy"):
         robust_of(with_options(clean_block(2, 2, 40), loss="hubre").options)
     assert robust_of(clean_block(2, 2, 40).options) is None

@@ -1,0 +1,125 @@
+"""Losses made of their weight alone: cost and constants by quadrature.
+
+Gauss-Legendre rules of 12 nodes on panels that end at the corners of the weight, so that the cost is its integral to
+rounding: a cost that contradicts the weight would let the loop refuse good steps, or stop early.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from factors._contract import Array
+from factors.losses import Curve, Loss
+
+EFFICIENCY: Final = 0.95
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+#: Panels of the cost: evenly up to here, each wider by a twentieth then. Beyond the last one the weight counts as zero.
+_EVEN: Final = 16.0
+_WIDTH: Final = 0.05
+_LAST: Final = 1e7
+#: The normal distribution ends here: beyond lie 1e-30 of it.
+_FAR: Final = 12.0
+_BISECTIONS: Final = 80
+
+
+@dataclass(frozen=True, eq=False)
+class Integral:
+    """``int_0^u s w(s) ds`` as a function of u.
+
+    Parameters
+    ----------
+    weight : callable
+        w over arrays; a function of a module, if worker processes are to receive it.
+    knots, values : (k,) arrays
+        Ends of the panels, and the integral up to them.
+    """
+
+    weight: Curve
+    knots: Array
+    values: Array
+
+    @classmethod
+    def of(cls, weight: Curve, corners: Sequence[float] = ()) -> Integral:
+        """Integrate once over all panels; ``corners``: where the weight or its slope jumps."""
+        growing = _EVEN * 1.05 ** np.arange(1, math.ceil(math.log(_LAST / _EVEN) / math.log(1.05)))
+        knots = np.unique(np.concatenate([np.arange(0.0, _EVEN + 0.5 * _WIDTH, _WIDTH), growing, corners]))
+        return cls(weight, knots, np.concatenate([[0.0], np.cumsum(_moment(weight, knots[:-1], knots[1:]))]))
+
+    def __call__(self, u: Array) -> Array:
+        """Integral up to u, of the same shape."""
+        end = np.minimum(np.asarray(u, dtype=np.float64), self.knots[-1])
+        panel = np.clip(np.searchsorted(self.knots, end, side="right") - 1, 0, len(self.knots) - 2)
+        return np.asarray(self.values[panel] + _moment(self.weight, self.knots[panel], end))
+
+
+def _moment(weight: Curve, low: Array, high: Array) -> Array:
+    """``int s w(s) ds`` from low to high, elementwise."""
+    half = 0.5 * (np.asarray(high) - low)[..., None]
+    s = np.asarray(low)[..., None] + half * (1.0 + _NODES)
+    return np.asarray((half * _WEIGHTS * s * weight(s)).sum(axis=-1))
+
+
+def efficiency(weight: Curve, constant: float, dimension: int, corners: Sequence[float] = ()) -> float:
+    """Asymptotic efficiency at the normal distribution, of residuals of 1, 2 or 3 numbers.
+
+    ``E[w t^2]^2 / (d E[w^2 t^2])``, t the norm (Huber 1981, ch. 6; ``E[w t^2] / d`` is the mean derivative of the
+    influence by Stein's identity, which a jump of the weight does not harm).
+    """
+    ends = [constant * c for c in corners if constant * c < _FAR]
+    knots = np.unique(np.concatenate([np.linspace(0.0, _FAR, 121), ends]))
+    half = 0.5 * np.diff(knots)[:, None]
+    t = knots[:-1, None] + half * (1.0 + _NODES)
+    # t^2 times the density of chi(d)
+    factor = half * _WEIGHTS * t ** (dimension + 1) * np.exp(-0.5 * t**2)
+    factor /= 2.0 ** (0.5 * dimension - 1.0) * math.gamma(0.5 * dimension)
+    w = np.asarray(weight(t / constant))
+    return float((factor * w).sum() ** 2 / (dimension * (factor * w**2).sum()))
+
+
+def constant_for(weight: Curve, dimension: int, corners: Sequence[float] = (), goal: float = EFFICIENCY) -> float:
+    """Constant c that leaves this efficiency.
+
+    Raises
+    ------
+    ValueError
+        No constant between 0.01 and 100 does.
+    """
+    low, high = 0.01, 100.0
+    if not efficiency(weight, low, dimension, corners) < goal < efficiency(weight, high, dimension, corners):
+        raise ValueError(f"no constant of this weight leaves the efficiency {goal:g} in {dimension} dimension(s)")
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if efficiency(weight, middle, dimension, corners) < goal else (low, middle)
+    return 0.5 * (low + high)
+
+
+def loss_from_weight(name: str, weight: Curve, *, corners: Sequence[float] = (), source: str = "") -> Loss:
+    """Make a loss of its weight alone; :func:`factors.losses.register` makes it known.
+
+    Parameters
+    ----------
+    name : str
+    weight : callable
+        w(u) over arrays of ``u >= 0``: 1 at 0, never rising, never negative.
+    corners : sequence of float
+        Where w or its slope jumps, in u.
+    source : str
+        Author year.
+
+    Raises
+    ------
+    ValueError
+        The weight is none, or no constant leaves 95 % efficiency.
+    """
+    grid = np.unique(np.concatenate([np.linspace(0.0, 50.0, 5001), np.geomspace(50.0, _LAST, 500)]))
+    w = np.asarray(weight(grid), dtype=np.float64)
+    if w.shape != grid.shape or not np.isfinite(w).all() or w[0] != 1.0 or w.min() < 0.0 or (np.diff(w) > 1e-12).any():
+        raise ValueError(f"the weight of {name!r} is not 1 at 0, falling and not negative")
+    constants = tuple(constant_for(weight, d, corners) for d in (1, 2, 3))
+    first, second, third = constants
+    return Loss(name, weight, Integral.of(weight, corners), (first, second, third), source, tuple(corners))
