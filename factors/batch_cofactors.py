@@ -6,7 +6,13 @@ the joint cofactors Q of the images::
     Q_point = H^-1 + H^-1 (sum_ab G_a^T T_ab G_b) H^-1,     T_ab = J_a Q_ab J_b^T
 
 the back-substitution of the elimination (Brown 1976; Mikhail & Ackermann 1976, 5.9) with two rows per ray instead of
-all columns of its image.
+all columns of its image. The adjusted image point of ray a and its effect on the ground point follow from the same::
+
+    C_a = sum_b G_b^T T_ba,     R_a = Q_point G_a^T - H^-1 C_a
+    F_a = T_aa + G_a R_a - (G_a H^-1 C_a)^T
+
+F_a is the cofactor matrix ``A_a N^-1 A_a^T`` of the adjusted observation (A_a = [J_a G_a]), I - F_a that of the
+residual; R_a is the part of ``N^-1 A_a^T`` that belongs to the ground point.
 """
 
 from __future__ import annotations
@@ -59,6 +65,84 @@ def point_cofactors(
                 for k in range(3):
                     value += half[r, k] * inverse[p, k, c]
                 out[p, r, c], out[p, c, r] = value, value
+
+
+@threaded
+def ray_cofactors(
+    lo: int, hi: int, first: Index, image: Index, size: Index, free: Index, d_image: Array, d_ground: Array,
+    inverse: Array, block: Index, q: Array, out: Array, fitted: Array, response: Array,
+) -> None:  # fmt: skip
+    """Write cofactors (P, 3, 3) of points lo to hi, F_a (n, 2, 2) and R_a (n, 3, 2) of their rays.
+
+    Parameters as of :func:`point_cofactors`, and
+
+    free : (P,) int array
+        1 for unknown points, 0 for fixed ones, whose F_a is T_aa.
+    """
+    turned, t, total, half = np.empty((2, q.shape[2])), np.empty((2, 2)), np.empty((3, 3)), np.empty((3, 3))
+    for p in range(lo, hi):
+        total[:], out[p] = 0.0, 0.0
+        for a in range(first[p], first[p + 1]):
+            response[a] = 0.0
+        for a in range(first[p], first[p + 1]):
+            i = image[a]
+            for b in range(a, first[p + 1] if free[p] else a + 1):
+                j = image[b]
+                _between(d_image, a, b, q, block[i, j], size[i], size[j], turned, t)
+                if free[p]:
+                    _add(total, d_ground, a, b, t)
+                    _gather(response, d_ground, a, b, t)
+                if a == b:
+                    fitted[a] = t
+        if not free[p]:
+            continue
+        half[:] = _product(inverse[p], total)
+        out[p] = inverse[p] + _product(half, inverse[p])
+        for a in range(first[p], first[p + 1]):
+            _finish(inverse[p], out[p], d_ground[a], fitted[a], response[a])
+
+
+@threaded
+def _product(a: Array, b: Array) -> Array:
+    """Product of two (3, 3) matrices."""
+    c = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                c[i, j] += a[i, k] * b[k, j]
+    return c
+
+
+@threaded
+def _gather(response: Array, d_ground: Array, a: int, b: int, t: Array) -> None:
+    """Add ``G_b^T T_ba`` to C_a and, for two different rays, ``G_a^T T_ab`` to C_b."""
+    for r in range(3):
+        for c in range(2):
+            for k in range(2):
+                response[a, r, c] += d_ground[b, k, r] * t[c, k]
+                if a != b:
+                    response[b, r, c] += d_ground[a, k, r] * t[k, c]
+
+
+@threaded
+def _finish(inverse: Array, q: Array, g: Array, f: Array, r: Array) -> None:
+    """Turn T_aa into F_a and C_a into R_a, in place."""
+    h = np.zeros((3, 2))
+    for i in range(3):
+        for c in range(2):
+            for k in range(3):
+                h[i, c] += inverse[i, k] * r[k, c]
+    for i in range(3):
+        for c in range(2):
+            r[i, c] = -h[i, c]
+            for k in range(3):
+                r[i, c] += q[i, k] * g[c, k]
+    for c in range(2):
+        for d in range(c, 2):
+            value = 0.5 * (f[c, d] + f[d, c])
+            for k in range(3):
+                value += 0.5 * (g[c, k] * (r[k, d] - h[k, d]) + g[d, k] * (r[k, c] - h[k, c]))
+            f[c, d], f[d, c] = value, value
 
 
 @threaded

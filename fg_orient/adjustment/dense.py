@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError, check_blocks
 from fg_orient.adjustment.loop import share_at_radius
-from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.problem import ExtraArgument, Problem, State
 from fg_orient.adjustment.robust import Robust, control_squares
 from fg_orient.block import ExtraObservation
 from fg_orient.errors import InputError
@@ -138,10 +138,13 @@ def _control_rows(problem: Problem, state: State, columns: Columns, jacobian: bo
     return residual, out.reshape(-1, len(columns))
 
 
-def _extra_rows(
-    problem: Problem, extra: ExtraObservation, state: State, columns: Columns, jacobian: bool
-) -> tuple[Array, Array]:
-    """Rows of an own observation: its equation's kernel, checked as in a factor."""
+def extra_blocks(
+    problem: Problem, extra: ExtraObservation, state: State, *, jacobian: bool
+) -> tuple[Array, list[tuple[ExtraArgument, Array]]]:
+    """Residual and, if asked, Jacobians of an own observation with what they belong to, constants left out.
+
+    Its equation's kernel, checked as in a factor.
+    """
     arguments = problem.extra_arguments(extra)
     x = [
         problem.unknowns(state, a.index) if a.is_image else np.ascontiguousarray(state.ground[a.index])
@@ -150,11 +153,20 @@ def _extra_rows(
     blocks = extra.equation.kernel(extra.record, extra.setup, *x, jacobian)
     sizes = tuple(a.size for a in arguments) if jacobian else ()
     check_blocks(extra.equation.name, extra.label, blocks if jacobian else blocks[:1], sizes, extra.n_residuals)
+    if not jacobian:
+        return blocks[0], []
+    return blocks[0], [(a, block) for a, block in zip(arguments, blocks[1:], strict=True) if a.constant is None]
+
+
+def _extra_rows(
+    problem: Problem, extra: ExtraObservation, state: State, columns: Columns, jacobian: bool
+) -> tuple[Array, Array]:
+    """Rows of an own observation."""
+    residual, blocks = extra_blocks(problem, extra, state, jacobian=jacobian)
     out = np.zeros((extra.n_residuals if jacobian else 0, len(columns)))
-    for a, block in zip(arguments, blocks[1:], strict=True):
-        if jacobian and a.constant is None:
-            out[:, columns.image(a.index) if a.is_image else columns.point(a.index)] += block
-    return blocks[0], out
+    for a, block in blocks:
+        out[:, columns.image(a.index) if a.is_image else columns.point(a.index)] += block
+    return residual, out
 
 
 @dataclass(frozen=True)

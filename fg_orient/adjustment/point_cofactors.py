@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -38,18 +39,123 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
     wanted = np.flatnonzero(problem.active[index])
     if not len(wanted):
         return out
-    points, o = index[wanted], problem.observations
-    order = np.lexsort((o.image, o.point)).astype(np.intp)
-    begin = np.concatenate([[0], np.cumsum(np.bincount(o.point, minlength=len(problem.active)))])
-    rays = begin[points + 1] - begin[points]
+    order = _order(problem)
     pairs, block = _pairs(problem, order)
-    q = blocks(pairs)
+    q, size = blocks(pairs), np.diff(problem.first)
+    for part in _parts(problem, state, index[wanted], order):
+        found = np.empty((len(part.points), 3, 3))
+        batch_cofactors.point_cofactors(
+            0, len(found), part.first, part.image, size, part.d_image, part.d_ground, part.inverse, block, q, found
+        )
+        out[wanted[part.places]] = found
+    return out
+
+
+@dataclass(frozen=True)
+class RayCofactors:
+    """What the rays of all points say; prior scale, whitened rows.
+
+    Parameters
+    ----------
+    points : (N, 3, 3) array
+        Cofactors of the ground points, m^2; zero for those that are no unknowns.
+    fitted : (n, 2, 2) array
+        Cofactors of the adjusted image points, ``A N^-1 A^T``.
+    response : (n, 3, 2) array
+        Effect of an error of an image point on its ground point: the point's rows of ``N^-1 A^T``, m.
+    images : (M, k, k) array
+        Cofactors of the images, prior sigmas.
+    """
+
+    points: Array
+    fitted: Array
+    response: Array
+    images: Array
+
+
+def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], Array]) -> RayCofactors:
+    """Cofactors of all adjusted image points, with those of points and images; see :func:`cofactors_of_points`.
+
+    Ground points that own observations name are not right here: they depend on more than their rays.
+    """
+    n, order = len(problem.observations), _order(problem)
+    out = RayCofactors(np.zeros((len(problem.active), 3, 3)), np.empty((n, 2, 2)), np.zeros((n, 3, 2)), np.empty(0))
+    pairs, block = _pairs(problem, order)
+    q, size = blocks(pairs), np.diff(problem.first)
+    seen = np.unique(problem.observations.point)
+    for part in _parts(problem, state, seen, order):
+        rays = len(part.rows)
+        found, fitted, response = np.empty((len(part.points), 3, 3)), np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
+        batch_cofactors.ray_cofactors(
+            0, len(found), part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
+            part.d_ground, part.inverse, block, q, found, fitted, response,
+        )  # fmt: skip
+        out.points[part.points], out.fitted[part.rows], out.response[part.rows] = found, fitted, response
+    return replace(out, images=q[np.diagonal(block)])
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Some ground points with all their rays, ``CHUNK`` or a few more.
+
+    Parameters
+    ----------
+    places : slice
+        Of the points among those asked for.
+    points : (P,) int array
+    first : (P + 1,) int array
+        First ray of each point; the rays are in the order of their images.
+    rows, image : (n,) int arrays
+        Rows of ``problem.observations``, and their images.
+    d_image, d_ground : (n, 2, k), (n, 2, 3) arrays
+        Whitened Jacobians.
+    inverse : (P, 3, 3) array
+        H^-1; zero for points that are no unknowns.
+    """
+
+    places: slice
+    points: Index
+    first: Index
+    rows: Index
+    image: Index
+    d_image: Array
+    d_ground: Array
+    inverse: Array
+
+
+def _order(problem: Problem) -> Index:
+    """Image points by ground point, then by image."""
+    return np.lexsort((problem.observations.image, problem.observations.point)).astype(np.intp)
+
+
+def _parts(problem: Problem, state: State, points: Index, order: Index) -> Iterator[_Part]:
+    """Ground points with their rays, part by part."""
+    begin = np.concatenate([[0], np.cumsum(np.bincount(problem.observations.point, minlength=len(problem.active)))])
+    rays = begin[points + 1] - begin[points]
     cuts = np.searchsorted(np.cumsum(rays), np.arange(CHUNK, rays.sum() + CHUNK, CHUNK), side="left") + 1
+    cuts = np.minimum(cuts, len(points))
     for lo, hi in zip([0, *cuts[:-1].tolist()], cuts.tolist(), strict=True):
         first = np.concatenate([[0], np.cumsum(rays[lo:hi])])
         rows = order[np.repeat(begin[points[lo:hi]] - first[:-1], rays[lo:hi]) + np.arange(first[-1])]
-        out[wanted[lo:hi]] = _chunk(problem, state, points[lo:hi], first, rows, block, q)
-    return out
+        if len(rows):
+            yield _part(problem, state, slice(lo, hi), points[lo:hi], first, rows)
+
+
+def _part(problem: Problem, state: State, places: slice, points: Index, first: Index, rows: Index) -> _Part:
+    """Jacobians and H^-1 of some points."""
+    size = np.diff(problem.first)
+    image = problem.observations.image[rows]
+    d_image, d_ground = np.zeros((len(rows), 2, int(size.max()))), np.empty((len(rows), 2, 3))
+    for k in np.unique(image):
+        own = np.flatnonzero(image == k)
+        _, d_image[own, :, : size[k]], d_ground[own] = image_rows(problem, state, int(k), rows[own], jacobian=True)
+    normal = np.add.reduceat(np.einsum("nri,nrj->nij", d_ground, d_ground), first[:-1])
+    known = np.flatnonzero(problem.observed[points])
+    w = problem.control_records[points[known], :9].reshape(-1, 3, 3)
+    normal[known] += np.swapaxes(w, 1, 2) @ w
+    inverse, free = np.zeros_like(normal), problem.active[points]
+    inverse[free] = np.linalg.inv(normal[free])
+    return _Part(places, points, first, rows, image, d_image, d_ground, inverse)
 
 
 def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array], pairs: Index) -> Array:
@@ -76,38 +182,17 @@ def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array]
 
 
 def _pairs(problem: Problem, order: Index) -> tuple[Index, Index]:
-    """Pairs of images (B, 2) that see a common unknown point, row <= column; their places in a table (M, M).
+    """Pairs of images (B, 2) that see a common unknown point, row <= column, and each with itself; places (M, M).
 
     ``order`` sorts the image points by ground point, then by image.
     """
     order = order[problem.active[problem.observations.point[order]]]
     image, point = problem.observations.image[order], problem.observations.point[order]
-    together = np.zeros((problem.n_images, problem.n_images), bool)
-    for apart in range(int(np.bincount(point).max())):
+    together = np.eye(problem.n_images, dtype=bool)
+    for apart in range(1, int(np.bincount(point).max(initial=0))):
         first, second = slice(0, len(point) - apart), slice(apart, None)
         same = point[first] == point[second]
         together[image[first][same], image[second][same]] = True
     block = np.full(together.shape, -1, np.int64)
     block[together] = np.arange(together.sum())
     return np.argwhere(together), block
-
-
-def _chunk(
-    problem: Problem, state: State, points: Index, first: Index, rows: Index, block: Index, q: Array
-) -> Array:  # fmt: skip
-    """Cofactors of some points from all their rays."""
-    size = np.diff(problem.first)
-    image = problem.observations.image[rows]
-    d_image, d_ground = np.zeros((len(rows), 2, int(size.max()))), np.empty((len(rows), 2, 3))
-    for k in np.unique(image):
-        own = np.flatnonzero(image == k)
-        _, d_image[own, :, : size[k]], d_ground[own] = image_rows(problem, state, int(k), rows[own], jacobian=True)
-    normal = np.add.reduceat(np.einsum("nri,nrj->nij", d_ground, d_ground), first[:-1])
-    known = np.flatnonzero(problem.observed[points])
-    w = problem.control_records[points[known], :9].reshape(-1, 3, 3)
-    normal[known] += np.swapaxes(w, 1, 2) @ w
-    out = np.empty((len(points), 3, 3))
-    batch_cofactors.point_cofactors(
-        0, len(points), first, image, size, d_image, d_ground, np.linalg.inv(normal), block, q, out
-    )
-    return out

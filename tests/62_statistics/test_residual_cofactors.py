@@ -1,0 +1,95 @@
+"""Cofactors of the residuals of every kind of observation against I - A N^-1 A^T as a full matrix."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.adjustment.problem import whitened_records
+from fg_orient.adjustment.robust import weighted_problem
+from fg_orient.block import Block
+from fg_orient.names import Role
+from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.solution import Solution
+from tests.support.full_statistics import Full, fixed, measured_twice, options, own_observations
+
+#: Rounding of Q from normal equations whose scaled condition is some 1e4.
+TOLERANCE = 1e-9
+
+
+def assert_equal_to_full_matrix(solution: Solution) -> None:
+    problem = solution.problem if solution.weights is None else weighted_problem(solution.problem, solution.weights)
+    found = residual_cofactors(problem, solution.state, solution.cofactors)
+    full = Full.of(problem, solution.state)
+    n, m = len(problem.observations), int(problem.observed.sum())
+    for k in range(n):
+        part = slice(2 * k, 2 * k + 2)
+        assert found.image[k] == pytest.approx(full.residuals[part, part], abs=TOLERANCE)
+    for k in range(m):
+        part = slice(2 * n + 3 * k, 2 * n + 3 * k + 3)
+        assert found.control[k] == pytest.approx(full.residuals[part, part], abs=TOLERANCE)
+    rest = np.diag(full.residuals)[2 * n + 3 * m :]
+    numbers = np.concatenate([*found.prior, *found.extra, np.zeros(0)])
+    assert numbers == pytest.approx(rest, abs=TOLERANCE)
+    assert found.redundancy_sum == pytest.approx(problem.redundancy, abs=1e-8 * len(full.v))
+    effect = full.unknowns @ full.design.T
+    for k, j in enumerate(problem.observations.point):
+        expected = effect[full.columns.point(j), 2 * k : 2 * k + 2] if problem.active[j] else np.zeros((3, 2))
+        assert found.rays.response[k] == pytest.approx(expected, abs=TOLERANCE * 100.0)
+
+
+@pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
+def test_every_backend(grid: Block, backend: str) -> None:
+    assert_equal_to_full_matrix(fg.adjust(measured_twice(fixed(grid, 3), 9), backend=backend))
+
+
+def test_summed_system(grid: Block) -> None:
+    assert_equal_to_full_matrix(fg.adjust(fixed(grid, 3), parts=2))
+
+
+@pytest.mark.parametrize("backend", ["dense", "graph"])
+def test_own_observations(grid: Block, backend: str) -> None:
+    assert_equal_to_full_matrix(fg.adjust(own_observations(fixed(grid, 3)), backend=backend))
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_weights_of_a_loss(grid: Block, loss: str) -> None:
+    assert_equal_to_full_matrix(fg.adjust(grid, loss=loss))
+
+
+def test_without_priors(grid: Block) -> None:
+    assert_equal_to_full_matrix(fg.adjust(options(grid, eop_set=2), priors=False))
+
+
+def test_fixed_points_only(grid: Block) -> None:
+    control = np.isin(grid.observations.point, grid.points.where(Role.CONTROL))
+    only = replace(fixed(grid, 100), observations=grid.observations.take(control))
+    assert_equal_to_full_matrix(fg.adjust(only))
+
+
+def test_any_division_gives_the_same(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    solution = fg.adjust(grid, backend="schur")
+    whole = residual_cofactors(solution.problem, solution.state, solution.cofactors)
+    for chunk, limit in ((7, 6000), (1000, 1)):
+        monkeypatch.setattr("fg_orient.adjustment.point_cofactors.CHUNK", chunk)
+        monkeypatch.setattr("fg_orient.adjustment.point_cofactors.WHOLE_LIMIT", limit)
+        parts = residual_cofactors(solution.problem, solution.state, solution.cofactors)
+        assert np.abs(parts.image - whole.image).max() < 1e-12
+        assert np.abs(parts.control - whole.control).max() < 1e-12
+
+
+def test_wrong_weights_are_found(grid: Block) -> None:
+    """The sum is the redundancy only with the weights of the adjustment: one sigma of many 20 % off is seen."""
+    solution = fg.adjust(grid)
+    o = solution.problem.observations
+    sigma = o.sigma_line_px.copy()
+    sigma[5] *= 1.2
+    records = solution.problem.records.copy()
+    wrong = replace(solution.problem, observations=replace(o, sigma_line_px=sigma), records=records)
+    start = wrong.start.ground + wrong.origin_m
+    wrong = replace(wrong, records=whitened_records(wrong.models, wrong.observations, start, wrong.origin_m))
+    found = residual_cofactors(wrong, solution.state, solution.cofactors)
+    assert abs(found.redundancy_sum - solution.redundancy) > 0.01

@@ -1,0 +1,67 @@
+"""Small blocks of every kind of observation, and their statistics from full matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from factors.control import CONTROL_POINT
+from fg_orient.adjustment.dense import Columns, assemble
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.block import Block, ExtraObservation, ImagePoints
+from fg_orient.names import Role
+
+
+@dataclass(frozen=True)
+class Full:
+    """Whitened residuals v, design A, its scaled SVD: Q of unknowns and of residuals as full matrices."""
+
+    v: np.ndarray
+    design: np.ndarray
+    unknowns: np.ndarray
+    residuals: np.ndarray
+    columns: Columns
+
+    @classmethod
+    def of(cls, problem: Problem, state: State) -> Full:
+        v, design = assemble(problem, state)
+        scale = np.linalg.norm(design, axis=0)
+        u, s, vt = np.linalg.svd(design / scale, full_matrices=False)
+        half = vt.T / s / scale[:, None]
+        return cls(v, design, half @ half.T, np.eye(len(v)) - u @ u.T, Columns.of(problem))
+
+
+def options(block: Block, **given: object) -> Block:
+    return replace(block, options=replace(block.options, **given))
+
+
+def fixed(block: Block, count: int) -> Block:
+    """Make the first control points constants."""
+    known = block.points.known
+    is_fixed = known.fixed.copy()
+    is_fixed[block.points.where(Role.CONTROL)[:count]] = True
+    return replace(block, points=replace(block.points, known=replace(known, fixed=is_fixed)))
+
+
+def measured_twice(block: Block, count: int) -> Block:
+    """Measure the first image points a second time, a quarter of a pixel off."""
+    o = block.observations
+    again = o.take(np.arange(len(o)) < count)
+    both = (np.concatenate(pair) for pair in zip(
+        (o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px),
+        (again.image, again.point, again.line + 0.25, again.sample - 0.25, again.sigma_line_px,
+         2.0 * again.sigma_sample_px), strict=True,
+    ))  # fmt: skip
+    return replace(block, observations=ImagePoints(*both))
+
+
+def own_observations(block: Block) -> Block:
+    """Observe a tie or check point and a control point once more."""
+    record = np.concatenate([np.diag([2.0, 3.0, 4.0]).ravel(), [1.0, -2.0, 0.5]])
+    other = Role.TIE if len(block.points.where(Role.TIE)) else Role.CHECK
+    names = [block.points.ids[int(block.points.where(role)[-1])] for role in (other, Role.CONTROL)]
+    return replace(block, extra=tuple(
+        ExtraObservation(CONTROL_POINT, (f"point:{name}",), record, np.zeros((2, 0)), 3, f"own {name}")
+        for name in names
+    ))  # fmt: skip
