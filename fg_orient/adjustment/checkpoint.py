@@ -29,7 +29,9 @@ Array = npt.NDArray[np.float64]
 FORMAT: Final = 1
 EVERY_S: Final = 60.0
 #: Options that do not change what an iteration does.
-_FREE: Final = ("max_iterations", "memory_limit_gb")
+_FREE: Final = (
+    "max_iterations", "memory_limit_gb", "snoop", "outlier_test", "outlier_level", "multiple_testing",
+)  # fmt: skip
 _NUMBERS: Final = ("control", "growth", "previous", "rejected", "rising", "begun_at", "mu")
 _WHOLE: Final = ("rejected", "rising", "begun_at")
 

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
-from fg_orient.block import EXPECTED, ITERATION_RANGE
 from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.options import EXPECTED, ITERATION_RANGE
 
 Array = npt.NDArray[np.float64]
 

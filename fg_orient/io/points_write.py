@@ -23,7 +23,8 @@ from fg_orient.names import Role
 
 Array = npt.NDArray[np.float64]
 
-_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "loss", "gnc", "inlier_probability", "max_iterations",
+_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "loss", "gnc", "inlier_probability", "snoop",
+                      "outlier_test", "outlier_level", "multiple_testing", "max_iterations",
                       "check_points", "datum", "memory_limit_gb")  # fmt: skip
 
 

@@ -39,7 +39,8 @@ _TABLE_OF = {
     "backend": "adjustment", "solver": "adjustment",
     "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment",
     "loss": "adjustment", "gnc": "adjustment", "inlier_probability": "adjustment",
-    "points_seen_once": "adjustment", "memory_limit_gb": "adjustment",
+    "snoop": "adjustment", "outlier_test": "adjustment", "outlier_level": "adjustment",
+    "multiple_testing": "adjustment", "points_seen_once": "adjustment", "memory_limit_gb": "adjustment",
 }  # fmt: skip
 
 
@@ -54,8 +55,8 @@ def read_project(path: str | Path, **overrides: object) -> Block:
         Options that replace those of the file: ``eop_set``, ``look_polynomial``,
         ``priors``, ``backend``, ``solver``, ``optimizer``, ``max_iterations``,
         ``check_points``, ``points_seen_once``, ``small_angle``, ``rpc_compensation``, ``datum``, ``memory_limit_gb``,
-        ``loss``, ``gnc``, ``inlier_probability`` and the
-        prior sigmas. None keeps the file's.
+        ``loss``, ``gnc``, ``inlier_probability``, ``snoop``, ``outlier_test``, ``outlier_level``,
+        ``multiple_testing`` and the prior sigmas. None keeps the file's.
 
     Returns
     -------

@@ -12,9 +12,19 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 from pydantic.fields import FieldInfo
 
-from fg_orient.block import EXPECTED, ITERATION_RANGE, LOOK_DEGREE_RANGE, CheckPoints, Datum, Options, RpcCompensation
 from fg_orient.errors import Problem, problem
 from fg_orient.io.tables import did_you_mean
+from fg_orient.options import (
+    EXPECTED,
+    ITERATION_RANGE,
+    LOOK_DEGREE_RANGE,
+    CheckPoints,
+    Datum,
+    MultipleTesting,
+    Options,
+    OutlierTest,
+    RpcCompensation,
+)
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
@@ -84,6 +94,14 @@ class Adjustment(_Table):
     gnc: Switch = Field(default=Options.gnc, description=EXPECTED["gnc"])
     inlier_probability: Annotated[Positive, Field(lt=1.0)] = Field(
         default=Options.inlier_probability, description=EXPECTED["inlier_probability"]
+    )
+    snoop: Switch = Field(default=Options.snoop, description=EXPECTED["snoop"])
+    outlier_test: OutlierTest = Field(default=Options.outlier_test, description=EXPECTED["outlier_test"])
+    outlier_level: Annotated[Positive, Field(lt=1.0)] = Field(
+        default=Options.outlier_level, description=EXPECTED["outlier_level"]
+    )
+    multiple_testing: MultipleTesting = Field(
+        default=Options.multiple_testing, description=EXPECTED["multiple_testing"]
     )
     max_iterations: Annotated[int, Field(strict=True, ge=ITERATION_RANGE[0], le=ITERATION_RANGE[1])] = Field(
         default=Options.max_iterations, description=EXPECTED["max_iterations"]

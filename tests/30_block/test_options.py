@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import EXPECTED, Coordinates
+from fg_orient.block import Coordinates
 from fg_orient.errors import InputError, Problem
 from fg_orient.io.schema import Adjustment, Orientation, validate
+from fg_orient.options import EXPECTED
 
 BAD = [
     ("eop_set", 0), ("eop_set", 21), ("eop_set", "PUA"), ("eop_set", 15.0), ("eop_set", True),

@@ -79,6 +79,7 @@ OPTIONS = [
         optimizer="dogleg", max_iterations=7, check_points="exclude", datum="priors", rpc_compensation="affine",
         rpc_shift_sigma_px=3.5, rpc_linear_sigma_px=0.25, memory_limit_gb=1.5,
         loss="tls", gnc=True, inlier_probability=0.975,
+        snoop=True, outlier_test="pope", outlier_level=0.01, multiple_testing="holm",
     ),
 ]  # fmt: skip
 

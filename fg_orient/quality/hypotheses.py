@@ -1,0 +1,203 @@
+"""Distributions of the outlier tests, control of many tests at once, and the global test.
+
+T is the decrease of the weighted sum of squares v^T v (f degrees of freedom) when d parameters of a gross error are
+added. Three judgements of one T, where nothing is wrong:
+
+- **Baarda** (1968), sigmas a priori: ``T ~ chi2(d)``; d = 1: ``w = sqrt(T) ~ N(0, 1)``;
+- **Pope** (1976), scale ``m0^2 = v^T v / f`` with the suspect in it: ``T / v^T v ~ Beta(d/2, (f - d)/2)``; d = 1:
+  ``tau = sqrt(T) / m0``;
+- **t** or F, scale without the suspect: ``F = (T/d) / ((v^T v - T)/(f - d)) ~ F(d, f - d)``; d = 1: ``t = sqrt(F)``.
+
+Pope's statistic is a monotone function of the third, so both decide alike and give one probability. They ask for right
+ratios of the sigmas only; Baarda's test asks for right sigmas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, get_args
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import betaincc, betainccinv, chdtr, chdtrc, chdtri, gammaincinv
+
+from fg_orient.errors import InputError
+from fg_orient.options import MultipleTesting, OutlierTest
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: Name of the statistic for one degree of freedom, and for more.
+SYMBOLS: Final[dict[str, tuple[str, str]]] = {"baarda": ("w", "T"), "pope": ("tau", "T/m0^2"), "t": ("t", "F")}
+_TINY: Final = float(np.finfo(float).tiny)
+
+
+def require_names(test: str, control: str, level: float) -> None:
+    """Refuse a test, a control of many tests or a level that does not exist.
+
+    Raises
+    ------
+    InputError
+    """
+    for place, value, known in (
+        ("test", test, get_args(OutlierTest)),
+        ("control", control, get_args(MultipleTesting)),
+    ):
+        if value not in known:
+            raise InputError.of("options.value", place=place, value=repr(value), expected=", ".join(known))
+    if not 0.0 < level < 1.0:
+        raise InputError.of("options.value", place="level", value=level, expected="a number above 0 and below 1")
+
+
+def testable(d: npt.ArrayLike, redundancy: int, test: str) -> npt.NDArray[np.bool_]:
+    """Tell where d parameters of an error can be tested: some freedom, and some left for the scale if it is estimated.
+
+    Parameters
+    ----------
+    d : (n,) int array
+    redundancy : int
+        f.
+    test : str
+        "baarda", "pope" or "t".
+    """
+    d = np.asarray(d)
+    return np.asarray((d > 0) & ((d <= redundancy) if test == "baarda" else (d < redundancy)))
+
+
+def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: int, test: str) -> Array:
+    """Statistic as it is reported: w, tau, t for d = 1; T, T/m0^2, F for more.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Decrease T of the weighted sum of squares; any shape that goes with the others.
+    d : (n,) int array
+        Its degrees of freedom, testable ones.
+    chi2 : float or array
+        v^T v with the suspects in it.
+    redundancy : int
+        f, without the suspects' parameters.
+    test : str
+    """
+    chi2 = np.asarray(chi2, dtype=np.float64)
+    if test == "baarda":
+        value = t
+    elif test == "pope":
+        value = t * redundancy / np.maximum(chi2, _TINY)
+    else:
+        value = t / d / np.maximum((chi2 - t) / (redundancy - d), _TINY)
+    return np.where(np.asarray(d) == 1, np.sqrt(value), value)
+
+
+def probabilities(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: int, test: str) -> Array:
+    """Probability of a larger statistic without a gross error; arguments as of :func:`statistics`."""
+    if test == "baarda":
+        return np.asarray(chdtrc(d, t))
+    share = np.clip(t / np.maximum(chi2, _TINY), 0.0, 1.0)
+    return np.asarray(betaincc(0.5 * d, 0.5 * (redundancy - d), share))
+
+
+def limits(level: npt.ArrayLike, d: Index, redundancy: int, test: str) -> Array:
+    """Limits of the statistics of :func:`statistics` for a false alarm with probability ``level`` in each.
+
+    For d = 1 Pope's limit is ``sqrt(f) t / sqrt(f - 1 + t^2)``, t Student's quantile of f - 1 degrees of freedom.
+    """
+    if test == "baarda":
+        value = np.asarray(chdtri(d, np.asarray(level)))
+    else:
+        share = np.asarray(betainccinv(0.5 * d, 0.5 * (redundancy - d), np.asarray(level)))
+        value = redundancy * share if test == "pope" else share / (1.0 - share) * (redundancy - d) / d
+    return np.where(np.asarray(d) == 1, np.sqrt(value), value)
+
+
+def level_of_each(p: Array, level: float, control: str) -> float:
+    """Level at which single hypotheses are rejected so that the control holds over all.
+
+    Parameters
+    ----------
+    p : (n,) array
+        Probabilities of all hypotheses that are tested.
+    level : float
+        alpha.
+    control : str
+        "none": alpha each. "bonferroni", alpha/n, "sidak", 1 - (1 - alpha)^(1/n), and "holm" (1979): alpha bounds the
+        probability of any false alarm. "benjamini_hochberg" (1995): alpha bounds the expected share of false ones
+        among the alarms.
+
+    Returns
+    -------
+    float
+        For the step-wise two the level of the last hypothesis rejected: all with ``p <= level`` are.
+    """
+    n = len(p)
+    if control == "none" or n == 0:
+        return level
+    if control == "sidak":
+        return float(-np.expm1(np.log1p(-level) / n))
+    if control == "bonferroni":
+        return level / n
+    i, ordered = np.arange(1, n + 1), np.sort(p)
+    if control == "holm":
+        fits = ordered <= level / (n - i + 1)
+        rejected = n if fits.all() else int(np.argmin(fits))
+        return level / (n - max(rejected, 1) + 1)
+    below = np.flatnonzero(ordered <= level * i / n)
+    return level * float(i[below[-1]] if len(below) else 1) / n
+
+
+@dataclass(frozen=True)
+class GlobalTest:
+    """Test of the whole model: whether the weighted sum of squares is what sigmas and redundancy say.
+
+    Parameters
+    ----------
+    statistic : float
+        v^T v.
+    redundancy : int
+        f; ``v^T v ~ chi2(f)`` if model and weights hold.
+    level : float
+        Probability of a false alarm, both sides together.
+    limits : (float, float)
+        Between them the model is accepted.
+    probability : float
+        Twice the smaller tail.
+    """
+
+    statistic: float
+    redundancy: int
+    level: float
+    limits: tuple[float, float]
+    probability: float
+
+    @property
+    def accepted(self) -> bool:
+        """Tell whether the statistic is within its limits."""
+        return self.limits[0] <= self.statistic <= self.limits[1]
+
+
+def global_test(chi2: float, redundancy: int, level: float = 0.001) -> GlobalTest | None:
+    """Two-sided chi-square test of the variance factor with sigmas a priori.
+
+    Parameters
+    ----------
+    chi2 : float
+        Weighted sum of squares of all residuals.
+    redundancy : int
+    level : float
+
+    Returns
+    -------
+    GlobalTest or None
+        None without redundancy: there is nothing to test.
+
+    Raises
+    ------
+    InputError
+        The level is not between 0 and 1.
+    """
+    require_names("baarda", "none", level)
+    if redundancy <= 0:
+        return None
+    tail = float(min(chdtr(redundancy, chi2), chdtrc(redundancy, chi2)))
+    bounds = 2.0 * float(gammaincinv(0.5 * redundancy, 0.5 * level)), float(chdtri(redundancy, 0.5 * level))
+    return GlobalTest(float(chi2), redundancy, level, bounds, min(1.0, 2.0 * tail))
