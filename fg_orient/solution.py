@@ -23,7 +23,9 @@ from fg_orient.names import Role, Status
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.covariance import Cofactors, NamedMatrix, named_cofactors
 from fg_orient.quality.observability import BlockObservability, ImageObservability
+from fg_orient.quality.observation_groups import DEFAULT_GROUPS
 from fg_orient.quality.outliers import LEVEL, GroupTest, outlier_tests
+from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
 
 Array = npt.NDArray[np.float64]
 
@@ -84,6 +86,8 @@ class Solution:
         Under a loss: of image points (n,) and ground points (N,).
     resumed_at : int
         Iterations of a run that was stopped, which this one went on with.
+    components : VarianceComponents or None
+        Variance components that the sigmas of ``block`` were multiplied with, if the options ask for them.
     """
 
     problem: Problem
@@ -110,6 +114,7 @@ class Solution:
     seconds: Seconds = field(default_factory=Seconds)
     weights: Weights | None = None
     resumed_at: int = 0
+    components: VarianceComponents | None = None
 
     @property
     def block(self) -> Block:
@@ -197,6 +202,26 @@ class Solution:
     def suspicious(self, *, level: float = LEVEL) -> tuple[GroupTest, ...]:
         """The observations that a gross error is suspected in; see :meth:`outlier_tests`."""
         return tuple(test for test in self.outlier_tests(level=level) if test.suspicious)
+
+    def variance_components(
+        self, *, groups: tuple[str, ...] = DEFAULT_GROUPS, method: Method = "helmert"
+    ) -> VarianceComponents:
+        """By how much the sigmas of each group of observations are wrong, from this one solution.
+
+        See ``fg_orient.quality.variance_components``; ``adjust(variance_components=...)`` iterates.
+
+        Raises
+        ------
+        InputError
+            Groups or method do not exist.
+        NoSolutionError
+            The covariance could not be computed, or was changed by the weights of a loss.
+        """
+        if self.cofactors is None:
+            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
+        if self.weights is not None:
+            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
+        return variance_components(self.problem, self.state, self.cofactors, groups=groups, method=method)
 
     def role(self, point: int) -> Role:
         """Role of a ground point."""

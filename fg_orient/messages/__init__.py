@@ -17,6 +17,7 @@ from fg_orient.messages.parallel import PARALLEL
 from fg_orient.messages.rectify import RECTIFY
 from fg_orient.messages.rfm import RFM
 from fg_orient.messages.rpc import RPC
+from fg_orient.messages.statistics import STATISTICS
 from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPORT, SIMULATE
 
 CATALOGUE: Final[dict[str, tuple[str, str]]] = {
@@ -47,4 +48,5 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **RECTIFY,
     **FRAME,
     **PARALLEL,
+    **STATISTICS,
 }

@@ -1,0 +1,122 @@
+"""Adjustment and variance components in turn, until the components stand.
+
+Sigmas decide on weights, weights on residuals, residuals on sigmas: each round adjusts with the sigmas of the round
+before (``fg_orient.quality.variance_components``). The fixed point does not depend on the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from fg_orient.adjustment.robust import NONE
+from fg_orient.block import Block
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.quality.observation_groups import DEFAULT_GROUPS, Groups, groups_of, scaled
+from fg_orient.quality.variance_components import Method, Residuals, Round, components_of, one_round, require_method
+from fg_orient.solution import Solution
+
+#: Variances that change by less in a round stand: far below their standard deviations.
+STANDS: Final = 1e-5
+#: Rounds after which a component that does not stand is refused.
+MAX_ROUNDS: Final = 100
+#: So many rounds with a variance below zero are no accident of the start.
+NEGATIVE_ROUNDS: Final = 8
+#: Factors of sigmas beyond which a component runs away.
+RANGE: Final = (1e-3, 1e4)
+
+
+def adjust_with_components(
+    block: Block, run: Callable[[Block], Solution], *, groups: tuple[str, ...] = DEFAULT_GROUPS,
+    method: Method = "helmert",
+) -> Solution:  # fmt: skip
+    """Iterate adjustment and variance components.
+
+    Parameters
+    ----------
+    block : Block
+    run : callable
+        Adjusts a block as it is.
+    groups, method
+        See ``fg_orient.quality.variance_components``.
+
+    Returns
+    -------
+    Solution
+        Of the last round; its block has the sigmas found, ``components`` tells what they are.
+
+    Raises
+    ------
+    InputError
+        Groups or method do not exist; a loss.
+    NoSolutionError
+        There is no covariance; a component is negative, runs away or does not stand.
+    """
+    require_method(method)
+    if block.options.loss != NONE:
+        raise InputError.of("statistics.components_loss", place="loss", value=block.options.loss)
+    state: _Rounds | None = None
+    for rounds in range(1, MAX_ROUNDS + 1):
+        solution = run(block if state is None else scaled(block, state.groups, np.sqrt(state.variance)))
+        if solution.cofactors is None:
+            raise NoSolutionError.of("covariance.withheld", value="; ".join(solution.withheld))
+        state = state or _Rounds(groups_of(solution.problem, groups))
+        residuals = Residuals(solution.problem, solution.state, solution.cofactors, state.groups)
+        found = one_round(residuals, method, keep=state.kept)
+        if state.stands(found):
+            components = components_of(state.groups, found, state.variance, rounds, method)
+            return replace(solution, components=components, warnings=(*solution.warnings, *components.sentences))
+        state.move(found)
+        _refuse(block, state, found)
+    worst = state.groups.names[state.worst] if state is not None else ""
+    raise NoSolutionError.of("statistics.component_unsettled", place=f"{block.name}, group {worst}", value=MAX_ROUNDS)
+
+
+class _Rounds:
+    """What one round hands to the next: factors of the variances, and which are kept at those given.
+
+    A component is judged anew in each round, as weights decide on its redundancy; one that was estimated and then
+    has too little of it stays held, so that the rounds come to an end.
+    """
+
+    def __init__(self, groups: Groups) -> None:
+        size = len(groups.names)
+        self.groups, self.variance, self.kept = groups, np.ones(size), ("",) * size
+        self.negative, self.worst = np.zeros(size, int), 0
+
+    def stands(self, found: Round) -> bool:
+        """Whether nothing would move any more."""
+        change = np.abs(found.variance - 1.0)
+        self.worst = int(np.argmax(change))
+        free = np.array([not text for text in found.held], bool)
+        return bool(change.max() < STANDS and (free | (self.variance == 1.0)).all())
+
+    def move(self, found: Round) -> None:
+        """Take over what a round found."""
+        held = np.array([bool(text) for text in found.held], bool)
+        reset = held & (self.variance != 1.0)
+        self.kept = tuple(
+            text if again else kept for text, again, kept in zip(found.held, reset, self.kept, strict=True)
+        )
+        self.variance = np.where(held, 1.0, self.variance * found.variance)
+        self.negative = np.where(found.negative, self.negative + 1, 0)
+
+
+def _refuse(block: Block, state: _Rounds, found: Round) -> None:
+    """Refuse components that are negative or run away.
+
+    Raises
+    ------
+    NoSolutionError
+        Names the first group.
+    """
+    factor = np.sqrt(state.variance)
+    for g, name in enumerate(state.groups.names):
+        place = f"{block.name}, group {name}"
+        if state.negative[g] >= NEGATIVE_ROUNDS or factor[g] < RANGE[0]:
+            raise NoSolutionError.of("statistics.component_negative", place=place, value=f"{found.redundancy[g]:.1f}")
+        if factor[g] > RANGE[1]:
+            raise NoSolutionError.of("statistics.component_explodes", place=place, value=f"{factor[g]:.3g}")

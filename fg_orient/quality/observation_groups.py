@@ -1,0 +1,160 @@
+"""Groups of observations that share a variance: image points, control points by axes, priors by kind.
+
+A grouping is a tuple of the words of :data:`GROUPINGS`. What no word names belongs to no group and keeps its sigmas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.problem import Problem
+from fg_orient.block import Block, Coordinates
+from fg_orient.errors import InputError
+from fg_orient.names import Role
+from fg_orient.parameters import N_EOP, parameter_name
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: How image points may be grouped, one of these; control points: all axes together, or position and height apart.
+IMAGE_GROUPINGS: Final = ("image", "image_by_role", "image_by_image", "image_by_sensor")
+GROUPINGS: Final = (*IMAGE_GROUPINGS, "control", "position", "height", "priors")
+DEFAULT_GROUPS: Final = ("image", "position", "height")
+#: Options that hold the prior sigmas of each kind.
+_PRIOR_OPTIONS: Final = {
+    "prior position": "position_sigma_m", "prior velocity": "velocity_sigma_m_s",
+    "prior attitude": "attitude_sigma_rad", "prior look angles": "look_sigma_rad",
+    "prior RPC shift": "rpc_shift_sigma_px", "prior RPC linear": "rpc_linear_sigma_px",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Which group each observation of a block belongs to; -1: none.
+
+    Parameters
+    ----------
+    names : tuple of str
+    image : (n,) int array
+        Of ``block.observations``.
+    axes : (3,) int array
+        Of East, North, Up of every control point.
+    prior : tuple of (u_k,) int arrays
+        Of the unknowns of each image; empty without priors.
+    """
+
+    names: tuple[str, ...]
+    image: Index
+    axes: Index
+    prior: tuple[Index, ...]
+
+
+def require_groups(groups: tuple[str, ...]) -> None:
+    """Refuse words that do not exist or exclude each other.
+
+    Raises
+    ------
+    InputError
+        See above.
+    """
+    wrong = [name for name in groups if name not in GROUPINGS]
+    if wrong or not groups:
+        raise InputError.of(
+            "statistics.groups", place="variance_components", value=", ".join(wrong) or "none",
+            known=", ".join(GROUPINGS),
+        )  # fmt: skip
+    image = [name for name in groups if name in IMAGE_GROUPINGS]
+    control = [name for name in groups if name in ("control", "position", "height")]
+    for several in (image if len(image) > 1 else [], control if "control" in control and len(control) > 1 else []):
+        if several:
+            raise InputError.of("statistics.groups_overlap", place="variance_components", value=", ".join(several))
+
+
+def groups_of(problem: Problem, groups: tuple[str, ...] = DEFAULT_GROUPS) -> Groups:
+    """Group the observations of a problem.
+
+    Raises
+    ------
+    InputError
+        A grouping does not exist or overlaps another.
+    """
+    require_groups(groups)
+    names: list[str] = []
+
+    def number(name: str) -> int:
+        if name not in names:
+            names.append(name)
+        return names.index(name)
+
+    image = np.array(
+        [-1 if label is None else number(label) for label in _image_labels(problem.block, groups)], np.intp
+    )
+    axes = np.full(3, -1, np.intp)
+    if problem.observed.any():
+        axes = np.array([
+            number(part) if part in groups else number("control") if "control" in groups else -1
+            for part in ("position", "position", "height")
+        ], np.intp)  # fmt: skip
+    prior: tuple[Index, ...] = ()
+    if problem.block.options.priors:
+        kinds = [
+            [_PRIOR_KIND.get(name) if "priors" in groups else None for name in p.names] for p in problem.parameters
+        ]
+        prior = tuple(np.array([-1 if kind is None else number(kind) for kind in row], np.intp) for row in kinds)
+    return Groups(tuple(names), image, axes, prior)
+
+
+def _image_labels(block: Block, groups: tuple[str, ...]) -> list[str | None]:
+    """Name of the group of every image point."""
+    o = block.observations
+    if "image_by_image" in groups:
+        return [f"image {block.images[k].id}" for k in o.image]
+    if "image_by_sensor" in groups:
+        sensors = [_sensor_name(image.sensor) for image in block.images]
+        return [f"image points of {sensors[k]}" for k in o.image]
+    if "image_by_role" in groups:
+        measured = np.array([role is Role.CONTROL for role in block.points.roles])
+        return ["image, control points" if known else "image, other points" for known in measured[o.point]]
+    return ["image" if "image" in groups else None] * len(o)
+
+
+def _sensor_name(sensor: Any) -> str:
+    """Mission and instrument of a rigorous model, the kind of sensor otherwise."""
+    metadata = getattr(sensor, "metadata", None)
+    if metadata is not None:
+        return f"{metadata.mission} {metadata.instrument}".strip()
+    return type(sensor).__name__.removesuffix("Sensor")
+
+
+def _prior_kinds() -> dict[str, str]:
+    """Kind of prior of each named unknown; those of a frame camera belong to the camera and are not among them."""
+    eop = ("prior position", "prior velocity", "prior attitude")
+    out = {parameter_name(code): eop[code // 9] for code in range(N_EOP)}
+    out |= {parameter_name(code): "prior look angles" for code in range(N_EOP, N_EOP + 12)}
+    out |= dict.fromkeys(("line_0", "sample_0"), "prior RPC shift")
+    return out | dict.fromkeys(("line_l1", "sample_l1", "line_s1", "sample_s1"), "prior RPC linear")
+
+
+_PRIOR_KIND: Final = _prior_kinds()
+
+
+def scaled(block: Block, groups: Groups, factor: Array) -> Block:
+    """The block with the sigmas of its groups times their factors (g,)."""
+    by_group = np.append(factor, 1.0)  # -1 is the last
+    o, known, options = block.observations, block.points.known, block.options
+    image = by_group[groups.image]
+    observations = replace(o, sigma_line_px=o.sigma_line_px * image, sigma_sample_px=o.sigma_sample_px * image)
+    coordinates = Coordinates(known.ecef_m, known.sigma_enu_m * by_group[groups.axes], known.fixed)
+    changed: dict[str, Any] = {}
+    for name, option in _PRIOR_OPTIONS.items():
+        if name in groups.names:
+            f, given = float(by_group[groups.names.index(name)]), getattr(options, option)
+            changed[option] = tuple(f * x for x in given) if isinstance(given, tuple) else f * given
+    return replace(
+        block, observations=observations, points=replace(block.points, known=coordinates),
+        options=replace(options, **changed),
+    )  # fmt: skip

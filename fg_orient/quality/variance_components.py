@@ -1,0 +1,352 @@
+"""Variance components: by how much the sigmas of each group of observations are too small or too large.
+
+With whitened residuals v, their cofactors ``R = I - A N^-1 A^T`` and the rows of group i selected by E_i::
+
+    q_i  = v^T E_i v,   r_i = tr(E_i R),   S_ij = tr(E_i R E_j R)
+    s_i^2 = q_i / r_i                                                      (Foerstner 1979)
+    S s^2 = q                                                              (Helmert 1907, Grafarend et al. 1980)
+
+Both have the same fixed point, s_i = 1 for all groups, since the rows of S sum up to r; there it is the maximum of the
+residual (restricted) likelihood (Patterson & Thompson 1971), and ``2 S^-1`` the covariance of the s_i^2. Helmert's
+equations reach it in a few rounds and are taken where R can be formed; Foerstner's are never negative and are taken
+elsewhere, and far from the fixed point. A round of either needs a new adjustment (``fg_orient.components``).
+
+What is not named in ``groups`` has the sigmas that it was given. A component whose estimate is not above its own
+standard deviation has too little redundancy: it is held. The robust variant puts medians in the place of sums; half
+of a group may then be grossly wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import gammaincinv
+
+from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.errors import InputError
+from fg_orient.names import Role
+from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.observation_groups import DEFAULT_GROUPS, Groups, groups_of
+from fg_orient.quality.residuals import residual_cofactors
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Method = Literal["helmert", "median"]
+
+METHODS: Final = ("helmert", "median")
+#: Rows of the whitened Jacobian up to which R is formed; its cost grows with their cube (1 s).
+EXACT_ROWS: Final = 1500
+#: A block of residuals with an eigenvalue of its cofactors below this is not checked in all directions.
+CHECKED: Final = 1e-6
+#: Variances this far from the given ones are approached by Foerstner's equation.
+FAR: Final = (0.1, 10.0)
+
+
+@dataclass(frozen=True)
+class VarianceComponent:
+    """One group.
+
+    Parameters
+    ----------
+    group : str
+        Name: "image", "image left", "height", "prior attitude".
+    n : int
+        Residuals in the group.
+    redundancy : float
+        Sum of their redundancy numbers.
+    factor : float
+        What the given sigmas are to be multiplied with; 1 where the component is held.
+    sd : float or None
+        Standard deviation of the factor; None where it is held, or with medians.
+    held : str
+        Why it is held; empty if it is estimated.
+    """
+
+    group: str
+    n: int
+    redundancy: float
+    factor: float
+    sd: float | None
+    held: str = ""
+
+
+@dataclass(frozen=True)
+class VarianceComponents:
+    """Components of all groups.
+
+    Parameters
+    ----------
+    components : tuple of VarianceComponent
+    covariance : (g, g) array
+        Of the variances s_i^2 of the components that are not held, relative to their values.
+    exact : bool
+        False where the standard deviations leave out what groups share: they are lower bounds then.
+    rounds : int
+        Adjustments that it took; 1: the factors of one solution, not iterated.
+    method : str
+    """
+
+    components: tuple[VarianceComponent, ...]
+    covariance: Array
+    exact: bool
+    rounds: int
+    method: Method
+
+    def factor(self, group: str) -> float:
+        """Factor of a group by its name.
+
+        Raises
+        ------
+        KeyError
+            There is no such group.
+        """
+        return {c.group: c.factor for c in self.components}[group]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was held, and what the standard deviations are."""
+        said = [
+            f"variance component of {c.group} is held at the given sigma: {c.held}" for c in self.components if c.held
+        ]
+        if not self.exact and self.method == "helmert":
+            said.append("standard deviations of variance components are lower bounds: the block is too large to form "
+                        "what groups share")  # fmt: skip
+        return tuple(said)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the record of a run."""
+        return {
+            "method": self.method, "rounds": self.rounds, "exact": self.exact,
+            "components": [
+                {"group": c.group, "n": c.n, "redundancy": c.redundancy, "factor": c.factor, "sd": c.sd,
+                 "held": c.held or None}
+                for c in self.components
+            ],
+        }  # fmt: skip
+
+
+class Residuals:
+    """Whitened residuals of a solution in the axes of their groups, and their cofactors.
+
+    Parameters
+    ----------
+    problem, state, cofactors
+        Of a solution by any backend.
+    groups : Groups
+    """
+
+    def __init__(self, problem: Problem, state: State, cofactors: Cofactors, groups: Groups) -> None:
+        found = residual_cofactors(problem, state, cofactors)
+        self._problem, self._state, self.groups = problem, state, groups
+        turn = self._turn()
+        self.observed = np.flatnonzero(problem.observed)
+        records = problem.control_records[self.observed]
+        difference = state.ground[self.observed] - records[:, 9:]
+        w = records[:, :9].reshape(-1, 3, 3)
+        self.image, self.image_cofactors = problem.image_residuals(state)[0], found.image
+        self.control = np.einsum("nij,njk,nk->ni", turn, w, difference)
+        self.control_cofactors = turn @ found.control @ np.swapaxes(turn, 1, 2)
+        self.prior = problem.image_vector(state) if problem.block.options.priors else np.zeros(0)
+        self.prior_redundancy = np.concatenate([*found.prior, np.zeros(0)])
+        self.n_extra = sum(e.n_residuals for e in problem.block.extra)
+
+    def _turn(self) -> Array:
+        """Rotations (m, 3, 3) from the rows of the control factors to East, North, Up in sigmas."""
+        problem = self._problem
+        records = problem.control_records[problem.observed]
+        axes = problem.axes(records[:, 9:] + problem.origin_m)
+        sigma = problem.block.points.known.sigma_enu_m[problem.observed]
+        return np.asarray(axes / sigma[:, :, None] @ np.linalg.inv(records[:, :9].reshape(-1, 3, 3)))
+
+    @cached_property
+    def labels(self) -> Index:
+        """Group of every row: image points, control points, priors, own observations."""
+        g, block = self.groups, self._problem.block
+        rows = np.ones(len(block.observations), bool)
+        if block.options.check_points != "use":
+            rows = ~np.isin(block.observations.point, block.points.where(Role.CHECK))
+        prior = np.concatenate([*g.prior, np.zeros(0, np.intp)])
+        return np.concatenate([
+            np.repeat(g.image[rows], 2), np.tile(g.axes, len(self.observed)), prior, np.full(self.n_extra, -1)
+        ]).astype(np.intp)  # fmt: skip
+
+    def sums(self) -> tuple[Array, Array, Index]:
+        """Sums of squares q, redundancies r and numbers of rows of all groups."""
+        rows = self.labels[: len(self.labels) - self.n_extra]
+        v = np.concatenate([self.image.ravel(), self.control.ravel(), self.prior])
+        r = np.concatenate([
+            np.einsum("nii->ni", self.image_cofactors).ravel(), np.einsum("nii->ni", self.control_cofactors).ravel(),
+            self.prior_redundancy,
+        ])  # fmt: skip
+        size, named = len(self.groups.names), rows >= 0
+        count = np.bincount(rows[named], minlength=size)
+        q, total = (np.bincount(rows[named], w[named], size).astype(float) for w in (v**2, r))
+        return q, total, count
+
+    def shared(self) -> Array | None:
+        """S of all groups, last row and column: what belongs to none; None where the block is too large."""
+        if len(self.labels) > EXACT_ROWS:
+            return None
+        _, design = assemble(self._problem, self._state)
+        first = 2 * len(self.image)
+        rows = design[first : first + 3 * len(self.observed)].reshape(len(self.observed), 3, design.shape[1])
+        design[first : first + 3 * len(self.observed)] = (self._turn() @ rows).reshape(-1, design.shape[1])
+        basis = np.linalg.qr(design / np.linalg.norm(design, axis=0)).Q
+        squares = (np.eye(len(design)) - basis @ basis.T) ** 2
+        select = np.zeros((len(design), len(self.groups.names) + 1))
+        select[np.arange(len(design)), self.labels] = 1.0  # -1 is the last
+        return np.asarray(select.T @ squares @ select)
+
+    def medians(self) -> Array:
+        """Median of the quadratic form of each group's units over that of chi-square; nan where nothing is checked.
+
+        Points with a single ray are left out: their form says the same for image and ground.
+        """
+        o, parts = self._problem.observations, dict[int, list[float]]()
+        many = np.bincount(o.point, minlength=len(self._problem.active)) > 1
+        labels = self.labels[: 2 * len(o)].reshape(-1, 2)
+        for i in np.flatnonzero(many[o.point]):
+            _add(parts, labels[i], self.image[i], self.image_cofactors[i])
+        for i in np.flatnonzero(many[self.observed]):
+            _add(parts, self.groups.axes, self.control[i], self.control_cofactors[i])
+        for label, x, r in zip(self.labels[2 * len(o) + 3 * len(self.observed) :], self.prior, self.prior_redundancy,
+                               strict=False):  # fmt: skip
+            _add(parts, np.array([label]), np.array([x]), np.array([[r]]))
+        return np.array([np.median(parts[g]) if g in parts else np.nan for g in range(len(self.groups.names))])
+
+
+def _add(parts: dict[int, list[float]], labels: Index, v: Array, q: Array) -> None:
+    """Note the quadratic forms of one unit, over the median of chi-square, for each of its groups."""
+    for label in set(labels.tolist()) - {-1}:
+        mine = np.flatnonzero(labels == label)
+        size, axes = np.linalg.eigh(q[np.ix_(mine, mine)])
+        if size[0] > CHECKED:
+            form = float(np.sum((axes.T @ v[mine]) ** 2 / size))
+            parts.setdefault(label, []).append(form / (2.0 * float(gammaincinv(0.5 * len(mine), 0.5))))
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """Result of one round.
+
+    Parameters
+    ----------
+    variance : (g,) array
+        Factors of the variances; 1 where the component is held.
+    negative : (g,) bool array
+        Where Helmert's equations gave no variance above zero.
+    held : tuple of str
+        Why a component is held, one per group.
+    covariance : (g, g) array
+        Of the variances; rows and columns of held ones are nan.
+    count, redundancy : (g,) arrays
+    exact : bool
+    """
+
+    variance: Array
+    negative: npt.NDArray[np.bool_]
+    held: tuple[str, ...]
+    covariance: Array
+    count: Index
+    redundancy: Array
+    exact: bool
+
+
+def one_round(residuals: Residuals, method: Method = "helmert", *, keep: tuple[str, ...] = ()) -> Round:
+    """Estimate the components from one solution; ``keep``: why a component is held in any case, one text per group."""
+    q, r, count = residuals.sums()
+    shared = residuals.shared()
+    s = np.diag(np.append(r, 0.0)) if shared is None else shared
+    medians = residuals.medians() if method == "median" else np.ones(len(r))
+    nothing = (r <= CHECKED) | np.isnan(medians)
+    held = list(keep) or [""] * len(r)
+    held = [text or ("nothing checks them" if none else "") for text, none in zip(held, nothing, strict=True)]
+    free, inverse = _hold(s[:-1, :-1], r, held)
+    variance, negative = np.ones(len(r)), np.zeros(len(r), bool)
+    if free.any():
+        known = s[:-1][:, [*np.flatnonzero(~free), len(r)]].sum(axis=1)[free]
+        helmert = inverse @ (q[free] - known)
+        far = shared is None or (helmert < FAR[0]).any() or (helmert > FAR[1]).any()
+        negative[free] = (helmert <= 0.0) & (shared is not None)
+        variance[free] = medians[free] if method == "median" else q[free] / r[free] if far else helmert
+    covariance = np.full((len(r), len(r)), np.nan)
+    covariance[np.ix_(free, free)] = 2.0 * inverse
+    return Round(variance, negative & (method == "helmert"), tuple(held), covariance, count, r, shared is not None)
+
+
+def _hold(s: Array, r: Array, held: list[str]) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Hold components, the worst first, until each estimate is above its own standard deviation.
+
+    Adds to ``held`` why; gives what is free and the inverse of its S.
+    """
+    while True:
+        free = np.array([not text for text in held], bool)
+        inverse = np.linalg.pinv(s[np.ix_(free, free)], rcond=1e-10, hermitian=True)
+        sd = np.zeros(len(r))
+        # 1 / r: the least variance that there is, where S is singular
+        sd[free] = np.sqrt(2.0 * np.maximum(np.diag(inverse), 1.0 / r[free]))
+        worst = int(np.argmax(sd))
+        if sd[worst] < 1.0:
+            return free, inverse
+        held[worst] = f"a redundancy of {r[worst]:.1f} leaves its variance uncertain by {100.0 * sd[worst]:.0f} %"
+
+
+def components_of(
+    groups: Groups, round_: Round, variance: Array, rounds: int, method: Method
+) -> VarianceComponents:  # fmt: skip
+    """Make the result; ``variance`` (g,): factors of the given variances."""
+    free = np.array([not text for text in round_.held], bool)
+    components = []
+    for g, name in enumerate(groups.names):
+        factor = float(np.sqrt(variance[g]))
+        sd = 0.5 * factor * float(np.sqrt(round_.covariance[g, g])) if free[g] and method == "helmert" else None
+        components.append(VarianceComponent(name, int(round_.count[g]), float(round_.redundancy[g]), factor, sd,
+                                            round_.held[g]))  # fmt: skip
+    return VarianceComponents(tuple(components), round_.covariance[np.ix_(free, free)], round_.exact, rounds, method)
+
+
+def variance_components(
+    problem: Problem, state: State, cofactors: Cofactors, *, groups: tuple[str, ...] = DEFAULT_GROUPS,
+    method: Method = "helmert",
+) -> VarianceComponents:  # fmt: skip
+    """Components from one solution, not iterated.
+
+    Parameters
+    ----------
+    problem, state, cofactors
+        Of a solution by any backend, without a loss.
+    groups : tuple of str
+        Of :data:`GROUPINGS`.
+    method : str
+        "helmert" or "median".
+
+    Returns
+    -------
+    VarianceComponents
+
+    Raises
+    ------
+    InputError
+        Groups or method do not exist.
+    """
+    require_method(method)
+    residuals = Residuals(problem, state, cofactors, groups_of(problem, groups))
+    found = one_round(residuals, method)
+    return components_of(residuals.groups, found, found.variance, 1, method)
+
+
+def require_method(method: str) -> None:
+    """Refuse a method that does not exist.
+
+    Raises
+    ------
+    InputError
+        See above.
+    """
+    if method not in METHODS:
+        raise InputError.of("statistics.method", place="method", value=method, known=", ".join(METHODS))
