@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from factors import batch_cofactors
+from factors import batch_cofactors, batch_effects
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
 
@@ -63,6 +63,9 @@ class RayCofactors:
         Cofactors of the adjusted image points, ``A N^-1 A^T``.
     response : (n, 3, 2) array
         Effect of an error of an image point on its ground point: the point's rows of ``N^-1 A^T``, m.
+    on_image : (n, 2) array
+        Effect of a unit error of line and of sample (whitened) on the unknowns of the image, in their own sigmas:
+        root of ``u^T Q^-1 u``; nan where Q of the image is not positive definite.
     images : (M, k, k) array
         Cofactors of the images, prior sigmas.
     """
@@ -70,6 +73,7 @@ class RayCofactors:
     points: Array
     fitted: Array
     response: Array
+    on_image: Array
     images: Array
 
 
@@ -79,19 +83,35 @@ def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], 
     Ground points that own observations name are not right here: they depend on more than their rays.
     """
     n, order = len(problem.observations), _order(problem)
-    out = RayCofactors(np.zeros((len(problem.active), 3, 3)), np.empty((n, 2, 2)), np.zeros((n, 3, 2)), np.empty(0))
     pairs, block = _pairs(problem, order)
     q, size = blocks(pairs), np.diff(problem.first)
-    seen = np.unique(problem.observations.point)
-    for part in _parts(problem, state, seen, order):
+    images = q[np.diagonal(block)]
+    out = RayCofactors(
+        np.zeros((len(problem.active), 3, 3)), np.empty((n, 2, 2)), np.zeros((n, 3, 2)), np.empty((n, 2)), images
+    )
+    roots = inverse_roots(images, size)
+    for part in _parts(problem, state, np.unique(problem.observations.point), order):
         rays = len(part.rows)
-        found, fitted, response = np.empty((len(part.points), 3, 3)), np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
-        batch_cofactors.ray_cofactors(
-            0, len(found), part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
-            part.d_ground, part.inverse, block, q, found, fitted, response,
-        )  # fmt: skip
+        found, squared = np.empty((len(part.points), 3, 3)), np.empty((rays, 2))
+        fitted, response = np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
+        common = (part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
+                  part.d_ground, part.inverse, block, q)  # fmt: skip
+        batch_cofactors.ray_cofactors(0, len(found), *common, found, fitted, response)
+        batch_effects.image_effects(0, len(found), *common, roots, squared)
         out.points[part.points], out.fitted[part.rows], out.response[part.rows] = found, fitted, response
-    return replace(out, images=q[np.diagonal(block)])
+        out.on_image[part.rows] = np.sqrt(squared)
+    return out
+
+
+def inverse_roots(q: Array, size: Index) -> Array:
+    """L^-1 of ``Q = L L^T`` (M, k, k) of matrices of these sizes; nan for one that is not positive definite."""
+    out = np.zeros_like(q)
+    for k, n in enumerate(size.tolist()):
+        try:
+            out[k, :n, :n] = np.linalg.inv(np.linalg.cholesky(q[k, :n, :n]))
+        except np.linalg.LinAlgError:
+            out[k, :n, :n] = np.nan
+    return out
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.dense import extra_blocks
-from fg_orient.adjustment.point_cofactors import RayCofactors, blocks_of_images, cofactors_of_rays
+from fg_orient.adjustment.point_cofactors import RayCofactors, blocks_of_images, cofactors_of_rays, inverse_roots
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
 from fg_orient.block import ExtraObservation
@@ -105,6 +105,9 @@ def _through_own_observations(problem: Problem, state: State, cofactors: Cofacto
             effect = q[:, columns] @ np.swapaxes(design, 1, 2)
             rays.fitted[rows] = design @ effect[:, columns]
             rays.response[rows] = effect[:, -3:]
+            root = inverse_roots(rays.images[k : k + 1], np.diff(first[at : at + 2]))[0, : first[at + 1] - first[at]]
+            own = root[:, : len(root)] @ effect[:, first[at] : first[at + 1]]
+            rays.on_image[rows] = np.linalg.norm(own, axis=1)
 
 
 def _of_extra(problem: Problem, state: State, cofactors: Cofactors, extra: ExtraObservation) -> Array:

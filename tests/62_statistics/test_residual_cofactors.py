@@ -39,6 +39,10 @@ def assert_equal_to_full_matrix(solution: Solution) -> None:
     for k, j in enumerate(problem.observations.point):
         expected = effect[full.columns.point(j), 2 * k : 2 * k + 2] if problem.active[j] else np.zeros((3, 2))
         assert found.rays.response[k] == pytest.approx(expected, abs=TOLERANCE * 100.0)
+        own = full.columns.image(int(problem.observations.image[k]))
+        moved = effect[own, 2 * k : 2 * k + 2]
+        sizes = np.sqrt(np.einsum("ij,ij->j", moved, np.linalg.solve(full.unknowns[own, own], moved)))
+        assert found.rays.on_image[k] == pytest.approx(sizes, abs=1e-7)
 
 
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
