@@ -114,8 +114,8 @@ SENSOR: Final = {
     ),
     "sensor.pixel_outside": (
         "pixel outside the image",
-        "lines run from -0.5 to {last_line:g}, samples with look angles from {first_sample:g} to {last_sample:g}; "
-        "(0, 0) is the first pixel's centre",
+        "lines run from {first_line:g} to {last_line:g}, samples from {first_sample:g} to {last_sample:g}; "
+        "whole numbers are centres of pixels",
     ),
     "sensor.ray_misses": (
         "the viewing ray does not meet the Earth at this height",

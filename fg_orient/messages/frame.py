@@ -11,10 +11,6 @@ FRAME: Final = {
         "the camera has no unknown, so its image cannot be adjusted",
         "name some with their prior sigmas, small ones to hold it",
     ),
-    "frame.pixel_outside": (
-        "pixel outside the image",
-        "lines run from {first_line:g} to {last_line:g}, samples from {first_sample:g} to {last_sample:g}",
-    ),
     "frame.no_direction": (
         "the distortion of the camera cannot be inverted at this pixel",
         "check k1, k2, k3, p1, p2: the polynomial folds inside the image",

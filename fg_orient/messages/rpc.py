@@ -28,10 +28,6 @@ RPC: Final = {
         "the pixel has no ground point at this height",
         "the model is valid for heights of {height} m (ellipsoidal)",
     ),
-    "rpc.pixel_outside": (
-        "pixel outside the image",
-        "lines run from {line}, samples from {sample}; (0, 0) is the first pixel's centre",
-    ),
     "rpc.compensation": (
         "compensation needs {count} finite numbers",
         "give pixels: shift, drift with the line, drift with the sample, each of line and sample",

@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid, frame, frame_camera
-from fg_orient.errors import InputError, OutOfImage, problem
+from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.sensors.correction import HeightSurface
-from fg_orient.sensors.surface import at_height, on_surface
+from fg_orient.sensors.pixels import PixelRange, same_length
+from fg_orient.sensors.surface import landed
 
 Array = npt.NDArray[np.float64]
 
@@ -96,7 +97,7 @@ class FrameCamera:
         return out
 
 
-class FrameSensor:
+class FrameSensor(PixelRange):
     """A frame image.
 
     Parameters
@@ -132,7 +133,7 @@ class FrameSensor:
 
         ``origin_m`` (3,): local origin of the ground unknowns (default 0).
         """
-        line, sample = _vectors(line, sample)
+        line, sample = same_length(line, sample)
         out = np.ones((len(line), frame.RECORD_SIZE))
         out[:, 0], out[:, 1], out[:, 4:] = line, sample, self.camera.record
         if origin_m is not None:
@@ -151,7 +152,7 @@ class FrameSensor:
         InputError
             The distortion cannot be inverted at a pixel.
         """
-        line, sample = _vectors(line, sample)
+        line, sample = same_length(line, sample)
         camera = self.camera.corrected(correction)
         ideal = frame_camera.ideal_directions(camera, line, sample)
         bad = np.flatnonzero(np.isnan(ideal).any(axis=1))
@@ -182,34 +183,10 @@ class FrameSensor:
         """
         if not self.georeferenced:
             raise InputError.of("frame.local", file=self.file, place="locate")
-        line, sample = _vectors(line, sample)
+        line, sample = same_length(line, sample)
         self.require_inside(line, sample)
         p, u = self.rays(line, sample, correction)
-        if dem is not None:
-            return on_surface(p, u, dem, self.file)
-        h = np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), line.shape)
-        return at_height(p, u, h, (line, sample), self.file)
-
-    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
-        """Tell which pixels lie in the image, half a pixel of border included."""
-        inside = (line >= self.first_line - 0.5) & (line <= self.last_line + 0.5)
-        return np.asarray(inside & (sample >= self.first_sample - 0.5) & (sample <= self.last_sample + 0.5))
-
-    def require_inside(self, line: Array, sample: Array) -> None:
-        """Refuse pixels outside the image.
-
-        Raises
-        ------
-        OutOfImage
-            Names the first one and the image's range.
-        """
-        bad = np.flatnonzero(~self.is_inside(line, sample))
-        if len(bad):
-            raise OutOfImage(problem(
-                "frame.pixel_outside", file=self.file, place=f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}",
-                value=f"{len(bad)} pixel(s)", first_line=self.first_line - 0.5, last_line=self.last_line + 0.5,
-                first_sample=self.first_sample - 0.5, last_sample=self.last_sample + 0.5,
-            ))  # fmt: skip
+        return landed(p, u, height_m, dem, (line, sample), self.file)
 
     # --- ground to image ---------------------------------------------------------------------
 
@@ -233,13 +210,5 @@ class FrameSensor:
         """Corners at height 0 in image order: (4, 2) longitude, latitude in degrees; (0, 2) if not georeferenced."""
         if not self.georeferenced:
             return np.zeros((0, 2))
-        line = np.array([self.first_line, self.first_line, self.last_line, self.last_line])
-        sample = np.array([self.first_sample, self.last_sample, self.last_sample, self.first_sample])
-        lon, lat, _ = ecef_to_geodetic(self.locate(line, sample))
+        lon, lat, _ = ecef_to_geodetic(self.locate(*self.corners()))
         return np.stack([lon, lat], axis=1)
-
-
-def _vectors(line: npt.ArrayLike, sample: npt.ArrayLike) -> tuple[Array, Array]:
-    """Two contiguous vectors of the same length."""
-    a, b = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, float)) for v in (line, sample)))
-    return np.ascontiguousarray(a), np.ascontiguousarray(b)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import attitude, ellipsoid, ephemeris, look, polynomials, pushbroom, rotations
-from fg_orient.errors import InputError, OutOfImage, OutOfTimeRange, problem
+from fg_orient.errors import InputError, OutOfTimeRange, problem
 from fg_orient.sensors import projection
 from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.metadata import (
@@ -26,7 +26,8 @@ from fg_orient.sensors.metadata import (
     QuaternionList,
     QuaternionPolynomial,
 )
-from fg_orient.sensors.surface import at_height, on_surface
+from fg_orient.sensors.pixels import PixelRange, same_length
+from fg_orient.sensors.surface import landed
 
 Array = npt.NDArray[np.float64]
 
@@ -51,7 +52,7 @@ class LineStates:
     mount: Array  # (N, 3, 3)
 
 
-class PushbroomSensor:
+class PushbroomSensor(PixelRange):
     """Rigorous model of one pushbroom image.
 
     Parameters
@@ -72,6 +73,7 @@ class PushbroomSensor:
     def __init__(self, metadata: PushbroomMetadata) -> None:
         self.metadata = metadata
         self.n_lines, self.n_samples = metadata.n_lines, metadata.n_samples
+        self.first_line, self.last_line = 0.0, self.n_lines - 1.0
         self.first_sample, self.last_sample = 0.0, self.n_samples - 1.0
         if isinstance(metadata.look, LookAngleTable):
             self.first_sample, self.last_sample = float(metadata.look.sample[0]), float(metadata.look.sample[-1])
@@ -220,7 +222,7 @@ class PushbroomSensor:
             See :meth:`states`.
         """
         c = correction or Correction()
-        lines, s = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (line, sample)))
+        lines, s = same_length(line, sample)
         states = self.states(lines)
         psi_x, psi_y = self.look_angles(s)
         delta = polynomials.evaluate(c.eop, states.tau)
@@ -255,34 +257,10 @@ class PushbroomSensor:
         InputError
             A ray misses the surface, or the DEM does not cover it.
         """
-        line, sample = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (line, sample)))
+        line, sample = same_length(line, sample)
         self.require_inside(line, sample)
         p, u = self.rays(line, sample, correction)
-        if dem is not None:
-            return on_surface(p, u, dem, self.file)
-        h = np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), line.shape)
-        return at_height(p, u, h, (line, sample), self.file)
-
-    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
-        """Tell which pixels lie in the image and have look angles, half a pixel of border included."""
-        inside = (line >= -0.5) & (line <= self.n_lines - 0.5)
-        return np.asarray(inside & (sample >= self.first_sample - 0.5) & (sample <= self.last_sample + 0.5))
-
-    def require_inside(self, line: Array, sample: Array) -> None:
-        """Refuse pixels outside the image.
-
-        Raises
-        ------
-        OutOfImage
-            Names the first one and the image's size.
-        """
-        bad = np.flatnonzero(~self.is_inside(line, sample))
-        if len(bad):
-            raise OutOfImage(problem(
-                "sensor.pixel_outside", file=self.file, place=f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}",
-                value=f"{len(bad)} pixel(s)", last_line=self.n_lines - 0.5,
-                first_sample=self.first_sample - 0.5, last_sample=self.last_sample + 0.5,
-            ))  # fmt: skip
+        return landed(p, u, height_m, dem, (line, sample), self.file)
 
     # --- ground to image ---------------------------------------------------------------------
 
@@ -303,6 +281,4 @@ class PushbroomSensor:
 
     def footprint(self) -> Array:
         """Corners at height 0 in image order (clockwise): (4, 2) longitude, latitude in degrees."""
-        line = np.array([0.0, 0.0, self.n_lines - 1.0, self.n_lines - 1.0])
-        sample = np.array([self.first_sample, self.last_sample, self.last_sample, self.first_sample])
-        return np.degrees(ellipsoid.geodetic_array(self.locate(line, sample, height_m=0.0))[:, :2])
+        return np.degrees(ellipsoid.geodetic_array(self.locate(*self.corners(), height_m=0.0))[:, :2])

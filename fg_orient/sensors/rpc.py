@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from factors import rfm, rfm_equation, rfm_project
 from fg_orient.errors import InputError
+from fg_orient.sensors.pixels import same_length
 
 Array = npt.NDArray[np.float64]
 Range = tuple[float, float]
@@ -272,13 +273,6 @@ class RpcModel:
                 xy = (1 - w) * ((1 - u) * c[0] + u * c[1]) + w * ((1 - u) * c[2] + u * c[3])
                 layers.append(np.column_stack([xy, np.full(len(xy), z[0])]))
         return np.ascontiguousarray(np.vstack(layers))
-
-
-def same_length(*values: npt.ArrayLike) -> list[Array]:
-    """Give arrays (N,) in C order of scalars and arrays."""
-    return [
-        np.ascontiguousarray(a) for a in np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, float)) for v in values))
-    ]
 
 
 def checked_compensation(values: npt.ArrayLike | None) -> Array:

@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid, rfm_equation
-from fg_orient.errors import InputError, OutOfImage, problem
+from fg_orient.errors import InputError
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.sensors.correction import HeightSurface
-from fg_orient.sensors.rpc import RpcModel, same_length, span
+from fg_orient.sensors.pixels import PixelRange, same_length
+from fg_orient.sensors.rpc import RpcModel, span
 from fg_orient.sensors.surface import on_surface
 
 Array = npt.NDArray[np.float64]
@@ -27,7 +28,7 @@ RAY_START_M = 5e5
 DEM_MARGINS_M = (50.0, 5.0)
 
 
-class RpcSensor:
+class RpcSensor(PixelRange):
     """An image with a rational function model.
 
     Parameters
@@ -161,27 +162,6 @@ class RpcSensor:
                 low = high = h
         return self._at_height(line, sample, h, compensation)
 
-    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
-        """Tell which pixels lie in the image, half a pixel of border included."""
-        inside = (line >= self.first_line - 0.5) & (line <= self.last_line + 0.5)
-        return np.asarray(inside & (sample >= self.first_sample - 0.5) & (sample <= self.last_sample + 0.5))
-
-    def require_inside(self, line: Array, sample: Array) -> None:
-        """Refuse pixels outside the image.
-
-        Raises
-        ------
-        OutOfImage
-            Names the first one and the image's range.
-        """
-        bad = np.flatnonzero(~self.is_inside(line, sample))
-        if len(bad):
-            raise OutOfImage(problem(
-                "rpc.pixel_outside", file=self.file, place=f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}",
-                value=f"{len(bad)} pixel(s)", line=span((self.first_line - 0.5, self.last_line + 0.5)),
-                sample=span((self.first_sample - 0.5, self.last_sample + 0.5)),
-            ))  # fmt: skip
-
     # --- ground to image ---------------------------------------------------------------------
 
     def project(self, ground_m: npt.ArrayLike, compensation: npt.ArrayLike | None = None) -> tuple[Array, Array]:
@@ -201,6 +181,4 @@ class RpcSensor:
 
     def footprint(self) -> Array:
         """Corners at the model's mean height in image order (clockwise): (4, 2) longitude, latitude in degrees."""
-        line = np.array([self.first_line, self.first_line, self.last_line, self.last_line])
-        sample = np.array([self.first_sample, self.last_sample, self.last_sample, self.first_sample])
-        return np.stack(self.model.locate(line, sample, self.model.offsets[4]), axis=1)
+        return np.stack(self.model.locate(*self.corners(), self.model.offsets[4]), axis=1)

@@ -161,6 +161,17 @@ def on_surface(position_m: Array, direction: Array, dem: HeightSurface, file: st
     return ground
 
 
+def landed(
+    position_m: Array, direction: Array, height_m: npt.ArrayLike | None, dem: HeightSurface | None,
+    pixels: tuple[Array, Array], file: str,
+) -> Array:  # fmt: skip
+    """Points of N rays on a DEM, or at ellipsoidal heights (default 0): see :func:`on_surface`, :func:`at_height`."""
+    if dem is not None:
+        return on_surface(position_m, direction, dem, file)
+    h = np.broadcast_to(np.asarray(0.0 if height_m is None else height_m, float), pixels[0].shape)
+    return at_height(position_m, direction, h, pixels, file)
+
+
 def at_height(position_m: Array, direction: Array, height_m: Array, pixels: tuple[Array, Array], file: str) -> Array:
     """Points of N rays at ellipsoidal heights: (N, 3) ECEF m.
 

@@ -108,7 +108,7 @@ def test_impossible_cameras_are_refused(change: dict[str, object], expected: str
 def test_what_cannot_be_asked_is_refused() -> None:
     with pytest.raises(OutOfImage) as outside:
         aerial().locate(-3.0, 0.0)
-    assert code(outside) == "frame.pixel_outside"
+    assert code(outside) == "sensor.pixel_outside"
     with pytest.raises(InputError) as missed:
         aerial(rotation=enu_from_ecef(LON, LAT)[0]).locate(10.0, 10.0)
     assert code(missed) == "sensor.ray_misses"
