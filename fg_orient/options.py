@@ -12,7 +12,10 @@ from fg_orient.errors import InputError, Problem, problem
 CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
 Datum = Literal["control", "priors", "free"]
+RobustStart = Literal["none", "huber", "lms", "lts"]
+RobustScale = Literal["prior", "mad"]
 OutlierTest = Literal["baarda", "pope", "t"]
+StatisticsChoice = Literal["auto", "full", "basic"]
 MultipleTesting = Literal["none", "bonferroni", "sidak", "holm", "benjamini_hochberg"]
 
 #: Bounds of options, both ends included; the project file's schema takes them from here.
@@ -35,14 +38,20 @@ EXPECTED: Final = {
     "rpc_linear_sigma_px": "a number above zero in pixels",
     "datum": " or ".join(f'"{word}"' for word in get_args(Datum)),
     "small_angle": "true or false",
+    "image_unknowns": 'names of unknowns in brackets, each once, such as ["x_0", "roll_0"]; leave it out for a set',
+    "variance_components": 'groupings in brackets, each once, such as ["image", "position", "height"]; '
+    "leave it out to keep the sigmas",
     "solver": "the name of a linear solver in quotes; leave it out for the default",
     "loss": 'the name of a robust loss in quotes; "none" for least squares',
     "gnc": "true or false",
     "inlier_probability": "a number above 0 and below 1",
+    "robust_start": " or ".join(f'"{word}"' for word in get_args(RobustStart)),
+    "robust_scale": " or ".join(f'"{word}"' for word in get_args(RobustScale)),
     "snoop": "true or false",
     "outlier_test": " or ".join(f'"{word}"' for word in get_args(OutlierTest)),
     "outlier_level": "a number above 0 and below 1",
     "multiple_testing": " or ".join(f'"{word}"' for word in get_args(MultipleTesting)),
+    "statistics": " or ".join(f'"{word}"' for word in get_args(StatisticsChoice)),
     "memory_limit_gb": "a number above zero in GB (1e9 bytes); leave it out for 80 % of what is available",
     "max_iterations": f"a whole number from {ITERATION_RANGE[0]} to {ITERATION_RANGE[1]}",
     "check_points": " or ".join(f'"{word}"' for word in get_args(CheckPoints)),
@@ -75,6 +84,10 @@ class Options:
         "control": control points hold the block in the world, a block without any is refused; "priors": a
         relative adjustment, the priors hold it where no control point does; "free": nothing need hold it, the block
         stays near its start values (all steps are damped) and has no covariance.
+    image_unknowns : tuple of str
+        Names of the unknowns of an image, in place of ``eop_set``, ``look_polynomial`` and ``rpc_compensation``: "x_0",
+        "roll_1", "psi_y_s1", "line_l1". Each image takes those that its sensor knows; the others keep the
+        values of the metadata. Judged when the block is adjusted.
     small_angle : bool
         True linearises the attitude rotation in its angles, as the publications do; False keeps it exact.
     backend : str
@@ -93,6 +106,13 @@ class Options:
         gross errors do not lead into a wrong minimum. Their limits then follow from ``inlier_probability``.
     inlier_probability : float
         Probability that a good observation lies within the limit of GNC (chi-square of its dimension).
+    robust_start : str
+        Where a redescending loss starts from: "huber", the minimum of Huber's loss; "lms", "lts", resections of each
+        image by the least median or least trimmed squares of its control points
+        (``fg_orient.adjustment.resection``); "none", least squares.
+    robust_scale : str
+        Unit of the constant of a loss: "prior", the sigmas; "mad", times the robust scale of the residuals of image
+        points and of control points (``fg_orient.adjustment.robust_scale``).
     snoop : bool
         Search for gross errors: adjust, test, leave out the worst observation, again (``fg_orient.outlier_search``).
     outlier_test : str
@@ -103,10 +123,16 @@ class Options:
     multiple_testing : str
         "none": in each test; "bonferroni", "sidak", "holm": of any among all; "benjamini_hochberg": share of false ones
         among the alarms.
+    variance_components : tuple of str
+        Groupings of the observations whose sigmas are estimated (``fg_orient.quality.observation_groups``); adjustment
+        and estimate take turns until both stand. Judged when the block is adjusted.
     max_iterations : int
         Give up after so many, 1 to 10000.
     check_points : str
         "use": their rays take part; "exclude": left out, intersected afterwards.
+    statistics : str
+        "full": redundancy numbers, reliability and normalised residuals of every observation in the results of a run;
+        "basic": without; "auto": full up to 200 000 image points (``fg_orient.adjustment.point_cofactors``).
     memory_limit_gb : float or None
         A run that needs more, in 1e9 bytes, is refused; None = 80 % of the available memory.
 
@@ -127,6 +153,7 @@ class Options:
     rpc_shift_sigma_px: float = 100.0
     rpc_linear_sigma_px: float = 10.0
     datum: Datum = "control"
+    image_unknowns: tuple[str, ...] = ()
     small_angle: bool = False
     backend: str = "auto"
     solver: str | None = None
@@ -134,12 +161,16 @@ class Options:
     loss: str = "none"
     gnc: bool = False
     inlier_probability: float = 0.99
+    robust_start: RobustStart = "huber"
+    robust_scale: RobustScale = "prior"
     snoop: bool = False
     outlier_test: OutlierTest = "t"
     outlier_level: float = 0.05
     multiple_testing: MultipleTesting = "sidak"
+    variance_components: tuple[str, ...] = ()
     max_iterations: int = 50
     check_points: CheckPoints = "use"
+    statistics: StatisticsChoice = "auto"
     memory_limit_gb: float | None = None
 
     def __post_init__(self) -> None:
@@ -163,6 +194,8 @@ def _allowed(name: str, value: Any) -> bool:
             return value is None or (isinstance(value, str) and bool(value))
         case "memory_limit_gb":
             return value is None or _positive(value)
+        case "image_unknowns" | "variance_components":
+            return _names(value)
         case "max_iterations":
             return _whole(value, ITERATION_RANGE)
         case "loss":
@@ -173,10 +206,16 @@ def _allowed(name: str, value: Any) -> bool:
             return isinstance(value, bool | np.bool_)
         case "check_points":
             return isinstance(value, str) and value in get_args(CheckPoints)
+        case "robust_start":
+            return isinstance(value, str) and value in get_args(RobustStart)
+        case "robust_scale":
+            return isinstance(value, str) and value in get_args(RobustScale)
         case "outlier_test":
             return isinstance(value, str) and value in get_args(OutlierTest)
         case "multiple_testing":
             return isinstance(value, str) and value in get_args(MultipleTesting)
+        case "statistics":
+            return isinstance(value, str) and value in get_args(StatisticsChoice)
         case "rpc_compensation":
             return isinstance(value, str) and value in get_args(RpcCompensation)
         case "datum":
@@ -189,6 +228,11 @@ def _allowed(name: str, value: Any) -> bool:
 def _whole(value: Any, limits: tuple[int, int]) -> bool:
     is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     return bool(is_whole and limits[0] <= value <= limits[1])
+
+
+def _names(value: Any) -> bool:
+    is_list = isinstance(value, tuple | list) and all(isinstance(name, str) and name for name in value)
+    return bool(is_list and len(set(value)) == len(value))
 
 
 def _positive(value: Any) -> bool:

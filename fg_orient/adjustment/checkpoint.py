@@ -1,6 +1,6 @@
 """Checkpoints: what a loop carries, on disk, so that a run that is stopped goes on as if it had not been.
 
-The file holds the state, damping or radius, the stage of graduated non-convexity and the log; robust weights follow
+The file holds the state, damping or radius, the stage and scale of the loss and the log; robust weights follow
 from the state, and nothing here is random. It is written whole or not at all, and knows the problem it belongs to.
 """
 
@@ -26,13 +26,14 @@ from fg_orient.io.atomic import write_bytes
 
 Array = npt.NDArray[np.float64]
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 EVERY_S: Final = 60.0
 #: Options that do not change what an iteration does.
 _FREE: Final = (
-    "max_iterations", "memory_limit_gb", "snoop", "outlier_test", "outlier_level", "multiple_testing",
+    "max_iterations", "memory_limit_gb", "statistics", "snoop", "variance_components", "outlier_test", "outlier_level", "multiple_testing",
 )  # fmt: skip
-_NUMBERS: Final = ("control", "growth", "previous", "rejected", "rising", "begun_at", "mu")
+_NUMBERS: Final = ("control", "growth", "previous", "rejected", "rising", "begun_at", "mu", "image_scale",
+                   "control_scale")  # fmt: skip
 _WHOLE: Final = ("rejected", "rising", "begun_at")
 
 

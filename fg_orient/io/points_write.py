@@ -23,9 +23,10 @@ from fg_orient.names import Role
 
 Array = npt.NDArray[np.float64]
 
-_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "loss", "gnc", "inlier_probability", "snoop",
-                      "outlier_test", "outlier_level", "multiple_testing", "max_iterations",
-                      "check_points", "datum", "memory_limit_gb")  # fmt: skip
+_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "loss", "gnc", "inlier_probability",
+                      "robust_start", "robust_scale", "snoop",
+                      "outlier_test", "outlier_level", "multiple_testing", "variance_components", "max_iterations",
+                      "check_points", "datum", "statistics", "memory_limit_gb")  # fmt: skip
 
 
 def write_points(

@@ -36,11 +36,14 @@ _TABLE_OF = {
     "position_sigma_m": "orientation", "velocity_sigma_m_s": "orientation", "attitude_sigma_rad": "orientation",
     "look_sigma_rad": "orientation", "small_angle": "orientation", "rpc_compensation": "orientation",
     "rpc_shift_sigma_px": "orientation", "rpc_linear_sigma_px": "orientation", "datum": "adjustment",
+    "image_unknowns": "orientation", "variance_components": "adjustment",
     "backend": "adjustment", "solver": "adjustment",
     "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment",
     "loss": "adjustment", "gnc": "adjustment", "inlier_probability": "adjustment",
+    "robust_start": "adjustment", "robust_scale": "adjustment",
     "snoop": "adjustment", "outlier_test": "adjustment", "outlier_level": "adjustment",
     "multiple_testing": "adjustment", "points_seen_once": "adjustment", "memory_limit_gb": "adjustment",
+    "statistics": "adjustment",
 }  # fmt: skip
 
 
@@ -54,9 +57,10 @@ def read_project(path: str | Path, **overrides: object) -> Block:
     **overrides
         Options that replace those of the file: ``eop_set``, ``look_polynomial``,
         ``priors``, ``backend``, ``solver``, ``optimizer``, ``max_iterations``,
-        ``check_points``, ``points_seen_once``, ``small_angle``, ``rpc_compensation``, ``datum``, ``memory_limit_gb``,
-        ``loss``, ``gnc``, ``inlier_probability``, ``snoop``, ``outlier_test``, ``outlier_level``,
-        ``multiple_testing`` and the prior sigmas. None keeps the file's.
+        ``check_points``, ``points_seen_once``, ``small_angle``, ``image_unknowns``, ``variance_components``,
+        ``rpc_compensation``, ``datum``, ``memory_limit_gb``,
+        ``loss``, ``gnc``, ``inlier_probability``, ``robust_start``, ``robust_scale``, ``snoop``,
+        ``outlier_test``, ``outlier_level``, ``multiple_testing``, ``statistics`` and the prior sigmas. None keeps the file's.
 
     Returns
     -------

@@ -23,7 +23,10 @@ from fg_orient.options import (
     MultipleTesting,
     Options,
     OutlierTest,
+    RobustScale,
+    RobustStart,
     RpcCompensation,
+    StatisticsChoice,
 )
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
@@ -77,6 +80,7 @@ class Orientation(_Table):
     rpc_linear_sigma_px: Positive = Field(
         default=Options.rpc_linear_sigma_px, description=EXPECTED["rpc_linear_sigma_px"]
     )
+    image_unknowns: tuple[Text, ...] = Field(default=Options.image_unknowns, description=EXPECTED["image_unknowns"])
     small_angle: Switch = Field(default=Options.small_angle, description=EXPECTED["small_angle"])
 
 
@@ -95,6 +99,8 @@ class Adjustment(_Table):
     inlier_probability: Annotated[Positive, Field(lt=1.0)] = Field(
         default=Options.inlier_probability, description=EXPECTED["inlier_probability"]
     )
+    robust_start: RobustStart = Field(default=Options.robust_start, description=EXPECTED["robust_start"])
+    robust_scale: RobustScale = Field(default=Options.robust_scale, description=EXPECTED["robust_scale"])
     snoop: Switch = Field(default=Options.snoop, description=EXPECTED["snoop"])
     outlier_test: OutlierTest = Field(default=Options.outlier_test, description=EXPECTED["outlier_test"])
     outlier_level: Annotated[Positive, Field(lt=1.0)] = Field(
@@ -103,11 +109,15 @@ class Adjustment(_Table):
     multiple_testing: MultipleTesting = Field(
         default=Options.multiple_testing, description=EXPECTED["multiple_testing"]
     )
+    variance_components: tuple[Text, ...] = Field(
+        default=Options.variance_components, description=EXPECTED["variance_components"]
+    )
     max_iterations: Annotated[int, Field(strict=True, ge=ITERATION_RANGE[0], le=ITERATION_RANGE[1])] = Field(
         default=Options.max_iterations, description=EXPECTED["max_iterations"]
     )
     check_points: CheckPoints = Field(default=Options.check_points, description=EXPECTED["check_points"])
     datum: Datum = Field(default=Options.datum, description=EXPECTED["datum"])
+    statistics: StatisticsChoice = Field(default=Options.statistics, description=EXPECTED["statistics"])
     memory_limit_gb: Positive | None = Field(default=Options.memory_limit_gb, description=EXPECTED["memory_limit_gb"])
     points_seen_once: Literal["error", "drop"] = Field(default="error", description='"error" or "drop"')
 

@@ -78,8 +78,9 @@ OPTIONS = [
         look_sigma_rad=3e-5, small_angle=True, backend="dense", solver="cholesky_elimination",
         optimizer="dogleg", max_iterations=7, check_points="exclude", datum="priors", rpc_compensation="affine",
         rpc_shift_sigma_px=3.5, rpc_linear_sigma_px=0.25, memory_limit_gb=1.5,
-        loss="tls", gnc=True, inlier_probability=0.975,
-        snoop=True, outlier_test="pope", outlier_level=0.01, multiple_testing="holm",
+        loss="tls", gnc=True, inlier_probability=0.975, robust_start="lts", robust_scale="mad",
+        statistics="full", image_unknowns=("x_0", "roll_1"),
+        variance_components=("image", "height"), snoop=True, outlier_test="pope", outlier_level=0.01, multiple_testing="holm",
     ),
 ]  # fmt: skip
 
