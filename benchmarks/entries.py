@@ -122,3 +122,23 @@ def run_rounds(entries: list[Entry], budget_s: float, between: Callable[[], None
                 entry.repeats = max(1, min(entry.repeats, int(budget_s / max(whole, 1e-9))))
             entry.records.append(entry.record(outcome))
             note(f"    {outcome.solve:.4g} s, {outcome.iterations} iterations, cost {outcome.cost}: {outcome.ended}")
+
+
+def ceres_outcome(summary: Any, structure_s: float, seconds: float, used: str, scale: float = 1.0) -> Outcome:
+    """Give what a Ceres summary tells; its preprocessor orders the unknowns: structure, not solution.
+
+    ``scale`` turns its cost into ours.
+    """
+    ordering, n = summary.preprocessor_time_in_seconds, int(summary.num_linear_solves)
+    stages = {
+        "linear_solver": summary.linear_solver_time_in_seconds,
+        "residuals": summary.residual_evaluation_time_in_seconds,
+        "jacobians": summary.jacobian_evaluation_time_in_seconds,
+        "preprocessor": ordering,
+        "minimizer": summary.minimizer_time_in_seconds,
+        "linear_solves": float(n),
+    }
+    return Outcome(
+        seconds - ordering, structure_s + ordering, n, int(summary.num_residual_evaluations),
+        scale * float(summary.final_cost), f"{summary.termination_type.name}, {used}: {summary.message}", stages,
+    )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pyceres
 from numba import njit
 
-from benchmarks.entries import LIMIT_S, MAX_EVALUATIONS, Outcome
+from benchmarks.entries import LIMIT_S, MAX_EVALUATIONS, Outcome, ceres_outcome
 from benchmarks.flat import FlatProblem
 from benchmarks.own import repeated
 
@@ -120,21 +120,6 @@ def sparse_schur(flat: FlatProblem) -> Callable[[], Outcome]:
         pyceres.solve(options, problem, summary)
         seconds = time.perf_counter() - made
         del kept
-        stages = {
-            "linear_solver": summary.linear_solver_time_in_seconds,
-            "residuals": summary.residual_evaluation_time_in_seconds,
-            "jacobians": summary.jacobian_evaluation_time_in_seconds,
-            "preprocessor": summary.preprocessor_time_in_seconds,
-            "minimizer": summary.minimizer_time_in_seconds,
-        }
-        n, used = int(summary.num_linear_solves), summary.linear_solver_type_used.name
-        stages["linear_solves"] = float(n)
-        ended = f"{summary.termination_type.name}, {used}: {summary.message}"
-        # the preprocessor orders the unknowns: structure, not solution
-        structure = made - start + summary.preprocessor_time_in_seconds
-        return Outcome(
-            seconds - summary.preprocessor_time_in_seconds, structure, n, int(summary.num_residual_evaluations),
-            float(summary.final_cost), ended, stages,
-        )  # fmt: skip
+        return ceres_outcome(summary, made - start, seconds, summary.linear_solver_type_used.name)
 
     return repeated(once)

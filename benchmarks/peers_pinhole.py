@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 import pycolmap
 
-from benchmarks.entries import FUNCTION_TOLERANCE, LIMIT_S, MAX_EVALUATIONS, Outcome
+from benchmarks.entries import FUNCTION_TOLERANCE, LIMIT_S, MAX_EVALUATIONS, Outcome, ceres_outcome
 from benchmarks.own import repeated
 from benchmarks.pinhole import Pinhole
 
@@ -62,21 +62,8 @@ def ceres(p: Pinhole, threads: int) -> Callable[[], Outcome]:
         made = time.perf_counter()
         summary = adjuster.solve().ceres_summary
         seconds = time.perf_counter() - made
-        n = int(summary.num_linear_solves)
-        stages = {
-            "linear_solver": summary.linear_solver_time_in_seconds,
-            "residuals": summary.residual_evaluation_time_in_seconds,
-            "jacobians": summary.jacobian_evaluation_time_in_seconds,
-            "preprocessor": summary.preprocessor_time_in_seconds,
-            "minimizer": summary.minimizer_time_in_seconds,
-            "linear_solves": float(n),
-        }
         used = f"{summary.linear_solver_type_used.name}, {summary.num_threads_used} threads"
-        ended = f"{summary.termination_type.name}, {used}: {summary.message}"
-        return Outcome(
-            seconds - summary.preprocessor_time_in_seconds, made - start + summary.preprocessor_time_in_seconds, n,
-            int(summary.num_residual_evaluations), float(summary.final_cost) / p.sigma**2, ended, stages,
-        )  # fmt: skip
+        return ceres_outcome(summary, made - start, seconds, used, 1.0 / p.sigma**2)
 
     return repeated(once)
 

@@ -30,6 +30,7 @@ from fg_orient.quality import conditioning
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.rpc_block import rpc_twin, twin_with_models
+from tests.support.states import largest, moved
 
 
 @dataclass(frozen=True)
@@ -94,21 +95,6 @@ def gapped(block: Block, seed: int) -> Block:
     for row in rng.permutation(len(o))[: len(o) // 5]:
         keep[row] = np.count_nonzero(keep & (o.point == o.point[row])) <= 2
     return replace(block, observations=o.take(keep))
-
-
-def moved(problem: Problem, seed: int) -> State:
-    """A state away from the start, the same for all backends."""
-    rng = np.random.default_rng(seed)
-    image = problem.image_matrix(rng.normal(scale=0.3, size=problem.n_image_unknowns))
-    ground = problem.start.ground.copy()
-    ground[problem.active] += rng.normal(scale=3.0, size=(int(problem.active.sum()), 3))
-    return State(image, ground)
-
-
-def largest(problem: Problem, a: State, b: State) -> tuple[float, float]:
-    """Largest differences of two states: image unknowns (sigmas), unknown points (m)."""
-    ground = np.abs(a.ground - b.ground)[problem.active]
-    return float(np.abs(a.image - b.image).max()), float(ground.max(initial=0.0))
 
 
 def assert_same_step(problem: Problem, state: State, damping: float) -> None:

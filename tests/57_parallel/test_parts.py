@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import fg_orient as fg
 from fg_orient.adjustment.gnc import EXACT, PLAIN, Graduated
 from fg_orient.adjustment.loop import OPTIMIZERS
-from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
@@ -27,6 +27,7 @@ from fg_orient.parallel.solve import solve_in_parts
 from fg_orient.quality.covariance import cofactors_of
 from tests.support.parallel_block import block
 from tests.support.rpc_block import rpc_twin
+from tests.support.states import largest, moved
 
 #: Agreement asked of a partitioned run, prior sigmas; points within the same in units of 100 m.
 SIGMAS, METRES = 1e-9, 1e-7
@@ -34,21 +35,6 @@ SIGMAS, METRES = 1e-9, 1e-7
 
 def with_options(problem: Problem, **options: object) -> Problem:
     return compile_problem(replace(problem.block, options=replace(problem.block.options, **options)))
-
-
-def largest(problem: Problem, a: State, b: State) -> tuple[float, float]:
-    """Largest differences of two states: image unknowns (sigmas), unknown points (m)."""
-    ground = np.abs(a.ground - b.ground)[problem.active]
-    return float(np.abs(a.image - b.image).max()), float(ground.max(initial=0.0))
-
-
-def moved(problem: Problem, seed: int) -> State:
-    """A state away from the start."""
-    rng = np.random.default_rng(seed)
-    image = problem.image_matrix(rng.normal(scale=0.3, size=problem.n_image_unknowns))
-    ground = problem.start.ground.copy()
-    ground[problem.active] += rng.normal(scale=3.0, size=(int(problem.active.sum()), 3))
-    return State(image, ground)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 60])
