@@ -98,7 +98,8 @@ def _compile_batches() -> None:
     batch_cofactors.point_cofactors(0, 1, np.array([0, 2]), np.arange(2), np.ones(2, np.int64), d_image, d_ground,
                                     np.eye(3)[None], np.arange(4).reshape(2, 2), np.ones((4, 1, 1)),
                                     np.empty((1, 3, 3)))  # fmt: skip
-    rays_of = (np.array([0, 2]), np.arange(2), *np.ones((2, 2), np.int64), d_image, d_ground, np.eye(3)[None],
+    one = np.ones(2, np.int64)
+    rays_of = (np.array([0, 2]), np.arange(2), one, one, d_image, d_ground, np.eye(3)[None],
                np.arange(4).reshape(2, 2), np.ones((4, 1, 1)))  # fmt: skip
     batch_cofactors.ray_cofactors(0, 1, *rays_of, np.empty((1, 3, 3)), np.empty((2, 2, 2)), np.empty((2, 3, 2)))
     batch_effects.image_effects(0, 1, *rays_of, np.ones((2, 1, 1)), value)

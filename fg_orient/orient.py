@@ -22,13 +22,10 @@ from fg_orient.adjustment.located import LocatedPoints, locate_points
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
 from fg_orient.adjustment.point_cofactors import blocks_of_images
-from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import weighted_problem
-from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.block import Block, Coordinates
-from fg_orient.errors import RankDeficientError, problem
-from fg_orient.linear.threads import one_blas_thread
 from fg_orient.names import Role
 from fg_orient.parallel.pool import Execution
 from fg_orient.parallel.solve import solve_in_parts
@@ -36,7 +33,8 @@ from fg_orient.parameters import eop_set_number
 from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
-from fg_orient.quality.observability import BlockObservability, ImageObservability, analyse, analyse_block
+from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient
+from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.solution import Seconds, Solution
 
 Array = npt.NDArray[np.float64]
@@ -57,10 +55,13 @@ def adjust(
     check_points: str | None = None,
     rpc_compensation: str | None = None,
     datum: str | None = None,
+    statistics: str | None = None,
     memory_limit_gb: float | None = None,
     loss: str | None = None,
     gnc: bool | None = None,
     inlier_probability: float | None = None,
+    robust_start: str | None = None,
+    robust_scale: str | None = None,
     parts: int | None = None,
     workers: int | None = None,
     cluster: Any = None,
@@ -87,6 +88,8 @@ def adjust(
         Unknowns of RPC images: "shift", "shift_drift" or "affine".
     datum : str, optional
         "priors" adjusts a block without control points, relatively; "free" does so without priors.
+    statistics : str, optional
+        Of the results of a run, see :class:`fg_orient.block.Options`; the methods of the solution always give them.
     memory_limit_gb : float, optional
         Refuse a run that needs more memory; default: 80 % of what is available.
     parts : int, optional
@@ -100,7 +103,7 @@ def adjust(
         Folder for the files of the parts, seen by all workers.
     callback : callable, optional
         Called with an ``IterationRecord`` after each iteration.
-    loss, gnc, inlier_probability : optional
+    loss, gnc, inlier_probability, robust_start, robust_scale : optional
         Robust adjustment, see :class:`fg_orient.block.Options`; docs/robust.md.
     stage : callable, optional
         Called with the name of each stage of the work as it begins, and the number of image points.
@@ -123,7 +126,9 @@ def adjust(
         "look_polynomial": look_polynomial, "priors": priors, "backend": backend, "solver": solver,
         "optimizer": optimizer, "max_iterations": max_iterations, "check_points": check_points,
         "rpc_compensation": rpc_compensation, "datum": datum, "memory_limit_gb": memory_limit_gb,
+        "statistics": statistics,
         "loss": loss, "gnc": gnc, "inlier_probability": inlier_probability,
+        "robust_start": robust_start, "robust_scale": robust_scale,
     }  # fmt: skip
     block = replace(block, options=replace(block.options, **{k: v for k, v in given.items() if v is not None}))
     require_possible(block.options)
@@ -132,7 +137,7 @@ def adjust(
     start = time.perf_counter()
     tell = stage or (lambda name, count: None)
     tell("structure", len(block.observations))
-    compiled = compile_problem(block)
+    compiled = compiled_problem(block)
     observability = judge_observability(compiled)
     block_view = refuse_deficient(compiled, observability)
     structure = time.perf_counter() - start
@@ -146,53 +151,6 @@ def adjust(
     tell("statistics", len(compiled.observations))
     solution = conclude(compiled, observability, block_view, estimate, structure)
     return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=jit_s))
-
-
-def judge_observability(compiled: Problem, state: State | None = None) -> tuple[ImageObservability, ...]:
-    """Singular values of each image's whitened Jacobian at a state (default: the start)."""
-    out = []
-    with one_blas_thread():
-        for k, rows in enumerate(rows_by_image(compiled)):
-            _, jacobian, _ = image_rows(compiled, state or compiled.start, k, rows, jacobian=True)
-            model = compiled.models[k]
-            flat = jacobian.reshape(2 * len(rows), len(model.parameters))
-            out.append(analyse(compiled.block.images[k].id, flat, model))
-    return tuple(out)
-
-
-def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability, ...]) -> BlockObservability | None:
-    """Refuse a block whose unknowns nothing determines; give the view of the whole block where it is wanted.
-
-    It is wanted without priors, and where no control point need hold the datum.
-
-    Raises
-    ------
-    RankDeficientError
-        One problem per direction that no image shows, or that no control point fixes.
-    """
-    if compiled.block.options.priors:
-        return analyse_block(compiled) if compiled.block.options.datum != "control" else None
-    defect = {o.image: o.rank_defect for o in observability}
-    counts = {
-        "n_observations": compiled.n_observations,
-        "n_unknowns": compiled.n_unknowns,
-        "redundancy": compiled.redundancy,
-    }
-    sentences = [sentence for o in observability for sentence in o.sentences]
-    view = None
-    if not sentences and compiled.redundancy >= 0:
-        view = analyse_block(compiled)
-        free = len(view.datum) if compiled.block.options.datum == "free" else 0
-        sentences = list(view.sentences) if len(view.sentences) > free else []
-    if sentences:
-        problems = [problem("adjust.rank_deficient", place=sentence) for sentence in sentences]
-        raise RankDeficientError(*problems, rank_defect=defect, counts=counts)
-    if compiled.redundancy < 0:
-        raise RankDeficientError(problem(
-            "adjust.negative_redundancy", place=compiled.block.name, value=compiled.redundancy,
-            observations=compiled.n_observations, unknowns=compiled.n_unknowns,
-        ), rank_defect=defect, counts=counts)  # fmt: skip
-    return view
 
 
 def conclude(

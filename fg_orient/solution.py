@@ -8,7 +8,8 @@ scale is what predictions are tested against, the posterior one what is reported
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,16 +17,22 @@ import numpy.typing as npt
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.memory import Need
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import Weights
+from fg_orient.adjustment.robust import Weights, weighted_problem
 from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Role, Status
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.covariance import Cofactors, NamedMatrix, named_cofactors
+from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.observation_groups import DEFAULT_GROUPS
-from fg_orient.quality.outliers import LEVEL, GroupTest, outlier_tests
+from fg_orient.quality.outliers import GroupTest, OutlierTests, outlier_tests
+from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
+
+if TYPE_CHECKING:
+    from fg_orient.quality.reliability import BlockReliability
+    from fg_orient.quality.residuals import ResidualCofactors
 
 Array = npt.NDArray[np.float64]
 
@@ -183,13 +190,63 @@ class Solution:
         q = self.cofactor_matrix(*names)
         return NamedMatrix(q.names, q.units, q.values * self.scale**2)
 
-    def outlier_tests(self, *, level: float = LEVEL) -> tuple[GroupTest, ...]:
-        """Test of every image point and control point for a gross error, most suspicious first.
+    @cached_property
+    def judged(self) -> Problem:
+        """The problem that the cofactors belong to: under a loss the one with the weights at the solution."""
+        return self.problem if self.weights is None else weighted_problem(self.problem, self.weights)
 
-        See ``fg_orient.quality.outliers``; ``level`` is the probability of a false alarm among all.
+    @cached_property
+    def residual_cofactors(self) -> ResidualCofactors:
+        """Cofactors of all residuals (whitened, prior scale) and redundancy numbers; computed when first asked for.
 
         Raises
         ------
+        NoSolutionError
+            The covariance could not be computed; the message says why.
+        """
+        from fg_orient.quality.residuals import residual_cofactors
+
+        if self.cofactors is None:
+            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
+        return residual_cofactors(self.judged, self.state, self.cofactors)
+
+    def reliability(self, *, alpha: float = 0.001, power: float = 0.80) -> BlockReliability:
+        """Redundancy numbers, minimal detectable biases and their effects, of all observations.
+
+        See ``fg_orient.quality.reliability``; sigmas are those a priori.
+
+        Parameters
+        ----------
+        alpha, power : float
+            Probabilities of a false alarm and of finding the minimal detectable bias.
+
+        Raises
+        ------
+        NoSolutionError
+            There is no covariance, or a loss is set: its weights change both probabilities.
+        """
+        from fg_orient.quality.reliability import reliability
+
+        if self.weights is not None:
+            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
+        return reliability(self.problem, self.state, self.residual_cofactors, alpha=alpha, power=power)
+
+    def outlier_tests(
+        self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
+    ) -> OutlierTests:
+        """Test of every observation for a gross error, most suspicious first; see ``fg_orient.quality.outliers``.
+
+        Parameters
+        ----------
+        level, test, control : optional
+            Options ``outlier_level``, ``outlier_test`` and ``multiple_testing`` of the block if not given.
+        kind : str
+            "groups": image points, position and height of control points; "coordinates"; "points".
+
+        Raises
+        ------
+        InputError
+            A name or a level that is not possible.
         NoSolutionError
             The covariance could not be computed; the message says why.
         """
@@ -197,11 +254,33 @@ class Solution:
             raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
         if self.weights is not None:
             raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
-        return outlier_tests(self.problem, self.state, self.cofactors, self.chi2, level=level)
+        options = self.block.options
+        return outlier_tests(
+            self.problem, self.state, self.cofactors, self.chi2, kind=kind,
+            level=options.outlier_level if level is None else level,
+            test=options.outlier_test if test is None else test,
+            control=options.multiple_testing if control is None else control,
+        )  # fmt: skip
 
-    def suspicious(self, *, level: float = LEVEL) -> tuple[GroupTest, ...]:
+    def suspicious(
+        self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
+    ) -> tuple[GroupTest, ...]:
         """The observations that a gross error is suspected in; see :meth:`outlier_tests`."""
-        return tuple(test for test in self.outlier_tests(level=level) if test.suspicious)
+        return self.outlier_tests(level=level, test=test, control=control, kind=kind).suspicious()
+
+    def global_test(self, *, level: float = 0.001) -> GlobalTest | None:
+        """Chi-square test of the whole model (``fg_orient.quality.hypotheses``); None without redundancy.
+
+        Raises
+        ------
+        InputError
+            The level is not between 0 and 1.
+        NoSolutionError
+            The weights of a loss changed the sum of squares.
+        """
+        if self.weights is not None:
+            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
+        return global_test(self.chi2, self.redundancy, level)
 
     def variance_components(
         self, *, groups: tuple[str, ...] = DEFAULT_GROUPS, method: Method = "helmert"

@@ -40,13 +40,23 @@ def adjust(
         str | None, typer.Option(help="gauss-newton, levenberg-marquardt, dogleg or native (GTSAM's own).")
     ] = None,
     loss: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Robust loss, such as huber, tukey or tls; none: least squares.")
+        str | None,
+        typer.Option(metavar="NAME", help="Robust loss, such as huber, hampel, tukey or tls; none: least squares."),
     ] = None,
     gnc: Annotated[
         bool, typer.Option("--gnc", help="Graduated non-convexity: reach the loss tls or geman_mcclure in stages.")
     ] = False,
     inlier_probability: Annotated[
         float | None, typer.Option(metavar="P", help="Of GNC: share of good observations within its limit; 0.99.")
+    ] = None,
+    robust_start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="huber|lms|lts|none", help="Start of a redescending loss; lms, lts: resections by control."
+        ),
+    ] = None,
+    robust_scale: Annotated[
+        str | None, typer.Option(metavar="prior|mad", help="Unit of a loss: the sigmas, or the scale of the residuals.")
     ] = None,
     max_iterations: Annotated[int | None, typer.Option(help="Give up after so many iterations.")] = None,
     check_points: Annotated[
@@ -68,6 +78,10 @@ def adjust(
     ] = None,
     work_dir: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the parts, seen by all workers of the cluster.")
+    ] = None,
+    statistics: Annotated[
+        str | None,
+        typer.Option(metavar="auto|full|basic", help="Reliability of every observation; auto: up to 200 000 points."),
     ] = None,
     memory_limit_gb: Annotated[
         float | None,
@@ -100,7 +114,9 @@ def adjust(
         "backend": backend, "solver": solver, "eop_set": eop_set, "look_polynomial": look_polynomial,
         "priors": False if no_priors else None, "optimizer": optimizer, "max_iterations": max_iterations,
         "check_points": check_points, "rpc_compensation": rpc_compensation, "datum": datum,
-        "memory_limit_gb": memory_limit_gb, "loss": loss, "gnc": gnc or None, "inlier_probability": inlier_probability,
+        "memory_limit_gb": memory_limit_gb, "statistics": statistics,
+        "loss": loss, "gnc": gnc or None, "inlier_probability": inlier_probability,
+        "robust_start": robust_start, "robust_scale": robust_scale,
     }  # fmt: skip
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     with outcome(as_json, debug):

@@ -60,7 +60,8 @@ def read_project(path: str | Path, **overrides: object) -> Block:
         ``check_points``, ``points_seen_once``, ``small_angle``, ``image_unknowns``, ``variance_components``,
         ``rpc_compensation``, ``datum``, ``memory_limit_gb``,
         ``loss``, ``gnc``, ``inlier_probability``, ``robust_start``, ``robust_scale``, ``snoop``,
-        ``outlier_test``, ``outlier_level``, ``multiple_testing``, ``statistics`` and the prior sigmas. None keeps the file's.
+        ``outlier_test``, ``outlier_level``, ``multiple_testing``, ``statistics`` and the prior sigmas.
+        None keeps the file's.
 
     Returns
     -------

@@ -1,0 +1,202 @@
+"""Reliability: how far the observations check each other (Baarda 1968; Förstner 1985; Luhmann et al. 2019, 2.4.4).
+
+A bias b of one observation (sigma s, redundancy number r) moves its residual by r b and the test statistic
+``w = v / (s sqrt(r))`` by ``b sqrt(r) / s``. The test of size alpha finds it with the given power if the square of that
+is the non-centrality delta; hence the *minimal detectable bias* (internal reliability) and its effect (external)::
+
+    mdb = s sqrt(delta / r),   dx = N^-1 A^T e mdb / s,   delta_bar = sqrt(dx^T Q^-1 dx)
+
+An image point as a whole has two coordinates that are tested together (delta of 2 degrees of freedom); the bias that
+is just found depends on its direction then. Where the others do not check a direction (two rays: along the epipolar
+line; the ground point follows) r is 0 and nothing finds an error, however large.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtri, chndtrinc
+
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import residuals
+from fg_orient.quality.residuals import ResidualCofactors
+
+Array = npt.NDArray[np.float64]
+
+#: Baarda's usual choice: probability of a false alarm, and of finding the minimal detectable bias.
+ALPHA, POWER = 0.001, 0.80
+#: Below this redundancy number an observation is called not checkable: its minimal detectable bias exceeds 41 sigmas
+#: (Förstner 1985 calls 0.01 the limit of local redundancy).
+CHECKABLE: Final = 0.01
+#: Below this one a redundancy number is rounding of zero: what follows from it is not given.
+ROUNDING: Final = 1e-6
+
+
+@cache
+def noncentrality(alpha: float = ALPHA, power: float = POWER, dimension: int = 1) -> float:
+    """Non-centrality delta of chi-square by which a test of this size rejects with this power.
+
+    17.075 for 0.001, 0.80 and one dimension (Baarda 1968).
+
+    Parameters
+    ----------
+    alpha : float
+        Size of the test.
+    power : float
+        Probability to find the bias, above alpha and below 1.
+    dimension : int
+        Coordinates that are tested together.
+    """
+    return float(chndtrinc(chdtri(dimension, alpha), dimension, 1.0 - power))
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Of observations in coordinates of their own: n observations of d coordinates; nan where there is no such figure.
+
+    Parameters
+    ----------
+    redundancy : (n, d) array
+        Redundancy numbers, 0 to 1: the share of an error that shows in its own residual.
+    least : (n,) array
+        Redundancy number of the direction that is checked least.
+    direction : (n, d) array
+        That direction, a unit vector of errors in sigmas.
+    normalised : (n, d) array
+        Normalised residuals w, adjusted minus observed, N(0, 1) with right sigmas.
+    minimal_detectable_bias : (n, d) array
+        Of each coordinate, in its unit.
+    smallest, largest : (n,) arrays
+        Minimal detectable bias of the coordinates tested together, in the directions that are checked best and least
+        (unit of the coordinates).
+    ground_m : (n, d) array
+        External reliability: shift of the ground point by the minimal detectable bias, m.
+    ground : (n, d) array
+        The same in the point's own sigmas, delta-bar.
+    eop : (n, d) array
+        Change of the unknowns of the image in their own sigmas, delta-bar; nan for control points.
+    """
+
+    redundancy: Array
+    least: Array
+    direction: Array
+    normalised: Array
+    minimal_detectable_bias: Array
+    smallest: Array
+    largest: Array
+    ground_m: Array
+    ground: Array
+    eop: Array
+
+    @property
+    def not_checkable(self) -> npt.NDArray[np.bool_]:
+        """Observations (n,) with a direction that the others do not check."""
+        return np.asarray(self.least < CHECKABLE)
+
+
+@dataclass(frozen=True)
+class BlockReliability:
+    """Reliability of all observations of a block.
+
+    Parameters
+    ----------
+    alpha, power : float
+        Of the test that the minimal detectable biases belong to.
+    image : Reliability
+        Image points, in the order of ``problem.observations``: line, sample; pixels.
+    control : Reliability
+        Control points ``np.flatnonzero(problem.observed)``: East, North, Up (X, Y, Z in a local system); m.
+    prior, extra : tuples of arrays
+        Redundancy numbers of priors and own observations; see ``ResidualCofactors``.
+    redundancy_sum : float
+        Sum of all redundancy numbers; but for rounding the redundancy.
+    """
+
+    alpha: float
+    power: float
+    image: Reliability
+    control: Reliability
+    prior: tuple[Array, ...]
+    extra: tuple[Array, ...]
+    redundancy_sum: float
+
+
+def reliability(
+    problem: Problem, state: State, cofactors: ResidualCofactors, *, alpha: float = ALPHA, power: float = POWER
+) -> BlockReliability:
+    """Redundancy numbers, normalised residuals, internal and external reliability of all observations.
+
+    Parameters
+    ----------
+    problem, state
+        Of a solution, without a loss.
+    cofactors : ResidualCofactors
+        See ``fg_orient.quality.residuals``.
+    alpha, power : float
+        Of the test; 0 < alpha < power < 1.
+    """
+    o, rays = problem.observations, cofactors.rays
+    sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+    eop = rays.on_image
+    image = _reliability(
+        cofactors.image, -residuals(problem, state), sigma, rays.response, rays.points[o.point], eop, alpha, power
+    )
+    q, whitened, own, response, points = _control(problem, state, cofactors)
+    control = _reliability(q, whitened, own, response, points, np.full(own.shape, np.nan), alpha, power)
+    return BlockReliability(
+        alpha, power, image, control, cofactors.prior, cofactors.extra, cofactors.redundancy_sum
+    )  # fmt: skip
+
+
+def _control(problem: Problem, state: State, cofactors: ResidualCofactors) -> tuple[Array, Array, Array, Array, Array]:
+    """Cofactors, residuals (adjusted minus observed) and sigmas of control points in their axes; effects on them."""
+    rows = np.flatnonzero(problem.observed)
+    w = problem.control_records[rows, :9].reshape(-1, 3, 3)
+    measured = problem.control_records[rows, 9:]
+    columns = w @ np.swapaxes(problem.axes(measured + problem.origin_m), 1, 2)  # errors of 1 m in whitened rows
+    length = np.linalg.norm(columns, axis=1)
+    turn = columns / length[:, None]  # orthogonal: the measured coordinates are uncorrelated in their axes
+    back = np.swapaxes(turn, 1, 2)
+    residual = np.einsum("nij,nj->ni", back @ w, state.ground[rows] - measured)
+    points = cofactors.rays.points[rows]
+    response = points @ np.swapaxes(w, 1, 2) @ turn
+    return back @ cofactors.control @ turn, residual, 1.0 / length, response, points
+
+
+def _reliability(
+    q: Array, v: Array, sigma: Array, response: Array, points: Array, eop: Array, alpha: float, power: float
+) -> Reliability:
+    """Figures of n observations of d coordinates from whitened cofactors (n, d, d) and residuals (n, d).
+
+    ``response`` (n, 3, d): effect of a whitened unit error on the ground point, of cofactors ``points`` (n, 3, 3);
+    ``eop`` (n, d): on the image, in its sigmas.
+    """
+    d = q.shape[1]
+    r = np.einsum("nii->ni", q).copy()
+    size, axes = np.linalg.eigh(q)
+    known = np.where(r > ROUNDING, r, np.nan)
+    bias = np.sqrt(noncentrality(alpha, power) / known)
+    together = np.einsum("ni,nij,nj->nij", 1.0 / sigma, q, 1.0 / sigma)  # in the unit of the coordinates
+    spread = np.linalg.eigvalsh(together)
+    checked = size[:, 0] > ROUNDING
+    group = noncentrality(alpha, power, d)
+    least, most = (np.where(np.isfinite(s) & (s > 0.0), s, np.nan) for s in (spread[:, 0], spread[:, -1]))
+    return Reliability(
+        r, size[:, 0], axes[:, :, 0], v / np.sqrt(known), bias * sigma,
+        np.where(size[:, -1] > ROUNDING, np.sqrt(group / most), np.nan),
+        np.where(checked, np.sqrt(group / least), np.nan),
+        bias * np.linalg.norm(response, axis=1), bias * _in_own_sigmas(points, response), bias * eop,
+    )  # fmt: skip
+
+
+def _in_own_sigmas(points: Array, response: Array) -> Array:
+    """Roots of ``x^T Q^-1 x`` (n, d) of the columns (n, 3, d); nan for points that are no unknowns."""
+    out = np.full((len(points), response.shape[2]), np.nan)
+    free = np.einsum("nii->n", points) > 0.0
+    solved = np.linalg.solve(points[free], response[free])
+    out[free] = np.sqrt(np.maximum(np.einsum("nij,nij->nj", response[free], solved), 0.0))
+    return out
