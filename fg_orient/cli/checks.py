@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,12 +52,12 @@ def validate(
 
 def _impossible(block: Block, project: Path) -> list[Problem]:
     """Options that ``adjust`` would refuse."""
-    from fg_orient.adjustment.solve import require_possible
+    from fg_orient.run import require_possible_options
 
     try:
-        require_possible(block.options)
+        require_possible_options(block, project, {})
     except InputError as error:
-        return [replace(p, file=str(project), place=f"adjustment.{p.place}") for p in error.problems]
+        return list(error.problems)
     return []
 
 

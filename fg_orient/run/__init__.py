@@ -95,7 +95,7 @@ def run_project(
     jit_s = compile_kernels()
     tell("reading", 0)
     block = read_project(project, **dict(options or {}))
-    _require_possible(block, project, options or {})
+    require_possible_options(block, project, options or {})
     read_s = time.perf_counter() - start - jit_s
     try:
         with staged_folder(out, overwrite=overwrite) as folder:
@@ -123,8 +123,13 @@ def run_project(
     return {**record, "out": str(out)}
 
 
-def _require_possible(block: Block, project: str | Path, given: Mapping[str, object]) -> None:
-    """Refuse options that do not go together; those of the project file with its name."""
+def require_possible_options(block: Block, project: str | Path, given: Mapping[str, object]) -> None:
+    """Refuse options that do not go together; those of the project file, not among the ``given``, with its name.
+
+    Raises
+    ------
+    InputError
+    """
     try:
         require_possible(block.options)
     except InputError as error:
