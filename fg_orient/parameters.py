@@ -9,6 +9,7 @@ Source of the sets: Terlemezoğlu 2019, Table 4.2 (sets 1-19: Topan & Maktav 201
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,6 +25,8 @@ COMPONENTS = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")
 UNITS = ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
 POSITION, VELOCITY, ATTITUDE = (0, 1, 2), (3, 4, 5), (6, 7, 8)
 N_EOP = 27
+#: Coefficients of a look polynomial of the highest degree, 5.
+N_LOOK = 12
 #: Degrees of tau in words.
 DEGREES = ("constant", "linear in time", "quadratic in time")
 
@@ -95,14 +98,42 @@ class ImageParameters:
         return np.ascontiguousarray(np.stack([np.array(self.codes, float), self.sigma]))
 
 
-def orientation_parameters(options: Options) -> ImageParameters:
-    """Unknowns of a pushbroom image: the coefficients of the EOP set, then those of the look polynomial."""
-    eop = eop_codes(options.eop_set)
+def chosen_codes(options: Options) -> tuple[int, ...]:
+    """Codes of the unknowns of a pushbroom image: those named, else of EOP set and look polynomial."""
+    if options.image_unknowns:
+        known = {parameter_name(code): code for code in range(N_EOP + N_LOOK)}
+        return tuple(sorted(known[name] for name in options.image_unknowns if name in known))
     degree = options.look_polynomial
-    n_look = 0 if degree is None else 2 * (degree + 1)
+    return eop_codes(options.eop_set) + tuple(range(N_EOP, N_EOP + (0 if degree is None else 2 * (degree + 1))))
+
+
+def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known: Iterable[str]) -> None:
+    """Refuse an image that ``image_unknowns`` leaves without any unknown.
+
+    Raises
+    ------
+    InputError
+        See above.
+    """
+    if not codes:
+        raise InputError.of(
+            "parameters.unknowns", file=file, place="image_unknowns", value=", ".join(options.image_unknowns),
+            known=", ".join(known),
+        )  # fmt: skip
+
+
+def orientation_parameters(options: Options, file: str = "") -> ImageParameters:
+    """Unknowns of a pushbroom image: EOP coefficients, then those of the look polynomial.
+
+    Raises
+    ------
+    InputError
+        ``image_unknowns`` names none of them.
+    """
+    codes = chosen_codes(options)
+    require_unknowns(options, codes, file, (parameter_name(code) for code in range(N_EOP + N_LOOK)))
     table = np.repeat([options.position_sigma_m, options.velocity_sigma_m_s, options.attitude_sigma_rad], 3, axis=0)
-    sigma = np.concatenate([table.ravel()[list(eop)], np.full(n_look, options.look_sigma_rad)])
-    codes = eop + tuple(range(N_EOP, N_EOP + n_look))
+    sigma = np.concatenate([table.ravel(), np.full(N_LOOK, options.look_sigma_rad)])[list(codes)]
     units = tuple(UNITS[code // 3] if code < N_EOP else "rad" for code in codes)
     return ImageParameters(codes, sigma, tuple(map(parameter_name, codes)), units, tuple(map(parameter_words, codes)))
 

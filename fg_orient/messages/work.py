@@ -9,6 +9,14 @@ PARAMETERS: Final = {
         "no such EOP set",
         "give a number from 1 to 20 or a name: {names}",
     ),
+    "parameters.unknowns": (
+        "none of these unknowns is one of this image, which would have nothing to adjust",
+        "choose among {known}",
+    ),
+    "parameters.unknown": (
+        "no image of the block has such an unknown",
+        "names are those of eop.csv, such as x_0, roll_1, psi_y_s1 or line_l1",
+    ),
 }
 
 OPTIONS: Final = {
@@ -66,6 +74,22 @@ ADJUST: Final = {
         "graduated non-convexity leads to a bounded loss",
         "choose one of {known}, or leave gnc out",
     ),
+    "adjust.needs_loss": (
+        "this is for an adjustment with a robust loss",
+        "add --loss tukey or another redescending loss, or leave it out",
+    ),
+    "adjust.gnc_start": (
+        "graduated non-convexity begins with least squares and takes the sigmas as they are",
+        "leave gnc out, or robust_start and robust_scale",
+    ),
+    "adjust.few_control": (
+        "too few image points of control points for a robust start by resection",
+        "measure {least} or more in each image, or choose robust_start huber",
+    ),
+    "adjust.cycles": (
+        "this weighting has no cost: it is an iteration of its own",
+        "leave gnc, robust_start, robust_scale and parts out, or choose a loss among {known}",
+    ),
     "adjust.native_loss": (
         "GTSAM's own optimisers are offered for least squares only",
         "use --optimizer gauss-newton, levenberg-marquardt or dogleg",
@@ -96,10 +120,6 @@ ADJUST: Final = {
     "adjust.extra_unknown": (
         "an extra observation names no image or point of the block",
         'name them as "image:left" or "point:12"',
-    ),
-    "adjust.negative_redundancy": (
-        "{observations} equations cannot determine {unknowns} unknowns",
-        "keep the priors, measure more points or choose a smaller EOP set",
     ),
     "covariance.weighted": (
         "gross errors are not tested for under a robust loss: it has weighted them down",

@@ -73,7 +73,8 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
     Raises
     ------
     InputError
-        An image has a sensor that no model is known for.
+        An image has a sensor that no model is known for; ``image_unknowns`` names what no image has, or nothing
+        that one has.
     """
     found: list[ImageModel] = []
     for image in images:
@@ -82,6 +83,10 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
             raise InputError.of("adjust.no_model", place=f"image {image.id}", value=kind, known=", ".join(MODELS))
         module, name = MODELS[kind]
         found.append(getattr(import_module(module), name)(image.sensor, options))
+    every = {known for model in found for known in model.parameters.names}
+    wrong = [unknown for unknown in options.image_unknowns if unknown not in every]
+    if wrong:
+        raise InputError.of("parameters.unknown", place="image_unknowns", value=", ".join(wrong))
     return tuple(found)
 
 

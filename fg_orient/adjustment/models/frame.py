@@ -11,7 +11,7 @@ from factors._contract import Equation
 from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, N_UNKNOWNS
 from fg_orient.block import ImagePoints, Options
 from fg_orient.errors import InputError
-from fg_orient.parameters import ImageParameters
+from fg_orient.parameters import ImageParameters, require_unknowns
 from fg_orient.sensors.frame import UNKNOWNS, FrameCamera, FrameSensor
 
 Array = npt.NDArray[np.float64]
@@ -26,9 +26,9 @@ _WORDS: Final = (
 )  # fmt: skip
 
 
-def camera_parameters(camera: FrameCamera) -> ImageParameters:
-    """Unknowns of a frame image: what the camera gives a prior sigma, in the order of the codes."""
-    codes = tuple(k for k, name in enumerate(UNKNOWNS) if name in camera.sigma)
+def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
+    """Unknowns of a frame image: what the camera gives a prior sigma, or the named ones of them, by code."""
+    codes = tuple(k for k, name in enumerate(UNKNOWNS) if name in camera.sigma and (not only or name in only))
     sigma = np.array([camera.sigma[UNKNOWNS[k]] for k in codes])
     names = tuple(UNKNOWNS[k] for k in codes)
     return ImageParameters(codes, sigma, names, tuple(_UNITS[k] for k in codes), tuple(_WORDS[k] for k in codes))
@@ -41,12 +41,12 @@ class FrameImageModel:
     ----------
     sensor : FrameSensor
     options : Options
-        Not used: the unknowns and their prior sigmas are those of the camera.
+        The unknowns and their prior sigmas are those of the camera; ``image_unknowns`` may leave some out.
 
     Raises
     ------
     InputError
-        The camera names no unknown.
+        The camera names no unknown, or ``image_unknowns`` leaves none.
     """
 
     equation: Equation = FRAME_BROWN_IDEAL_TO_MEASURED
@@ -55,7 +55,8 @@ class FrameImageModel:
         if not sensor.camera.sigma:
             raise InputError.of("frame.nothing_unknown", file=sensor.file, place="sigma")
         self.sensor = sensor
-        self.parameters = camera_parameters(sensor.camera)
+        self.parameters = camera_parameters(sensor.camera, options.image_unknowns)
+        require_unknowns(options, self.parameters.codes, sensor.file, sensor.camera.sigma)
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whiten with the pixel sigmas."""

@@ -37,7 +37,7 @@ class PushbroomModel:
 
     def __init__(self, sensor: PushbroomSensor, options: Options) -> None:
         self.sensor, self.small_angle = sensor, options.small_angle
-        self.parameters = orientation_parameters(options)
+        self.parameters = orientation_parameters(options, sensor.file)
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whiten with ``S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
@@ -51,7 +51,8 @@ class PushbroomModel:
     def correction(self, x: Array) -> Correction:
         """EOP corrections (9, 3) and look corrections (2, degree + 1) in physical units."""
         eop, codes = np.zeros(N_EOP), self.parameters.codes
-        look = np.zeros(sum(code >= N_EOP for code in codes))
+        highest = max(codes) - N_EOP  # psi_x and psi_y in turn: a polynomial of both has an even number
+        look = np.zeros(2 * (highest // 2 + 1) if highest >= 0 else 0)
         for code, value in zip(codes, x * self.parameters.sigma, strict=True):
             if code < N_EOP:
                 eop[code] = value

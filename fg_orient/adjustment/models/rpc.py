@@ -21,7 +21,7 @@ from factors import ellipsoid
 from factors._contract import Equation
 from factors.rfm_equation import COMPENSATIONS, N_COMPENSATION, RATIONAL_FUNCTION
 from fg_orient.block import ImagePoints, Options
-from fg_orient.parameters import ImageParameters
+from fg_orient.parameters import ImageParameters, require_unknowns
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
 Array = npt.NDArray[np.float64]
@@ -36,9 +36,18 @@ _WORDS: Final = (
 )  # fmt: skip
 
 
-def compensation_parameters(options: Options) -> ImageParameters:
-    """Unknowns of an RPC image: the compensation of the options, with its prior sigmas in pixels."""
+def compensation_parameters(options: Options, file: str = "") -> ImageParameters:
+    """Unknowns of an RPC image: those named, else the compensation of the options; prior sigmas in pixels.
+
+    Raises
+    ------
+    InputError
+        ``image_unknowns`` names none of them.
+    """
     codes = COMPENSATIONS[_TERMS[options.rpc_compensation]]
+    if options.image_unknowns:
+        codes = tuple(code for code, name in enumerate(_NAMES) if name in options.image_unknowns)
+        require_unknowns(options, codes, file, _NAMES)
     sigma = np.array([options.rpc_shift_sigma_px if code < 2 else options.rpc_linear_sigma_px for code in codes])
     return ImageParameters(
         codes, sigma, tuple(_NAMES[c] for c in codes), ("px",) * len(codes), tuple(_WORDS[c] for c in codes)
@@ -59,7 +68,7 @@ class RpcImageModel:
 
     def __init__(self, sensor: RpcSensor, options: Options) -> None:
         self.sensor = sensor
-        self.parameters = compensation_parameters(options)
+        self.parameters = compensation_parameters(options, sensor.file)
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whiten with the pixel sigmas; minus, because the equation gives adjusted minus observed."""
