@@ -232,6 +232,22 @@ def same_crs(one: str, other: str) -> bool:
     return bool(first.equals(second, ignore_axis_order=True))
 
 
+def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
+    """West, south, east, north (degrees) of the area for which a CRS was made; None if it states none.
+
+    Raises
+    ------
+    InputError
+        The CRS is unknown.
+    """
+    proj = _pyproj()
+    try:
+        area = proj.CRS.from_user_input(crs).area_of_use
+    except proj.exceptions.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
+    return None if area is None else (area.west, area.south, area.east, area.north)
+
+
 def vertical_reference(crs: str) -> tuple[str, str]:
     """Name of the vertical CRS that heights given in ``crs`` refer to, and the unit of its height axis.
 

@@ -108,8 +108,6 @@ def study(
     with outcome(as_json, debug):
         from fg_orient.rectification.job import study_points
 
-        if layouts < 1:
-            raise InputError.of("options.value", place="--layouts", value=layouts, expected="1 or more")
         cells = study_points(points, _numbers("--counts", counts), _numbers("--degrees", degrees), layouts=layouts,
                              seed=seed, crs=crs)  # fmt: skip
         if as_json:

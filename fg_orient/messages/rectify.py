@@ -46,6 +46,7 @@ RECTIFY: Final = {
         "with {direction} give {columns}, or turn the direction",
     ),
     "rectify.role": ("no such role of a point", "control (takes part) or check (compared only)"),
+    "rectify.no_id": ("the point has no id", "give each point one of its own"),
     "rectify.id_twice": ("the point occurs twice", "give each point one row"),
     "rectify.no_check_points": (
         "a design study compares at independent points, and the table has no check points",
@@ -57,6 +58,17 @@ RECTIFY: Final = {
         "raise the target, or take another transformation",
     ),
     "rectify.positive": ("must be a finite number above 0", "give it in {unit}"),
+    "rectify.numbers": ("numbers that are finite are needed, as many as belong together, at least one", "check them"),
+    "rectify.sigma_absurd": (
+        "too small: a number of such coordinates holds {least:.1g}, and no sigma may be {span:.0e} times another "
+        "(largest {largest:.1g})",
+        "give sigmas of the size of the coordinates' errors, or none",
+    ),
+    "rectify.narrow": (
+        "within their noise the control points lie on a straight line: along {direction} the scale of the "
+        "transformation is known to {sigma:.0f} % only",
+        "measure points beside this line",
+    ),
     "rectify.standard": ("no such accuracy standard", "known: {known}"),
     "rectify.differences": (
         "differences must be finite numbers (n, 2)",
@@ -111,6 +123,14 @@ RECTIFY: Final = {
     "ortho.result": (
         "not a result folder of adjust with this image",
         "give the folder that adjust wrote; images in it: {known}",
+    ),
+    "ortho.other_image": (
+        "image {image} of the result was computed from another metadata file ({known})",
+        "give the metadata file of that image, or another --image-id",
+    ),
+    "ortho.which_image": (
+        "several images of the result have a metadata file of this name and content",
+        "give --image-id: {known}",
     ),
     "ortho.other_sensor": (
         "the result was computed with another kind of model than this metadata file has",

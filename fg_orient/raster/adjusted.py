@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -34,17 +35,19 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
     sensor : PushbroomSensor or RpcSensor
         Of this image.
     image : str
-        Image id; default the image whose metadata file has the sensor's name.
+        Image id; default the image whose metadata file the sensor's is, by content if the result recorded it, else by
+        name.
 
     Raises
     ------
     InputError
-        No such folder or image, or the unknowns of another kind of sensor.
+        No such folder or image; an image with other metadata than the sensor's, several with the same, or the
+        unknowns of another kind of sensor.
     """
     try:
         record = json.loads((folder / "result.json").read_text("utf-8"))
         small_angle = bool(record["provenance"]["options"]["small_angle"])
-        files = {str(entry["id"]): str(entry["file"]) for entry in record["images"]}
+        files = _files(record)
         with (folder / "eop.csv").open(encoding="utf-8", newline="") as stream:
             rows = list(csv.DictReader(stream))
         values: dict[str, dict[str, float]] = {name: {} for name in files}
@@ -52,13 +55,43 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
             values[row["image"]][row["parameter"]] = float(row["value_per_tau"])
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError.of("ortho.result", file=folder, known="-") from None
-    name = image or next((key for key, file in files.items() if file == Path(sensor.file).name), "")
-    if name not in files:
-        raise InputError.of("ortho.result", file=folder, value=image or Path(sensor.file).name, known=", ".join(files))
+    name = _chosen(files, folder, Path(sensor.file), image)
     try:
         return _correction(values[name], sensor, small_angle)
     except KeyError:
         raise InputError.of("ortho.other_sensor", file=folder, place=f"image {name}", value=sensor.file) from None
+
+
+def _files(record: dict[str, Any]) -> dict[str, tuple[str, str]]:
+    """Name and SHA-256 of the metadata file of each image; "" where the result does not tell.
+
+    The inputs of a run are its project file, then one metadata file per image.
+    """
+    names = [(str(entry["id"]), str(entry["file"])) for entry in record["images"]]
+    inputs = record["provenance"].get("inputs", [])[1 : 1 + len(names)]
+    digests = [str(source["sha256"]) for source in inputs] if len(inputs) == len(names) else [""] * len(names)
+    return {image: (file, digest) for (image, file), digest in zip(names, digests, strict=True)}
+
+
+def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, image: str) -> str:
+    """Image id; content decides (products of one mission often have the same file name), else the name."""
+    digest = hashlib.sha256(metadata.read_bytes()).hexdigest() if metadata.is_file() else ""
+    same = [key for key, (file, known) in files.items()
+            if (known == digest if known and digest else file == metadata.name)]  # fmt: skip
+    if image in files:
+        if image not in same:
+            raise InputError.of("ortho.other_image", file=metadata, place="--image-id", value=image, image=image,
+                                known=files[image][0])  # fmt: skip
+        return image
+    named = [key for key, (file, _) in files.items() if file == metadata.name]
+    if image or not (same or named):
+        raise InputError.of("ortho.result", file=folder, value=image or metadata.name, known=", ".join(files))
+    if not same:
+        raise InputError.of("ortho.other_image", file=metadata, place="--result", image=named[0],
+                            known=f"{files[named[0]][0]} of another content")  # fmt: skip
+    if len(same) > 1:
+        raise InputError.of("ortho.which_image", file=metadata, place="--image-id", known=" or ".join(same))
+    return same[0]
 
 
 def _correction(values: dict[str, float], sensor: Sensor, small_angle: bool) -> Correction | Array:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError
+from fg_orient.rectification.arguments import finite, positive
 
 Array = npt.NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
@@ -49,9 +50,10 @@ class MapGrid:
         InputError
             Bounds without area, a resolution that is not above 0, or more than a million pixels along an axis.
         """
+        if finite("--bounds", bounds).shape != (4,):
+            raise InputError.of("rectify.numbers", place="--bounds", value=f"{len(bounds)} numbers")
         left, bottom, right, top = bounds
-        if not (math.isfinite(resolution) and resolution > 0.0):
-            raise InputError.of("rectify.positive", place="--resolution", value=resolution, unit="units of the map")
+        positive("--resolution", resolution, "units of the map")
         sides = right - left, top - bottom
         if not all(math.isfinite(side) and 0.0 < side <= LARGEST * resolution for side in sides):
             raise InputError.of("ortho.grid", place="--bounds, --resolution", value=f"{sides[0]:g} x {sides[1]:g}",

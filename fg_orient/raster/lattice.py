@@ -18,6 +18,7 @@ from factors.resampling import KNOT_SIZE
 from fg_orient.geodesy import from_geographic, to_geographic
 from fg_orient.raster.grid import MapGrid
 from fg_orient.raster.models import MapModel
+from fg_orient.rectification.arguments import number
 from fg_orient.sensors.surface import RasterDem
 
 Array = npt.NDArray[np.float64]
@@ -33,9 +34,10 @@ BETWEEN: Final = (-0.57735, 0.57735)
 
 
 class LevelSurface:
-    """One height everywhere."""
+    """One height everywhere; InputError if it is not finite."""
 
     def __init__(self, height_m: float) -> None:
+        number("height", height_m, "m")
         self.heights_m = np.full((2, 2), height_m)
         self.path = f"height {height_m:g} m"
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError
+from fg_orient.rectification.arguments import finite, number, positive, whole
 
 Array = npt.NDArray[np.float64]
 
@@ -26,10 +27,10 @@ def outline(vertices: npt.ArrayLike) -> Array:
     InputError
         Fewer than three, or not finite.
     """
-    given = np.asarray(vertices, float)
+    given = finite("vertices", vertices)
     if given.ndim == 2 and len(given) > 1 and np.array_equal(given[0], given[-1]):
         given = given[:-1]
-    if given.ndim != 2 or given.shape[1] != 2 or len(given) < 3 or not np.isfinite(given).all():
+    if given.ndim != 2 or given.shape[1] != 2 or len(given) < 3:
         raise InputError.of("rectify.outline", value=f"shape {given.shape}")
     return given
 
@@ -48,18 +49,37 @@ def perimeter_m(vertices: npt.ArrayLike) -> float:
 
 
 def mean_spacing_m(length_m: float, n_vertices: float) -> float:
-    """Mean distance of the vertices of a closed outline: length by number of vertices, m."""
-    return length_m / n_vertices
+    """Mean distance of the vertices of a closed outline: length by number of vertices, m.
+
+    Raises
+    ------
+    InputError
+        A length or a number that is not above 0.
+    """
+    return positive("length", length_m, "m") / positive("number of vertices", n_vertices, "vertices")
 
 
 def pixel_area_m2(n_pixels: float, pixel_m: float) -> float:
-    """Area of so many square pixels."""
-    return n_pixels * pixel_m * pixel_m
+    """Area of so many square pixels.
+
+    Raises
+    ------
+    InputError
+        A number of pixels below 0, or a size that is not above 0.
+    """
+    return number("number of pixels", n_pixels, "pixels", least=0.0) * positive("pixel size", pixel_m, "m") ** 2
 
 
 def pixel_area_sigma_m2(perimeter: float, pixel_m: float) -> float:
-    """Standard deviation of a pixel-count area over random positions and orientations of the grid, m2."""
-    return float(np.sqrt(PIXEL_VARIANCE * perimeter * pixel_m**3))
+    """Standard deviation of a pixel-count area over random positions and orientations of the grid, m2.
+
+    Raises
+    ------
+    InputError
+        A perimeter or a pixel size that is not above 0.
+    """
+    length, size = positive("perimeter", perimeter, "m"), positive("pixel size", pixel_m, "m")
+    return float(np.sqrt(PIXEL_VARIANCE * length * size**3))
 
 
 def count_pixels(vertices: npt.ArrayLike, pixel_m: float, offset_m: npt.ArrayLike = (0.0, 0.0)) -> int:
@@ -78,9 +98,10 @@ def count_pixels(vertices: npt.ArrayLike, pixel_m: float, offset_m: npt.ArrayLik
     InputError
         No outline, or a pixel size that is not above 0.
     """
-    if not (np.isfinite(pixel_m) and pixel_m > 0.0):
-        raise InputError.of("rectify.positive", place="pixel size", value=pixel_m, unit="m")
-    p = (outline(vertices) - np.asarray(offset_m, float)) / pixel_m  # centres are whole numbers now
+    size, offset = positive("pixel size", pixel_m, "m"), finite("offset", offset_m)
+    if offset.shape != (2,):
+        raise InputError.of("rectify.numbers", place="offset", value=f"shape {offset.shape}")
+    p = (outline(vertices) - offset) / size  # centres are whole numbers now
     q = np.roll(p, -1, axis=0)
     q, p = np.where(q[:, 1:] < p[:, 1:], p, q), np.where(q[:, 1:] < p[:, 1:], q, p)  # every edge upwards
     first, last = np.ceil(p[:, 1]).astype(int), np.ceil(q[:, 1]).astype(int)  # rows crossed: first <= row < last
@@ -100,8 +121,15 @@ def simulate_pixel_areas_m2(
 
     The formula of :func:`pixel_area_sigma_m2` is that of all orientations: with one of them the standard deviation of
     a coast of an island is 0.8 to 1.25 times that.
+
+    Raises
+    ------
+    InputError
+        See :func:`count_pixels`; no placement, or a negative seed.
     """
-    given, rng = outline(vertices), np.random.default_rng(seed)
+    given, rng = outline(vertices), np.random.default_rng(whole("seed", seed, 0))
+    positive("pixel size", pixel_m, "m")
+    whole("placements", n_placements, 1)
     angles = rng.uniform(0.0, 2.0 * np.pi, n_placements) if turn else np.zeros(n_placements)
     offsets = rng.uniform(0.0, pixel_m, (n_placements, 2))
     turns = np.stack([np.cos(angles), np.sin(angles), -np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2, 2)
@@ -115,8 +143,13 @@ def synthetic_outline(area_m2: float, perimeter: float, n_vertices: int, seed: i
     Raises
     ------
     InputError
-        The perimeter is shorter than that of the circle of this area, or longer than such an outline can have.
+        An area that is not above 0, fewer than three vertices, a negative seed; a perimeter that is shorter than that
+        of the circle of this area, or longer than such an outline can have.
     """
+    positive("area", area_m2, "m2")
+    positive("perimeter", perimeter, "m")
+    whole("seed", seed, 0)
+    whole("vertices", n_vertices, 3)
     rng, angle = np.random.default_rng(seed), np.linspace(0.0, 2.0 * np.pi, n_vertices, endpoint=False)
     order = np.arange(2, 24)
     waves = np.cos(np.outer(angle, order) + rng.uniform(0.0, 2.0 * np.pi, len(order))) @ (

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError
+from fg_orient.rectification.arguments import finite
 
 Array = npt.NDArray[np.float64]
 
@@ -49,10 +50,10 @@ def pair_distances(first: npt.ArrayLike, second: npt.ArrayLike) -> PairDistances
     InputError
         Fewer than three points (two pairs are needed), or lists that do not fit.
     """
-    a, b = (np.asarray(values, float) for values in (first, second))
-    n = len(a)
-    if a.shape != (n, 2) or b.shape != (n, 2) or n < 3 or not (np.isfinite(a).all() and np.isfinite(b).all()):
+    a, b = (finite("pair distances", values) for values in (first, second))
+    if a.ndim != 2 or a.shape[1] != 2 or b.shape != a.shape or len(a) < 3:
         raise InputError.of("rectify.points", place="pair distances", value=f"{a.shape}, {b.shape}")
+    n = len(a)
     i, j = np.triu_indices(n, 1)
     d = np.hypot(*(a[i] - a[j]).T) - np.hypot(*(b[i] - b[j]).T)
     mean = float(d.mean())

@@ -18,6 +18,8 @@ from factors._contract import evaluate
 from fg_orient.adjustment.dense import DenseStep, DenseSystem
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.rectification.arguments import finite, numbers
+from fg_orient.rectification.layout import Reach, reaches
 from fg_orient.rectification.models import Model
 from fg_orient.rectification.transformation import Scaling, Transformation
 
@@ -30,6 +32,8 @@ MAX_ITERATIONS: Final = 100
 RANK_LIMIT: Final = 1e-6
 #: Directions of a residual below this share of a free one are not checked by the other points.
 CHECKED: Final = 1e-6
+#: Ratio of sigmas from which on weights are beyond what a double carries through an adjustment.
+SIGMA_SPAN: Final = 1e8
 
 
 @dataclass(frozen=True)
@@ -70,11 +74,24 @@ class Observations:
         cls, source: npt.ArrayLike, target: npt.ArrayLike, sigma: npt.ArrayLike | None = None,
         ids: Sequence[str] | None = None,
     ) -> Observations:  # fmt: skip
-        """From array-likes; unit sigmas, ids 1 to n if not given."""
-        start, end = (np.atleast_2d(np.asarray(a, float)) for a in (source, target))
+        """From array-likes; unit sigmas, ids 1 to n if not given.
+
+        Raises
+        ------
+        InputError
+            See :class:`Observations`; something else than numbers; sigmas below the rounding of the coordinates, or
+            of which one is 1e8 times another.
+        """
+        start, end = (np.atleast_2d(numbers(name, a)) for name, a in (("source", source), ("target", target)))
         names = tuple(str(k + 1) for k in range(len(start))) if ids is None else tuple(ids)
-        size = np.ones(end.shape) if sigma is None else np.broadcast_to(np.asarray(sigma, float), end.shape).copy()
-        return cls(start, end, size, names)
+        if sigma is None:
+            return cls(start, end, np.ones(end.shape), names)
+        given = numbers("sigmas", sigma)
+        if given.shape not in ((), end.shape, end.shape[1:]):
+            raise InputError.of("rectify.points", place="sigmas", value=f"{given.shape}, {end.shape}")
+        found = cls(start, end, np.broadcast_to(given, end.shape).copy(), names)
+        _require_sigmas(found)
+        return found
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -145,6 +162,12 @@ class Fit:
         return np.asarray(root @ root.T)
 
     @cached_property
+    def reaches(self) -> tuple[Reach, ...]:
+        """Principal directions of the points but the longest, and what is known along them."""
+        source = self.points.source[:, : self.model.dimension]
+        return reaches(source, self.transformation.apply, self._rows_at, self.cofactors, self.m0)
+
+    @cached_property
     def residual_cofactors(self) -> Array:
         """Cofactors (n, 2, 2) of the whitened residuals of each point."""
         left = np.linalg.qr(self.design)[0].reshape(len(self.points), 2, -1)
@@ -157,13 +180,21 @@ class Fit:
 
     def prediction_sigma(self, source: npt.ArrayLike) -> Array:
         """Standard deviations (n, 2) of transformed points from those of the coefficients, in the target's unit."""
-        given = np.atleast_2d(np.asarray(source, float))
+        variance = np.einsum("nii->ni", self.prediction_cofactors(source))
+        return np.asarray(self.m0 * np.sqrt(np.maximum(variance, 0.0)))
+
+    def prediction_cofactors(self, source: npt.ArrayLike) -> Array:
+        """Cofactors (n, 2, 2) of transformed points from those of the coefficients; times m0 squared, target's unit."""
+        rows = self._rows_at(np.atleast_2d(finite("source", source)))
+        return np.asarray(rows @ self.cofactors @ rows.transpose(0, 2, 1))
+
+    def _rows_at(self, given: Array) -> Array:
+        """Derivatives (n, 2, u) of transformed points with respect to the coefficients, in the target's unit."""
         t, zero = self.transformation, np.zeros((len(given), 2))
         records = _records(t, Observations.of(given, t.target.offset + zero))
         _, (rows,) = evaluate(self.model.equation, records, [self.model.setup] * len(given),
                               [t.coefficients] * len(given))  # fmt: skip
-        variance = [np.einsum("ij,jk,ik->i", row, self.cofactors, row) for row in rows]
-        return np.asarray(self.m0 * np.sqrt(np.maximum(np.array(variance), 0.0)))
+        return np.array(rows)
 
 
 def plain_rmse(residuals: Array) -> tuple[float, float, float]:
@@ -200,7 +231,8 @@ def fit(
     Raises
     ------
     InputError
-        2n <= unknowns; points on a line, a curve or a plane that do not determine the transformation; heights missing.
+        2n <= unknowns; points on a line, a curve or a plane that do not determine the transformation, plane ones also
+        within their noise of a line; heights missing.
     NoSolutionError
         The iteration does not converge, or a denominator vanishes among the points.
     """
@@ -223,7 +255,31 @@ def fit(
     condition = _require_determined(points, model, design)
     whitened = residual.reshape(-1, 2)
     done = Transformation(model, found.state, source, target, blank.source_names, blank.target_names, crs)
-    return Fit(done, points, whitened * points.sigma, whitened, design, found.log, condition)
+    result = Fit(done, points, whitened * points.sigma, whitened, design, found.log, condition)
+    _require_reach(result)
+    return result
+
+
+def _require_sigmas(points: Observations) -> None:
+    """Refuse sigmas that the rounding of the coordinates or of the adjustment hides."""
+    least = np.spacing(np.abs(points.target).max(axis=0))
+    smallest = np.maximum(least, points.sigma.max() / SIGMA_SPAN)
+    bad = (points.sigma < smallest).any(axis=1)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InputError.of(
+            "rectify.sigma_absurd", place=f"sigma of point {points.ids[k]}", value=float(points.sigma[k].min()),
+            least=float(least.max()), largest=float(points.sigma.max()), span=SIGMA_SPAN,
+        )  # fmt: skip
+
+
+def _require_reach(found: Fit) -> None:
+    """Refuse plane transformations of points whose width is their noise; heights that say little are remarked only."""
+    for reach in found.reaches if found.model.dimension == 2 else ():
+        if reach.is_unknown:
+            t = found.transformation
+            raise InputError.of("rectify.narrow", place=t.model.title, value=f"{len(found.points)} points",
+                                direction=reach.words(t.source_names), sigma=100.0 * reach.sigma)  # fmt: skip
 
 
 def _require(points: Observations, model: Model) -> None:

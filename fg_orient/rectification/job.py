@@ -15,6 +15,7 @@ from fg_orient.errors import InputError
 from fg_orient.io.folder import require_free, staged_folder, writing
 from fg_orient.io.tables import Faults, number, read_table
 from fg_orient.linear.threads import one_blas_thread
+from fg_orient.rectification.arguments import positive
 from fg_orient.rectification.distances import PairDistances, pair_distances
 from fg_orient.rectification.folder import CONTENTS, write_folder
 from fg_orient.rectification.models import Model, find_model
@@ -27,6 +28,7 @@ from fg_orient.rectification.points import (
     fit_control,
     fit_points,
     observations,
+    read_ids,
     read_map_points,
     require_direction,
 )
@@ -77,8 +79,8 @@ def rectify_fit(
         See :func:`fg_orient.rectification.points.read_map_points` and ``fit``.
     """
     for place, value, unit in (("--pixel-size", pixel_size_m, "m"), ("--prune-to", prune_to, "the target's unit")):
-        if value is not None and not (np.isfinite(value) and value > 0.0):
-            raise InputError.of("rectify.positive", place=place, value=value, unit=unit)
+        if value is not None:
+            positive(place, value, unit)
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
     points = read_map_points(path, crs)
@@ -139,6 +141,7 @@ def _of_table(path: Path) -> Array:
     rows = () if table is None else table.rows
     names = residual if table is not None and residual[0] in table.columns else (*measured, *true)
     values = np.array([[number(row, name, faults) for name in names] for row in rows], float)
+    read_ids(rows, faults)
     faults.raise_if_any()
     return values if len(names) == 2 else values[:, :2] - values[:, 2:]
 

@@ -1,4 +1,6 @@
-"""Each point tested for a gross error against all others, and the pruning of İpbüker 1994.
+"""Each point tested for a gross error, and the pruning of İpbüker 1994.
+
+A control point is tested against all others, a check point against the fit.
 
 With the whitened residuals v of a point and their cofactors Q: ``T = v^T Q^-1 v`` and
 ``F = (T/d)/((S - T)/(f - d))``, S the sum of all squares, f the redundancy, d the rank of Q: F(d, f - d) without a
@@ -9,19 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import fdtrc, fdtri
 
 from fg_orient.errors import NoSolutionError
-from fg_orient.quality.outliers import LEVEL
+from fg_orient.rectification.arguments import positive
 from fg_orient.rectification.fit import CHECKED, Fit, Observations, fit
 from fg_orient.rectification.models import Model
 
 Array = npt.NDArray[np.float64]
 Rule = Literal["residual", "test"]
+
+#: Probability of a false alarm of each test, that of the bundle adjustment.
+LEVEL: Final = 0.001
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,31 @@ def point_tests(found: Fit, *, level: float = LEVEL) -> PointTests:
     return PointTests(np.where(usable, d, 0), statistic, critical, probability, error)
 
 
+def check_tests(found: Fit, check: Observations, residuals: Array, *, level: float = LEVEL) -> PointTests:
+    """Test every check point against what the control points predict.
+
+    With the residuals v of a point, its sigmas and the cofactors P of the prediction, ``C = diag(sigma^2) + P``:
+    ``F = v^T C^-1 v/(2 m0^2)`` is F(2, f) without a gross error.
+
+    Parameters
+    ----------
+    found : Fit
+    check : Observations
+    residuals : (n, 2) array
+        Computed minus given, of the check points.
+    level : float
+        Probability of a false alarm, each.
+    """
+    n, f = len(check), found.redundancy
+    cofactors = found.prediction_cofactors(check.source[:, : found.model.dimension])
+    cofactors[:, [0, 1], [0, 1]] += check.sigma**2
+    squares = np.einsum("ni,ni->n", residuals, np.linalg.solve(cofactors, residuals[:, :, None])[:, :, 0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        statistic = squares / (2.0 * found.m0**2)
+    critical = np.full(n, float(fdtri(2, f, 1.0 - level)))
+    return PointTests(np.full(n, 2), statistic, critical, fdtrc(2, f, statistic), -residuals)
+
+
 @dataclass(frozen=True)
 class Pruning:
     """Result of :func:`prune`.
@@ -117,10 +147,12 @@ def prune(
     Raises
     ------
     InputError
-        See :func:`fg_orient.rectification.fit.fit`; also of a later fit, if the points left do not determine it.
+        A target that is not above 0; see :func:`fg_orient.rectification.fit.fit`, also of a later fit, if the points
+        left do not determine it.
     NoSolutionError
         The target is not reached with the fewest points that have redundancy, or a fit does not converge.
     """
+    positive("RMSE to reach", target_rms, "the target's unit")
     again = refit or (lambda some: fit(some, model))
     found, dropped, history = again(points), list[str](), list[float]()
     while True:

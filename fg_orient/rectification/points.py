@@ -96,7 +96,7 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
     heights = ("height_m",) if "height_m" in columns else ()
     image, ground = _numbers(rows, IMAGE, faults), _numbers(rows, (*plane, *heights), faults)
     sigmas = [_sigmas(rows, names, faults) if names[0] in columns else None for names in (SIGMA_MAP, SIGMA_IMAGE)]
-    ids, check = _ids(rows, faults), np.array([_is_check(row, faults) for row in rows], dtype=bool)
+    ids, check = read_ids(rows, faults), np.array([_is_check(row, faults) for row in rows], dtype=bool)
     faults.raise_if_any()
     if geographic:
         ground[:, :2] = _projected(path, crs, rows, ground)
@@ -122,11 +122,14 @@ def _sigmas(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
     return values
 
 
-def _ids(rows: Sequence[Row], faults: Faults) -> tuple[str, ...]:
+def read_ids(rows: Sequence[Row], faults: Faults) -> tuple[str, ...]:
+    """Ids of the points; empty ones and those that occur twice are noted."""
     seen: dict[str, int] = {}
     for row in rows:
         name = row.cells["id"]
-        if name in seen:
+        if not name:
+            faults.add("rectify.no_id", place=row.place("id"))
+        elif name in seen:
             faults.add("rectify.id_twice", place=row.place("id"), value=name)
         seen.setdefault(name, row.line)
     return tuple(row.cells["id"] for row in rows)

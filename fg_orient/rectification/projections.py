@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError
+from fg_orient.rectification.arguments import finite, number, positive, whole
 
 if TYPE_CHECKING:
     from pyproj import Proj
@@ -34,23 +35,45 @@ def utm(zone: int, *, south: bool = False, ellipsoid: str = "WGS84") -> str:
     InputError
         No such zone.
     """
-    if not 1 <= zone <= 60:
+    if not 1 <= whole("UTM zone", zone, 1) <= 60:
         raise InputError.of("options.value", place="UTM zone", value=zone, expected="1 to 60")
     return f"+proj=utm +zone={zone} +ellps={ellipsoid}" + (" +south" if south else "")
 
 
 def gauss_krueger(central_meridian_deg: float, *, scale: float = 1.0, ellipsoid: str = HAYFORD) -> str:
-    """Definition of a transverse Mercator projection, no false easting."""
+    """Definition of a transverse Mercator projection, no false easting.
+
+    Raises
+    ------
+    InputError
+        A meridian that is not finite, or a scale that is not above 0.
+    """
+    number("central meridian", central_meridian_deg, "degrees")
+    positive("scale on the meridian", scale, "units of 1")
     return f"+proj=tmerc +lat_0=0 +lon_0={central_meridian_deg!r} +k={scale!r} +ellps={ellipsoid}"
 
 
 def lambert_cylindrical(radius_m: float) -> str:
-    """Definition of the equal-area cylinder of a sphere: ``R lambda, R sin phi``."""
+    """Definition of the equal-area cylinder of a sphere: ``R lambda, R sin phi``.
+
+    Raises
+    ------
+    InputError
+        A radius that is not above 0.
+    """
+    positive("radius", radius_m, "m")
     return f"+proj=cea +lon_0=0 +lat_ts=0 +R={radius_m!r}"
 
 
 def lambert_polar(radius_m: float) -> str:
-    """Definition of the polar equal-area azimuthal projection of a sphere: ``rho = 2R sin(45 deg - phi/2)``."""
+    """Definition of the polar equal-area azimuthal projection of a sphere: ``rho = 2R sin(45 deg - phi/2)``.
+
+    Raises
+    ------
+    InputError
+        A radius that is not above 0.
+    """
+    positive("radius", radius_m, "m")
     return f"+proj=laea +lat_0=90 +lon_0=0 +R={radius_m!r}"
 
 
@@ -77,7 +100,7 @@ def project(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> 
     InputError
         PROJ does not know the definition, or a point lies outside its domain.
     """
-    lon, lat = (np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg))
+    lon, lat = _places(lon_deg, lat_deg)
     return _required(np.column_stack(_proj(definition)(lon, lat)), np.column_stack([lon, lat]), definition)
 
 
@@ -89,15 +112,32 @@ def unproject(definition: str, plane_m: npt.ArrayLike) -> Array:
     InputError
         See :func:`project`.
     """
-    plane = np.atleast_2d(np.asarray(plane_m, float))
+    plane = np.atleast_2d(finite("plane coordinates", plane_m))
+    if plane.ndim > 2 or plane.shape[1] != 2:
+        raise InputError.of("rectify.numbers", place="plane coordinates", value=f"shape {plane.shape}")
     return _required(np.column_stack(_proj(definition)(plane[:, 0], plane[:, 1], inverse=True)), plane, definition)
 
 
 def scale_factors(definition: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
-    """Scale along the meridian, along the parallel, and of areas (n, 3)."""
-    lon, lat = (np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg))
+    """Scale along the meridian, along the parallel, and of areas (n, 3).
+
+    Raises
+    ------
+    InputError
+        See :func:`project`.
+    """
+    lon, lat = _places(lon_deg, lat_deg)
     found = _proj(definition).get_factors(lon, lat)
-    return np.column_stack([found.meridional_scale, found.parallel_scale, found.areal_scale])
+    scales = np.column_stack([found.meridional_scale, found.parallel_scale, found.areal_scale])
+    return _required(scales, np.column_stack([lon, lat]), definition)
+
+
+def _places(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Array]:
+    """Longitudes and latitudes (n,), as many of both."""
+    lon, lat = (np.atleast_1d(finite(name, a)) for name, a in (("longitude", lon_deg), ("latitude", lat_deg)))
+    if lon.ndim > 1 or lon.shape != lat.shape:
+        raise InputError.of("rectify.numbers", place="longitude, latitude", value=f"{lon.shape}, {lat.shape}")
+    return lon, lat
 
 
 def ellipsoidal_area(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, ellipsoid: str = "WGS84") -> tuple[float, float]:
@@ -119,7 +159,7 @@ def ellipsoidal_area(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, ellipsoid: 
 
     from fg_orient.rectification.areas import outline
 
-    vertices = outline(np.column_stack([np.asarray(lon_deg, float), np.asarray(lat_deg, float)]))
+    vertices = outline(np.column_stack(_places(lon_deg, lat_deg)))
     try:
         geodesics = Geod(ellps=ellipsoid)
     except KeyError:

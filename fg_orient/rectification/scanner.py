@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError
+from fg_orient.rectification.arguments import finite, number, positive
 
 Array = npt.NDArray[np.float64]
 
@@ -50,12 +51,10 @@ class Scanner:
     rotation_s: float = 1.0
 
     def __post_init__(self) -> None:
-        positive = {"height_m": "m", "ifov_along_rad": "rad", "ifov_across_rad": "rad", "focal_length_m": "m",
-                    "speed_m_s": "m/s", "rotation_s": "s"}  # fmt: skip
-        for name, unit in positive.items():
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError.of("rectify.positive", place=name, value=value, unit=unit)
+        units = {"height_m": "m", "ifov_along_rad": "rad", "ifov_across_rad": "rad", "focal_length_m": "m",
+                 "speed_m_s": "m/s", "rotation_s": "s"}  # fmt: skip
+        for name, unit in units.items():
+            positive(name, getattr(self, name), unit)
         if not 0.0 <= self.overlap < 1.0:
             raise InputError.of("options.value", place="overlap", value=self.overlap, expected="0 to below 1")
 
@@ -76,7 +75,7 @@ class Scanner:
 
     def scan_angle_rad(self, image_y_m: npt.ArrayLike) -> Array:
         """Scan angle theta = y/f of a distance along the scan line in the image."""
-        return np.asarray(np.asarray(image_y_m, float) / self.focal_length_m)
+        return np.asarray(finite("image y", image_y_m) / self.focal_length_m)
 
     def ground(self, image_x_m: npt.ArrayLike, image_y_m: npt.ArrayLike, height_m: npt.ArrayLike = 0.0) -> Array:
         """Ground X, Y (n, 2) from the first strip and the track: ``(1 - S)(Z_c/f) x`` and ``(Z_c - Z_j) tan theta``.
@@ -84,35 +83,56 @@ class Scanner:
         The time of the mirror adds :meth:`mirror_shift_m` to X.
         """
         theta = self.scan_angle_rad(image_y_m)
-        x = (1.0 - self.overlap) * self.height_m / self.focal_length_m * np.asarray(image_x_m, float)
-        y = (self.height_m - np.asarray(height_m, float)) * np.tan(theta)
+        x = (1.0 - self.overlap) * self.height_m / self.focal_length_m * finite("image x", image_x_m)
+        y = (self.height_m - finite("height", height_m)) * np.tan(theta)
         return np.stack(np.broadcast_arrays(x, y), axis=-1)
 
     def element_m(self, theta_rad: npt.ArrayLike, height_m: npt.ArrayLike = 0.0) -> Array:
         """Size of an element on the ground (n, 2): along ``beta h sec theta``, across ``gamma h sec^2 theta``."""
-        secant = 1.0 / np.cos(np.asarray(theta_rad, float))
-        above = self.height_m - np.asarray(height_m, float)
+        secant = 1.0 / np.cos(_angle(theta_rad))
+        above = self.height_m - finite("height", height_m)
         sizes = self.ifov_along_rad * above * secant, self.ifov_across_rad * above * secant**2
         return np.stack(np.broadcast_arrays(*sizes), axis=-1)
 
     def panoramic_shift_m(self, theta_rad: npt.ArrayLike) -> Array:
         """Displacement on the ground of taking the scan as a plane image: ``Z_c (tan theta - theta)``."""
-        theta = np.asarray(theta_rad, float)
+        theta = _angle(theta_rad)
         return np.asarray(self.height_m * (np.tan(theta) - theta))
 
     def mirror_shift_m(self, theta_rad: npt.ArrayLike) -> Array:
         """Advance of the platform while the mirror turns to theta: ``theta/(2 pi) t_r V``."""
-        return np.asarray(np.asarray(theta_rad, float) / (2.0 * math.pi) * self.rotation_s * self.speed_m_s)
+        return np.asarray(finite("scan angle", theta_rad) / (2.0 * math.pi) * self.rotation_s * self.speed_m_s)
 
 
 def relief_shift_m(height_m: npt.ArrayLike, theta_rad: npt.ArrayLike) -> Array:
-    """Displacement of a point above the datum, towards the outside: ``Z_j tan theta``, m."""
-    return np.asarray(np.asarray(height_m, float) * np.tan(np.asarray(theta_rad, float)))
+    """Displacement of a point above the datum, towards the outside: ``Z_j tan theta``, m.
+
+    Raises
+    ------
+    InputError
+        Numbers that are not finite, or an angle that looks beyond the horizontal.
+    """
+    return np.asarray(finite("height", height_m) * np.tan(_angle(theta_rad)))
+
+
+def _angle(theta_rad: npt.ArrayLike) -> Array:
+    """Scan angles, below the horizontal on both sides."""
+    found = finite("scan angle", theta_rad)
+    if (np.abs(found) >= 0.5 * math.pi).any():
+        raise InputError.of("options.value", place="scan angle", value=float(np.abs(found).max()),
+                            expected="an angle from nadir, rad, between -pi/2 and pi/2")  # fmt: skip
+    return found
 
 
 def total_angle_rad(swath_m: float, height_m: float) -> float:
-    """Total scan angle over flat ground: ``2 arctan(W/(2H))``."""
-    return 2.0 * math.atan2(swath_m, 2.0 * height_m)
+    """Total scan angle over flat ground: ``2 arctan(W/(2H))``.
+
+    Raises
+    ------
+    InputError
+        A swath or a height that is not above 0.
+    """
+    return 2.0 * math.atan2(positive("swath", swath_m, "m"), 2.0 * positive("height", height_m, "m"))
 
 
 def swath_m(angle_rad: float, height_m: float, off_nadir_rad: float = 0.0, radius_m: float | None = None) -> float:
@@ -132,10 +152,20 @@ def swath_m(angle_rad: float, height_m: float, off_nadir_rad: float = 0.0, radiu
     -------
     float
         Length on the ground, m; nan where a ray misses the Earth.
+
+    Raises
+    ------
+    InputError
+        A field of view, a height or a radius that is not above 0; over flat ground, a ray beyond the horizontal.
     """
+    positive("field of view", angle_rad, "rad")
+    positive("height", height_m, "m")
+    number("off nadir", off_nadir_rad, "rad")
     edges = (off_nadir_rad - 0.5 * angle_rad, off_nadir_rad + 0.5 * angle_rad)
     if radius_m is None:
-        return height_m * (math.tan(edges[1]) - math.tan(edges[0]))
+        first, last = np.tan(_angle(edges))
+        return float(height_m * (last - first))
+    positive("radius", radius_m, "m")
     sines = [math.sin(edge) * (radius_m + height_m) / radius_m for edge in edges]
     if max(map(abs, sines)) > 1.0:
         return math.nan
@@ -144,5 +174,12 @@ def swath_m(angle_rad: float, height_m: float, off_nadir_rad: float = 0.0, radiu
 
 
 def error_budget(*parts: float) -> float:
-    """Root of the sum of squares of independent errors: pointing, digitising, relief (İpbüker 1994, conclusions)."""
-    return math.sqrt(sum(part * part for part in parts))
+    """Root of the sum of squares of independent errors: pointing, digitising, relief (İpbüker 1994, conclusions).
+
+    Raises
+    ------
+    InputError
+        No error, or one that is below 0 or not finite.
+    """
+    finite("errors", parts)
+    return math.sqrt(sum(number("error", part, "its unit", least=0.0) ** 2 for part in parts))

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError
+from fg_orient.rectification.arguments import number, positive
 from fg_orient.rectification.fit import plain_rmse
 
 Array = npt.NDArray[np.float64]
@@ -71,23 +72,48 @@ class Verdict:
 
 
 def nmas_limit_m(scale: float) -> float:
-    """Limit of NMAS on the ground at 1:scale, m."""
+    """Limit of NMAS on the ground at 1:scale, m.
+
+    Raises
+    ------
+    InputError
+        A scale that is not above 0.
+    """
+    positive("scale", scale, "denominator")
     return scale * (NMAS_SMALL_M if scale >= NMAS_LIMIT_SCALE else NMAS_LARGE_M)
 
 
 def effective_resolution_m(scale: float) -> float:
-    """Half a millimetre at map scale (İpbüker 1994, summary), m."""
-    return 0.5e-3 * scale
+    """Half a millimetre at map scale (İpbüker 1994, summary), m.
+
+    Raises
+    ------
+    InputError
+        A scale that is not above 0.
+    """
+    return 0.5e-3 * positive("scale", scale, "denominator")
 
 
 def cmas_m(rmse_x_m: float, rmse_y_m: float) -> float:
-    """Radius of 90 %: 2.1460 (RMSE_x + RMSE_y)/2, m."""
-    return CMAS_FACTOR * 0.5 * (rmse_x_m + rmse_y_m)
+    """Radius of 90 %: 2.1460 (RMSE_x + RMSE_y)/2, m.
+
+    Raises
+    ------
+    InputError
+        An RMSE below 0, or not finite.
+    """
+    return CMAS_FACTOR * 0.5 * sum(number("RMSE", v, "m", least=0.0) for v in (rmse_x_m, rmse_y_m))
 
 
 def nssda_m(rmse_x_m: float, rmse_y_m: float) -> float:
-    """Radius of 95 %: 2.4477 (RMSE_x + RMSE_y)/2, m."""
-    return NSSDA_FACTOR * 0.5 * (rmse_x_m + rmse_y_m)
+    """Radius of 95 %: 2.4477 (RMSE_x + RMSE_y)/2, m.
+
+    Raises
+    ------
+    InputError
+        An RMSE below 0, or not finite.
+    """
+    return NSSDA_FACTOR * 0.5 * sum(number("RMSE", v, "m", least=0.0) for v in (rmse_x_m, rmse_y_m))
 
 
 def _largest_nmas_scale(limit_at_90_m: float) -> tuple[float, str]:
@@ -145,13 +171,10 @@ def judge_rmse(
     Parameters and errors as in :func:`check_accuracy`; ``n_points`` only adds remarks.
     """
     for place, value, unit in (("--scale", scale, "denominator"), ("--class-m", class_m, "m")):
-        if value is not None and not (np.isfinite(value) and value > 0.0):
-            raise InputError.of("rectify.positive", place=place, value=value, unit=unit)
+        if value is not None:
+            positive(place, value, unit)
     for place, rmse in (("RMSE", rmse_x_m), ("RMSE", rmse_y_m), ("--check-point-rmse", check_point_rmse_m)):
-        if not (np.isfinite(rmse) and rmse >= 0.0):
-            raise InputError.of(
-                "options.value", place=place, value=rmse, expected="a finite number of metres, not below 0"
-            )
+        number(place, rmse, "m", least=0.0)
     unknown = [name for name in standards if name not in NAMES[1:]]
     if unknown:
         raise InputError.of("rectify.standard", place="--standard", value=unknown[0], known=", ".join(NAMES))

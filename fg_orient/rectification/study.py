@@ -14,6 +14,7 @@ import numpy.typing as npt
 from scipy.special import fdtrc
 
 from fg_orient.errors import InputError
+from fg_orient.rectification.arguments import finite, positive, whole
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
 from fg_orient.rectification.models import find_model
 
@@ -21,7 +22,14 @@ Array = npt.NDArray[np.float64]
 
 
 def terms(degree: int) -> int:
-    """Coefficients per axis of a polynomial: (q + 1)(q + 2)/2."""
+    """Coefficients per axis of a polynomial: (q + 1)(q + 2)/2.
+
+    Raises
+    ------
+    InputError
+        A degree below 0.
+    """
+    whole("degree", degree, 0)
     return (degree + 1) * (degree + 2) // 2
 
 
@@ -74,8 +82,8 @@ def design_study(
     Raises
     ------
     InputError
-        A count that is not there, an impossible degree, a negative seed; no layout is refused for this: its cell has
-        the reason.
+        A count that is not there, an impossible degree, no layouts, a negative seed; no layout is refused for this: its
+        cell has the reason.
     """
     most = len(control)
     for count in counts:
@@ -83,6 +91,7 @@ def design_study(
             raise InputError.of("rectify.counts", place="--counts", value=count, most=most)
     if seed < 0:
         raise InputError.of("rectify.seed", place="--seed", value=seed)
+    whole("--layouts", layouts, 1)
     rng, out = np.random.default_rng(seed), list[Cell]()
     for count in counts:
         n = 1 if count == most else layouts
@@ -117,8 +126,10 @@ def growing_degrees(m0_by_degree: Mapping[int, float], n_points: int) -> tuple[i
     Raises
     ------
     InputError
-        A degree has no redundancy with so many points, so there is no m0 to test.
+        A degree has no redundancy with so many points, so there is no m0 to test; an m0 that is not above 0.
     """
+    for degree, m0 in m0_by_degree.items():
+        positive(f"m0 of degree {degree}", m0, "the target's unit")
     degrees = sorted(m0_by_degree)
     lacking = without_redundancy(degrees, n_points)
     if lacking:
@@ -140,7 +151,13 @@ def admissible_points(m0_by_degree: Mapping[int, float], most: int = 200) -> tup
 
     m0s that do not grow with the degree are possible with any number: ``most`` at the end is then where the search
     stopped, no limit of the row.
+
+    Raises
+    ------
+    InputError
+        No m0, or one that is not above 0.
     """
+    finite("m0", list(m0_by_degree.values()))
     least = terms(max(m0_by_degree)) + 1
     return tuple(n for n in range(least, most + 1) if not growing_degrees(m0_by_degree, n))
 
@@ -158,9 +175,11 @@ def improvement_test(
     Raises
     ------
     InputError
-        The higher degree has no redundancy.
+        The higher degree has no redundancy, it is not the higher one, or an m0 is not above 0.
     """
-    growing_degrees({degree_high: m0_high}, n_points)  # refuses without redundancy
+    if degree_high <= degree_low:
+        raise InputError.of("options.value", place="higher degree", value=degree_high, expected=f"above {degree_low}")
+    growing_degrees({degree_low: m0_low, degree_high: m0_high}, n_points)  # refuses without redundancy
     f_low, f_high = (2 * (n_points - terms(q)) for q in (degree_low, degree_high))
     squares_low, squares_high = m0_low**2 * f_low, m0_high**2 * f_high
     if squares_high > squares_low:

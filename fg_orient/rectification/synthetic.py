@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.rectification.arguments import whole
 from fg_orient.rectification.distances import pair_distances
 from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.models import find_model
@@ -52,8 +53,9 @@ class Ratios:
 
 @cache
 def distance_ratios(runs: int = RUNS, seed: int = 1) -> Ratios:
-    """Pairwise distances against m0 for 30 points with noise alone."""
-    rng, model = np.random.default_rng(seed), find_model("affine")
+    """Pairwise distances against m0 for 30 points with noise alone; InputError without runs or seed."""
+    whole("runs", runs, 2)
+    rng, model = np.random.default_rng(whole("seed", seed, 0)), find_model("affine")
     ratio, spread = np.empty(runs), np.empty(runs)
     for k in range(runs):
         image = rng.uniform(0.0, SCENE_M, (SCENE_POINTS, 2))
@@ -86,7 +88,16 @@ def digitised_sheets(extent_km: tuple[int, int] = SHEET_EXTENT_KM, runs: int = R
     """Digitise 24 nodes of a grid of 1 km, calibrate the sheet, and compare distances before it.
 
     ``extent_km`` is that of the nodes, east and north.
+
+    Raises
+    ------
+    InputError
+        Fewer than two runs, a negative seed, or an extent with fewer than 24 nodes.
     """
+    whole("runs", runs, 2)
+    whole("seed", seed, 0)
+    east_km, north_km = (whole("extent", size, 1) for size in extent_km)
+    whole("nodes", (east_km + 1) * (north_km + 1), SHEET_POINTS)
     rng, (affine, helmert) = np.random.default_rng(seed), (find_model("affine"), find_model("helmert"))
     north, east = np.meshgrid(*(1000.0 * np.arange(size + 1) for size in extent_km[::-1]), indexing="ij")
     nodes = np.column_stack([north.ravel(), east.ravel()])

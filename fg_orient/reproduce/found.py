@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from fg_orient.errors import InputError
 from fg_orient.reproduce.verdict import Kind
 
 
@@ -40,3 +42,11 @@ class Found:
     def has_spread(self) -> bool:
         """Tell whether a spread is stated."""
         return not math.isnan(self.low)
+
+
+def attempt(call: Callable[..., float], *printed: float) -> float:
+    """Call with printed numbers; nan where the call refuses them, as a copy may hold any."""
+    try:
+        return call(*printed)
+    except InputError:
+        return math.nan

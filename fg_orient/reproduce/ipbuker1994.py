@@ -33,7 +33,7 @@ TABLES: Final = ("3.1", "3.2", "3.3", "3.5", "text", "s4.2.2", "5.1", "s6.2", "6
 REASONS: Final = {
     "s4.2.2": "processor times of another computer and program",
     "s6.2": "a figure of another publication; its points are not here",
-    "6.1": "one or two values of another block: nothing to compare them with",
+    "6.1": "another block, with four values or one: too few to fit a law to and to test it",
     "7.1": "control points, residuals and coefficients are not in the source",
     "s7.2": "a fact of the unpublished points; a coefficient with four decimals leaves 226 m",
     "7.2": "the vertices of the outlines are not in the source",

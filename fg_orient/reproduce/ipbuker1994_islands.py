@@ -12,7 +12,7 @@ from fg_orient.errors import InputError
 from fg_orient.rectification.areas import mean_spacing_m, pixel_area_m2, planar_area_m2
 from fg_orient.rectification.projections import gauss_krueger, lambert_cylindrical, lambert_polar, project, unproject
 from fg_orient.rectification.synthetic import REPRODUCED_RUNS, SHEET_EXTENT_KM, digitised_sheets
-from fg_orient.reproduce.found import Found
+from fg_orient.reproduce.found import Found, attempt
 
 Values = Mapping[CellKey, float]
 
@@ -73,7 +73,9 @@ def spacings(values: Values) -> dict[CellKey, Found]:
     out = {}
     for island in PLACES:
         length, n = (values[_key("7.3", island, name)] for name in ("coastline", "n_vertices"))
-        out[_key("7.3", island, "mean_spacing")] = Found(mean_spacing_m(length, n), "length by vertices", is_exact=True)
+        out[_key("7.3", island, "mean_spacing")] = Found(
+            attempt(mean_spacing_m, length, n), "length by vertices", is_exact=True
+        )
     return out
 
 
@@ -102,7 +104,8 @@ def pixel_areas(values: Values) -> dict[CellKey, Found]:
     rows = [key.parameter for key in values if key.table == "7.5" and key.quantity == "pixels_utm"]
     return {
         _key("7.5", row, f"satellite_area_{side}"): Found(
-            pixel_area_m2(values[_key("7.5", row, f"pixels_{side}")], PIXEL_M), "pixels of 900 m2", is_exact=True
+            attempt(pixel_area_m2, values[_key("7.5", row, f"pixels_{side}")], PIXEL_M), "pixels of 900 m2",
+            is_exact=True,
         )
         for row in rows for side in _SIDES
     }  # fmt: skip
@@ -115,7 +118,7 @@ def differences(values: Values) -> dict[CellKey, Found]:
         for side in _SIDES:
             table, name = ("7.2", "area_utm") if side == "utm" else ("7.4", "area_azimuthal")
             computed = sum(values[_key(table, island, name)] for island in JOINED.get(row, (row,)))
-            satellite = pixel_area_m2(values[_key("7.5", row, f"pixels_{side}")], PIXEL_M)
+            satellite = attempt(pixel_area_m2, values[_key("7.5", row, f"pixels_{side}")], PIXEL_M)
             known = KNOWN.get((row, side), "")
             out[_key("7.6", row, f"computed_area_{side}")] = Found(computed, f"table {table}", is_exact=True)
             out[_key("7.6", row, f"satellite_area_{side}")] = Found(

@@ -11,7 +11,7 @@ import numpy as np
 from fg_orient.cells import CellKey
 from fg_orient.rectification.scanner import swath_m, total_angle_rad
 from fg_orient.rectification.standards import effective_resolution_m
-from fg_orient.reproduce.found import Found
+from fg_orient.reproduce.found import Found, attempt
 
 Values = Mapping[CellKey, float]
 
@@ -70,16 +70,19 @@ def text(values: Values) -> dict[CellKey, Found]:
             2e-3 * math.pi * A_M * days / orbits, "equator by orbits per day: tracks one orbit apart"),
         ("landsat-5", "daily_track_shift"): (360.0 / orbits, "circle by tracks; printed cut off, not rounded"),
         ("landsat_mss", "total_scan_angle_printed"): (
-            math.degrees(total_angle_rad(swath, mss_height)), "2 arctan(W/2H) of the printed swath and altitude"),
+            math.degrees(attempt(total_angle_rad, swath, mss_height)),
+            "2 arctan(W/2H) of the printed swath and altitude"),
         ("landsat_mss", "scene_volume"): (
             4e-6 * printed("landsat_mss", "scan_lines") * printed("landsat_mss", "pixels_per_line"), "four bands"),
         ("landsat_tm", "ifov"): (1e6 * 30.0 / TM_HEIGHT_M, "30 m from 705 km"),
-        ("spot_hrv", "swath_nadir"): (1e-3 * swath_m(view, spot_height), "field of view from the altitude, flat Earth"),
+        ("spot_hrv", "swath_nadir"): (1e-3 * attempt(swath_m, view, spot_height),
+            "field of view from the altitude, flat Earth"),
         ("spot_hrv", "swath_twin"): (
             2.0 * printed("spot_hrv", "swath_nadir") - printed("spot_hrv", "overlap_twin"), "two swaths less overlap"),
         ("spot_hrv", "max_off_nadir"): (off, "steps of the mirror"),
         ("spot_hrv", "swath_at_max_off_nadir"): (
-            1e-3 * swath_m(view, spot_height, math.radians(off), A_M), "field of view at 27 degrees, curved Earth"),
+            1e-3 * attempt(swath_m, view, spot_height, math.radians(off), A_M),
+            "field of view at 27 degrees, curved Earth"),
         ("som_landsat_1_3", "longitude_shift_per_orbit"): (
             360.0 * printed("som_landsat_1_3", "repeat") / LANDSAT_1_ORBITS, "days of the cycle by 251 orbits"),
         ("som_landsat_1_3", "latitude_limit"): (

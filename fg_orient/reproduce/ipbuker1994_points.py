@@ -25,9 +25,8 @@ Values = Mapping[CellKey, float]
 #: Points read on each rectified image (section 7.1).
 POINTS_7_1: Final = 30
 DEGREES: Final = (1, 2, 3)
-#: Of table 6.1: block with 20 values, test points.
+#: Of table 6.1: block with 20 values.
 BLOCK: Final = "1024 x 1024"
-TEST_POINTS: Final = 40
 #: Pixels that the RMS values of section 6.2 in metres and pixels refer to.
 PIXELS_M: Final = {"welch_1984a": 28.5, "welch_1985bc": 30.0, "borgeson_1985": 28.5}
 
@@ -38,7 +37,7 @@ def rectifications(values: Values) -> dict[CellKey, Found]:
     for row in [key.parameter for key in values if key.table == "7.1" and key.quantity == "pair_distance_sd"]:
         keys = {q: CellKey("7.1", quantity=f"m0_degree_{q}", parameter=row) for q in DEGREES}
         m0 = {q: values[key] for q, key in keys.items()}
-        for q in growing_degrees(m0, POINTS_7_1):
+        for q in growing_degrees(m0, POINTS_7_1) if min(m0.values()) > 0.0 else ():
             out[keys[q]] = _impossible(m0, q)
         key = CellKey("7.1", quantity="pair_distance_sd", parameter=row)
         out[key] = _distances(row, m0[1], values[key])
@@ -78,7 +77,11 @@ def _distances(row: str, m0: float, printed: float) -> Found:
 
 
 def north_georgia(values: Values) -> dict[CellKey, Found]:
-    """Table 6.1: RMS = sigma sqrt(1 + p/n), sigma fitted to the 20 values of one block."""
+    """Table 6.1: RMS = sigma sqrt(1 + p/n), sigma fitted to the 20 values of one block.
+
+    All values are RMSs at the same test points: what these have in common goes into sigma, so a value is held against
+    the scatter of the others about the law, not against the spread of an RMS over so many points.
+    """
     factors, rms, keys = [], [], []
     for key, value in values.items():
         if key.table == "6.1" and key.parameter.startswith(BLOCK):
@@ -87,16 +90,25 @@ def north_georgia(values: Values) -> dict[CellKey, Found]:
             factors.append(np.sqrt(1.0 + terms(degree) / n))
             rms.append(value)
     g, v = np.array(factors), np.array(rms)
-    sigma = float(g @ v / (g @ g))
-    spread = 1.96 / np.sqrt(2.0 * 2 * TEST_POINTS)
-    remark = (
-        f"sigma sqrt(1 + p/n), a law found by looking at this table, sigma = {sigma:.2f} m fitted to its {len(v)} "
-        f"values of this block; spread of an RMS over {TEST_POINTS} points"
-    )
-    return {
-        key: Found(sigma * f, remark, sigma * f * (1.0 - spread), sigma * f * (1.0 + spread))
-        for key, f in zip(keys, g.tolist(), strict=True)
-    }
+    sigma, out = float(g @ v / (g @ g)), {}
+    for k, key in enumerate(keys):
+        others = np.arange(len(v)) != k
+        scatter = _scatter(g[others], v[others])
+        law, half = sigma * float(g[k]), 1.96 * scatter
+        remark = (
+            f"sigma sqrt(1 + p/n), a law found by looking at this table, sigma = {sigma:.2f} m fitted to its {len(v)} "
+            f"values of this block; 1.96 times the scatter of the {len(v) - 1} others about the law, {scatter:.2f} m"
+        )
+        if abs(v[k] - law) > half:
+            remark += f"; more than the law and the rounding to 1 m explain, {v[k] - law:+.1f} m"
+        out[key] = Found(law, remark, law - half, law + half)
+    return out
+
+
+def _scatter(factors: npt.NDArray[np.float64], rms: npt.NDArray[np.float64]) -> float:
+    """Standard deviation of values about sigma times factors, sigma fitted to them."""
+    sigma = float(factors @ rms / (factors @ factors))
+    return float(np.sqrt(np.sum((rms - sigma * factors) ** 2) / (len(rms) - 1)))
 
 
 def literature(values: Values) -> dict[CellKey, Found]:

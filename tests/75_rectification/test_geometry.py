@@ -198,7 +198,7 @@ def test_projections_that_are_none_and_points_beyond_them_are_refused() -> None:
         project("+proj=nonsense", 0.0, 0.0)
     assert caught.value.problems[0].code == "rectify.projection"
     with pytest.raises(InputError) as caught:
-        project(gauss_krueger(27.0), np.nan, 0.0)
+        project(gauss_krueger(27.0), 27.0, 95.0)
     assert caught.value.problems[0].code == "rectify.outside"
 
 
