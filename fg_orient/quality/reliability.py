@@ -65,7 +65,7 @@ class Reliability:
     least : (n,) array
         Redundancy number of the direction that is checked least.
     direction : (n, d) array
-        That direction, a unit vector of errors in sigmas.
+        That direction, a unit vector in the unit of the coordinates, its largest component positive.
     normalised : (n, d) array
         Normalised residuals w, adjusted minus observed, N(0, 1) with right sigmas.
     minimal_detectable_bias : (n, d) array
@@ -186,11 +186,17 @@ def _reliability(
     group = noncentrality(alpha, power, d)
     least, most = (np.where(np.isfinite(s) & (s > 0.0), s, np.nan) for s in (spread[:, 0], spread[:, -1]))
     return Reliability(
-        r, size[:, 0], axes[:, :, 0], v / np.sqrt(known), bias * sigma,
+        r, size[:, 0], _direction(axes[:, :, 0] * sigma), v / np.sqrt(known), bias * sigma,
         np.where(size[:, -1] > ROUNDING, np.sqrt(group / most), np.nan),
         np.where(checked, np.sqrt(group / least), np.nan),
         bias * np.linalg.norm(response, axis=1), bias * _in_own_sigmas(points, response), bias * eop,
     )  # fmt: skip
+
+
+def _direction(axis: Array) -> Array:
+    """Unit vectors (n, d) whose largest component is positive."""
+    largest = np.take_along_axis(axis, np.abs(axis).argmax(axis=1)[:, None], axis=1)
+    return np.asarray(axis / np.where(largest < 0.0, -1.0, 1.0) / np.linalg.norm(axis, axis=1, keepdims=True))
 
 
 def _in_own_sigmas(points: Array, response: Array) -> Array:
