@@ -28,4 +28,14 @@ STATISTICS: Final = {
         "the variance component does not stand after {value} adjustments",
         "leave it out of the groups, or join it with another",
     ),
+    "statistics.snoop_loss": (
+        "gross errors are searched with least squares, not under a robust loss that has weighted them down",
+        "leave out the loss, or the search",
+    ),
+    "statistics.snoop_components": (
+        "gross errors and variance components are not searched in one run: each would hide the other",
+        "search the gross errors first, then leave them out and estimate the components",
+    ),
+    "statistics.too_few": ("too few observations", "{remedy}"),
+    "statistics.motions": ("nothing fixes these images in the world", "{remedy}"),
 }

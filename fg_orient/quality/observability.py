@@ -1,33 +1,43 @@
-"""Observability: what the image observations of each image cannot tell, in the user's terms.
+"""Observability: what the image observations cannot tell, in the user's terms, before anything is solved.
 
-The whitened Jacobian of an image's observations with respect to its own unknowns, in prior
-sigmas, at fixed ground points, is decomposed by SVD. A direction with a singular value
-below 1e-5 is **dead** (the data say nothing); below 1 it is **weak** (the prior says more
-than the data). Fixing the ground points is the optimistic case: what is dead here is dead
-in every adjustment of the image.
+A whitened Jacobian with respect to unknowns in prior sigmas is decomposed by SVD. A direction of singular value s is
 
-Dead directions are named by matching them with physical candidates, which the image's model
-gives (``silent_directions``). A block without control points is asked, besides, what holds it
-in the world: its images may be shifted, turned or scaled together.
+- **unobservable** if s <= 1e-5: the data say nothing,
+- **held by the prior** if 1e-5 < s < 1: the prior says more than the data,
+- **determined** if s >= 1.
+
+It is done for each image at fixed ground points, which is the optimistic case: what is unobservable there is so in
+every adjustment of the image. It is done for the block, too, with the ground points eliminated, where all observations
+together have their say.
+
+Unobservable directions of an image are named by matching them with physical candidates, which its model gives
+(``silent_directions``); those of the block by the motions of the block as a whole (``fg_orient.quality.motions``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
 
 from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem
 from fg_orient.parameters import ImageParameters
+from fg_orient.quality.elimination import Rows, eliminated
+from fg_orient.quality.motions import SHIFT_M, UNOBSERVABLE, FreeMotions, free_motions
+from fg_orient.quality.structure import Structure, analyse_structure, named
 
 Array = npt.NDArray[np.float64]
 
-DEAD = 1e-5
-WEAK = 1.0
-#: A candidate explains a dead direction when this share of its length lies in the null space.
-MATCH = 0.9
+#: Singular values from this on: the data say more than the prior.
+DETERMINED: Final = 1.0
+#: A candidate explains an unobservable direction when this share of its length lies in the null space.
+MATCH: Final = 0.9
+#: Condition of a Jacobian above which its normal equations, whose condition is the square, have no digit left.
+NEEDS_SCALING: Final = float(np.finfo(float).eps ** -0.5)
 
 
 @dataclass(frozen=True)
@@ -40,13 +50,20 @@ class ImageObservability:
         Image id.
     singular_values : (k,) array, descending; k unknowns, in sigmas of the data per prior sigma
     rank_defect : int
-        Dead directions.
+        Unobservable directions.
     weak : int
-        Directions that the prior determines better than the data, dead ones not counted.
+        Directions held by the prior.
     null_space : (k, rank_defect) array
-        Orthonormal dead directions in prior sigmas.
+        Orthonormal unobservable directions in prior sigmas.
     sentences : tuple of str
-        One per dead direction.
+        One per unobservable direction.
+    held : tuple of str
+        One per direction held by the prior: the unknown that it is mostly made of.
+    condition, raw_condition : float or None
+        Condition of the Jacobian with unknowns in prior sigmas, and with unknowns in raw units (coefficients per
+        line, as publications write them); None without full rank.
+    summary : str
+        All of it in one sentence.
     """
 
     image: str
@@ -55,6 +72,15 @@ class ImageObservability:
     weak: int
     null_space: Array
     sentences: tuple[str, ...]
+    held: tuple[str, ...] = ()
+    condition: float | None = None
+    raw_condition: float | None = None
+    summary: str = ""
+
+    @property
+    def determined(self) -> int:
+        """Directions that the data determine better than the prior."""
+        return len(self.singular_values) - self.rank_defect - self.weak
 
 
 def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservability:
@@ -73,16 +99,19 @@ def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservabilit
     short = np.asarray(np.linalg.qr(jacobian, mode="r")) if len(jacobian) > k else jacobian
     full = np.vstack([short, np.zeros((max(0, k - len(short)), k))])
     _, s, vt = np.linalg.svd(full, full_matrices=False)
-    dead = s < DEAD
+    dead, weak = s <= UNOBSERVABLE, (s > UNOBSERVABLE) & (s < DETERMINED)
     null = vt[dead].T
-    sentences = _name_directions(image, null, model.parameters, model.silent_directions()) if dead.any() else []
-    return ImageObservability(image, s, int(dead.sum()), int(((s < WEAK) & ~dead).sum()), null, tuple(sentences))
+    texts = _name_directions(null, model.parameters, model.silent_directions()) if dead.any() else []
+    held = _name_by_unknowns(vt[weak], model.parameters.words)
+    condition, raw = (None, None) if dead.any() else (float(s[0] / s[-1]), _raw_condition(full, model))
+    return ImageObservability(
+        image, s, int(dead.sum()), int(weak.sum()), null, tuple(f"image {image}: {t}" for t in texts), held, condition,
+        raw, f"image {image}: {_summary(texts, len(held), k, condition, raw)}",
+    )  # fmt: skip
 
 
-def _name_directions(
-    image: str, null: Array, parameters: ImageParameters, candidates: list[tuple[str, Array]]
-) -> list[str]:
-    """One sentence per dead direction: greedy match with the candidates, the rest by components."""
+def _name_directions(null: Array, parameters: ImageParameters, candidates: list[tuple[str, Array]]) -> list[str]:
+    """Words per unobservable direction: greedy match with the candidates, the rest by components."""
     found, rest = [], null
     while rest.shape[1]:
         shares = [0.0 if k in found else float(np.linalg.norm(rest.T @ d)) for k, (_, d) in enumerate(candidates)]
@@ -94,8 +123,8 @@ def _name_directions(
         explained /= np.linalg.norm(explained)
         u, s, _ = np.linalg.svd(rest - np.outer(explained, explained @ rest), full_matrices=False)
         rest = u[:, s > 0.5]
-    sentences = [f"image {image}: {candidates[k][0]}" for k in sorted(found)]
-    return sentences + [f"image {image}: {_by_components(rest[:, j], parameters)}" for j in range(rest.shape[1])]
+    texts = [candidates[k][0] for k in sorted(found)]
+    return texts + [_by_components(rest[:, j], parameters) for j in range(rest.shape[1])]
 
 
 def _by_components(direction: Array, parameters: ImageParameters) -> str:
@@ -105,114 +134,220 @@ def _by_components(direction: Array, parameters: ImageParameters) -> str:
     return "this combination is not observable (in prior sigmas): " + " ".join(parts)
 
 
+def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, ...]:
+    """Unknown that each direction (d, k) is mostly made of, no unknown twice, in the order of the unknowns."""
+    return tuple(words[j] for j in np.sort(linear_sum_assignment(-(directions**2))[1]))
+
+
+def _raw_condition(jacobian: Array, model: ImageModel) -> float:
+    """Condition with the unknowns in physical units per line, where the model has such coefficients."""
+    factors, _ = model.per_line()
+    unit = model.parameters.sigma * np.where(np.isfinite(factors), factors, 1.0)
+    s = np.linalg.svd(jacobian / unit, compute_uv=False)
+    return float(s[0] / s[-1]) if s[-1] > 0.0 else float("inf")
+
+
+#: Beginning of a sentence on velocity, and its word in a summary.
+_VELOCITY: Final = (("velocity along track", "along track"), ("velocity across track", "across track"),
+                    ("radial velocity", "radial"))  # fmt: skip
+
+
+def _summary(texts: list[str], held: int, k: int, condition: float | None, raw: float | None) -> str:
+    """Say in one line what is unobservable, how much the prior holds, and whether units need scaling."""
+    silent = [t for t in texts if t.endswith("acts on nothing")]
+    yaw = [t for t in texts if "acts as yaw" in t]
+    names = [short for long, short in _VELOCITY if any(t.startswith(long) for t in silent)]
+    parts = [] if texts else ["full rank"]
+    if names:
+        parts.append(f"velocity {' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))} "
+                     f"act{'s' if len(names) == 1 else ''} on nothing")  # fmt: skip
+    if yaw:
+        parts.append("across-track velocity equals yaw")
+    others = len(texts) - len(silent) - len(yaw)
+    if others:
+        parts.append(f"{others} other direction{'s' if others > 1 else ''} not observable")
+    parts.append(f"{held} of {k} held by the prior")
+    if condition is not None and raw is not None and raw > NEEDS_SCALING:
+        parts.append(f"raw units need scaling (condition {raw:.0e}, in prior sigmas {condition:.0e})")
+    return "; ".join(parts)
+
+
 @dataclass(frozen=True)
 class BlockObservability:
     """What all observations together say about all images, ground points free, no priors.
 
     Parameters
     ----------
-    singular_values : (u,) array, descending; u unknowns of all images
+    singular_values : (u,) array, descending; u unknowns of all images; empty for a block that is too large
     sentences : tuple of str
-        One per direction below the dead limit, by its largest components.
+        One per unobservable direction: motions of the block by name, others by their largest components.
     weak : int
-        Directions determined 100 times worse than their prior sigma, dead ones not counted.
+        Directions determined 100 times worse than their prior sigma, unobservable ones not counted.
     datum : tuple of str
         One per common shift, turn or change of scale of all images that no control point fixes.
+    motions : tuple of FreeMotions
+        The motions of each part of the block that has free ones.
+    structure : Structure
+        Parts of the block, and what lacks observations.
+    unexplained : int
+        Unobservable directions that are no motions of the block.
     """
 
     singular_values: Array
     sentences: tuple[str, ...]
     weak: int
-    datum: tuple[str, ...] = ()
+    datum: tuple[str, ...]
+    motions: tuple[FreeMotions, ...]
+    structure: Structure
+    unexplained: int = 0
+
+    @property
+    def counts(self) -> dict[str, int] | None:
+        """Directions of the three classes; None for a block that is too large."""
+        s = self.singular_values
+        if not len(s):
+            return None
+        dead, held = int((s <= UNOBSERVABLE).sum()), int((s < DETERMINED).sum())
+        return {"unobservable": dead, "held_by_the_prior": held - dead, "determined": len(s) - held}
+
+    @property
+    def n_free_motions(self) -> int:
+        """Motions of the block that no control point fixes."""
+        return sum(len(m) for m in self.motions)
+
+    @property
+    def relative(self) -> bool:
+        """Nothing but the priors tells where the block lies: it has free motions and no control point."""
+        return bool(self.motions) and not any(m.control for m in self.motions) and self.structure.n_parts == len(
+            self.motions
+        )  # fmt: skip
+
+    def deficiencies(self, problem: Problem) -> tuple[str, ...]:
+        """One sentence per part with free motions, and one that names the parts, each with its remedy."""
+        priors = problem.block.options.priors
+        out = [f"{part_sentence(m, priors=priors)}; {m.remedy}" for m in self.motions]
+        if self.structure.n_parts > 1:
+            out.append(_parts_sentence(problem, self.structure))
+        return tuple(out)
 
 
 #: Without priors, directions below this singular value are pointed out.
-WEAK_WITHOUT_PRIORS = 1e-2
-#: A motion of all images by this much shows whether anything but the priors holds them.
-DATUM_SHIFT_M = 10.0
+WEAK_WITHOUT_PRIORS: Final = 1e-2
+#: Rows times squared unknowns up to which a block with priors is judged as a whole (some 0.3 s).
+WORK_LIMIT: Final = 2e9
 
 
-def analyse_block(problem: Problem) -> BlockObservability:
-    """Judge the block without priors: unknown ground points are eliminated point by point (QR)."""
-    _, j_image, j_ground = problem.image_residuals(problem.start, jacobian=True)
-    rest = _eliminated(problem, j_image, j_ground)
-    u = problem.n_image_unknowns
+def affordable(problem: Problem) -> bool:
+    """Tell whether the whole block can be decomposed in no time beside its adjustment."""
+    return 2.0 * len(problem.observations) * problem.n_image_unknowns**2 <= WORK_LIMIT
+
+
+def analyse_block(problem: Problem, structure: Structure | None = None, *, whole: bool = True) -> BlockObservability:
+    """Judge the block without priors: unknown ground points are eliminated point by point (QR).
+
+    Own observations have no part in it, but for the structure.
+
+    Parameters
+    ----------
+    problem : Problem
+    structure : Structure, optional
+        Of the block, if it is known.
+    whole : bool
+        False: no singular values, only the motions of its parts, at a cost linear in the observations.
+    """
+    structure = structure or analyse_structure(problem)
+    rows, u = Rows.of(problem, problem.start), problem.n_image_unknowns
+    rest = eliminated(problem, rows) if whole else None
+    parts = [np.flatnonzero(structure.part == p) for p in range(structure.n_parts)]
+    motions = tuple(m for m in (free_motions(problem, rows, rest, p) for p in parts) if len(m))
+    datum = tuple(t for m in motions for t in _motion_sentences(m, problem, alone=structure.n_parts == 1))
+    if rest is None:
+        return BlockObservability(np.zeros(0), (), 0, datum, motions, structure)
     full = np.vstack([rest, np.zeros((max(0, u - len(rest)), u))])
     _, s, vt = np.linalg.svd(full, full_matrices=False)
+    dead = s <= UNOBSERVABLE
+    sentences, unexplained = _dead_sentences(problem, vt[dead].T, motions, structure)
+    weak = int(((s < WEAK_WITHOUT_PRIORS) & ~dead).sum())
+    return BlockObservability(s, sentences, weak, datum, motions, structure, unexplained)
+
+
+def _dead_sentences(
+    problem: Problem, null: Array, motions: tuple[FreeMotions, ...], structure: Structure
+) -> tuple[tuple[str, ...], int]:
+    """One sentence per unobservable direction (u, d) of the block, motions first; and how many are no motions."""
+    told, rest = [], null
+    for m in motions:
+        texts = _motion_sentences(m, problem, alone=structure.n_parts == 1)
+        inside = m.unobservable
+        told += [t for t, yes in zip(texts, inside, strict=True) if yes]
+        if inside.any() and rest.shape[1]:
+            moved, s, _ = np.linalg.svd(rest @ (rest.T @ _unit(m.moves[:, inside])), full_matrices=False)
+            known = moved[:, s > UNOBSERVABLE]
+            u, s, _ = np.linalg.svd(rest - known @ (known.T @ rest), full_matrices=False)
+            rest = u[:, s > 0.5]
+    told = told[: null.shape[1]]
     names = [
         (image.id, word)
         for image, parameters in zip(problem.block.images, problem.parameters, strict=True)
         for word in parameters.words
     ]
-    sentences = tuple(_block_sentence(vt[k], names) for k in np.flatnonzero(s < DEAD))
-    weak = int(((s < WEAK_WITHOUT_PRIORS) & (s >= DEAD)).sum())
-    datum = (
-        ()
-        if (~problem.active[problem.observations.point]).any() or problem.observed.any()
-        else _datum(problem, rest, j_image, j_ground)
-    )
-    return BlockObservability(s, sentences, weak, datum)
+    left = null.shape[1] - len(told)
+    told += [_block_sentence(rest[:, k], names) for k in range(min(left, rest.shape[1]))]
+    return tuple(told), left
 
 
-def _eliminated(problem: Problem, j_image: list[Array], j_ground: list[Array]) -> Array:
-    """Rows (q, u) of all image unknowns with the ground points eliminated, compressed by QR on the way."""
-    first, u, image = problem.first, problem.n_image_unknowns, problem.observations.image
-    parts, height = [np.zeros((0, u))], 0
-    for j, rows in problem.rows_by_point():
-        b = np.zeros((2 * len(rows), u))
-        for r, row in enumerate(rows):
-            b[2 * r : 2 * r + 2, first[image[row]] : first[image[row] + 1]] = j_image[row]
-        if problem.active[j]:
-            a = np.vstack([j_ground[row] for row in rows])
-            if problem.observed[j]:
-                a = np.vstack([a, problem.control_records[j, :9].reshape(3, 3)])
-                b = np.vstack([b, np.zeros((3, u))])
-            b = np.linalg.qr(a, mode="complete")[0][:, 3:].T @ b
-        parts.append(b)
-        height += len(b)
-        if height > 4 * u + 100:
-            parts = [np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))]
-            height = len(parts[0])
-    return np.vstack(parts)
+def _unit(columns: Array) -> Array:
+    """Columns of length 1."""
+    return np.asarray(columns / np.linalg.norm(columns, axis=0))
 
 
-def _datum(problem: Problem, rest: Array, j_image: list[Array], j_ground: list[Array]) -> tuple[str, ...]:
-    """Common shifts, turns and change of scale that the block itself does not resist.
-
-    For each of them every image takes the unknowns that best follow the moved ground; what the block then
-    still feels is the change of its residuals with the ground points free to follow.
-    """
-    image, point = problem.observations.image, problem.observations.point
-    by_image = [np.flatnonzero(image == k) for k in range(problem.n_images)]
+def _motion_sentences(m: FreeMotions, problem: Problem, *, alone: bool) -> list[str]:
+    """One sentence per free motion of a part of the block."""
+    who = "block: the images" if alone else f"block: images {named(m.images)}"
     out = []
-    for words, shift in _motions(problem):
-        move = np.zeros(problem.n_image_unknowns)
-        for k, rows in enumerate(by_image):
-            a = np.vstack([j_image[r] for r in rows])
-            b = np.concatenate([j_ground[r] @ shift[point[r]] for r in rows])
-            move[problem.first[k] : problem.first[k + 1]] = -np.linalg.lstsq(a, b, rcond=None)[0]
-        felt = float(np.linalg.norm(rest @ move) / np.sqrt(2 * len(problem.observations)))
-        if felt < WEAK:
-            out.append(
-                f"block: the images may be {words}: no control point; {DATUM_SHIFT_M:g} m change the "
-                f"residuals by {felt:.1g} of their sigma (root mean square), the priors alone hold it"
-            )
-    return tuple(out)
+    for words, felt, strength in zip(m.words, m.felt, m.strength, strict=True):
+        told = f"{who} may be {words}: {_control_words(m)}; {SHIFT_M:g} m change the residuals by {felt:.1g} of their "
+        out.append(f"{told}sigma (root mean square), {_holder(strength, problem.block.options.priors)}")
+    return out
 
 
-def _motions(problem: Problem) -> list[tuple[str, Array]]:
-    """The seven motions of a similarity in words, with the shift (N, 3) m of every ground point.
+def _holder(strength: float, priors: bool) -> str:
+    """What holds a motion."""
+    if strength >= DETERMINED:
+        return "the curvature of the models alone holds it"
+    if not priors:
+        return "nothing else holds it"
+    return "the priors alone hold it"
 
-    Turns and change of scale are about the middle of the points, large enough for half of them to go
-    :data:`DATUM_SHIFT_M` or more.
-    """
-    ground, seen = problem.start.ground, np.unique(problem.observations.point)
-    arm = ground - np.median(ground[seen], axis=0)
-    turn, names = problem.axes(problem.origin_m[None])[0], problem.axis_names
-    whole = [(f"shifted together {name}", np.tile(axis, (len(arm), 1))) for name, axis in zip(names, turn, strict=True)]
-    whole += [(f"turned together about {name}", np.cross(axis, arm)) for name, axis in zip(names, turn, strict=True)]
-    whole.append(("scaled together", arm))
-    return [(words, DATUM_SHIFT_M / np.median(np.linalg.norm(d[seen], axis=1)) * d) for words, d in whole]
+
+def _control_words(m: FreeMotions) -> str:
+    """Control points of a part."""
+    if not m.control:
+        return "no control point"
+    return f"{len(m.control)} control point{'s' if len(m.control) > 1 else ''} only, {named(m.control)}"
+
+
+def part_sentence(m: FreeMotions, *, priors: bool) -> str:
+    """Say how many motions of a part of the block are free, and which."""
+    by = "held by the priors alone" if priors else "free"
+    many = f"{len(m)} motions are" if len(m) > 1 else "1 motion is"
+    return f"images {named(m.images)}, {_control_words(m)}: {many} {by} ({', '.join(m.words)})"
+
+
+def _parts_sentence(problem: Problem, structure: Structure) -> str:
+    """Name the parts of the block that no ground point links."""
+    ids = problem.block.points.ids
+    told = []
+    for p in range(structure.n_parts):
+        images = [problem.block.images[k].id for k in np.flatnonzero(structure.part == p)]
+        points = np.flatnonzero(structure.point_part == p)
+        control = [ids[j] for j in points[problem.observed[points] | ~problem.active[points]]]
+        known = f"control points {named(control)}" if control else "no control point"
+        told.append(f"images {named(images)} ({len(points)} points, {known})")
+    return (
+        f"the block falls into {structure.n_parts} parts that no point links: {' | '.join(told[:10])}"
+        f"{' ...' if len(told) > 10 else ''}; measure points in images of both"
+    )
 
 
 def _block_sentence(direction: Array, names: list[tuple[str, str]]) -> str:

@@ -116,17 +116,20 @@ def warnings(
             f"without priors {block.weak} direction(s) of the block are determined 100 times worse than their prior "
             "sigma: results along them are not reliable"
         )
-    if block is not None and block.datum:
+    if block is not None and block.relative:
         east, north, up = _moved(problem, estimate)
         out.append(
             "relative adjustment: no control point tells where the block lies; it moved by "
             f"{east:+.1f}, {north:+.1f}, {up:+.1f} m {', '.join(problem.axis_names)}. No figure of it is an accuracy; "
             "if it moved farther than the vendor's own location error, give that error as prior sigma"
         )
+    if block is not None:
+        out += block.deficiencies(problem)
     out += conditioning.sentences(problem, estimate)
     dead = sum(o.rank_defect for o in observability)
     if dead:
         out.append(f"{dead} direction(s) of the orientation are not observable and are held by their priors alone")
+        out += [o.summary for o in observability if o.rank_defect][:NAMED]
     if any(name.startswith("psi_") for p in problem.parameters for name in p.names):
         out.append(
             "the constant and linear look-angle terms nearly duplicate roll, pitch and yaw: judge their sum, "

@@ -12,6 +12,7 @@ import numpy as np
 
 from fg_orient.names import Status
 from fg_orient.parameters import EOP_SETS
+from fg_orient.quality.deficiency import DEFICIENT
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.quality.verdict import DOWN
 
@@ -67,6 +68,7 @@ def summary(solution: Solution) -> dict[str, Any]:
             "check": _check(solution.accuracy.check),
         },
         "robust": _robust(solution),
+        "variance_components": None if solution.components is None else solution.components.as_dict(),
         "resumed_at_iteration": solution.resumed_at or None,
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
         "memory": None if solution.memory is None else solution.memory.as_dict(),
@@ -107,7 +109,7 @@ def _robust(solution: Solution) -> dict[str, Any] | None:
 
 def _parallax(solution: Solution) -> dict[str, Any]:
     """y-parallaxes before and after a relative adjustment, which has no other result; else nothing."""
-    if solution.block_view is None or not solution.block_view.datum:
+    if solution.block_view is None or not solution.block_view.relative:
         return {}
     problem = solution.problem
     points, before = y_parallaxes(problem, problem.start)
@@ -164,7 +166,7 @@ def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]
     dict
         The keys of :func:`summary` that exist without a solution, and ``errors``.
     """
-    sentences = [p.place for p in error.problems if p.code == "adjust.rank_deficient"]
+    sentences = [p.place for p in error.problems if p.code in DEFICIENT]
     return {
         "status": str(Status.RANK_DEFICIENT),
         "reason": "some unknowns are determined neither by observations nor by priors",
@@ -194,6 +196,7 @@ def _choices(options: Options) -> dict[str, Any]:
         "eop_set": options.eop_set,
         "eop_set_name": EOP_SETS[options.eop_set][0],
         "look_polynomial": options.look_polynomial,
+        "image_unknowns": list(options.image_unknowns) or None,
         "priors": options.priors,
         "check_points": options.check_points,
         "rpc_compensation": options.rpc_compensation,

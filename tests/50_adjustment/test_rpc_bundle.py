@@ -257,8 +257,9 @@ def test_without_priors_what_an_image_cannot_show_is_refused_in_words() -> None:
     with pytest.raises(RankDeficientError) as caught:
         fg.adjust(few, priors=False)
     assert caught.value.rank_defect == {"left": 2}
-    places = [p.place for p in caught.value.problems]
-    assert all("not observable" in place and "(px)" in place for place in places)
+    structural, *directions = caught.value.problems
+    assert structural.code == "statistics.too_few" and structural.place.startswith("image left: 2 image points")
+    assert all("not observable" in p.place and "(px)" in p.place for p in directions)
     assert fg.adjust(few).rank_defect == {"left": 2}  # with priors it is said, and solved
 
 

@@ -1,0 +1,141 @@
+"""What is not determined, judged before anything is solved: said where priors hold it, refused where nothing does.
+
+The order is that of the sentences a user can act on: unknowns for which there are too few observations (structure),
+directions that physics hides from an image, motions of the block that no control point fixes, any other direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.block import Block
+from fg_orient.errors import FgOrientError, InputError, RankDeficientError, problem
+from fg_orient.errors import Problem as Fault
+from fg_orient.linear.threads import one_blas_thread
+from fg_orient.quality.observability import (
+    BlockObservability,
+    ImageObservability,
+    affordable,
+    analyse,
+    analyse_block,
+    part_sentence,
+)
+from fg_orient.quality.structure import Structure, analyse_structure
+
+#: Codes of faults that name what is not determined.
+DEFICIENT: Final = ("adjust.rank_deficient", "statistics.too_few", "statistics.motions")
+#: Image points of a block with control points up to which its motions are looked at.
+MOTIONS_UP_TO: Final = 100_000
+
+
+def compiled_problem(block: Block) -> Problem:
+    """Compile a block; where it has no control point, say which motions are free.
+
+    Raises
+    ------
+    InputError
+        See ``compile_problem``; after ``block.no_control`` one problem per part of the block.
+    """
+    try:
+        return compile_problem(block)
+    except InputError as error:
+        if [p.code for p in error.problems] != ["block.no_control"]:
+            raise
+        raise InputError(*error.problems, *_motions_without_control(block)) from None
+
+
+def _motions_without_control(block: Block) -> list[Fault]:
+    """One fault per part of a block without control points; none if the block has other faults, too."""
+    loose = replace(block, options=replace(block.options, datum="free", priors=False))
+    try:
+        compiled = compile_problem(loose)
+    except FgOrientError:
+        return []
+    with one_blas_thread():
+        view = analyse_block(compiled, whole=affordable(compiled))
+    return _motion_faults(view)
+
+
+def judge_observability(compiled: Problem, state: State | None = None) -> tuple[ImageObservability, ...]:
+    """Singular values of each image's whitened Jacobian at a state (default: the start)."""
+    out = []
+    with one_blas_thread():
+        for k, rows in enumerate(rows_by_image(compiled)):
+            _, jacobian, _ = image_rows(compiled, state or compiled.start, k, rows, jacobian=True)
+            model = compiled.models[k]
+            flat = jacobian.reshape(2 * len(rows), len(model.parameters))
+            out.append(analyse(compiled.block.images[k].id, flat, model))
+    return tuple(out)
+
+
+def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability, ...]) -> BlockObservability:
+    """Refuse a block whose unknowns nothing determines; give the view of the whole block.
+
+    Raises
+    ------
+    RankDeficientError
+        One problem per unknown that lacks observations, direction that no image shows, or part of the block that no
+        control point fixes.
+    """
+    structure = analyse_structure(compiled)
+    _refuse(compiled, observability, _structural(compiled, structure, observability))
+    with one_blas_thread():
+        view = _view(compiled, structure)
+    if not compiled.block.options.priors:
+        _refuse(compiled, observability, _numerical(compiled, view))
+    return view
+
+
+def _view(compiled: Problem, structure: Structure) -> BlockObservability:
+    """As much of the block as its size allows; all of it where nothing but the observations holds it."""
+    options = compiled.block.options
+    if not options.priors or affordable(compiled):
+        return analyse_block(compiled, structure)
+    if options.datum != "control" or len(compiled.observations) <= MOTIONS_UP_TO:
+        return analyse_block(compiled, structure, whole=False)
+    return BlockObservability(np.zeros(0), (), 0, (), (), structure)
+
+
+def _structural(compiled: Problem, structure: Structure, observability: tuple[ImageObservability, ...]) -> list[Fault]:
+    """Faults of structure and of single images; damped steps need neither points nor all images determined."""
+    floating = compiled.least_damping > 0.0 and compiled.redundancy >= 0
+    lacks = () if floating else structure.lacks
+    out = [problem("statistics.too_few", place=lack.sentence, remedy=lack.remedy) for lack in lacks]
+    if compiled.block.options.priors:
+        return out
+    seen = [o for o in observability if lacks == () or o.rank_defect < len(o.singular_values)]
+    sentences = [sentence for o in seen for sentence in o.sentences]
+    return out + [problem("adjust.rank_deficient", place=sentence) for sentence in sentences]
+
+
+def _numerical(compiled: Problem, view: BlockObservability) -> list[Fault]:
+    """Faults of the block as a whole; a datum that may be free has its motions."""
+    loose = compiled.block.options.datum in ("free", "inner")
+    dead = sum(int(m.unobservable.sum()) for m in view.motions)
+    out = [] if loose or not dead else _motion_faults(view)
+    others = view.sentences[len(view.sentences) - view.unexplained :]
+    return out + [problem("adjust.rank_deficient", place=sentence) for sentence in others]
+
+
+def _motion_faults(view: BlockObservability) -> list[Fault]:
+    return [
+        problem("statistics.motions", place=part_sentence(m, priors=False), value=len(m), remedy=m.remedy)
+        for m in view.motions
+    ]
+
+
+def _refuse(compiled: Problem, observability: tuple[ImageObservability, ...], faults: Sequence[Fault]) -> None:
+    if not faults:
+        return
+    counts = {
+        "n_observations": compiled.n_observations,
+        "n_unknowns": compiled.n_unknowns,
+        "redundancy": compiled.redundancy,
+    }
+    raise RankDeficientError(*faults, rank_defect={o.image: o.rank_defect for o in observability}, counts=counts)

@@ -1,0 +1,232 @@
+"""Structural rank: what no observation can determine for want of observations, before numbers are looked at.
+
+Unknowns and observations form a bipartite graph. Its coarse decomposition (Dulmage & Mendelsohn 1958) names the
+unknowns that even the best assignment of observations leaves without one. All unknowns of an image stand in the same
+observations, and so do the three of a ground point; hence the decomposition of the scalars is that of a flow
+between whole images, ground points and observations: a ray gives two, a control point three, an image needs as many as
+it has unknowns, a point three.
+
+Most blocks need no flow: if every point takes its three in equal shares from its rays, and the rest is enough for
+each image, the shares are a fractional flow, and there is a whole one too (the constraints of a flow are totally
+unimodular). That test costs a few passes over the observations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from fg_orient.adjustment.problem import Problem
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: Names in one sentence.
+NAMED: Final = 10
+
+
+@dataclass(frozen=True)
+class Lack:
+    """Unknowns for which there are too few observations.
+
+    Parameters
+    ----------
+    images, points : tuple of str
+        Ids: the under-determined part of the decomposition that hangs together.
+    free : int
+        Directions that at least stay free.
+    sentence, remedy : str
+    """
+
+    images: tuple[str, ...]
+    points: tuple[str, ...]
+    free: int
+    sentence: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What the structure of a block tells.
+
+    Parameters
+    ----------
+    part : (M,) int array
+        Which part of the block each image is in; parts have no ground point or own observation in common.
+    point_part : (N,) int array
+        The same of ground points; -1 for those in no observation.
+    lacks : tuple of Lack
+        Empty if the structural rank is full.
+    """
+
+    part: Index
+    point_part: Index
+    lacks: tuple[Lack, ...]
+
+    @property
+    def defect(self) -> int:
+        """Unknowns minus structural rank."""
+        return sum(lack.free for lack in self.lacks)
+
+    @property
+    def n_parts(self) -> int:
+        """Parts of the block."""
+        return int(self.part.max()) + 1
+
+
+def analyse_structure(problem: Problem) -> Structure:
+    """Parts of a block, and what lacks observations in each.
+
+    Priors count as observations where the problem has them.
+    """
+    part, point_part = _parts(problem)
+    image_need, point_need = _needs(problem)
+    lacks = () if _enough(problem, image_need, point_need) else _lacking(problem, image_need, point_need)
+    return Structure(part, point_part, lacks)
+
+
+def named(ids: list[str] | tuple[str, ...]) -> str:
+    """Join ids, the first ten of many."""
+    return ", ".join(ids[:NAMED]) + (f" ... ({len(ids)})" if len(ids) > NAMED else "")
+
+
+def _needs(problem: Problem) -> tuple[Index, Index]:
+    """Observations that each image (M,) and each ground point (N,) still needs besides priors and its own control."""
+    images = np.diff(problem.first) * (0 if problem.block.options.priors else 1)
+    return images.astype(np.intp), np.where(problem.active & ~problem.observed, 3, 0).astype(np.intp)
+
+
+def _enough(problem: Problem, image_need: Index, point_need: Index) -> bool:
+    """Tell whether equal shares of the rays are enough for all points and images (sufficient, not necessary)."""
+    o = problem.observations
+    rays = np.bincount(o.point, minlength=len(point_need))
+    if np.any(2 * rays < point_need):
+        return False
+    share = point_need / np.maximum(rays, 1)
+    left = np.bincount(o.image, weights=2.0 - share[o.point], minlength=len(image_need))
+    return bool(np.all(left >= image_need - 1e-9))
+
+
+def _groups(problem: Problem) -> tuple[Index, Index, Index]:
+    """Observations as pairs (observation, unknown): images are unknowns 0 .. M-1, points M ..; and their sizes."""
+    o, m = problem.observations, problem.n_images
+    n = len(o)
+    rows, columns, sizes = [np.tile(np.arange(n), 2)], [np.concatenate([o.image, m + o.point])], [np.full(n, 2)]
+    for k, extra in enumerate(problem.block.extra):
+        unknown = [a for a in problem.extra_arguments(extra) if a.constant is None]
+        rows.append(np.full(len(unknown), n + k))
+        columns.append(np.array([a.index if a.is_image else m + a.index for a in unknown]))
+        sizes.append(np.array([extra.n_residuals]))
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(sizes)
+
+
+def _parts(problem: Problem) -> tuple[Index, Index]:
+    """Parts of the block by images and unknown ground points; a fixed point links nothing."""
+    m, n_points = problem.n_images, len(problem.active)
+    row, column, sizes = _groups(problem)
+    linking = (column < m) | problem.active[np.maximum(column - m, 0)]
+    size = m + n_points + len(sizes)
+    ones = np.ones(int(linking.sum()), np.int8)
+    graph = sparse.coo_matrix((ones, (m + n_points + row[linking], column[linking])), shape=(size, size))
+    label = csgraph.connected_components(graph, directed=False)[1]
+    _, part = np.unique(label[:m], return_inverse=True)
+    points = np.full(n_points, -1, dtype=np.intp)
+    points[problem.observations.point] = part[problem.observations.image]
+    return part.astype(np.intp), points
+
+
+def _lacking(problem: Problem, image_need: Index, point_need: Index) -> tuple[Lack, ...]:
+    """Decompose by the flow: source - observations - unknowns - sink."""
+    row, column, supply = _groups(problem)
+    need = np.concatenate([image_need, point_need])
+    flow, got = _flow(row, column, supply, need)
+    missing = need - got
+    if not missing.any():
+        return ()
+    label, reached = _under_determined(row, column, flow, missing, len(supply))
+    out, once = [], []
+    rays = np.bincount(problem.observations.point, minlength=len(point_need))
+    for part in np.unique(label[np.flatnonzero(missing)]):
+        members = np.flatnonzero((label == part) & reached & (need > 0))
+        images, points = members[members < len(image_need)], members[members >= len(image_need)] - len(image_need)
+        free = int(missing[members].sum())
+        if not len(images) and len(points) == 1 and rays[points[0]] == 1:
+            once.append(int(points[0]))
+        else:
+            out.append(_lack(problem, images, points, free))
+    return tuple([*([_seen_once(problem, once)] if once else []), *out])
+
+
+def _flow(row: Index, column: Index, supply: Index, need: Index) -> tuple[Index, Index]:
+    """Largest flow: along the pairs (observation, unknown), and what each unknown gets of its need."""
+    n_rows, n = len(supply), len(supply) + len(need)
+    source, sink = n, n + 1
+    tail = np.concatenate([np.full(n_rows, source), row, n_rows + np.arange(len(need))])
+    head = np.concatenate([np.arange(n_rows), n_rows + column, np.full(len(need), sink)])
+    capacity = np.concatenate([supply, supply[row], need]).astype(np.int32)
+    keep = capacity > 0
+    graph = sparse.csr_matrix((capacity[keep], (tail[keep], head[keep])), shape=(n + 2, n + 2))
+    result = csgraph.maximum_flow(graph, source, sink).flow
+    along = np.asarray(result[row, n_rows + column]).ravel()
+    got = np.asarray(result[n_rows + np.arange(len(need)), np.full(len(need), sink)]).ravel()
+    return along.astype(np.intp), got.astype(np.intp)
+
+
+def _under_determined(
+    row: Index, column: Index, flow: Index, missing: Index, n_rows: int
+) -> tuple[Index, npt.NDArray[np.bool_]]:
+    """Parts of the unknowns that hang together, and which of them are under-determined.
+
+    Those are reached from unknowns that miss something: by any observation they stand in, to the unknowns that this
+    observation was given to.
+    """
+    n, start = n_rows + len(missing), n_rows + len(missing)
+    given, open_ = flow > 0, np.flatnonzero(missing)
+    tail = np.concatenate([np.full(len(open_), start), n_rows + column, row[given]])
+    head = np.concatenate([n_rows + open_, row, n_rows + column[given]])
+    graph = sparse.csr_matrix((np.ones(len(tail), np.int8), (tail, head)), shape=(n + 1, n + 1))
+    reached = np.zeros(n + 1, bool)
+    reached[csgraph.breadth_first_order(graph, start, return_predecessors=False)] = True
+    inside = reached[tail] & reached[head] & (tail != start)
+    within = sparse.coo_matrix((np.ones(int(inside.sum()), np.int8), (tail[inside], head[inside])), shape=(n, n))
+    label = csgraph.connected_components(within, directed=False)[1]
+    return label[n_rows:].astype(np.intp), reached[n_rows:n]
+
+
+def _seen_once(problem: Problem, points: list[int]) -> Lack:
+    """Points with one ray: nothing tells how far along it they lie."""
+    o, block = problem.observations, problem.block
+    ids = tuple(block.points.ids[j] for j in points)
+    images = tuple(block.images[k].id for k in np.unique(o.image[np.isin(o.point, points)]))
+    many = len(ids) > 1
+    sentence = (
+        f"{'points' if many else 'point'} {named(ids)}: seen in one image only ({named(images)}), {len(ids)} "
+        f"direction{'s' if many else ''} along {'their rays are' if many else 'its ray is'} free"
+    )
+    them = "them" if many else "it"
+    return Lack((), ids, len(ids), sentence, f"measure {them} in a second image, or give {them} coordinates as control")
+
+
+def _lack(problem: Problem, images: Index, points: Index, free: int) -> Lack:
+    """Images, or images with their points, for which there are too few image points."""
+    block, o = problem.block, problem.observations
+    ids, names = (tuple(block.images[k].id for k in images), tuple(block.points.ids[j] for j in points))
+    unknowns = int(np.diff(problem.first)[images].sum())
+    n = int(np.isin(o.image, images).sum())
+    what = f"image{'s' if len(ids) > 1 else ''} {named(ids)}" if ids else f"points {named(names)}"
+    if ids and not n:
+        told = f"in no observation, {'their' if len(ids) > 1 else 'its'} {unknowns} unknowns are free"
+    elif ids:
+        shared = f" and points {named(names)}" if names else ""
+        told = f"{n} image points are too few for {unknowns} unknowns{shared}, {free} directions at least are free"
+    else:
+        told = f"too few rays, {free} directions at least are free"
+    where = f" in image{'s' if len(ids) > 1 else ''} {named(ids)}" if ids else ""
+    return Lack(
+        ids, names, free, f"{what}: {told}", f"measure more points{where}, best control points, or keep the priors"
+    )
