@@ -7,8 +7,9 @@ the backend, and only then opens the coordinates of the check points.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,9 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.block import Block, Coordinates
+from fg_orient.components import adjust_with_components
 from fg_orient.names import Role
+from fg_orient.outlier_search import search
 from fg_orient.parallel.pool import Execution
 from fg_orient.parallel.solve import solve_in_parts
 from fg_orient.parameters import eop_set_number
@@ -35,6 +38,7 @@ from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient
 from fg_orient.quality.observability import BlockObservability, ImageObservability
+from fg_orient.quality.suspects import Kind
 from fg_orient.solution import Seconds, Solution
 
 Array = npt.NDArray[np.float64]
@@ -60,8 +64,15 @@ def adjust(
     loss: str | None = None,
     gnc: bool | None = None,
     inlier_probability: float | None = None,
+    snoop: bool | None = None,
+    snoop_kind: Kind = "groups",
+    outlier_test: str | None = None,
+    outlier_level: float | None = None,
+    multiple_testing: str | None = None,
     robust_start: str | None = None,
     robust_scale: str | None = None,
+    image_unknowns: Sequence[str] | None = None,
+    variance_components: Sequence[str] | None = None,
     parts: int | None = None,
     workers: int | None = None,
     cluster: Any = None,
@@ -105,6 +116,18 @@ def adjust(
         Called with an ``IterationRecord`` after each iteration.
     loss, gnc, inlier_probability, robust_start, robust_scale : optional
         Robust adjustment, see :class:`fg_orient.block.Options`; docs/robust.md.
+    image_unknowns : sequence of str, optional
+        Names of single unknowns of an image instead of a set ("x_0", "roll_1", "line_l1"), see
+        :class:`fg_orient.block.Options`.
+    variance_components : sequence of str, optional
+        Groups of observations whose sigmas are estimated, such as ("image", "position", "height"): adjusts until
+        they stand, without a checkpoint; docs/variance-components.md.
+    snoop, outlier_test, outlier_level, multiple_testing : optional
+        Search for gross errors and the tests of single observations, see :class:`fg_orient.block.Options`;
+        docs/outliers.md. ``callback`` and ``stage`` are called in every round, ``checkpoint`` keeps the first.
+    snoop_kind : str
+        What the search leaves out: "groups", image points and coordinates of control points, or "points", all
+        observations of a point.
     stage : callable, optional
         Called with the name of each stage of the work as it begins, and the number of image points.
     checkpoint : Checkpoint, optional
@@ -126,13 +149,37 @@ def adjust(
         "look_polynomial": look_polynomial, "priors": priors, "backend": backend, "solver": solver,
         "optimizer": optimizer, "max_iterations": max_iterations, "check_points": check_points,
         "rpc_compensation": rpc_compensation, "datum": datum, "memory_limit_gb": memory_limit_gb,
-        "statistics": statistics,
+        "statistics": statistics, "snoop": snoop, "outlier_test": outlier_test, "outlier_level": outlier_level,
+        "multiple_testing": multiple_testing,
         "loss": loss, "gnc": gnc, "inlier_probability": inlier_probability,
         "robust_start": robust_start, "robust_scale": robust_scale,
+        "image_unknowns": None if image_unknowns is None else tuple(image_unknowns),
+        "variance_components": None if variance_components is None else tuple(variance_components),
     }  # fmt: skip
     block = replace(block, options=replace(block.options, **{k: v for k, v in given.items() if v is not None}))
     require_possible(block.options)
-    memory = require_memory(block, elsewhere=cluster is not None)
+    if block.options.variance_components:
+        how: dict[str, Any] = {"parts": parts, "workers": workers, "cluster": cluster, "work_dir": work_dir}
+        return adjust_with_components(block, partial(adjust, callback=callback, stage=stage, **how))
+    shared = not (parts is None and workers is None and cluster is None)
+    execution = Execution(parts, workers or 1, cluster, work_dir) if shared else None
+
+    def run(block: Block, begin: State | None) -> Solution:
+        return adjust_once(block, execution, callback, stage, checkpoint if begin is None else None, begin)
+
+    return search(block, run, kind=snoop_kind) if block.options.snoop else run(block, None)
+
+
+def adjust_once(
+    block: Block,
+    execution: Execution | None = None,
+    callback: Callback | None = None,
+    stage: Stage | None = None,
+    checkpoint: Checkpoint | None = None,
+    begin: State | None = None,
+) -> Solution:
+    """Adjust a block as its options say, one time, from a state if one is given; see :func:`adjust`."""
+    memory = require_memory(block, elsewhere=execution is not None and execution.cluster is not None)
     jit_s = compile_kernels()
     start = time.perf_counter()
     tell = stage or (lambda name, count: None)
@@ -141,13 +188,11 @@ def adjust(
     observability = judge_observability(compiled)
     block_view = refuse_deficient(compiled, observability)
     structure = time.perf_counter() - start
-    shared = not (parts is None and workers is None and cluster is None)
-    execution = Execution(parts, workers or 1, cluster, work_dir) if shared else None
     tell("iterations", len(compiled.observations))
     if execution is None:
-        estimate = solve(compiled, callback, checkpoint=checkpoint)
+        estimate = solve(compiled, callback, checkpoint=checkpoint, start=begin)
     else:
-        estimate = solve_in_parts(compiled, execution, callback, checkpoint)
+        estimate = solve_in_parts(compiled, execution, callback, checkpoint, begin)
     tell("statistics", len(compiled.observations))
     solution = conclude(compiled, observability, block_view, estimate, structure)
     return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=jit_s))

@@ -9,31 +9,28 @@ same cost. The limit between good and bad observations is a quantile of chi-squa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Protocol, TypeVar
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.losses import Curve, losses
 from factors.losses.geman_mcclure import GEMAN_MCCLURE
-from fg_orient.adjustment.loop import STEP_TOLERANCE, Backend, Carried, LoopResult
-from fg_orient.adjustment.robust import CONTROL, IMAGE, Robust, RobustBackend, ScaledLoss, inlier_limit, robust_of
+from fg_orient.adjustment.robust import A_PRIORI, CONTROL, IMAGE, Robust, ScaledLoss, inlier_limit
 from fg_orient.block import Options
 
 Array = npt.NDArray[np.float64]
-S = TypeVar("S")
 
 #: By how much a stage is steeper than the one before (Yang et al. 2020, remark 5).
 FACTOR: Final = 1.4
-#: A stage ends at this scaled step, or after so many iterations: only the last one is gone to the end of.
-STAGE_STEP: Final = 1e-3
+#: A stage ends after so many iterations: only the last one is gone to the end of.
 STAGE_ITERATIONS: Final = 5
 #: Beyond, the truncated least squares and their surrogate differ for residuals within 1e-4 of the limit only.
 LARGEST_MU: Final = 1e4
-#: Stages: plain least squares, surrogates, the loss itself.
+#: Stages: plain least squares, surrogates (mu from 0), the loss itself.
 PLAIN: Final = -1.0
 EXACT: Final = math.inf
 
@@ -91,18 +88,6 @@ class TruncatedLeastSquares:
 SCHEDULES: Final[dict[str, Schedule]] = {"tls": TruncatedLeastSquares(), "geman_mcclure": GemanMcClure()}
 
 
-class Plan(Protocol):
-    """Stages on the way to a loss, from PLAIN to EXACT."""
-
-    def robust(self, mu: float) -> Robust:
-        """Losses of a stage."""
-        ...
-
-    def following(self, mu: float, squares: tuple[Array, Array]) -> float:
-        """Stage after the one that ended with these squared norms of image points and control points."""
-        ...
-
-
 @dataclass(frozen=True)
 class Graduated:
     """Graduated non-convexity for a loss.
@@ -125,12 +110,12 @@ class Graduated:
         limits = [inlier_limit(options.inlier_probability, d) for d in (IMAGE, CONTROL)]
         return cls(options.loss, *limits)
 
-    def robust(self, mu: float) -> Robust:
-        """The losses of a stage."""
+    def robust(self, mu: float, scale: tuple[float, float] = A_PRIORI) -> Robust:
+        """The losses of a stage; the limits are in sigmas."""
         if mu == EXACT:
             weight, cost = losses()[self.loss].weight, losses()[self.loss].cost
         elif mu == PLAIN:
-            weight, cost = np.ones_like, _half_square
+            weight, cost = np.ones_like, half_square
         else:
             weight, cost = SCHEDULES[self.loss].curves(mu)
         return Robust(ScaledLoss(weight, cost, self.image_limit), ScaledLoss(weight, cost, self.control_limit))
@@ -140,7 +125,11 @@ class Graduated:
         image, control = squares
         return np.concatenate([image / self.image_limit**2, control / self.control_limit**2])
 
-    def following(self, mu: float, squares: tuple[Array, Array]) -> float:
+    def iterations(self, mu: float) -> int:
+        """Iterations of a stage other than the last."""
+        return STAGE_ITERATIONS
+
+    def following(self, mu: float, squares: tuple[Array, Array], settled: bool = True) -> float:
         """Give the mu after a stage, from the squared norms at its end."""
         schedule, excess = SCHEDULES[self.loss], self.excess(squares)
         return schedule.first(float(excess.max(initial=0.0))) if mu == PLAIN else schedule.next(mu, excess)
@@ -173,70 +162,16 @@ def _truncated_cost(mu: float, u: Array) -> Array:
     return np.asarray(0.5 * np.where(u <= low, u**2, np.where(u < high, band, 1.0)))
 
 
-@dataclass(frozen=True)
-class Direct:
-    """A loss straight after plain least squares: metadata are off by many sigmas, where bounded losses see nothing."""
-
-    loss: Robust
-
-    def robust(self, mu: float) -> Robust:
-        """See :class:`Plan`."""
-        if mu == EXACT:
-            return self.loss
-        return Robust(
-            *(ScaledLoss(np.ones_like, _half_square, s.constant) for s in (self.loss.image, self.loss.control))
-        )
-
-    def following(self, mu: float, squares: tuple[Array, Array]) -> float:
-        """See :class:`Plan`."""
-        return EXACT
-
-
-def plan_of(options: Options) -> Plan | None:
-    """How the loss of the options is approached; None for least squares."""
-    if options.gnc:
-        return Graduated.of(options)
-    loss = robust_of(options)
-    return None if loss is None else Direct(loss)
-
-
-def _half_square(u: Array) -> Array:
+def half_square(u: Array) -> Array:
+    """Cost of least squares."""
     return np.asarray(0.5 * u**2)
 
 
 def stages_left(mus: Sequence[float]) -> int | None:
     """Stages to come after those of these mus, at most; None before two surrogates show which way they go."""
-    different = list(dict.fromkeys(mu for mu in mus if mu != PLAIN))
+    different = list(dict.fromkeys(mu for mu in mus if mu >= 0.0))
     if len(different) < 2 or different[-1] == EXACT:
         return None
     last = different[-1]
     factor = LARGEST_MU / last if last > different[0] else last
     return max(math.ceil(math.log(factor) / math.log(FACTOR)), 1)
-
-
-class GraduatedBackend(Backend[S], RobustBackend[S], Protocol[S]):
-    """What the stages need of a backend."""
-
-
-def graduate(
-    backend: GraduatedBackend[S],
-    optimise: Callable[[Carried[S], int, float], LoopResult[S]],
-    plan: Plan,
-    carried: Carried[S],
-    max_iterations: int,
-    keep: Callable[[Carried[S]], None],
-) -> LoopResult[S]:
-    """Run the stages from the one that ``carried.mu`` names; the last one's convergence is that of the whole.
-
-    ``optimise`` is an optimiser of the loop: from what is carried, at most so many iterations, to this step;
-    ``max_iterations`` bounds the last stage; ``keep`` is called with what is carried from stage to stage.
-    """
-    while True:
-        backend.robust, last = plan.robust(carried.mu), carried.mu == EXACT
-        limits = (max_iterations, STEP_TOLERANCE) if last else (STAGE_ITERATIONS, STAGE_STEP)
-        result = optimise(carried, *limits)
-        if last or not math.isfinite(result.error):
-            return result
-        mu = plan.following(carried.mu, backend.squares(result.state))
-        carried = Carried(result.state, log=result.log, begun_at=len(result.log), mu=mu)
-        keep(carried)

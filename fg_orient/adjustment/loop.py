@@ -113,6 +113,8 @@ class Carried(Generic[S]):
         Iterations of earlier stages.
     mu : float
         Stage of graduated non-convexity (``fg_orient.adjustment.gnc``); nan without.
+    image_scale, control_scale : float
+        Units of the losses of the stage, in sigmas.
     """
 
     state: S
@@ -124,6 +126,13 @@ class Carried(Generic[S]):
     log: tuple[IterationRecord, ...] = ()
     begun_at: int = 0
     mu: float = math.nan
+    image_scale: float = 1.0
+    control_scale: float = 1.0
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Both scales."""
+        return self.image_scale, self.control_scale
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,10 @@ Array = npt.NDArray[np.float64]
 FLOOR: Final = 1e-6
 IMAGE, CONTROL = 2, 3
 NONE: Final = "none"
+#: Weights that are no loss but an iteration of their own (``fg_orient.adjustment.irls``).
+IN_CYCLES: Final = ("danish_original", "lad")
+#: Scales of image points and control points: residuals are judged in sigmas.
+A_PRIORI: Final = (1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -87,10 +91,14 @@ class RobustBackend(Protocol[S_contra]):
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights at a state: of image points (n,) and, 1 for all others, control points (N,)."""
+    """Weights at a state: of image points (n,) and, 1 for all others, control points (N,).
+
+    ``scale``: unit of the losses of both, in sigmas.
+    """
 
     image: Array
     control: Array
+    scale: tuple[float, float] = A_PRIORI
 
 
 def find_loss(name: str) -> Loss:
@@ -103,16 +111,19 @@ def find_loss(name: str) -> Loss:
     """
     loss = find(name)
     if loss is None:
-        raise InputError.of("adjust.loss", place="loss", value=name, known=", ".join((NONE, *losses())))
+        raise InputError.of("adjust.loss", place="loss", value=name, known=", ".join((NONE, *losses(), *IN_CYCLES)))
     return loss
 
 
 def robust_of(options: Options) -> Robust | None:
     """Losses with their constants for 95 % efficiency; None for least squares."""
-    if options.loss == NONE:
-        return None
-    loss = find_loss(options.loss)
-    return Robust(*(ScaledLoss(loss.weight, loss.cost, loss.constant(d)) for d in (IMAGE, CONTROL)))
+    return None if options.loss == NONE else scaled(find_loss(options.loss))
+
+
+def scaled(loss: Loss, scale: tuple[float, float] = A_PRIORI) -> Robust:
+    """Give a loss for image points and control points, its constants in units of these scales."""
+    constants = (loss.constant(d) * s for d, s in zip((IMAGE, CONTROL), scale, strict=True))
+    return Robust(*(ScaledLoss(loss.weight, loss.cost, c) for c in constants))
 
 
 def inlier_limit(probability: float, dimension: int) -> float:

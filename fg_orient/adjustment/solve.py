@@ -8,13 +8,17 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from factors._contract import NotFiniteError
+from factors.losses import losses
 from fg_orient.adjustment.checkpoint import Checkpoint
-from fg_orient.adjustment.gnc import PLAIN, SCHEDULES, graduate, plan_of
+from fg_orient.adjustment.gnc import EXACT, PLAIN, SCHEDULES
+from fg_orient.adjustment.irls import DIMENSIONS, RULES, largest_difference, norms_at, reweight, weights_of
 from fg_orient.adjustment.loop import (
     OPTIMIZERS,
     ROUNDING_STEP,
@@ -27,7 +31,10 @@ from fg_orient.adjustment.loop import (
     LoopResult,
 )
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import NONE, Robust, Weights, find_loss, weights_at
+from fg_orient.adjustment.resection import METHODS, resection_start
+from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, Weights, find_loss, weighted_problem, weights_at
+from fg_orient.adjustment.robust_scale import robust_scale
+from fg_orient.adjustment.stages import plan_of, run_stages
 from fg_orient.block import Block, Options
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.linear.threads import one_blas_thread
@@ -39,6 +46,7 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.schur import SchurSystem
     from fg_orient.adjustment.schur_summed import SummedSystem
 
+Array = npt.NDArray[np.float64]
 S = TypeVar("S")
 
 #: Names of ``--optimizer``; the native ones are GTSAM's own, for equality tests on small blocks.
@@ -96,6 +104,7 @@ def solve(
     callback: Callback | None = None,
     schur: Callable[[Problem], Any] | None = None,
     checkpoint: Checkpoint | None = None,
+    start: State | None = None,
 ) -> Estimate:
     """Adjust through the backend of the block's options.
 
@@ -109,6 +118,8 @@ def solve(
         (``fg_orient.parallel``).
     checkpoint : Checkpoint, optional
         Keeps the run, or is what it goes on from. The caller removes it when the result is safe.
+    start : State, optional
+        Where to begin, instead of the problem's start; GTSAM's own optimisers do not look at it.
 
     Raises
     ------
@@ -124,7 +135,9 @@ def solve(
     require_possible(problem.block.options)
     try:
         with _garbage_collection_off():
-            return _run(_Job(problem, callback, checkpoint), schur)
+            if problem.block.options.loss in RULES:
+                return _in_cycles(problem, callback, schur is not None)
+            return _run(_Job(problem, callback, checkpoint, start), schur)
     except KeyboardInterrupt:
         done = None if checkpoint is None else checkpoint.write()
         if checkpoint is None or done is None:
@@ -173,14 +186,29 @@ def require_possible(options: Options) -> None:
         raise InputError.of("adjust.native_dense", place="optimizer", value=options.optimizer, known=", ".join(names))
     if options.optimizer not in names:
         raise InputError.of("adjust.optimizer", place="optimizer", value=options.optimizer, known=", ".join(names))
-    if options.loss != NONE:
-        find_loss(options.loss)
-        if options.optimizer in NATIVE:
-            raise InputError.of("adjust.native_loss", place="optimizer", value=options.optimizer)
+    _require_robust(options)
     if options.gnc and options.loss not in SCHEDULES:
         raise InputError.of("adjust.gnc", place="gnc", value=options.loss, known=", ".join(SCHEDULES))
     if options.solver is not None and options.backend != "dense":
         raise InputError.of("adjust.solver_dense", place="solver", value=options.solver, backend=options.backend)
+
+
+def _require_robust(options: Options) -> None:
+    """Refuse choices of a robust adjustment that do not go together."""
+    mad, resections = options.robust_scale == "mad", options.robust_start in METHODS
+    wish = "robust_scale" if mad else "robust_start"
+    if options.loss == NONE:
+        if mad or resections:
+            raise InputError.of("adjust.needs_loss", place=wish, value=getattr(options, wish))
+        return
+    if options.optimizer in NATIVE:
+        raise InputError.of("adjust.native_loss", place="optimizer", value=options.optimizer)
+    if options.loss not in RULES:
+        find_loss(options.loss)
+        if options.gnc and (mad or resections):
+            raise InputError.of("adjust.gnc_start", place=wish, value=getattr(options, wish))
+    elif options.gnc or mad or resections:
+        raise InputError.of("adjust.cycles", place="loss", value=options.loss, known=", ".join(losses()))
 
 
 def first_sentence(error: Exception) -> str:
@@ -201,23 +229,46 @@ def _garbage_collection_off() -> Iterator[None]:
 
 
 class _Job:
-    """A problem, who is told of its iterations, and where it goes on from."""
+    """A problem, who is told of its iterations, and where it goes on from.
 
-    def __init__(self, problem: Problem, callback: Callback | None, checkpoint: Checkpoint | None) -> None:
+    ``start``: a state to begin from, instead of the problem's.
+    """
+
+    def __init__(
+        self, problem: Problem, callback: Callback | None, checkpoint: Checkpoint | None, start: State | None = None
+    ) -> None:
         self.problem, self.options = problem, problem.block.options
         self._callback, self._checkpoint, self._plan = callback, checkpoint, plan_of(self.options)
         found = None if checkpoint is None else checkpoint.read(problem)
         self.backend = chosen_backend(problem) if found is None else found[0]
         self._found = None if found is None else found[1]
+        self._start, self._scale = start, A_PRIORI
         self._marks = [time.perf_counter()]
 
     def robust(self) -> Robust | None:
         """Losses of the first iteration; None for least squares."""
-        return None if self._plan is None else self._plan.robust(PLAIN)
+        first = self._first
+        return None if self._plan is None else self._plan.robust(first.mu, first.scale)
+
+    @cached_property
+    def _first(self) -> Carried[State]:
+        """What the first iteration begins with: what a stopped run carried, or the start."""
+        if self._found is not None:
+            return self._found
+        if self._plan is None or self.options.gnc or self.options.robust_start not in METHODS:
+            return Carried(self._start or self.problem.start, mu=math.nan if self._plan is None else PLAIN)
+        state, _ = resection_start(self.problem, self.options.robust_start)
+        image, control = self._measured(state)
+        return Carried(state, mu=EXACT, image_scale=image, control_scale=control)
+
+    def _measured(self, state: State) -> tuple[float, float]:
+        """Scale of the losses at a state."""
+        return robust_scale(self.problem, state) if self.options.robust_scale == "mad" else A_PRIORI
 
     def start_again(self, backend: str) -> None:
         """Begin from the start with another backend."""
         self.backend, self._found, self._marks = backend, None, [time.perf_counter()]
+        self.__dict__.pop("_first", None)
 
     def mark(self) -> None:
         """Note the time at which a phase ends."""
@@ -225,7 +276,7 @@ class _Job:
 
     def optimise(self, backend: Any, to_state: Callable[[S], State], of_state: Callable[[State], S]) -> LoopResult[S]:
         """Drive a backend; its states are translated for the checkpoint."""
-        options, found = self.options, self._found or Carried(self.problem.start)
+        options, found = self.options, self._first
         carried: Carried[S] = _with_state(found, of_state(found.state))
         if self._callback is not None:
             for record in carried.log:
@@ -244,15 +295,23 @@ class _Job:
         backend.robust = self.robust()
         if self._plan is None:
             return run(carried, options.max_iterations, STEP_TOLERANCE)
-        first = replace(carried, mu=PLAIN) if math.isnan(carried.mu) else carried
-        return graduate(backend, run, self._plan, first, options.max_iterations, keep)
+        result, self._scale = run_stages(
+            backend,
+            run,
+            self._plan,
+            carried,
+            options.max_iterations,
+            keep,
+            lambda state: self._measured(to_state(state)),
+        )
+        return result
 
     def estimate(self, backend: Any, result: LoopResult[S], state: State, linear: Any, solver: str = "") -> Estimate:
         """End of the optimisation; ``linear`` is the undamped linearisation at the state."""
         error, weights = result.error, None
         if backend.robust is not None:
             weights, excess = weights_at(self.problem, state, backend.robust)
-            error -= excess
+            weights, error = replace(weights, scale=self._scale), error - excess
         structure, solved = np.diff(self._marks)
         return Estimate(
             state, 2.0 * error, result.converged, result.reason, result.log, result.iterations or len(result.log),
@@ -279,6 +338,39 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
             raise
     job.start_again("graph")
     return _run_graph(job)
+
+
+def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Estimate:
+    """Least squares again and again with the weights of a rule; no checkpoint is kept."""
+    options = problem.block.options
+    if parted:
+        raise InputError.of("adjust.cycles", place="parts", value=options.loss, known=", ".join(losses()))
+    plain = replace(problem.block, options=replace(options, loss=NONE, backend=chosen_backend(problem)))
+    fits: list[Estimate] = []
+    log: list[IterationRecord] = []
+
+    def told(record: IterationRecord) -> None:
+        log.append(replace(record, iteration=len(log) + 1))
+        if callback is not None:
+            callback(log[-1])
+
+    def fit(groups: tuple[Array, ...], last: Estimate | None) -> Estimate:
+        own = replace(problem, block=plain)
+        weighted = weighted_problem(own, weights_of(problem, groups)) if groups else own
+        fits.append(_run(_Job(weighted, told, None, None if last is None else last.state), None))
+        return fits[-1]
+
+    found = reweight(
+        fit, lambda e: norms_at(problem, e.state), lambda a, b: largest_difference(a.state, b.state), lambda e: math.sqrt(e.chi2 / max(problem.redundancy, 1)),
+        RULES[options.loss], DIMENSIONS,
+    )  # fmt: skip
+    end = found.fit
+    done = end.reason if found.settled else f"the weights have not settled within {found.cycles} cycles"
+    return replace(
+        end, converged=end.converged and found.settled, reason=done, log=tuple(log), iterations=len(log),
+        weights=weights_of(problem, found.weights), structure_s=sum(f.structure_s for f in fits),
+        solve_s=sum(f.solve_s for f in fits),
+    )  # fmt: skip
 
 
 def _run_graph(job: _Job) -> Estimate:

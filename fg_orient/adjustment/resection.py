@@ -1,0 +1,232 @@
+"""Start values that many gross errors do not move: least median or least trimmed squares, image by image.
+
+Random subsets of 5 to 9 control points of **one image** give its orientation by resection at the measured coordinates;
+the one whose residuals have the least median (LMS, Rousseeuw 1984) or the least trimmed sum (LTS) of squared lengths is
+kept. Subsets of the whole block would need one clean draw of hundreds of observations; those of an image need one of
+five. What fits the best subset within 2.5 scales is adjusted again by least squares (reweighted least squares), scale::
+
+    s = c (1 + 5 / (n - u)) sqrt(med),   c = 1.4826 in one dimension, 0.8493 for image points (median of chi2_2)
+
+with n residuals and u unknowns that they determine. The sigmas of the control points are carried to the image:
+whitening takes ``I + C Q C^T``. Each ground point then starts where most of its rays and its measured coordinates
+agree, by the least sum of squares cut off at 2.5 scales, among the intersections of pairs of its rays and the
+measured coordinates. (The least median says nothing of a point with two rays: their intersection always fits.)
+
+The number of subsets keeps the probability that not one is clean below 1 - :data:`CERTAINTY`, if :data:`SHARE` of
+the image points are wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
+from fg_orient.adjustment.robust_scale import chi_square_median
+from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.errors import InputError, problem
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+METHODS: Final = ("lms", "lts")
+#: Probability of one clean subset at least, where this share of the image points is wrong.
+CERTAINTY: Final = 0.999
+SHARE: Final = 0.4
+#: Image points of a subset; more than the least where more than twice as many unknowns are determined.
+SIZES: Final = (5, 9)
+#: Control points of an image beyond a subset, which judge it.
+JUDGES: Final = 2
+SEED: Final = 1984
+#: Linearisations: at the metadata, and at what the first gave.
+ROUNDS: Final = 2
+#: What lies farther than a good observation does with this probability (2.5 sigmas of one number) is left out.
+KEPT: Final = 0.98758
+#: Pairs of rays tried per ground point.
+MOST_PAIRS: Final = 28
+
+
+@dataclass(frozen=True)
+class Resection:
+    """Orientation of one image from its control points.
+
+    Parameters
+    ----------
+    unknowns : (u,) array
+        Prior sigmas.
+    rows : (n,) int array
+        Image points of control points.
+    kept : (n,) bool array
+        Those that fit.
+    scale : float
+        s in sigmas.
+    size, subsets : int
+        Image points of a subset; subsets tried.
+    """
+
+    unknowns: Array
+    rows: Index
+    kept: npt.NDArray[np.bool_]
+    scale: float
+    size: int
+    subsets: int
+
+
+def subset_count(size: int, share: float = SHARE, certainty: float = CERTAINTY) -> int:
+    """Random subsets of this size, one of which at least is clean with this certainty (Rousseeuw & Leroy 1987)."""
+    return math.ceil(math.log(1.0 - certainty) / math.log(1.0 - (1.0 - share) ** size))
+
+
+def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[State, tuple[Resection, ...]]:
+    """Give the start of a robust adjustment.
+
+    Parameters
+    ----------
+    compiled : Problem
+    method : str
+        "lms" or "lts".
+    seed : int
+        Of the subsets.
+
+    Raises
+    ------
+    InputError
+        An image has too few control points; names all of them.
+    """
+    rows = _control_rows(compiled)
+    unable = [k for k, found in enumerate(rows) if len(found) < SIZES[0] + JUDGES]
+    if unable:
+        raise InputError(*(
+            problem("adjust.few_control", place=f"image {compiled.block.images[k].id}", value=len(rows[k]),
+                    least=SIZES[0] + JUDGES) for k in unable
+        ))  # fmt: skip
+    state = compiled.start
+    for _ in range(ROUNDS):
+        resections = tuple(_resect(compiled, state, k, found, method, seed) for k, found in enumerate(rows))
+        state = State(compiled.image_matrix(np.concatenate([r.unknowns for r in resections])), compiled.start.ground)
+    scale = max(1.0, float(np.median([r.scale for r in resections])))
+    return State(state.image, _ground(compiled, state, scale, seed)), resections
+
+
+def _control_rows(compiled: Problem) -> list[Index]:
+    """Image points of control points, observed or fixed, per image."""
+    point = compiled.observations.point
+    known = compiled.observed[point] | ~compiled.active[point]
+    return [rows[known[rows]] for rows in rows_by_image(compiled)]
+
+
+def _resect(compiled: Problem, state: State, k: int, rows: Index, method: str, seed: int) -> Resection:
+    """Resection of an image, linearised at a state."""
+    v, b = _whitened(compiled, state, k, rows)
+    x, prior = compiled.unknowns(state, k), compiled.block.options.priors
+    determined = int(np.count_nonzero(np.linalg.svd(b.reshape(-1, b.shape[2]), compute_uv=False) >= 1.0))
+    size = min(max(math.ceil(0.5 * determined), SIZES[0]), SIZES[1], len(rows) - JUDGES)
+    subsets = _draw(len(rows), size, np.random.default_rng([seed, k]))
+    best = _best(v, b, x, prior, subsets, method)
+    n, h = 2 * len(rows), _half(len(rows), size)
+    squares = _squares(v, b, best)
+    median = float(np.partition(squares, h - 1)[h - 1])
+    scale = (1.0 + 5.0 / max(n - determined, 1)) * math.sqrt(median / float(chi_square_median(IMAGE)))
+    kept = squares <= (inlier_limit(KEPT, IMAGE) * max(scale, 1.0)) ** 2
+    final = _fit(v[None, kept], b[None, kept], x, prior)[0]
+    return Resection(x + final, rows, kept, scale, size, len(subsets))
+
+
+def _whitened(compiled: Problem, state: State, k: int, rows: Index) -> tuple[Array, Array]:
+    """Residuals (n, 2) and Jacobians (n, 2, u), in sigmas of image point and control point together."""
+    v, b, c = image_rows(compiled, state, k, rows, jacobian=True)
+    point = compiled.observations.point[rows]
+    weighted = np.flatnonzero(compiled.observed[point])
+    total = np.tile(np.eye(2), (len(rows), 1, 1))
+    w = compiled.control_records[point[weighted], :9].reshape(-1, 3, 3)
+    spread = c[weighted] @ np.linalg.inv(w)
+    total[weighted] += spread @ spread.transpose(0, 2, 1)
+    inverse = np.linalg.inv(np.linalg.cholesky(total))
+    return np.einsum("nij,nj->ni", inverse, v), inverse @ b
+
+
+def _draw(n: int, size: int, rng: np.random.Generator) -> Index:
+    """Subsets (m, size) of n; all of them where that is not more."""
+    m = subset_count(size)
+    if math.comb(n, size) <= m:
+        return np.array(list(combinations(range(n), size)), dtype=np.intp)
+    return np.argsort(rng.random((m, n)), axis=1)[:, :size]
+
+
+def _fit(v: Array, b: Array, x: Array, prior: bool) -> Array:
+    """Steps (m, u) from x by least squares, of m sets of residuals (m, n, 2) and Jacobians (m, n, 2, u)."""
+    m, u = len(b), b.shape[-1]
+    a, right = b.reshape(m, -1, u), v.reshape(m, -1)
+    normal, g = np.einsum("mru,mrw->muw", a, a), -np.einsum("mru,mr->mu", a, right)
+    if prior:
+        return np.asarray(np.linalg.solve(normal + np.eye(u), (g - x)[..., None])[..., 0])
+    return np.asarray(np.einsum("muw,mw->mu", np.linalg.pinv(normal, rcond=1e-12, hermitian=True), g))
+
+
+def _squares(v: Array, b: Array, step: Array) -> Array:
+    """Squared lengths of the residuals after steps (..., u): (..., n)."""
+    return np.asarray(np.sum((v + np.einsum("nru,...u->...nr", b, step)) ** 2, axis=-1))
+
+
+def _half(n: int, size: int) -> int:
+    """How many of n must fit: the majority, counted as Rousseeuw & Leroy (1987) do."""
+    return min((n + size + 1) // 2, n)
+
+
+def _best(v: Array, b: Array, x: Array, prior: bool, subsets: Index, method: str) -> Array:
+    """Step of the best subset."""
+    steps = _fit(v[subsets], b[subsets], x, prior)
+    h = _half(len(v), subsets.shape[1])
+    ordered = np.sort(_squares(v, b, steps), axis=1)[:, :h]
+    return np.asarray(steps[np.argmin(ordered[:, -1] if method == "lms" else ordered.sum(axis=1))])
+
+
+def _ground(compiled: Problem, state: State, scale: float, seed: int) -> Array:
+    """Ground points (N, 3), local m, where most rays and measured coordinates agree."""
+    o = compiled.observations
+    v, c = np.empty((len(o), 2)), np.empty((len(o), 2, 3))
+    for k, rows in enumerate(rows_by_image(compiled)):
+        v[rows], _, c[rows] = image_rows(compiled, state, k, rows, jacobian=True)
+    order = np.argsort(o.point, kind="stable")
+    count = np.bincount(o.point, minlength=len(compiled.active))
+    first, ground = np.cumsum(count) - count, state.ground.copy()
+    rng = np.random.default_rng([seed, compiled.n_images])
+    for rays in np.unique(count[compiled.active]):
+        for observed in (False, True):
+            points = np.flatnonzero(compiled.active & (count == rays) & (compiled.observed == observed))
+            if len(points):
+                own = order[first[points, None] + np.arange(rays)]
+                ground[points] += _located(v[own], c[own], _weights(compiled, points, observed), scale, rng)
+    return ground
+
+
+def _weights(compiled: Problem, points: Index, observed: bool) -> Array | None:
+    return compiled.control_records[points, :9].reshape(-1, 3, 3) if observed else None
+
+
+def _located(v: Array, c: Array, w: Array | None, scale: float, rng: np.random.Generator) -> Array:
+    """Steps (m, 3) of m points with residuals (m, r, 2), Jacobians (m, r, 2, 3), and weights of coordinates or None."""
+    m, r = v.shape[:2]
+    candidates = [] if w is None else [np.zeros((m, 3))]
+    pairs = list(combinations(range(r), 2))
+    if len(pairs) > MOST_PAIRS:
+        pairs = [pairs[i] for i in rng.choice(len(pairs), MOST_PAIRS, replace=False)]
+    for pair in pairs:
+        a, right = c[:, pair].reshape(m, 4, 3), v[:, pair].reshape(m, 4)
+        inverse = np.linalg.pinv(np.einsum("mri,mrj->mij", a, a), rcond=1e-12, hermitian=True)
+        candidates.append(-np.einsum("mij,mrj,mr->mi", inverse, a, right))
+    if not candidates:
+        return np.zeros((m, 3))
+    steps = np.stack(candidates, axis=1)
+    squares = np.sum((v[:, None] + np.einsum("mrij,mpj->mpri", c, steps)) ** 2, axis=-1)
+    cost = np.minimum(squares, (scale * inlier_limit(KEPT, IMAGE)) ** 2).sum(axis=-1)
+    if w is not None:
+        own = np.sum(np.einsum("mij,mpj->mpi", w, steps) ** 2, axis=-1)
+        cost += np.minimum(own, (scale * inlier_limit(KEPT, CONTROL)) ** 2)
+    return np.asarray(steps[np.arange(m), np.argmin(cost, axis=1)])

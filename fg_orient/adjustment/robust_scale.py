@@ -1,0 +1,94 @@
+"""Scale of the residuals by their median: how many times the sigmas are exceeded, whatever half of the data says.
+
+A residual is smaller than its error by what the unknowns take up. With ground points free and the orientation of each
+image free (the others held), image point i keeps ``Q_i = Q_g - Q_g B N_k^-1 B^T Q_g``, ``Q_g = I - C M_j^-1 C^T``
+(B, C: whitened Jacobians of image and point; M_j, N_k: their normal matrices), so ``T_i = v^T Q_i^+ v`` is nearly
+chi-square of rank d without gross errors, and::
+
+    scale^2 = median over i of T_i / median(chi2_d)
+
+For d = 1 that is the square of 1.4826 median|v| (Hampel 1974); for two dimensions the factor is 0.8493, for three
+0.6501. Image points and control points have a scale of their own each.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import gammaincinv
+
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import image_rows, rows_by_image
+
+Array = npt.NDArray[np.float64]
+
+#: Directions that keep a smaller share of their error are left out: the share is known approximately only.
+CHECKED: Final = 0.1
+#: Fewer than this, and the scale is that of the sigmas.
+LEAST: Final = 10
+#: Residuals that vanish have no scale; a smaller one would turn everything down.
+LOWEST: Final = 0.01
+A_PRIORI: Final = 1.0
+
+
+def chi_square_median(dimension: npt.ArrayLike) -> Array:
+    """Median of chi-square with this many degrees of freedom."""
+    return np.asarray(2.0 * gammaincinv(0.5 * np.asarray(dimension, dtype=np.float64), 0.5))
+
+
+def robust_scale(problem: Problem, state: State) -> tuple[float, float]:
+    """Scales of image points and of control points at a state, in sigmas.
+
+    1 where fewer than ten are checked by others.
+    """
+    blocks = [
+        (rows, *image_rows(problem, state, k, rows, jacobian=True)) for k, rows in enumerate(rows_by_image(problem))
+    ]
+    ground = _ground_cofactors(problem, [(rows, c) for rows, _, _, c in blocks])
+    squares = [_of_image(problem, ground, *block) for block in blocks if len(block[0])]
+    return _scale(np.concatenate(squares)), _scale(_of_control(problem, state, ground))
+
+
+def _ground_cofactors(problem: Problem, blocks: list[tuple[npt.NDArray[np.intp], Array]]) -> Array:
+    """Cofactors (N, 3, 3) of the unknown ground points with the orientation held; zero for all others."""
+    normal = np.zeros((len(problem.active), 3, 3))
+    for rows, c in blocks:
+        np.add.at(normal, problem.observations.point[rows], np.einsum("nri,nrj->nij", c, c))
+    w = problem.control_records[problem.observed, :9].reshape(-1, 3, 3)
+    normal[problem.observed] += np.einsum("nri,nrj->nij", w, w)
+    out = np.zeros_like(normal)
+    out[problem.active] = np.linalg.pinv(normal[problem.active], rcond=1e-14, hermitian=True)
+    return out
+
+
+def _of_image(problem: Problem, ground: Array, rows: npt.NDArray[np.intp], v: Array, b: Array, c: Array) -> Array:
+    """T over the median of its chi-square, of the image points of one image that others check."""
+    q = np.eye(2) - np.einsum("nri,nij,nsj->nrs", c, ground[problem.observations.point[rows]], c)
+    kept = np.einsum("nrs,nsu->nru", q, b)
+    prior = np.eye(b.shape[2]) if problem.block.options.priors else 0.0
+    orientation = np.linalg.pinv(np.einsum("nru,nrw->uw", b, kept) + prior, rcond=1e-14, hermitian=True)
+    return _ratios(v, q - np.einsum("nru,uw,nsw->nrs", kept, orientation, kept))
+
+
+def _of_control(problem: Problem, state: State, ground: Array) -> Array:
+    """The same of the control points."""
+    rows = np.flatnonzero(problem.observed)
+    w = problem.control_records[rows, :9].reshape(-1, 3, 3)
+    v = np.einsum("nij,nj->ni", w, state.ground[rows] - problem.control_records[rows, 9:])
+    return _ratios(v, np.eye(3) - np.einsum("nij,njk,nlk->nil", w, ground[rows], w))
+
+
+def _ratios(v: Array, q: Array) -> Array:
+    """``v^T Q^+ v`` over the median of chi-square of the rank of Q, where that is not zero."""
+    size, axes = np.linalg.eigh(q)
+    checked = size > CHECKED
+    part = np.einsum("nij,ni->nj", axes, v)
+    t = np.sum(np.where(checked, part**2 / np.where(checked, size, 1.0), 0.0), axis=1)
+    d = checked.sum(axis=1)
+    return np.asarray(t[d > 0] / chi_square_median(d[d > 0]))
+
+
+def _scale(ratios: Array) -> float:
+    return A_PRIORI if len(ratios) < LEAST else max(float(np.sqrt(np.median(ratios))), LOWEST)
