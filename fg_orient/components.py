@@ -15,7 +15,7 @@ import numpy as np
 from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.quality.observation_groups import DEFAULT_GROUPS, Groups, groups_of, scaled
+from fg_orient.quality.observation_groups import DEFAULT_GROUPS, Groups, groups_of, require_groups, scaled
 from fg_orient.quality.variance_components import Method, Residuals, Round, components_of, one_round, require_method
 from fg_orient.solution import Solution
 
@@ -29,18 +29,16 @@ NEGATIVE_ROUNDS: Final = 8
 RANGE: Final = (1e-3, 1e4)
 
 
-def adjust_with_components(
-    block: Block, run: Callable[[Block], Solution], *, groups: tuple[str, ...] = DEFAULT_GROUPS,
-    method: Method = "helmert",
-) -> Solution:  # fmt: skip
+def adjust_with_components(block: Block, run: Callable[[Block], Solution], *, method: Method = "helmert") -> Solution:
     """Iterate adjustment and variance components.
 
     Parameters
     ----------
     block : Block
+        Its options name the groups; none: image points, position and height.
     run : callable
         Adjusts a block as it is.
-    groups, method
+    method : str
         See ``fg_orient.quality.variance_components``.
 
     Returns
@@ -58,6 +56,9 @@ def adjust_with_components(
     require_method(method)
     if block.options.loss != NONE:
         raise InputError.of("statistics.components_loss", place="loss", value=block.options.loss)
+    groups = block.options.variance_components or DEFAULT_GROUPS
+    require_groups(groups)
+    block = replace(block, options=replace(block.options, variance_components=()))
     state: _Rounds | None = None
     for rounds in range(1, MAX_ROUNDS + 1):
         solution = run(block if state is None else scaled(block, state.groups, np.sqrt(state.variance)))
@@ -68,11 +69,19 @@ def adjust_with_components(
         found = one_round(residuals, method, keep=state.kept)
         if state.stands(found):
             components = components_of(state.groups, found, state.variance, rounds, method)
-            return replace(solution, components=components, warnings=(*solution.warnings, *components.sentences))
+            return replace(
+                solution, components=components, warnings=(*solution.warnings, *components.sentences),
+                problem=replace(solution.problem, block=_with_groups(solution.block, groups)),
+            )  # fmt: skip
         state.move(found)
         _refuse(block, state, found)
     worst = state.groups.names[state.worst] if state is not None else ""
     raise NoSolutionError.of("statistics.component_unsettled", place=f"{block.name}, group {worst}", value=MAX_ROUNDS)
+
+
+def _with_groups(block: Block, groups: tuple[str, ...]) -> Block:
+    """The block with the groups that were estimated in its options."""
+    return replace(block, options=replace(block.options, variance_components=groups))
 
 
 class _Rounds:
