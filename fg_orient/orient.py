@@ -158,16 +158,18 @@ def adjust(
     }  # fmt: skip
     block = replace(block, options=replace(block.options, **{k: v for k, v in given.items() if v is not None}))
     require_possible(block.options)
-    if block.options.variance_components:
-        how: dict[str, Any] = {"parts": parts, "workers": workers, "cluster": cluster, "work_dir": work_dir}
-        return adjust_with_components(block, partial(adjust, callback=callback, stage=stage, **how))
     shared = not (parts is None and workers is None and cluster is None)
     execution = Execution(parts, workers or 1, cluster, work_dir) if shared else None
 
     def run(block: Block, begin: State | None) -> Solution:
         return adjust_once(block, execution, callback, stage, checkpoint if begin is None else None, begin)
 
-    return search(block, run, kind=snoop_kind) if block.options.snoop else run(block, None)
+    if block.options.snoop:
+        return search(block, run, kind=snoop_kind)
+    if block.options.variance_components:
+        how: dict[str, Any] = {"parts": parts, "workers": workers, "cluster": cluster, "work_dir": work_dir}
+        return adjust_with_components(block, partial(adjust, callback=callback, stage=stage, **how))
+    return run(block, None)
 
 
 def adjust_once(

@@ -27,6 +27,7 @@ from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.observation_groups import DEFAULT_GROUPS
 from fg_orient.quality.outliers import GroupTest, OutlierTests, outlier_tests
+from fg_orient.quality.search import Search
 from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
 
@@ -93,6 +94,8 @@ class Solution:
         Under a loss: of image points (n,) and ground points (N,).
     resumed_at : int
         Iterations of a run that was stopped, which this one went on with.
+    snooping : Search or None
+        What a search for gross errors found, if the options ask for one.
     components : VarianceComponents or None
         Variance components that the sigmas of ``block`` were multiplied with, if the options ask for them.
     """
@@ -122,6 +125,7 @@ class Solution:
     weights: Weights | None = None
     resumed_at: int = 0
     components: VarianceComponents | None = None
+    snooping: Search | None = None
 
     @property
     def block(self) -> Block:

@@ -294,12 +294,17 @@ def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArra
         raise InputError.of("block.not_finite", file=block.name, place=f"point {point}", value=f"{len(bad)} value(s)")
 
 
-def participating(block: Block) -> ImagePoints:
-    """Image points that enter the adjustment: all, or those of other than check points."""
+def participates(block: Block) -> npt.NDArray[np.bool_]:
+    """Tell which image points (n,) enter the adjustment: all, or those of other than check points."""
     if block.options.check_points == "use":
-        return block.observations
-    keep = ~np.isin(block.observations.point, block.points.where(Role.CHECK))
-    return block.observations.take(keep)
+        return np.ones(len(block.observations), bool)
+    return ~np.isin(block.observations.point, block.points.where(Role.CHECK))
+
+
+def participating(block: Block) -> ImagePoints:
+    """Image points that enter the adjustment."""
+    keep = participates(block)
+    return block.observations if keep.all() else block.observations.take(keep)
 
 
 def whitened_records(

@@ -7,7 +7,7 @@ from typing import cast
 
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.loop import Callback
-from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.errors import InputError
 from fg_orient.parallel.backend import PartedBackend, PartedSystem
@@ -16,8 +16,9 @@ from fg_orient.parallel.pool import Execution, opened, work_folder
 
 
 def solve_in_parts(
-    problem: Problem, execution: Execution, callback: Callback | None = None, checkpoint: Checkpoint | None = None
-) -> Estimate:
+    problem: Problem, execution: Execution, callback: Callback | None = None, checkpoint: Checkpoint | None = None,
+    start: State | None = None,
+) -> Estimate:  # fmt: skip
     """Adjust a problem in parts; what is started for it has ended when the estimate is there.
 
     Parameters
@@ -26,7 +27,7 @@ def solve_in_parts(
     execution : Execution
     callback : callable, optional
         Called with an ``IterationRecord`` after each iteration.
-    checkpoint : Checkpoint, optional
+    checkpoint, start : optional
         See ``fg_orient.adjustment.solve.solve``.
 
     Raises
@@ -45,6 +46,6 @@ def solve_in_parts(
         parts = execution.parts or default_parts(problem)
         if checkpoint is not None:
             checkpoint.scope = f"{parts} parts"
-        estimate = solve(judged, callback, lambda p: PartedBackend(p, pool, folder, parts), checkpoint)
+        estimate = solve(judged, callback, lambda p: PartedBackend(p, pool, folder, parts), checkpoint, start)
         summed = cast(PartedSystem, estimate.linear).summed()
     return replace(estimate, state=summed.state, linear=summed)

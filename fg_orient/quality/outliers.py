@@ -1,122 +1,294 @@
 """Gross errors: each observation tested against all others, on the covariance of the residuals.
 
-Suspected of an error of any size and direction are: an image point (line, sample), the position of a control point
-(East, North), its height (Up). With whitened residuals v, their cofactors ``Q = I - J N^-1 J^T`` and the columns E of
-the error in whitened rows::
-
-    T = (E^T v)^T (E^T Q E)^-1 (E^T v)                      chi2(d) without a gross error      (Baarda 1968)
-    F = (T / d) / ((v^T v - T) / (f - d))                   F(d, f - d), scale estimated without the suspect
-                                                            (external studentisation, cf. Pope 1976)
-
-The second does not need right sigmas, only right ratios of them, and is the one used. d is the rank of E^T Q E: what
-the other observations do not check cannot be tested. Suspects of one point that one error cannot tell apart (position
-of a control point and its only image point) are named together. The snooping loop is ``fg_orient.snooping``.
+Suspected of an error of any size and direction are an image point (line, sample), the position of a control point
+(East, North) and its height (Up); or single coordinates; or whole ground points (``fg_orient.quality.suspects``).
+Tests and the control of many tests at once: ``fg_orient.quality.hypotheses``. What no other observation checks cannot
+be tested. Suspects that one error cannot tell apart (position of a control point and its only image point) count as
+one hypothesis and are named together. The search that leaves them out is ``fg_orient.outlier_search``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, overload
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtrc, fdtri, gammaincinv
+from scipy.special import gammaincinv
 
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.errors import InputError
+from fg_orient.options import Options
+from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.suspects import KINDS, Kind, Suspects, suspects
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
-#: Probability to suspect one good observation: Baarda's usual choice.
-LEVEL = 0.001
-#: Directions below this share of a free observation are not checked by the others.
-CHECKED = 1e-6
-#: Two suspects are inseparable if their statistics agree to this ratio.
-SAME = 1e-6
-#: What is tested: the part of a point, its axes in words and unit.
-PARTS: Final = {"image": "px line, sample", "position": "m East, North", "height": "m Up"}
+#: Two suspects are inseparable if their T agree to this ratio.
+SAME: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class GroupTest:
-    """Test of one image point, or of the position or the height of one control point.
+    """Test of one suspect.
 
     Parameters
     ----------
     part : str
-        "image", "position" or "height".
+        "image", "position" or "height"; "line", "sample", "east", "north" or "up"; "point".
     image : str
-        Image id; "" for position and height.
+        Image id; "" for what is not in one image.
     point : str
     dimension : int
-        d; 0 where the other observations do not check the group.
-    statistic : float
-        F.
-    critical : float
-        Limit of F; beyond it the group is suspicious.
-    probability : float
-        To find such an F without a gross error; it ranks suspects of different d.
-    error : (d,) array
-        Estimated gross error: line, sample in pixels; East, North or Up in m.
+        d; 0 where the other observations do not check the suspect.
+    statistic : float or None
+        w, tau or t for d = 1; T, T/m0^2 or F for more. None where it is not tested, as the next two.
+    critical : float or None
+        Limit of the statistic; beyond it a gross error is suspected.
+    probability : float or None
+        To find such a statistic without a gross error; it ranks suspects of different d.
+    error : array
+        Estimated gross error in ``unit``, as observed minus true; empty for a whole point.
     inseparable : tuple of str
         Others that the same error could lie in.
+    symbol : str
+        Name of the statistic.
+    level : float
+        Probability of a false alarm in this test.
+    unit : str
+        Unit and axes of the error.
     """
 
     part: str
     image: str
     point: str
     dimension: int
-    statistic: float
-    critical: float
-    probability: float
+    statistic: float | None
+    critical: float | None
+    probability: float | None
     error: Array
-    inseparable: tuple[str, ...] = ()
+    inseparable: tuple[str, ...]
+    symbol: str
+    level: float
+    unit: str
 
     @property
     def suspicious(self) -> bool:
         """Tell whether the statistic is beyond its limit."""
-        return self.statistic > self.critical
+        return self.statistic is not None and self.critical is not None and self.statistic > self.critical
 
     @property
     def name(self) -> str:
         """The suspect in words."""
-        return f"point {self.point} in image {self.image}" if self.image else f"{self.part} of point {self.point}"
+        return _name(self.part, self.image, self.point)
 
     def sentence(self) -> str:
         """Name the suspect, its error and the test."""
-        error = ", ".join(f"{value:+.2f}" for value in self.error)
-        also = f" (or {', '.join(self.inseparable)}: not to be told apart)" if self.inseparable else ""
-        return (
-            f"{self.name}{also}: gross error of about {error} {PARTS[self.part]}; F = {self.statistic:.1f}, "
-            f"limit {self.critical:.1f}"
+        if self.statistic is None or self.critical is None:
+            return f"{self.name}: not tested, the other observations do not check it"
+        size = ", ".join(f"{value:+.2f}" for value in self.error)
+        error = f"gross error of about {size} {self.unit}" if len(self.error) else "gross errors"
+        shown = self.inseparable[:5]
+        more = f" and {len(self.inseparable) - 5} more" if len(self.inseparable) > 5 else ""
+        also = f" (or {', '.join(shown)}{more}: not to be told apart)" if shown else ""
+        return f"{self.name}{also}: {error}; {self.symbol} = {self.statistic:.1f}, limit {self.critical:.1f}"
+
+
+@dataclass(frozen=True)
+class OutlierTests(Sequence[GroupTest]):
+    """Tests of all suspects, most suspicious first, what nothing checks at the end; columns, and rows on demand.
+
+    Parameters
+    ----------
+    problem : Problem
+    test, control : str
+        See ``fg_orient.quality.hypotheses``.
+    level : float
+        Of all tests, in the sense of the control.
+    level_each : float
+        Of each test: a suspect is suspicious if its probability is not larger.
+    n_tested : int
+        Hypotheses that were tested; inseparable suspects are one.
+    parts, units : tuple of str
+    part : (n,) int array
+        Positions in ``parts``.
+    point, row : (n,) int arrays
+        Ground points; rows of the image points, or -1.
+    dimension : (n,) int array
+        d; 0: not tested.
+    quadratic, statistic, critical, probability : (n,) arrays
+        T, and what the test makes of it; nan, nan, nan and 1 where it is not tested.
+    error : (n, 2) array
+        Estimated errors, nan behind those of one axis.
+    """
+
+    problem: Problem
+    test: str
+    control: str
+    level: float
+    level_each: float
+    n_tested: int
+    parts: tuple[str, ...]
+    units: tuple[str, ...]
+    part: Index
+    point: Index
+    row: Index
+    dimension: Index
+    quadratic: Array
+    statistic: Array
+    critical: Array
+    probability: Array
+    error: Array
+
+    def __len__(self) -> int:
+        return len(self.part)
+
+    @overload
+    def __getitem__(self, place: int) -> GroupTest: ...
+    @overload
+    def __getitem__(self, place: slice) -> tuple[GroupTest, ...]: ...
+    def __getitem__(self, place: int | slice) -> GroupTest | tuple[GroupTest, ...]:
+        """Give one test, or some; suspicious ones with those that they cannot be told apart from."""
+        if isinstance(place, slice):
+            return tuple(self[k] for k in range(*place.indices(len(self))))
+        k = range(len(self))[place]
+        d = int(self.dimension[k])
+        error = self.error[k, ~np.isnan(self.error[k])] if d else self.error[k]
+        statistic, critical, probability = (
+            float(a[k]) if d else None for a in (self.statistic, self.critical, self.probability)
         )
+        return GroupTest(
+            *self._where(k), d, statistic, critical, probability, error, self._inseparable(k),
+            hypotheses.SYMBOLS[self.test][d > 1], self.level_each, self.units[self.part[k]],
+        )  # fmt: skip
+
+    def suspicious(self) -> tuple[GroupTest, ...]:
+        """Give the suspicious ones."""
+        return self[: int(np.count_nonzero(self._beyond))]
+
+    @property
+    def _beyond(self) -> npt.NDArray[np.bool_]:
+        return np.asarray(self.statistic > self.critical)
+
+    def _inseparable(self, k: int) -> tuple[str, ...]:
+        """Suspects that the error of a suspicious one could as well lie in."""
+        if not self.statistic[k] > self.critical[k]:
+            return ()
+        t = self.quadratic[k]
+        same = (np.abs(self.quadratic - t) <= SAME * t) & (self.dimension == self.dimension[k])
+        same[k] = False
+        return tuple(_name(*self._where(int(i))) for i in np.flatnonzero(same))
+
+    def _where(self, k: int) -> tuple[str, str, str]:
+        """Part, image and point of a suspect."""
+        block, row = self.problem.block, int(self.row[k])
+        image = "" if row < 0 else block.images[int(self.problem.observations.image[row])].id
+        return self.parts[self.part[k]], image, block.points.ids[self.point[k]]
+
+
+def _name(part: str, image: str, point: str) -> str:
+    """Name of a suspect."""
+    if part == "point":
+        return f"point {point} with all its observations"
+    seen = f"point {point} in image {image}" if image else f"point {point}"
+    return seen if part == "image" else f"{part} of {seen}"
 
 
 def outlier_tests(
-    problem: Problem, state: State, cofactors: Cofactors, chi2: float, *, level: float = LEVEL
-) -> tuple[GroupTest, ...]:
-    """Test every image point, and position and height of every weighted control point.
+    problem: Problem,
+    state: State,
+    cofactors: Cofactors,
+    chi2: float,
+    *,
+    level: float = Options.outlier_level,
+    test: str = Options.outlier_test,
+    control: str = Options.multiple_testing,
+    kind: Kind = "groups",
+) -> OutlierTests:
+    """Test all suspects of a kind.
 
     Parameters
     ----------
     problem, state, cofactors, chi2
-        Of a solution.
+        Of a solution of least squares.
     level : float
-        Probability of a false alarm, each.
+        Probability of a false alarm, as the control means it.
+    test : str
+        "baarda", "pope" or "t".
+    control : str
+        "none", "bonferroni", "sidak", "holm" or "benjamini_hochberg".
+    kind : str
+        "groups", "coordinates" or "points".
 
     Returns
     -------
-    tuple of GroupTest
-        Least probable first, what nothing checks at the end. One millisecond per ground point.
+    OutlierTests
+
+    Raises
+    ------
+    InputError
+        A name that does not exist, a level that is none.
     """
-    tests = [_judge(problem, group, chi2, level) for group in residual_groups(problem, state, cofactors)]
-    return tuple(sorted((_with_twins(test, tests) for test in tests), key=_rank))
+    hypotheses.require_names(test, control, level)
+    if kind not in KINDS:
+        raise InputError.of("options.value", place="kind", value=repr(kind), expected=", ".join(KINDS))
+    return judge(problem, suspects(problem, state, cofactors, kind), chi2, level=level, test=test, control=control)
 
 
-def _rank(test: GroupTest) -> tuple[float, float, bool]:
-    """Order of suspicion; inseparable suspects differ by rounding only, the image point goes first."""
-    likelihood = np.log(test.probability) if test.probability > 0.0 else -np.inf
-    return float(f"{likelihood:.6g}"), -float(f"{test.statistic * test.dimension:.6g}"), not test.image
+def judge(
+    problem: Problem, found: Sequence[Suspects], chi2: float, *, level: float, test: str, control: str
+) -> OutlierTests:
+    """Test suspects and sort them; see :func:`outlier_tests`."""
+    f, sizes = problem.redundancy, [len(s.point) for s in found]
+    results = [s.quadratic() for s in found]
+    t, d = np.concatenate([r[0] for r in results]), np.concatenate([r[1] for r in results])
+    error = np.full((len(t), 2), np.nan)
+    for end, s, (_, _, own) in zip(np.cumsum(sizes), found, results, strict=True):
+        if s.unit:
+            error[end - len(own) : end, : own.shape[1]] = own
+    part, point, row = np.repeat(np.arange(len(found)), sizes), _column(found, "point"), _column(found, "row")
+    tested = hypotheses.testable(d, f, test)
+    d = np.where(tested, d, 0)
+    error[~tested] = np.nan
+    classes, of_class = _classes(point, d, t, tested)
+    probability, statistic, critical = np.ones(len(t)), np.full(len(t), np.nan), np.full(len(t), np.nan)
+    probability[tested] = hypotheses.probabilities(t[tested], d[tested], chi2, f, test)
+    each = hypotheses.level_of_each(probability[classes], level, control)
+    statistic[tested] = hypotheses.statistics(t[tested], d[tested], chi2, f, test)
+    critical[tested] = hypotheses.limits(each, d[tested], f, test)
+    lead = classes[of_class] if len(classes) else of_class
+    first = np.where(tested, lead, np.arange(len(t)))
+    order = np.lexsort((row < 0, -t[first], np.where(tested, probability[first], np.inf)))
+    return OutlierTests(
+        problem, test, control, level, each, len(classes), tuple(s.part for s in found), tuple(s.unit for s in found),
+        part[order], point[order], row[order], d[order], t[order], statistic[order], critical[order],
+        probability[order], error[order],
+    )  # fmt: skip
+
+
+def _column(found: Sequence[Suspects], name: str) -> Index:
+    """One column of all suspects."""
+    return np.concatenate([getattr(s, name) for s in found])
+
+
+def _classes(point: Index, d: Index, t: Array, tested: npt.NDArray[np.bool_]) -> tuple[Index, Index]:
+    """First member of each class of inseparable suspects, and the class of each suspect (n,); 0 for untested ones.
+
+    Inseparable are suspects of one point with the same d and, but for rounding, the same T.
+    """
+    of_class = np.zeros(len(t), np.intp)
+    order = np.flatnonzero(tested)
+    order = order[np.lexsort((t[order], d[order], point[order]))]
+    if not len(order):
+        return order, of_class
+    after, before = order[1:], order[:-1]
+    new = (point[after] != point[before]) | (d[after] != d[before]) | (t[after] - t[before] > SAME * t[after])
+    starts = np.concatenate([[True], new])
+    of_class[order] = np.cumsum(starts) - 1
+    return order[starts], of_class
 
 
 def robust_scales(problem: Problem, state: State, cofactors: Cofactors) -> dict[str, float]:
@@ -126,100 +298,11 @@ def robust_scales(problem: Problem, state: State, cofactors: Cofactors) -> dict[
     for image and ground. A part that the others hardly check (heights of a flat pair) has no reliable scale.
     """
     rays = np.bincount(problem.observations.point, minlength=len(problem.active))
-    found: dict[str, list[float]] = {}
-    for group in residual_groups(problem, state, cofactors):
-        if rays[group.point] > 1:
-            t, d, _ = _quadratic(group)
-            if d == group.columns.shape[1]:
-                found.setdefault(group.part, []).append(t / (2.0 * float(gammaincinv(0.5 * d, 0.5))))
-    return {part: float(np.sqrt(np.median(values))) for part, values in found.items()}
-
-
-@dataclass(frozen=True)
-class ResidualGroup:
-    """Whitened residuals (m,), their cofactors (m, m) and the columns E (m, d) of an error in physical units.
-
-    ``row`` is that of the image point, or -1.
-    """
-
-    part: str
-    point: int
-    row: int
-    v: Array
-    q: Array
-    columns: Array
-
-
-def residual_groups(problem: Problem, state: State, cofactors: Cofactors) -> list[ResidualGroup]:
-    """Residuals of all image points and weighted control points with their cofactors."""
-    rays = problem.image_residuals(state, jacobian=True)
-    turn = np.full((len(problem.active), 3, 3), np.nan)
-    seen = np.flatnonzero(problem.observed)
-    turn[seen] = problem.axes(problem.control_records[seen, 9:] + problem.origin_m)
-    out: list[ResidualGroup] = []
-    for j, rows in problem.rows_by_point():
-        joint, found = _image_groups(problem, cofactors, j, rows, rays)
-        out += found
-        if problem.observed[j]:
-            w = problem.control_records[j, :9].reshape(3, 3)
-            v, q = w @ (state.ground[j] - problem.control_records[j, 9:]), np.eye(3) - w @ joint[-3:, -3:] @ w.T
-            columns = -w @ turn[j].T  # the residual is adjusted minus observed
-            out.append(ResidualGroup("position", j, -1, v, q, columns[:, :2]))
-            out.append(ResidualGroup("height", j, -1, v, q, columns[:, 2:]))
+    out: dict[str, float] = {}
+    for found in suspects(problem, state, cofactors):
+        t, d, error = found.quadratic()
+        full = (rays[found.point] > 1) & (d == error.shape[1])
+        if full.any():
+            ratio = t[full] / (2.0 * gammaincinv(0.5 * d[full], 0.5))
+            out[found.part] = float(np.sqrt(np.median(ratio)))
     return out
-
-
-def _image_groups(
-    problem: Problem, cofactors: Cofactors, j: int, rows: npt.NDArray[np.intp],
-    rays: tuple[Array, list[Array], list[Array]],
-) -> tuple[Array, list[ResidualGroup]]:  # fmt: skip
-    """Joint cofactors of a ground point and the images that see it, and the groups of its image points."""
-    values, j_image, j_ground = rays
-    o = problem.observations
-    images = tuple(dict.fromkeys(int(o.image[r]) for r in rows))
-    first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
-    free = 3 * int(problem.active[j])
-    joint = cofactors.joint(images, (j,) if free else ())
-    out = []
-    for r in rows:
-        at, design = images.index(int(o.image[r])), np.zeros((2, first[-1] + free))
-        design[:, first[at] : first[at + 1]] = j_image[r]
-        design[:, first[-1] :] = j_ground[r][:, :free]
-        columns = np.diag([1.0 / o.sigma_line_px[r], 1.0 / o.sigma_sample_px[r]])
-        out.append(ResidualGroup("image", j, int(r), values[r], np.eye(2) - design @ joint @ design.T, columns))
-    return joint, out
-
-
-def _judge(problem: Problem, group: ResidualGroup, chi2: float, level: float) -> GroupTest:
-    """Statistic, limit and estimated error of one group."""
-    o, point = problem.observations, problem.block.points.ids[group.point]
-    image = "" if group.row < 0 else problem.block.images[int(o.image[group.row])].id
-    t, d, error = _quadratic(group)
-    f = problem.redundancy
-    if d == 0 or f <= d:
-        return GroupTest(group.part, image, point, 0, 0.0, np.inf, 1.0, np.full(len(error), np.nan))
-    statistic = t / d / max((chi2 - t) / (f - d), np.finfo(float).tiny)
-    critical, probability = float(fdtri(d, f - d, 1.0 - level)), float(fdtrc(d, f - d, statistic))
-    return GroupTest(group.part, image, point, d, statistic, critical, probability, error)
-
-
-def _quadratic(group: ResidualGroup) -> tuple[float, int, Array]:
-    """T, its rank d and the estimated error in physical units."""
-    length = np.linalg.norm(group.columns, axis=0)
-    e = group.columns / length
-    size, axes = np.linalg.eigh(e.T @ group.q @ e)
-    checked = size > CHECKED
-    error = axes[:, checked] @ ((axes[:, checked].T @ (e.T @ group.v)) / size[checked])
-    return float((e.T @ group.v) @ error), int(checked.sum()), np.asarray(error / length)
-
-
-def _with_twins(test: GroupTest, tests: list[GroupTest]) -> GroupTest:
-    """Name the suspects of the same point that the same error could lie in."""
-    if not test.suspicious:
-        return test
-    same = [
-        other.name for other in tests
-        if other is not test and other.point == test.point and other.dimension == test.dimension
-        and abs(other.statistic - test.statistic) <= SAME * test.statistic
-    ]  # fmt: skip
-    return replace(test, inseparable=tuple(same))

@@ -1,0 +1,217 @@
+"""Data snooping: adjust, test, leave out the worst observation, look who may come back, again.
+
+One observation per round (Baarda 1968): a gross error raises the statistics of its neighbours, too. After each
+adjustment every observation left out is predicted from the rest with its covariance and put back if it fits at the
+level at which it was left out: an early choice among suspects need not be right. Each may come back once. So every
+round but the last takes one of at most three changes from an observation (out, back, out again), and the search ends.
+
+Nothing is deleted: the block that is adjusted loses observations, the given one stays as it is, and each is named with
+its test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient import initial
+from fg_orient.adjustment.problem import Problem, State, participates
+from fg_orient.adjustment.robust import NONE
+from fg_orient.block import Block, Coordinates, GroundPoints
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.names import Role
+from fg_orient.quality.outliers import OutlierTests
+from fg_orient.quality.prediction import prediction
+from fg_orient.quality.search import Found, Round, Search
+from fg_orient.quality.suspects import Kind
+from fg_orient.solution import Solution
+
+Index = npt.NDArray[np.intp]
+#: Adjusts a block as it is, from a state if one is given.
+Run = Callable[[Block, State | None], Solution]
+
+#: More than this share of the image points cannot be gross errors: then it is the model that is wrong.
+MOST: Final = 0.25
+
+
+def search(block: Block, run: Run, *, kind: Kind = "groups") -> Solution:
+    """Search for gross errors among image points and control points.
+
+    Parameters
+    ----------
+    block : Block
+        Its options say how to test. Points to be judged with their coordinates must have the role control:
+        coordinates of check points stay sealed.
+    run : callable
+    kind : str
+        What is left out: "groups", image points and coordinates of control points, or "points", all of a point.
+
+    Returns
+    -------
+    Solution
+        Of the last round; ``snooping`` tells what was found.
+
+    Raises
+    ------
+    InputError
+        A loss; another kind.
+    NoSolutionError
+        The covariance, on which the test rests, cannot be computed.
+    """
+    if block.options.loss != NONE:
+        raise InputError.of("statistics.snoop_loss", place="snoop", value=block.options.loss)
+    if block.options.variance_components:
+        raise InputError.of("statistics.snoop_components", place="snoop", value="variance_components")
+    if kind not in ("groups", "points"):
+        raise InputError.of("options.value", place="kind", value=repr(kind), expected='"groups" or "points"')
+    solution = run(block, None)
+    rounds = _Rounds(block, solution.problem)
+    while True:
+        if not rounds.change(solution, solution.outlier_tests(kind=kind)):
+            return rounds.concluded(solution)
+        try:
+            solution = run(rounds.block(), rounds.state(solution.state))
+        except (InputError, NoSolutionError) as error:
+            rounds.undo(error)
+            return rounds.concluded(solution)
+
+
+@dataclass(frozen=True)
+class _Removal:
+    """What is left out together: rows of the given block's image points, and the coordinates of the point."""
+
+    point: int
+    rows: tuple[int, ...]
+    control: bool
+
+
+class _Rounds:
+    """What is left out, and what was done in each round."""
+
+    def __init__(self, block: Block, full: Problem) -> None:
+        self._block, self._full = block, full
+        self._most = max(1, int(MOST * len(full.observations)))
+        self._place = np.cumsum(participates(block)) - 1  # rows of the block among those of the full problem
+        self._out: list[tuple[_Removal, int]] = []  # with the place in _found
+        self._been_back: set[_Removal] = set()
+        self._found: list[Found] = []
+        self._rounds: list[Round] = []
+        self._given_up = ""
+
+    def change(self, solution: Solution, tests: OutlierTests) -> bool:
+        """Put the observation back that fits best, or else leave the worst one out; False if nothing is to change."""
+        suspicious = tests.suspicious()
+        number = len(self._rounds) + 1
+        self._rounds.append(Round(
+            number, solution.sigma0, solution.redundancy, tests.n_tested, len(suspicious),
+        ))  # fmt: skip
+        self._predict(solution)
+        back = self._fitting()
+        if back is not None:
+            removal, place = self._out.pop(back)
+            self._been_back.add(removal)
+            self._found[place] = replace(self._found[place], readmitted=number)
+            self._rounds[-1] = replace(self._rounds[-1], put_back=self._found[place].test.name)
+            return True
+        if suspicious and len(self._out) >= self._most:
+            self._given_up = "a quarter of the image points is suspicious: the model or the sigmas are wrong, not they"
+        if not suspicious or self._given_up:
+            return False
+        self._leave_out(tests, number)
+        return True
+
+    def undo(self, error: InputError | NoSolutionError) -> None:
+        """Take the last observation back in: without it the block cannot be adjusted."""
+        if not self._rounds[-1].left_out:
+            raise error
+        self._out.pop()
+        last, self._rounds[-1] = self._found.pop(), replace(self._rounds[-1], left_out="")
+        why = error.problems[0].message
+        self._given_up = f"without {last.test.name}, the most suspicious, the block cannot be adjusted: {why}"
+
+    def _leave_out(self, tests: OutlierTests, number: int) -> None:
+        """Leave the worst observation out."""
+        kept, before = self._kept()
+        point, row = int(tests.point[0]), int(tests.row[0])
+        taking_part = kept[participates(before)]
+        rows = taking_part[[row]] if row >= 0 else taking_part[:0]
+        if tests.parts[tests.part[0]] == "point":
+            rows = kept[before.observations.point == point]
+        control = row < 0 and before.points.roles[point] is Role.CONTROL
+        removal = _Removal(point, tuple(rows.tolist()), control)
+        self._out.append((removal, len(self._found)))
+        after, _ = self._kept()
+        gone = np.setdiff1d(kept, np.concatenate([after, rows]))
+        o, test = self._block.observations, tests[0]
+        with_it = tuple(f"point {test.point} in image {self._block.images[o.image[r]].id}" for r in gone)
+        self._found.append(Found(test, number, with_it))
+        self._rounds[-1] = replace(self._rounds[-1], left_out=test.name)
+
+    def _predict(self, solution: Solution) -> None:
+        """Judge everything left out by the rest."""
+        if solution.cofactors is None or not self._out:
+            return
+        kept, _ = self._kept()
+        for n, (removal, place) in enumerate(self._out):
+            rows, again = self._kept([r for k, (r, _) in enumerate(self._out) if k != n])
+            j, back = removal.point, np.setdiff1d(rows, kept)
+            known = again.points.roles[j] is Role.CONTROL and self._full.observed[j]
+            fit = prediction(
+                self._full, solution.problem, solution.state, solution.cofactors, solution.chi2,
+                self._block.options.outlier_test, j, self._place[back].tolist(),
+                bool(known and not solution.problem.observed[j]),
+            )  # fmt: skip
+            self._found[place] = replace(self._found[place], fit=fit)
+
+    def _fitting(self) -> int | None:
+        """Position in ``_out`` of the observation that fits best, of those that have not been back."""
+        best, highest = None, 0.0
+        for n, (removal, place) in enumerate(self._out):
+            fit, level = self._found[place].fit, self._found[place].test.level
+            p = 0.0 if fit is None or fit.probability is None else fit.probability
+            if removal not in self._been_back and p > max(level, highest):
+                best, highest = n, p
+        return best
+
+    def _kept(self, removals: list[_Removal] | None = None) -> tuple[Index, Block]:
+        """Rows of the given block's image points that stay, and the block of them."""
+        removals = [removal for removal, _ in self._out] if removals is None else removals
+        o, points = self._block.observations, self._block.points
+        keep = np.ones(len(o), bool)
+        keep[[row for removal in removals for row in removal.rows]] = False
+        without = [removal.point for removal in removals if removal.control]
+        points = _as_tie(points, without) if without else points
+        touched = {removal.point for removal in removals}
+        rays = np.bincount(o.point[keep], minlength=len(points.ids))
+        for j in touched:
+            if rays[j] == 1 and points.roles[j] is not Role.CONTROL:
+                keep &= o.point != j  # a single ray determines no point
+        return np.flatnonzero(keep), replace(self._block, points=points, observations=o.take(keep))
+
+    def block(self) -> Block:
+        """Give the block without what is left out."""
+        return self._kept()[1]
+
+    def state(self, last: State) -> State:
+        """Where the next adjustment begins: the last one's end, the first start for points that were not in it."""
+        missing = initial.missing_rows(last.ground)
+        return State(last.image, np.where(missing[:, None], self._full.start.ground, last.ground))
+
+    def concluded(self, solution: Solution) -> Solution:
+        """Give the last solution with what was found."""
+        found = Search(tuple(self._rounds), tuple(self._found), self._given_up)
+        return replace(solution, snooping=found, warnings=(*found.sentences(), *solution.warnings))
+
+
+def _as_tie(points: GroundPoints, without: list[int]) -> GroundPoints:
+    """Give up the coordinates of control points."""
+    gone = np.isin(np.arange(len(points.ids)), without)
+    roles = tuple(Role.TIE if away else role for away, role in zip(gone, points.roles, strict=True))
+    known, keep = points.known, ~gone[:, None]
+    return GroundPoints(points.ids, roles, Coordinates(
+        np.where(keep, known.ecef_m, np.nan), np.where(keep, known.sigma_enu_m, np.nan), known.fixed & ~gone,
+    ))  # fmt: skip

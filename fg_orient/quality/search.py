@@ -1,0 +1,100 @@
+"""What a search for gross errors found, round by round (``fg_orient.outlier_search``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from fg_orient.quality.outliers import GroupTest
+from fg_orient.quality.prediction import Fit
+
+#: Names of observations left out that a warning holds.
+NAMED: Final = 5
+
+
+@dataclass(frozen=True)
+class Found:
+    """An observation that was left out.
+
+    Parameters
+    ----------
+    test : GroupTest
+        Its test in the adjustment with it.
+    round : int
+        Adjustment in which it was found, from 1.
+    with_it : tuple of str
+        What nothing determined any more without it, and went with it: the other ray of a point seen twice.
+    fit : Fit
+        How it fits to the adjustment without it: when it was put back, else in the last round.
+    readmitted : int or None
+        Adjustment after which it was put back; None: it stays out.
+    """
+
+    test: GroupTest
+    round: int
+    with_it: tuple[str, ...] = ()
+    fit: Fit | None = None
+    readmitted: int | None = None
+
+    def sentence(self) -> str:
+        """Name it, its test and what became of it."""
+        also = f"; with it {', '.join(self.with_it)}" if self.with_it else ""
+        back = "" if self.readmitted is None else f"; put back after round {self.readmitted}: it fits to the rest"
+        return f"{self.test.sentence()}{also}{back}"
+
+
+@dataclass(frozen=True)
+class Round:
+    """One adjustment of the search.
+
+    Parameters
+    ----------
+    number : int
+        From 1.
+    sigma0 : float
+    redundancy : int
+    n_tested : int
+    n_suspicious : int
+    left_out, put_back : str
+        Name of what was changed after it; "" for nothing.
+    """
+
+    number: int
+    sigma0: float
+    redundancy: int
+    n_tested: int
+    n_suspicious: int
+    left_out: str = ""
+    put_back: str = ""
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search for gross errors.
+
+    Parameters
+    ----------
+    rounds : tuple of Round
+    found : tuple of Found
+        All that was ever left out, in the order of the rounds.
+    given_up : str
+        Why the search ended although something is suspicious; "" if it came to its end.
+    """
+
+    rounds: tuple[Round, ...]
+    found: tuple[Found, ...]
+    given_up: str = ""
+
+    @property
+    def left_out(self) -> tuple[Found, ...]:
+        """What stays out."""
+        return tuple(found for found in self.found if found.readmitted is None)
+
+    def sentences(self) -> tuple[str, ...]:
+        """Warnings: what was left out, and whether the search came to an end."""
+        out, count = self.left_out, len(self.left_out)
+        if not count and not self.given_up:
+            return ()
+        names = ", ".join(found.test.name for found in out[:NAMED]) + (" ..." if count > NAMED else "")
+        texts = [f"snooping left out {count} observation(s) in {len(self.rounds)} rounds: {names}"] if count else []
+        return (*texts, f"snooping was given up: {self.given_up}") if self.given_up else tuple(texts)

@@ -1,0 +1,164 @@
+"""Suspects: groups of observations that one gross error may lie in, with what a test needs of them.
+
+With whitened residuals v of the group's rows, their cofactors ``Q = I - J N^-1 J^T`` and the columns E of the error in
+these rows, the weighted sum of squares falls by
+
+    T = (E^T v)^T (E^T Q E)^+ (E^T v)
+
+when the error becomes unknown, and ``(E^T Q E)^+ E^T v`` is its estimate (Baarda 1968; Kok 1984). d, the rank of
+``E^T Q E``, counts what the other observations check.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import residuals
+from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.residuals import residual_cofactors
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+#: What is suspected: image points, positions and heights; single coordinates; ground points with all they are seen in.
+Kind = Literal["groups", "coordinates", "points"]
+KINDS: Final = ("groups", "coordinates", "points")
+
+#: Directions below this share of a free observation are not checked by the others.
+CHECKED: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class Suspects:
+    """Suspects of one part.
+
+    Parameters
+    ----------
+    part : str
+        "image", "position", "height"; "line", "sample", "east", "north", "up"; "point".
+    unit : str
+        Of the error: "px line, sample", "m East, North", ...; "" for a whole point, whose error has no one unit.
+    point : (n,) int array
+        Ground points.
+    row : (n,) int array
+        Rows of ``problem.observations``; -1 for suspects that are no image points.
+    v : (n, m) array
+        Whitened residuals.
+    q : (n, m, m) array
+        Their cofactors.
+    columns : (n, m, k) array
+        Change of the whitened residuals with the error.
+    """
+
+    part: str
+    unit: str
+    point: Index
+    row: Index
+    v: Array
+    q: Array
+    columns: Array
+
+    def quadratic(self) -> tuple[Array, Index, Array]:
+        """T (n,), its degrees of freedom d (n,) and the estimated error (n, k), zero along what nothing checks."""
+        length = np.linalg.norm(self.columns, axis=-2)
+        e = self.columns / length[..., None, :]
+        turned = np.swapaxes(e, -1, -2)
+        size, axes = np.linalg.eigh(turned @ self.q @ e)
+        checked = size > CHECKED
+        along = np.einsum("...ka,...k->...a", axes, np.einsum("...km,...m->...k", turned, self.v))
+        share = np.where(checked, along / np.where(checked, size, 1.0), 0.0)
+        error = np.einsum("...ka,...a->...k", axes, share) / length
+        return np.sum(along * share, axis=-1), np.asarray(np.sum(checked, axis=-1), np.intp), error
+
+
+def suspects(problem: Problem, state: State, cofactors: Cofactors, kind: Kind = "groups") -> list[Suspects]:
+    """Give all suspects of a kind.
+
+    Parameters
+    ----------
+    problem, state, cofactors
+        Of a solution of least squares.
+    kind : str
+        "groups": image points (line and sample), positions (East and North) and heights of weighted control points;
+        "coordinates": each of their coordinates alone; "points": a ground point with all its image points and its
+        coordinates. The first two take microseconds each, the third some 0.2 ms.
+
+    Returns
+    -------
+    list of Suspects
+    """
+    if kind == "points":
+        return _whole_points(problem, state, cofactors)
+    found = residual_cofactors(problem, state, cofactors)
+    o, known = problem.observations, np.flatnonzero(problem.observed)
+    rows = np.arange(len(o))
+    scale = np.zeros((len(o), 2, 2))
+    scale[:, 0, 0], scale[:, 1, 1] = 1.0 / o.sigma_line_px, 1.0 / o.sigma_sample_px
+    image = (o.point, rows, residuals(problem, state), found.image)
+    w = problem.control_records[known, :9].reshape(-1, 3, 3)
+    at = problem.control_records[known, 9:]
+    columns = -w @ np.swapaxes(problem.axes(at + problem.origin_m), 1, 2)  # the residual is adjusted minus observed
+    v = np.einsum("nij,nj->ni", w, state.ground[known] - at)
+    control = (known, np.full(len(known), -1), v, found.control)
+    east, north, up = problem.axis_names
+    if kind == "coordinates":
+        return [
+            Suspects("line", "px line", *image, scale[:, :, :1]),
+            Suspects("sample", "px sample", *image, scale[:, :, 1:]),
+            Suspects("east", f"m {east}", *control, columns[:, :, :1]),
+            Suspects("north", f"m {north}", *control, columns[:, :, 1:2]),
+            Suspects("up", f"m {up}", *control, columns[:, :, 2:]),
+        ]
+    return [
+        Suspects("image", "px line, sample", *image, scale),
+        Suspects("position", f"m {east}, {north}", *control, columns[:, :, :2]),
+        Suspects("height", f"m {up}", *control, columns[:, :, 2:]),
+    ]
+
+
+def _whole_points(problem: Problem, state: State, cofactors: Cofactors) -> list[Suspects]:
+    """Ground points with all their rays and their coordinates, those of as many rows together."""
+    values, d_image, d_ground = problem.image_residuals(state, jacobian=True)
+    found: dict[int, list[tuple[int, Array, Array]]] = {}
+    for j, rows in problem.rows_by_point():
+        v, q = point_residuals(problem, state, cofactors, j, rows, (values, d_image, d_ground))
+        found.setdefault(len(v), []).append((j, v, q))
+    return [
+        Suspects(
+            "point", "", np.array([j for j, _, _ in members]), np.full(len(members), -1),
+            np.stack([v for _, v, _ in members]), np.stack([q for _, _, q in members]),
+            np.tile(np.eye(size), (len(members), 1, 1)),
+        )
+        for size, members in sorted(found.items())
+    ]  # fmt: skip
+
+
+def point_residuals(
+    problem: Problem, state: State, cofactors: Cofactors, j: int, rows: Index,
+    rays: tuple[Array, list[Array], list[Array]],
+) -> tuple[Array, Array]:  # fmt: skip
+    """Whitened residuals (m,) of a ground point and their cofactors (m, m): image points ``rows``, then coordinates.
+
+    ``rays`` are the residuals and Jacobians of ``problem.image_residuals``.
+    """
+    values, d_image, d_ground = rays
+    o, free = problem.observations, 3 * int(problem.active[j])
+    images = tuple(dict.fromkeys(o.image[rows].tolist()))
+    first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
+    n_control = 3 * int(problem.observed[j])
+    design = np.zeros((2 * len(rows) + n_control, first[-1] + free))
+    for i, r in enumerate(rows):
+        at = images.index(int(o.image[r]))
+        design[2 * i : 2 * i + 2, first[at] : first[at + 1]] = d_image[r]
+        design[2 * i : 2 * i + 2, first[-1] :] = d_ground[r][:, :free]
+    v = values[rows].ravel()
+    if n_control:
+        w = problem.control_records[j, :9].reshape(3, 3)
+        design[-3:, first[-1] :] = w
+        v = np.concatenate([v, w @ (state.ground[j] - problem.control_records[j, 9:])])
+    joint = cofactors.joint(images, (j,) if free else ())
+    return v, np.eye(len(v)) - design @ joint @ design.T
