@@ -5,7 +5,8 @@ An error e (whitened) of the image point of ray a moves the unknowns of its imag
 
     U_a = sum_b Q_i,i(b) J_b^T (delta_ab I - G_b H^-1 G_a^T)
 
-Its size in the image's own sigmas is that of ``L^-1 U_a e`` with ``Q_ii = L L^T`` (external reliability, Baarda 1968).
+Its size in the image's own sigmas is that of ``L_i^-1 U_a e`` with ``Q_ii = L_i L_i^T`` (external reliability, Baarda
+1968), so the products ``L_i^-1 Q_ij`` of all pairs of images are formed once.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from factors.batch_rows import Index, threaded
 @threaded
 def image_effects(
     lo: int, hi: int, first: Index, image: Index, size: Index, free: Index, d_image: Array, d_ground: Array,
-    inverse: Array, block: Index, q: Array, root: Array, out: Array,
+    inverse: Array, block: Index, upper: Array, lower: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write the squared sizes (n, 2) for unit errors of line and sample of the rays of points lo to hi.
 
     Parameters as of ``factors.batch_cofactors.ray_cofactors``, and
 
-    root : (M, k, k) array
-        L^-1 of each image, lower triangular.
+    upper, lower : (B, k, k) arrays
+        Of the pairs of images i <= j, rows those of the second factor: ``(L_i^-1 Q_ij)^T`` and ``(L_j^-1 Q_ji)^T``.
     """
-    k = q.shape[2]
-    effect, turned, w, near = np.empty((2, k)), np.empty((2, k)), np.empty((2, 2)), np.empty((3, 2))
+    k = upper.shape[2]
+    effect, w, near = np.empty((2, k)), np.empty((2, 2)), np.empty((3, 2))
     for p in range(lo, hi):
         for a in range(first[p], first[p + 1]):
             effect[:] = 0.0
@@ -40,12 +41,15 @@ def image_effects(
                         w[r, c] = 1.0 if a == b and r == c else 0.0
                         for s in range(3):
                             w[r, c] -= d_ground[b, r, s] * near[s, c]
-                for c in range(2):
-                    for s in range(size[image[b]]):
-                        turned[c, s] = w[0, c] * d_image[b, 0, s] + w[1, c] * d_image[b, 1, s]
-                _add_product(q, block, image[a], image[b], size, turned, effect)
+                i, j = image[a], image[b]
+                if i <= j:
+                    _add_product(upper, block[i, j], size[j], d_image, b, w, effect)
+                else:
+                    _add_product(lower, block[j, i], size[j], d_image, b, w, effect)
             for c in range(2):
-                out[a, c] = _squared(root, image[a], size[image[a]], effect, c)
+                out[a, c] = 0.0
+                for s in range(k):
+                    out[a, c] += effect[c, s] * effect[c, s]
 
 
 @threaded
@@ -59,29 +63,12 @@ def _near(inverse: Array, p: int, d_ground: Array, a: int, near: Array) -> None:
 
 
 @threaded
-def _add_product(q: Array, block: Index, i: int, j: int, size: Index, turned: Array, effect: Array) -> None:
-    """Add ``Q_ij`` times the columns ``turned``; the block of a pair stands once, row <= column."""
-    if i <= j:
-        for r in range(size[i]):
-            for s in range(size[j]):
-                value = q[block[i, j], r, s]
-                effect[0, r] += value * turned[0, s]
-                effect[1, r] += value * turned[1, s]
-    else:
-        for s in range(size[j]):
-            for r in range(size[i]):
-                value = q[block[j, i], s, r]
-                effect[0, r] += value * turned[0, s]
-                effect[1, r] += value * turned[1, s]
-
-
-@threaded
-def _squared(root: Array, i: int, n: int, effect: Array, c: int) -> float:
-    """Squared length of ``L^-1 u``."""
-    total = 0.0
-    for r in range(n):
-        value = 0.0
-        for s in range(r + 1):
-            value += root[i, r, s] * effect[c, s]
-        total += value * value
-    return total
+def _add_product(half: Array, place: int, n: int, d_image: Array, b: int, w: Array, effect: Array) -> None:
+    """Add ``L^-1 Q J_b^T w``; the inner loop runs over what lies side by side."""
+    k = effect.shape[1]
+    for s in range(n):
+        x = w[0, 0] * d_image[b, 0, s] + w[1, 0] * d_image[b, 1, s]
+        y = w[0, 1] * d_image[b, 0, s] + w[1, 1] * d_image[b, 1, s]
+        for r in range(k):
+            effect[0, r] += half[place, s, r] * x
+            effect[1, r] += half[place, s, r] * y

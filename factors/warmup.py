@@ -100,9 +100,10 @@ def _compile_batches() -> None:
                                     np.empty((1, 3, 3)))  # fmt: skip
     one = np.ones(2, np.int64)
     rays_of = (np.array([0, 2]), np.arange(2), one, one, d_image, d_ground, np.eye(3)[None],
-               np.arange(4).reshape(2, 2), np.ones((4, 1, 1)))  # fmt: skip
-    batch_cofactors.ray_cofactors(0, 1, *rays_of, np.empty((1, 3, 3)), np.empty((2, 2, 2)), np.empty((2, 3, 2)))
-    batch_effects.image_effects(0, 1, *rays_of, np.ones((2, 1, 1)), value)
+               np.arange(4).reshape(2, 2))  # fmt: skip
+    batch_cofactors.ray_cofactors(0, 1, *rays_of, np.ones((4, 1, 1)), np.empty((1, 3, 3)), np.empty((2, 2, 2)),
+                                  np.empty((2, 3, 2)))  # fmt: skip
+    batch_effects.image_effects(0, 1, *rays_of, np.ones((4, 1, 1)), np.ones((4, 1, 1)), value)
     _compile_reduction(columns.n_components, basis, value, wide, d_image, d_ground)
 
 

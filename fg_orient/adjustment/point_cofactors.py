@@ -104,14 +104,16 @@ def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], 
         np.zeros((len(problem.active), 3, 3)), np.empty((n, 2, 2)), np.zeros((n, 3, 2)), np.empty((n, 2)), images
     )
     roots = inverse_roots(images, size)
+    upper = np.swapaxes(q, 1, 2) @ np.swapaxes(roots[pairs[:, 0]], 1, 2)
+    lower = q @ np.swapaxes(roots[pairs[:, 1]], 1, 2)
     for part in _parts(problem, state, np.unique(problem.observations.point), order):
         rays = len(part.rows)
         found, squared = np.empty((len(part.points), 3, 3)), np.empty((rays, 2))
         fitted, response = np.empty((rays, 2, 2)), np.empty((rays, 3, 2))
         common = (part.first, part.image, size, problem.active[part.points].astype(np.int64), part.d_image,
-                  part.d_ground, part.inverse, block, q)  # fmt: skip
-        batch_cofactors.ray_cofactors(0, len(found), *common, found, fitted, response)
-        batch_effects.image_effects(0, len(found), *common, roots, squared)
+                  part.d_ground, part.inverse, block)  # fmt: skip
+        batch_cofactors.ray_cofactors(0, len(found), *common, q, found, fitted, response)
+        batch_effects.image_effects(0, len(found), *common, upper, lower, squared)
         out.points[part.points], out.fitted[part.rows], out.response[part.rows] = found, fitted, response
         out.on_image[part.rows] = np.sqrt(squared)
     return out
