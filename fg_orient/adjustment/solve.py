@@ -18,7 +18,7 @@ from factors._contract import NotFiniteError
 from factors.losses import losses
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.gnc import EXACT, PLAIN, SCHEDULES
-from fg_orient.adjustment.irls import DIMENSIONS, RULES, largest_difference, norms_at, reweight, weights_of
+from fg_orient.adjustment.irls import DIMENSIONS, RULES, norms_at, reweight, weights_of
 from fg_orient.adjustment.loop import (
     OPTIMIZERS,
     ROUNDING_STEP,
@@ -361,7 +361,7 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
         return fits[-1]
 
     found = reweight(
-        fit, lambda e: norms_at(problem, e.state), lambda a, b: largest_difference(a.state, b.state), lambda e: math.sqrt(e.chi2 / max(problem.redundancy, 1)),
+        fit, lambda e: norms_at(problem, e.state), lambda e: math.sqrt(e.chi2 / max(problem.redundancy, 1)),
         RULES[options.loss], DIMENSIONS,
     )  # fmt: skip
     end = found.fit

@@ -54,7 +54,7 @@ def judge(problem: Problem, estimate: Estimate, withheld: tuple[str, ...]) -> Ve
     if f <= 0:
         return Verdict(Status.CONVERGED, "no redundancy: nothing was checked", interval)
     if estimate.weights is not None:
-        return _judge_weights(estimate, estimate.weights)
+        return _judge_weights(problem, estimate, estimate.weights)
     sigma0 = float(np.sqrt(estimate.chi2 / f))
     if sigma0 > interval[1]:
         reason = (
@@ -67,21 +67,53 @@ def judge(problem: Problem, estimate: Estimate, withheld: tuple[str, ...]) -> Ve
     return Verdict(Status.CONVERGED, estimate.reason, interval)
 
 
-def _judge_weights(estimate: Estimate, weights: Weights) -> Verdict:
-    """Under a loss sigma0 follows no chi-square; a loss that turns most of the observations down fits too few."""
+def _judge_weights(problem: Problem, estimate: Estimate, weights: Weights) -> Verdict:
+    """Under a loss sigma0 follows no chi-square; a loss that turns most of the observations down fits too few.
+
+    So does one that turns most image points of one image down: what is left, or its priors, orient it.
+    """
     down = int(np.count_nonzero(weights.image < DOWN))
     if down > MOST_DOWN * len(weights.image):
         reason = f"{down} of {len(weights.image)} image points have a weight below {DOWN}: the model does not hold"
         return Verdict(Status.NOT_TRUSTWORTHY, f"{reason}, or the sigmas are too small", NO_INTERVAL)
+    given_up = turned_down_images(problem, weights)
+    if given_up:
+        named = "; ".join(f"image {name}: {bad} of {n}" for name, bad, n in given_up[:NAMED])
+        reason = (
+            f"most image points of {len(given_up)} image(s) have a weight below {DOWN} ({named}): their orientation "
+            "rests on the rest and on the priors. Wrong metadata, wrong point numbers, or most control there is wrong"
+        )
+        return Verdict(Status.NOT_TRUSTWORTHY, reason, NO_INTERVAL)
     return Verdict(Status.CONVERGED, estimate.reason, NO_INTERVAL)
 
 
-def weight_sentence(loss: str, weights: Weights) -> str:
+def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, int, int]]:
+    """Images most of whose image points a loss has turned down: id, how many, of how many."""
+    o, m = problem.observations, problem.n_images
+    n, bad = np.bincount(o.image, minlength=m), np.bincount(o.image[weights.image < DOWN], minlength=m)
+    return [(problem.block.images[k].id, int(bad[k]), int(n[k])) for k in np.flatnonzero(bad > MOST_DOWN * n)]
+
+
+def points_without_ray(problem: Problem, weights: Weights) -> list[str]:
+    """Ids of unknown points all of whose rays a loss has turned down: they lie where these rays meet, unchecked."""
+    o, n = problem.observations, len(problem.active)
+    good = np.bincount(o.point[weights.image >= DOWN], minlength=n)
+    lost = problem.active & (good == 0) & (np.bincount(o.point, minlength=n) > 0)
+    lost &= ~problem.observed | (weights.control < DOWN)
+    return [problem.block.points.ids[j] for j in np.flatnonzero(lost)]
+
+
+def weight_sentence(problem: Problem, weights: Weights) -> str:
     """Say what the figures of a robust adjustment are."""
+    loss = problem.block.options.loss
+    scale = ""
+    if problem.block.options.robust_scale == "mad":
+        image, control = weights.scale
+        scale = f"; its unit is {image:.2f} sigmas of image points and {control:.2f} of control points"
     down, control = (int(np.count_nonzero(w < DOWN)) for w in (weights.image, weights.control))
     return (
         f"robust loss {loss}: {down} of {len(weights.image)} image points and {control} control points have a weight "
-        f"below {DOWN}; chi2, sigma0 and standard deviations (prior scale) take the weights at the solution as given, "
+        f"below {DOWN}{scale}; chi2, sigma0 and standard deviations (prior scale) take the weights at the solution as given, "
         "and sigma0 is not tested"
     )
 
@@ -105,7 +137,13 @@ def warnings(
     f = problem.redundancy
     out = [] if verdict.status is Status.CONVERGED and f > 0 else [verdict.reason]
     if estimate.weights is not None:
-        out.append(weight_sentence(problem.block.options.loss, estimate.weights))
+        out.append(weight_sentence(problem, estimate.weights))
+        lost = points_without_ray(problem, estimate.weights)
+        if lost:
+            names = ", ".join(lost[:NAMED]) + (" ..." if len(lost) > NAMED else "")
+            out.append(
+                f"the loss has turned down all rays of {len(lost)} point(s), whose place nothing checks: {names}"
+            )
     if f > 0 and np.sqrt(estimate.chi2 / f) < verdict.interval[0]:
         out.append(
             f"sigma0 lies below {verdict.interval[0]:.2f}, the lower end of its 99.9 % interval: the sigmas are too "

@@ -14,7 +14,7 @@ from fg_orient.names import Status
 from fg_orient.parameters import EOP_SETS
 from fg_orient.quality.deficiency import DEFICIENT
 from fg_orient.quality.parallax import rms_px, y_parallaxes
-from fg_orient.quality.verdict import DOWN
+from fg_orient.quality.verdict import DOWN, points_without_ray, turned_down_images
 
 if TYPE_CHECKING:
     from fg_orient.block import Block, Options
@@ -100,6 +100,10 @@ def _robust(solution: Solution) -> dict[str, Any] | None:
         "n_image_points_below_half": len(down),
         "n_control_points_below_half": len(control),
         "control_points_below_half": [ids[j] for j in control],
+        "images_below_half": [name for name, _, _ in turned_down_images(problem, weights)],
+        "points_without_ray": points_without_ray(problem, weights)[:MAX_NAMED],
+        "scale_image": weights.scale[0],
+        "scale_control": weights.scale[1],
         "least": [
             {"image": problem.block.images[o.image[r]].id, "id": ids[o.point[r]], "weight": float(weights.image[r])}
             for r in named
@@ -193,6 +197,8 @@ def _choices(options: Options) -> dict[str, Any]:
         "optimizer": options.optimizer,
         "loss": options.loss,
         "gnc": options.gnc,
+        "robust_start": options.robust_start,
+        "robust_scale": options.robust_scale,
         "eop_set": options.eop_set,
         "eop_set_name": EOP_SETS[options.eop_set][0],
         "look_polynomial": options.look_polynomial,
