@@ -113,8 +113,8 @@ def weight_sentence(problem: Problem, weights: Weights) -> str:
     down, control = (int(np.count_nonzero(w < DOWN)) for w in (weights.image, weights.control))
     return (
         f"robust loss {loss}: {down} of {len(weights.image)} image points and {control} control points have a weight "
-        f"below {DOWN}{scale}; chi2, sigma0 and standard deviations (prior scale) take the weights at the solution as given, "
-        "and sigma0 is not tested"
+        f"below {DOWN}{scale}; chi2, sigma0 and standard deviations (prior scale) take the weights at the solution as "
+        "given, and sigma0 is not tested"
     )
 
 
