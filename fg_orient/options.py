@@ -11,7 +11,7 @@ from fg_orient.errors import InputError, Problem, problem
 
 CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
-Datum = Literal["control", "priors", "free"]
+Datum = Literal["control", "priors", "inner", "free"]
 RobustStart = Literal["none", "huber", "lms", "lts"]
 RobustScale = Literal["prior", "mad"]
 OutlierTest = Literal["baarda", "pope", "t"]
@@ -82,7 +82,8 @@ class Options:
         ten pixels of shift and by a pixel or less in the other terms.
     datum : str
         "control": control points hold the block in the world, a block without any is refused; "priors": a
-        relative adjustment, the priors hold it where no control point does; "free": nothing need hold it, the block
+        relative adjustment, the priors hold it where no control point does; "inner": a free network without priors,
+        inner constraints on the ground points give its covariance; "free": nothing need hold it, the block
         stays near its start values (all steps are damped) and has no covariance.
     image_unknowns : tuple of str
         Names of the unknowns of an image, in place of ``eop_set``, ``look_polynomial`` and ``rpc_compensation``: "x_0",

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +36,7 @@ from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient
+from fg_orient.quality.free_network import InnerCofactors, to_inner_datum, with_minimal_datum, without_priors
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.suspects import Kind
 from fg_orient.solution import Seconds, Solution
@@ -98,7 +98,8 @@ def adjust(
     rpc_compensation : str, optional
         Unknowns of RPC images: "shift", "shift_drift" or "affine".
     datum : str, optional
-        "priors" adjusts a block without control points, relatively; "free" does so without priors.
+        "priors" adjusts a block without control points, relatively; "inner" as a free network, without priors;
+        "free" so, too, without a covariance.
     statistics : str, optional
         Of the results of a run, see :class:`fg_orient.block.Options`; the methods of the solution always give them.
     memory_limit_gb : float, optional
@@ -164,12 +165,11 @@ def adjust(
     def run(block: Block, begin: State | None) -> Solution:
         return adjust_once(block, execution, callback, stage, checkpoint if begin is None else None, begin)
 
-    if block.options.snoop:
-        return search(block, run, kind=snoop_kind)
-    if block.options.variance_components:
-        how: dict[str, Any] = {"parts": parts, "workers": workers, "cluster": cluster, "work_dir": work_dir}
-        return adjust_with_components(block, partial(adjust, callback=callback, stage=stage, **how))
-    return run(block, None)
+    def run_with_components(block: Block, begin: State | None) -> Solution:
+        return adjust_with_components(block, run, begin)
+
+    runner = run_with_components if block.options.variance_components else run
+    return search(block, runner, kind=snoop_kind) if block.options.snoop else runner(block, None)
 
 
 def adjust_once(
@@ -186,15 +186,18 @@ def adjust_once(
     start = time.perf_counter()
     tell = stage or (lambda name, count: None)
     tell("structure", len(block.observations))
-    compiled = compiled_problem(block)
+    inner = block.options.datum == "inner"
+    compiled = compiled_problem(without_priors(block) if inner else block)
     observability = judge_observability(compiled)
     block_view = refuse_deficient(compiled, observability)
+    compiled = with_minimal_datum(compiled) if inner else compiled
     structure = time.perf_counter() - start
     tell("iterations", len(compiled.observations))
     if execution is None:
         estimate = solve(compiled, callback, checkpoint=checkpoint, start=begin)
     else:
         estimate = solve_in_parts(compiled, execution, callback, checkpoint, begin)
+    compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
     tell("statistics", len(compiled.observations))
     solution = conclude(compiled, observability, block_view, estimate, structure)
     return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=jit_s))
@@ -235,7 +238,9 @@ def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None,
     if compiled.least_damping > 0.0:
         return None, ("covariance withheld: the datum is free; keep the priors or measure control points",)
     try:
-        return cofactors_of(compiled, estimate), ()
+        found = cofactors_of(compiled, estimate)
+        inner = compiled.block.options.datum == "inner"
+        return (InnerCofactors(compiled, estimate.state, found) if inner else found), ()
     except Indeterminate as reason:
         return None, (f"covariance withheld: {reason}; measure more control points or keep the priors",)
 

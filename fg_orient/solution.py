@@ -22,7 +22,7 @@ from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Role, Status
 from fg_orient.quality.accuracy import Accuracy
-from fg_orient.quality.covariance import Cofactors, NamedMatrix, named_cofactors
+from fg_orient.quality.covariance import Cofactors, NamedMatrix
 from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.observation_groups import DEFAULT_GROUPS
@@ -32,8 +32,13 @@ from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from fg_orient.quality.free_network import FreeNetwork
+    from fg_orient.quality.located_point import LocatedPoint, Orientation
     from fg_orient.quality.reliability import BlockReliability
     from fg_orient.quality.residuals import ResidualCofactors
+    from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
 
@@ -176,21 +181,31 @@ class Solution:
         return self.problem.corrections(self.state)[self.block.image_index(image)]
 
     def cofactor_matrix(self, *names: str) -> NamedMatrix:
-        """Joint cofactor matrix (prior scale) of images ("image:left") and points ("point:12").
+        """Joint cofactor matrix (prior scale) of anything adjusted, by name.
 
-        Units are physical: m, m/s, rad for images, ECEF metres for points.
+        "image:left" (all its parameters), "image:left.x_0" (one), "point:12", "point:12.z", "observation:left/12"
+        (adjusted line and sample of an image point), "residual:left/12". Units are physical: m, m/s, rad for
+        images, ECEF metres for points, pixels; see ``fg_orient.quality.joint``.
 
         Raises
         ------
+        InputError
+            A name that does not exist, or a point that is no unknown.
         NoSolutionError
             The covariance could not be computed; the message says why.
         """
+        from fg_orient.quality.joint import joint_cofactors
+
+        return joint_cofactors(self.judged, self.state, self._cofactors(), names)
+
+    def _cofactors(self) -> Cofactors:
+        """Cofactors, or the reason why there are none."""
         if self.cofactors is None:
             raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
-        return named_cofactors(self.problem, self.cofactors, names)
+        return self.cofactors
 
     def covariance(self, *names: str) -> NamedMatrix:
-        """Joint covariance ``scale^2 Q`` of images and points; see :meth:`cofactor_matrix`."""
+        """Joint covariance ``scale^2 Q`` of anything adjusted; see :meth:`cofactor_matrix`."""
         q = self.cofactor_matrix(*names)
         return NamedMatrix(q.names, q.units, q.values * self.scale**2)
 
@@ -210,9 +225,62 @@ class Solution:
         """
         from fg_orient.quality.residuals import residual_cofactors
 
-        if self.cofactors is None:
-            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
-        return residual_cofactors(self.judged, self.state, self.cofactors)
+        return residual_cofactors(self.judged, self.state, self._cofactors())
+
+    def locate(
+        self, image: str, line: float, sample: float, *, height_m: float | None = None,
+        dem: HeightSurface | None = None, height_sigma_m: float = 0.0, sigma_px: tuple[float, float] | None = None,
+    ) -> LocatedPoint:  # fmt: skip
+        """Locate a pixel with the adjusted orientation, with covariance, error ellipse, CE90, LE90 and SE90.
+
+        Parameters
+        ----------
+        image : str
+        line, sample : float
+            (0, 0) = centre of the first pixel.
+        height_m : float, optional
+            Ellipsoidal height.
+        dem : HeightSurface, optional
+            Surface instead of a height; its slope carries the error of its height to East and North.
+        height_sigma_m : float
+            Standard deviation of the height, or of the DEM's.
+        sigma_px : (line, sample), optional
+            Standard deviations of the measurement; default: the median of the image's own, times sigma0.
+
+        Raises
+        ------
+        InputError
+            No such image, not one height, a pixel outside the image or a ray that misses.
+        NoSolutionError
+            There is no covariance.
+        """
+        from fg_orient.quality.located_point import locate
+
+        return locate(self._orientation, image, (line, sample), height_m=height_m, dem=dem,
+                      height_sigma_m=height_sigma_m, sigma_px=sigma_px)  # fmt: skip
+
+    def intersect(
+        self, pixels: Mapping[str, tuple[float, float]], *, sigma_px: tuple[float, float] | None = None
+    ) -> LocatedPoint:
+        """Intersect the rays of two images or more with the adjusted orientation; see :meth:`locate`.
+
+        Parameters
+        ----------
+        pixels : mapping
+            Line and sample of the same point by image id.
+        sigma_px : (line, sample), optional
+            As for :meth:`locate`, of all images.
+        """
+        from fg_orient.quality.located_point import intersect
+
+        return intersect(self._orientation, pixels, sigma_px=sigma_px)
+
+    @property
+    def _orientation(self) -> Orientation:
+        from fg_orient.quality.located_point import Orientation
+
+        scale = self.scale if np.isfinite(self.scale) else 1.0  # without redundancy
+        return Orientation(self.problem, self.state, self._cofactors(), scale)
 
     def reliability(self, *, alpha: float = 0.001, power: float = 0.80) -> BlockReliability:
         """Redundancy numbers, minimal detectable biases and their effects, of all observations.
@@ -260,7 +328,7 @@ class Solution:
             raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
         options = self.block.options
         return outlier_tests(
-            self.problem, self.state, self.cofactors, self.chi2, kind=kind,
+            self.problem, self.state, self.cofactors, self.chi2, kind=kind, components=self.components,
             level=options.outlier_level if level is None else level,
             test=options.outlier_test if test is None else test,
             control=options.multiple_testing if control is None else control,
@@ -305,6 +373,23 @@ class Solution:
         if self.weights is not None:
             raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
         return variance_components(self.problem, self.state, self.cofactors, groups=groups, method=method)
+
+    def in_datum(self, *names: str) -> FreeNetwork:
+        """S-transformation of a free network to the datum of images ("image:3") and points ("point:12").
+
+        Without names: the datum it was adjusted in, inner constraints on all ground points.
+
+        Raises
+        ------
+        NoSolutionError
+            This is no free network (``datum = "inner"``), or it has no covariance.
+        InputError
+            No such image or point, or these do not fix all motions.
+        """
+        network = getattr(self.cofactors, "network", None)
+        if network is None:
+            raise NoSolutionError.of("statistics.no_free_network", place=self.block.options.datum)
+        return network.in_datum(*names) if names else network  # type: ignore[no-any-return]
 
     def role(self, point: int) -> Role:
         """Role of a ground point."""

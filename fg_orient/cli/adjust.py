@@ -67,7 +67,7 @@ def adjust(
     ] = None,
     datum: Annotated[
         str | None,
-        typer.Option(metavar="control|priors|free", help="priors, free: relative, no control point is needed."),
+        typer.Option(metavar="control|priors|inner|free", help="All but control: relative, no control point needed."),
     ] = None,
     parts: Annotated[int | None, typer.Option(metavar="N", help="Adjust in so many parts; default: by size.")] = None,
     workers: Annotated[

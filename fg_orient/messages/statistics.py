@@ -32,10 +32,32 @@ STATISTICS: Final = {
         "gross errors are searched with least squares, not under a robust loss that has weighted them down",
         "leave out the loss, or the search",
     ),
-    "statistics.snoop_components": (
-        "gross errors and variance components are not searched in one run: each would hide the other",
-        "search the gross errors first, then leave them out and estimate the components",
+    "statistics.sigma_px": (
+        "no usable sigma of the pixel",
+        "give two sigmas above zero; without them the image must have measurements of its own",
     ),
+    "statistics.one_height": ("a pixel is located at a height or on a DEM", "give one of the two"),
+    "statistics.height_sigma": (
+        "the sigma of a height is no number from 0",
+        "give it in metres; 0 for an exact height",
+    ),
+    "statistics.dem_border": (
+        "the DEM has no slope here",
+        "take a larger DEM: the point lies at its border or in a gap",
+    ),
+    "statistics.one_image": ("rays of one image do not intersect", "name two images or more, or locate at a height"),
     "statistics.too_few": ("too few observations", "{remedy}"),
     "statistics.motions": ("nothing fixes these images in the world", "{remedy}"),
+    "statistics.datum": (
+        "these unknowns do not fix the {count} motions of the free network",
+        "name three points or more, not on one line",
+    ),
+    "statistics.no_free_network": (
+        "this is no free network, or its covariance could not be computed",
+        'adjust a block without control points with datum = "inner"',
+    ),
+    "statistics.datum_near": (
+        "the models feel these motions a little, so they are no exact datum defect",
+        'keep the priors: datum = "priors"; or measure control points',
+    ),
 }

@@ -119,6 +119,9 @@ def _numerical(compiled: Problem, view: BlockObservability) -> list[Fault]:
     loose = compiled.block.options.datum in ("free", "inner")
     dead = sum(int(m.unobservable.sum()) for m in view.motions)
     out = [] if loose or not dead else _motion_faults(view)
+    if compiled.block.options.datum == "inner":
+        near = [m for m in view.motions if not m.unobservable.all()]
+        out += [problem("statistics.datum_near", place=part_sentence(m, priors=False), value=len(m)) for m in near]
     others = view.sentences[len(view.sentences) - view.unexplained :]
     return out + [problem("adjust.rank_deficient", place=sentence) for sentence in others]
 

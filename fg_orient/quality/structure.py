@@ -170,7 +170,7 @@ def _flow(row: Index, column: Index, supply: Index, need: Index) -> tuple[Index,
     head = np.concatenate([np.arange(n_rows), n_rows + column, np.full(len(need), sink)])
     capacity = np.concatenate([supply, supply[row], need]).astype(np.int32)
     keep = capacity > 0
-    graph = sparse.csr_matrix((capacity[keep], (tail[keep], head[keep])), shape=(n + 2, n + 2))
+    graph = sparse.csr_array((capacity[keep], (tail[keep], head[keep])), shape=(n + 2, n + 2))
     result = csgraph.maximum_flow(graph, source, sink).flow
     along = np.asarray(result[row, n_rows + column]).ravel()
     got = np.asarray(result[n_rows + np.arange(len(need)), np.full(len(need), sink)]).ravel()

@@ -1,0 +1,300 @@
+"""Adjustment of a block without control in a datum of inner constraints.
+
+The equations of a free network are singular. Here d of its image unknowns, as many as there are motions, are held by
+an observation each: a minimal datum, chosen by pivoting so that it is well conditioned. These observations get no
+residual, so shape and residuals are those of the free network, any backend solves regular equations, and no factor
+links more than it did (inner constraints as factors would link all points with each other). Then an S-transformation
+leads to the datum wanted: of the state, in steps with the adjustment repeated, because a motion is not linear; of the
+cofactors, once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import qr
+
+from factors._contract import Argument, Equation, Example
+from fg_orient.adjustment.dense import Columns
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.solve import Estimate
+from fg_orient.block import Block, ExtraObservation
+from fg_orient.errors import InputError
+from fg_orient.quality.covariance import Cofactors, Indeterminate, NamedMatrix
+from fg_orient.quality.datum import datum_step, s_transform
+from fg_orient.quality.elimination import Rows, eliminated, followed_by_ground
+from fg_orient.quality.motions import UNOBSERVABLE
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+#: Unknowns up to which all cofactors of a free network are formed.
+MAX_UNKNOWNS: Final = 3000
+#: A datum is reached when its step is below this, in prior sigmas and metres.
+REACHED: Final = 1e-9
+#: Steps to the datum; each squares what is left, so few are needed.
+MAX_STEPS: Final = 10
+_LABEL: Final = "minimal datum"
+
+
+def _residual(record: Any, setup: Any, x: Any) -> Any:
+    """``x - x_0`` of the unknowns whose numbers are in the record."""
+    return x[record.astype(np.intp)] - setup[0]
+
+
+def _kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
+    jacobian = np.eye(len(x))[record.astype(np.intp)] if want else np.empty((0, 0))
+    return _residual(record, setup, x), jacobian
+
+
+def _example(rng: np.random.Generator) -> Example:
+    return Example(np.array([0.0, 2.0]), rng.normal(size=(1, 2)), (rng.normal(size=4),))
+
+
+#: Some unknowns of an image, each observed with sigma 1 prior sigma.
+HELD_UNKNOWNS: Final = Equation(
+    "held_unknowns", _kernel, _residual, (Argument("x", "prior sigma"),), _example, "minimal datum of a free network",
+)  # fmt: skip
+
+
+def null_space(problem: Problem, state: State) -> Array:
+    """Motions (n, d) that no observation feels: image unknowns in prior sigmas, then unknown points in m.
+
+    Columns are orthonormal in the image unknowns. Own observations are not looked at.
+    """
+    rows, u = Rows.of(problem, state), problem.n_image_unknowns
+    rest = eliminated(problem, rows)
+    _, s, vt = np.linalg.svd(np.vstack([rest, np.zeros((max(0, u - len(rest)), u))]), full_matrices=False)
+    motions = np.asarray(vt[s <= UNOBSERVABLE].T)
+    ground = followed_by_ground(problem, rows, motions)[problem.active]
+    return np.vstack([motions, ground.reshape(-1, motions.shape[1])])
+
+
+def without_priors(block: Block) -> Block:
+    """The same block without prior observations: they would hold the network."""
+    return replace(block, options=replace(block.options, priors=False))
+
+
+def with_minimal_datum(problem: Problem) -> Problem:
+    """Hold as many image unknowns at their values of the start as there are motions."""
+    motions = null_space(problem, problem.start)[: problem.n_image_unknowns]
+    d = motions.shape[1]
+    chosen = np.sort(qr(motions.T, mode="r", pivoting=True)[1][:d]) if d else np.zeros(0)
+    return _holding(problem, chosen.astype(np.intp))
+
+
+def _holding(problem: Problem, chosen: Index) -> Problem:
+    """Replace the observations that hold image unknowns by those of others."""
+    held = []
+    for k, image in enumerate(problem.block.images):
+        own = chosen[(chosen >= problem.first[k]) & (chosen < problem.first[k + 1])] - problem.first[k]
+        if len(own):
+            value = problem.unknowns(problem.start, k)[own][None]
+            held.append(ExtraObservation(
+                HELD_UNKNOWNS, (f"image:{image.id}",), own.astype(float), value, len(own),
+                f"{_LABEL} of image {image.id}",
+            ))  # fmt: skip
+    others = tuple(e for e in problem.block.extra if e.equation is not HELD_UNKNOWNS)
+    return replace(problem, block=replace(problem.block, extra=(*others, *held)))
+
+
+def _chosen(problem: Problem) -> Index:
+    """Image unknowns that are held."""
+    found = [
+        problem.first[problem.block.image_index(e.unknowns[0].removeprefix("image:"))] + e.record.astype(np.intp)
+        for e in problem.block.extra
+        if e.equation is HELD_UNKNOWNS
+    ]
+    return np.concatenate([np.zeros(0, np.intp), *found])
+
+
+def to_inner_datum(
+    problem: Problem, estimate: Estimate, run: Callable[[Problem], Estimate]
+) -> tuple[Problem, Estimate]:
+    """Lead a minimally constrained adjustment to inner constraints on its ground points.
+
+    Parameters
+    ----------
+    problem : Problem
+        With its minimal datum; its start has the coordinates that the constraints refer to.
+    estimate : Estimate
+    run : callable
+        Adjusts a problem from its start.
+
+    Returns
+    -------
+    Problem
+        The same, its minimal datum at the values of the result.
+    Estimate
+        Not converged if the datum is not reached.
+    """
+    columns, chosen, first = Columns.of(problem), _chosen(problem), estimate
+    reference, at = columns.vector(problem.start), problem
+    datum = datum_points(problem)
+    for _ in range(MAX_STEPS):
+        motions = null_space(problem, estimate.state)
+        step = datum_step(columns.vector(estimate.state) - reference, motions, datum)
+        if not len(chosen) or not estimate.converged or np.abs(step).max() < REACHED:
+            break
+        at = _holding(replace(at, start=columns.moved(estimate.state, step)), chosen)
+        estimate = run(at)
+    else:
+        estimate = replace(estimate, converged=False, reason="the datum of the free network is not reached")
+    whole = replace(estimate, log=first.log, iterations=first.iterations, structure_s=first.structure_s,
+                    solve_s=first.solve_s + (estimate.solve_s if estimate is not first else 0.0))  # fmt: skip
+    return replace(at, start=problem.start), whole
+
+
+def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
+    """Unknowns (n,) of a datum: named images and ground points, or all ground points.
+
+    Raises
+    ------
+    InputError
+        No such image or point, or a point that is no unknown.
+    """
+    columns = Columns.of(problem)
+    out = np.zeros(len(columns), bool)
+    if not names:
+        out[problem.n_image_unknowns :] = True
+    for name in names:
+        found = problem.block.find(name)
+        if found is None:
+            raise InputError.of("covariance.no_such", place="datum", value=name)
+        kind, k = found
+        if kind != "image" and not problem.active[k]:
+            raise InputError.of("covariance.not_unknown", place="datum", value=name)
+        out[columns.image(k) if kind == "image" else columns.point(k)] = True
+    return out
+
+
+@dataclass(frozen=True)
+class FreeNetwork:
+    """A free network in one datum.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+    null_space : (n, d) array
+        Its motions at the state; unknowns of all images in prior sigmas, then of all unknown points in m.
+    cofactors : (n, n) array
+        In prior scale.
+    datum : (n,) bool array
+        Unknowns whose inner constraints these are.
+    """
+
+    problem: Problem
+    state: State
+    null_space: Array
+    cofactors: Array
+    datum: Mask
+
+    @property
+    def datum_defect(self) -> int:
+        """Motions that no observation feels."""
+        return int(self.null_space.shape[1])
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Where the unknowns stand."""
+        return Columns.of(self.problem)
+
+    def in_datum(self, *names: str) -> FreeNetwork:
+        """S-transformation to the datum that images ("image:3") and points ("point:12") carry; none: all points.
+
+        The state is moved along the motions as they are at the solution, which is exact to first order; its movement
+        is some sigmas of start values, so the shape changes by the square of it.
+
+        Raises
+        ------
+        InputError
+            No such image or point, or these do not fix all motions.
+        """
+        datum, columns = datum_points(self.problem, names), self.columns
+        difference = columns.vector(self.state) - columns.vector(self.problem.start)
+        state = columns.moved(self.state, datum_step(difference, self.null_space, datum))
+        q = s_transform(self.cofactors, self.null_space, datum)
+        return FreeNetwork(self.problem, state, self.null_space, q, datum)
+
+    def cofactor_matrix(self) -> NamedMatrix:
+        """Cofactors of all unknowns in physical units: m, m/s, rad, px for images, m for points."""
+        problem = self.problem
+        ids = [problem.block.points.ids[j] for j in self.columns.ground]
+        names = [f"{i.id}.{n}" for i, p in zip(problem.block.images, problem.parameters, strict=True) for n in p.names]
+        names += [f"{name}.{axis}" for name in ids for axis in "xyz"]
+        units = [u for p in problem.parameters for u in p.units] + ["m"] * (3 * len(ids))
+        scale = np.concatenate([*(p.sigma for p in problem.parameters), np.ones(3 * len(ids))])
+        return NamedMatrix(tuple(names), tuple(units), self.cofactors * np.outer(scale, scale))
+
+
+class InnerCofactors:
+    """Cofactors under inner constraints on the ground points; see ``fg_orient.quality.covariance.Cofactors``.
+
+    Parameters
+    ----------
+    problem : Problem
+        With its minimal datum.
+    state : State
+        The solution.
+    minimal : Cofactors
+        Of the minimal datum, by the means of the backend that solved.
+
+    Raises
+    ------
+    Indeterminate
+        More than 3000 unknowns.
+    """
+
+    def __init__(self, problem: Problem, state: State, minimal: Cofactors) -> None:
+        if problem.n_unknowns > MAX_UNKNOWNS:
+            raise Indeterminate(
+                f"the free network has {problem.n_unknowns} unknowns; all its cofactors are formed up to {MAX_UNKNOWNS}"
+            )
+        motions, datum = null_space(problem, state), datum_points(problem)
+        q = s_transform(_all_cofactors(problem, state, minimal), motions, datum)
+        self.network = FreeNetwork(problem, state, motions, q, datum)
+
+    def image(self, k: int) -> Array:
+        """See ``Cofactors``."""
+        return self.joint((k,), ())
+
+    def point(self, j: int) -> Array:
+        """See ``Cofactors``."""
+        return self.joint((), (j,)) if self.network.problem.active[j] else np.zeros((3, 3))
+
+    def points(self, index: Index) -> Array:
+        """See ``Cofactors``."""
+        return np.array([self.point(j) for j in index.tolist()]).reshape(-1, 3, 3)
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """See ``Cofactors``."""
+        columns, active = self.network.columns, self.network.problem.active
+        parts = [columns.image(k) for k in images] + [columns.point(j) for j in points if active[j]]
+        index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+        return np.asarray(self.network.cofactors[np.ix_(index, index)])
+
+
+def _all_cofactors(problem: Problem, state: State, minimal: Cofactors) -> Array:
+    """Cofactors (n, n) of all unknowns: those of the images from the backend, points by back-substitution."""
+    images, ground = tuple(range(problem.n_images)), np.flatnonzero(problem.active)
+    if any(e.equation is not HELD_UNKNOWNS for e in problem.block.extra):
+        return minimal.joint(images, tuple(ground.tolist()))
+    rows, u = Rows.of(problem, state), problem.n_image_unknowns
+    follow = np.vstack([np.eye(u), followed_by_ground(problem, rows, np.eye(u))[ground].reshape(-1, u)])
+    q = follow @ minimal.joint(images, ()) @ follow.T
+    normal = np.zeros((len(problem.active), 3, 3))
+    np.add.at(normal, problem.observations.point, np.einsum("nik,nil->nkl", rows.ground, rows.ground))
+    observed = np.flatnonzero(problem.observed)
+    w = problem.control_records[observed, :9].reshape(-1, 3, 3)
+    normal[observed] += np.einsum("nik,nil->nkl", w, w)
+    for n, j in enumerate(ground):
+        part = slice(u + 3 * n, u + 3 * n + 3)
+        q[part, part] += np.linalg.inv(normal[j])
+    return np.asarray(q)
