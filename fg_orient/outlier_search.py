@@ -19,15 +19,18 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient import initial
-from fg_orient.adjustment.problem import Problem, State, participates
+from fg_orient.adjustment.problem import Problem, State, compile_problem, participates
 from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block, Coordinates, GroundPoints
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Role
+from fg_orient.quality.freedom import least_freedom, with_freedom
+from fg_orient.quality.observation_groups import groups_of, scaled
 from fg_orient.quality.outliers import OutlierTests
-from fg_orient.quality.prediction import prediction
+from fg_orient.quality.prediction import Suspect, prediction
 from fg_orient.quality.search import Found, Round, Search
 from fg_orient.quality.suspects import Kind
+from fg_orient.quality.variance_components import VarianceComponents
 from fg_orient.solution import Solution
 
 Index = npt.NDArray[np.intp]
@@ -64,8 +67,6 @@ def search(block: Block, run: Run, *, kind: Kind = "groups") -> Solution:
     """
     if block.options.loss != NONE:
         raise InputError.of("statistics.snoop_loss", place="snoop", value=block.options.loss)
-    if block.options.variance_components:
-        raise InputError.of("statistics.snoop_components", place="snoop", value="variance_components")
     if kind not in ("groups", "points"):
         raise InputError.of("options.value", place="kind", value=repr(kind), expected='"groups" or "points"')
     solution = run(block, None)
@@ -156,16 +157,26 @@ class _Rounds:
         if solution.cofactors is None or not self._out:
             return
         kept, _ = self._kept()
+        components, full = solution.components, self._full
+        if components is not None:  # what is out gets the sigmas that its group has now
+            full = compile_problem(rescaled(self._block, self._full, components))
         for n, (removal, place) in enumerate(self._out):
             rows, again = self._kept([r for k, (r, _) in enumerate(self._out) if k != n])
             j, back = removal.point, np.setdiff1d(rows, kept)
             known = again.points.roles[j] is Role.CONTROL and self._full.observed[j]
             fit = prediction(
-                self._full, solution.problem, solution.state, solution.cofactors, solution.chi2,
+                full, solution.problem, solution.state, solution.cofactors, solution.chi2,
                 self._block.options.outlier_test, j, self._place[back].tolist(),
-                bool(known and not solution.problem.observed[j]),
+                bool(known and not solution.problem.observed[j]), self._suspect(removal, place),
             )  # fmt: skip
+            if components is not None:
+                fit = with_freedom(fit, least_freedom(components), self._block.options.outlier_test)
             self._found[place] = replace(self._found[place], fit=fit)
+
+    def _suspect(self, removal: _Removal, place: int) -> Suspect:
+        """Where in what is left out the error is suspected."""
+        part = self._found[place].test.part
+        return Suspect(part, int(self._place[removal.rows[0]]) if part == "image" else -1)
 
     def _fitting(self) -> int | None:
         """Position in ``_out`` of the observation that fits best, of those that have not been back."""
@@ -205,6 +216,13 @@ class _Rounds:
         """Give the last solution with what was found."""
         found = Search(tuple(self._rounds), tuple(self._found), self._given_up)
         return replace(solution, snooping=found, warnings=(*found.sentences(), *solution.warnings))
+
+
+def rescaled(block: Block, full: Problem, components: VarianceComponents) -> Block:
+    """The given block with the sigmas that variance components found; ``full`` is its problem."""
+    groups = groups_of(full, full.block.options.variance_components)
+    known = {c.group: c.factor for c in components.components}
+    return scaled(block, groups, np.array([known.get(name, 1.0) for name in groups.names]))
 
 
 def _as_tie(points: GroundPoints, without: list[int]) -> GroundPoints:

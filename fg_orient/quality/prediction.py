@@ -1,10 +1,13 @@
 """Observations that took no part, predicted from those that did.
 
-With the misclosure v of the observations at the solution of the rest, their Jacobian J in whitened rows and the
-cofactors Q of the unknowns of the rest, ``T = v^T (I + J Q J^T)^-1 v`` is what the weighted sum of squares would rise
-by if they came back: the same T as that of the outlier test with them inside (leave one out; Kok 1984). A ground point
-that the rest does not hold is first intersected from the observations themselves, and they are judged by what is left
-over.
+They are judged as if they were in: with their misclosure v at the solution of the rest, their Jacobian J in whitened
+rows, the cofactors Q of the unknowns of the rest, ``S = I + J Q J^T`` and the columns E of the error in these rows::
+
+    T = (E^T S^-1 v)^T (E^T S^-1 E)^+ (E^T S^-1 v)
+
+is the T of the outlier test in the adjustment with them (its residuals are ``S^-1 v``, weighted, with these cofactors;
+leave one out, Kok 1984), and v^T v rises by ``v^T S^-1 v`` when they come back. A ground point that the rest does not
+hold is first intersected from the observations themselves, and they are judged by what is left over.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.suspects import CHECKED
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -49,11 +53,19 @@ class Fit:
     probability: float | None
 
 
+@dataclass(frozen=True)
+class Suspect:
+    """Where an error is suspected: "image" with its row of the full problem, "position", "height" or "point"."""
+
+    part: str
+    row: int = -1
+
+
 def prediction(
     full: Problem, rest: Problem, state: State, cofactors: Cofactors, chi2: float, test: str,
-    point: int, rows: Sequence[int], control: bool,
+    point: int, rows: Sequence[int], control: bool, suspect: Suspect,
 ) -> Fit:  # fmt: skip
-    """Judge observations of one ground point that took no part.
+    """Judge a suspect among observations of one ground point that took no part.
 
     Parameters
     ----------
@@ -68,12 +80,15 @@ def prediction(
         Image points of ``full``, all of this ground point.
     control : bool
         Whether the point's coordinates came back, too.
+    suspect : Suspect
+        Where the error is suspected.
     """
     held = bool(np.isfinite(state.ground[point]).all()) or not full.active[point]
     x = (state if rest.active[point] else full.start).ground[point]
     if not held:
         x = _intersected(full, state, point, rows, control)
     v, d_image, d_ground, images = _rows(full, state, point, x, rows, control)
+    e = _columns(full, point, rows, control, suspect)
     if rest.active[point]:
         q = cofactors.joint(images, (point,)) if images else cofactors.point(point)
         design = np.hstack([d_image, d_ground])
@@ -81,20 +96,36 @@ def prediction(
         q, design = cofactors.joint(images, ()), d_image
         if not held:
             left = np.linalg.qr(d_ground, mode="complete")[0][:, 3:].T
-            v, design = left @ v, left @ design
-    return _judged(v, np.eye(len(v)) + design @ q @ design.T, chi2, rest.redundancy, test)
+            v, design, e = left @ v, left @ design, left @ e
+    return _judged(v, e, np.eye(len(v)) + design @ q @ design.T, chi2, rest.redundancy, test)
 
 
-def _judged(v: Array, q: Array, chi2: float, redundancy: int, test: str) -> Fit:
-    """Test in the adjustment with the observations: f grows by d, v^T v by T."""
-    if not len(v):
-        return Fit(0.0, 0, None, None)
-    t, d = np.array([v @ np.linalg.solve(q, v)]), np.array([len(v)])
-    f = redundancy + len(v)
+def _columns(full: Problem, point: int, rows: Sequence[int], control: bool, suspect: Suspect) -> Array:
+    """Columns E (m, k) of the suspected error in the rows of :func:`_rows`; their scale does not matter."""
+    whole = np.eye(2 * len(rows) + 3 * control)
+    if suspect.part == "point":
+        return whole
+    if suspect.part == "image":
+        return whole[:, [k for i, r in enumerate(rows) if r == suspect.row for k in (2 * i, 2 * i + 1)]]
+    record = full.control_records[point]
+    out = np.zeros((len(whole), 3))
+    out[-3:] = record[:9].reshape(3, 3) @ full.axes(record[None, 9:] + full.origin_m)[0].T
+    return out[:, :2] if suspect.part == "position" else out[:, 2:]
+
+
+def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: str) -> Fit:
+    """Test in the adjustment with the observations: f grows by their number, v^T v by their own sum."""
+    e = e / np.linalg.norm(e, axis=0)
+    residual, weighted = np.linalg.solve(s, v), np.linalg.solve(s, e)
+    size, axes = np.linalg.eigh(e.T @ weighted)
+    checked = size > CHECKED
+    along = axes[:, checked].T @ (e.T @ residual)
+    t, d, f = np.array([along**2 @ (1.0 / size[checked])]), np.array([checked.sum()]), redundancy + len(v)
     if not hypotheses.testable(d, f, test)[0]:
         return Fit(float(t[0]), 0, None, None)
-    statistic = hypotheses.statistics(t, d, chi2 + t, f, test)
-    return Fit(float(t[0]), len(v), float(statistic[0]), float(hypotheses.probabilities(t, d, chi2 + t, f, test)[0]))
+    total = chi2 + float(v @ residual)
+    statistic, p = (law(t, d, total, f, test)[0] for law in (hypotheses.statistics, hypotheses.probabilities))
+    return Fit(float(t[0]), int(d[0]), float(statistic), float(p))
 
 
 def _rows(

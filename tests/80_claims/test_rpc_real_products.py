@@ -54,7 +54,9 @@ def _others(block: Block, control: list[int]) -> list[str]:
 @pytest.fixture(scope="module")
 def searched(real_data: Path) -> Snooping:
     """The Neo pair, all points as control, searched for gross errors with the affine compensation."""
-    return snoop(pleiades_neo(real_data, PIXEL_FACTOR, POSITION_FACTOR), rpc_compensation="affine")
+    # each at 0.001: at 5 % over all, the default, point 27 (2 px) is not significant among 96 tests
+    block = pleiades_neo(real_data, PIXEL_FACTOR, POSITION_FACTOR)
+    return snoop(block, rpc_compensation="affine", level=0.001, control="none")
 
 
 def test_stated_sigmas_of_the_neo_pair(real_data: Path) -> None:
