@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from fg_orient.messages.closerange import CLOSERANGE
 from fg_orient.messages.dense import CLASSICAL, COMPARE, LINEAR, PUBLISHED, REPRODUCE
 from fg_orient.messages.files import DEM, DIMAP, GEODESY, OBSERVATIONS, POINTS, PROJECT, SENSOR, TABLE, XML
 from fg_orient.messages.frame import FRAME
@@ -48,5 +49,6 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **RECTIFY,
     **FRAME,
     **PARALLEL,
+    **CLOSERANGE,
     **STATISTICS,
 }

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 import factors.control
+import factors.coplanarity
+import factors.dlt
 import factors.frame
 import factors.line_scanner
 import factors.plane
 import factors.pushbroom
-import factors.rfm_equation  # noqa: F401  (registers)
+import factors.rfm_equation
+import factors.similarity
+import factors.surfaces  # noqa: F401  (registers)
 from factors._contract import Equation, Example, evaluate, register, registered
 
 EQUATIONS = sorted(registered().values(), key=lambda e: e.name)

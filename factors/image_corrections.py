@@ -1,0 +1,69 @@
+"""Corrections that lead measured image coordinates to ideal ones: radial, decentring, affinity.
+
+    K = k1 r^2 + k2 r^4 + k3 r^6,   r^2 = x^2 + y^2      (x, y reduced to the principal point)
+    x' = x + x K + P1 (r^2 + 2 x^2) + 2 P2 x y + A y
+    y' = y + y K + P2 (r^2 + 2 y^2) + 2 P1 x y + B y
+
+Brown 1966; Ayhan 1996, eqs. 48, 53 and 71-73, with a slip of print corrected (eq. 71 repeats "x"). The direction is
+**measured to ideal**, the opposite of ``factors.frame_camera``. Coefficients (7,) are k1 k2 k3 P1 P2 A B, in the unit of
+the coordinates: mm^-2, mm^-4, mm^-6, mm^-1, mm^-1, 1, 1 where these are mm.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Array, compiled, inlined
+
+NAMES: Final = ("k1", "k2", "k3", "p1", "p2", "affinity_a", "affinity_b")
+SIZE: Final = 7
+
+
+@inlined
+def ideal(c: Any, x: Any, y: Any) -> Any:
+    """Ideal coordinates (2 numbers) of measured ones."""
+    xx, yy, xy = x * x, y * y, x * y
+    r = xx + yy
+    radial = 1.0 + r * (c[0] + r * (c[1] + r * c[2]))
+    return (
+        x * radial + c[3] * (r + 2.0 * xx) + 2.0 * c[4] * xy + c[5] * y,
+        y * radial + c[4] * (r + 2.0 * yy) + 2.0 * c[3] * xy + c[6] * y,
+    )
+
+
+@inlined
+def slopes(c: Any, x: Any, y: Any) -> Any:
+    """Derivatives x'_x, x'_y, y'_x, y'_y of :func:`ideal` with respect to the measured coordinates."""
+    r = x * x + y * y
+    radial, slope = 1.0 + r * (c[0] + r * (c[1] + r * c[2])), 2.0 * (c[0] + r * (2.0 * c[1] + 3.0 * r * c[2]))
+    mixed = x * y * slope + 2.0 * (c[3] * y + c[4] * x)
+    along_x = radial + x * x * slope + 6.0 * c[3] * x + 2.0 * c[4] * y
+    along_y = radial + y * y * slope + 6.0 * c[4] * y + 2.0 * c[3] * x + c[6]
+    return along_x, mixed + c[5], mixed, along_y
+
+
+@inlined
+def by_coefficient(j: int, x: Any, y: Any) -> Any:
+    """Derivatives of x' and y' with respect to coefficient number ``j``."""
+    r = x * x + y * y
+    if j < 3:
+        power = r if j == 0 else r * r if j == 1 else r * r * r
+        return x * power, y * power
+    if j == 3:
+        return r + 2.0 * x * x, 2.0 * x * y
+    if j == 4:
+        return 2.0 * x * y, r + 2.0 * y * y
+    if j == 5:
+        return y, 0.0 * y
+    return 0.0 * y, y
+
+
+@compiled
+def ideal_points(c: Array, reduced: Array) -> Array:
+    """Ideal coordinates (N, 2) of N measured points (N, 2), both about the principal point."""
+    out = np.empty_like(reduced)
+    for i in range(len(reduced)):
+        out[i, 0], out[i, 1] = ideal(c, reduced[i, 0], reduced[i, 1])
+    return out

@@ -1,0 +1,160 @@
+"""Points on a surface of the second degree: sphere, ellipsoid with any of its unknowns, general quadric.
+
+    sphere     r = s (|p - c|^2 - a^2)                                       Ayhan 1996, eqs. 135 and 138
+    ellipsoid  r = s (q1^2/a^2 + q2^2/b^2 + q3^2/c^2 - 1),  q = R (p - c)    Ayhan 1996, eq. 142 (R = I, a = c)
+    quadric    r = s (A x^2 + B y^2 + C z^2 + 2 D xy + 2 E xz + 2 F yz + 2 G x + 2 H y + 2 I z + J)   eq. 125
+
+A spheroid is an ellipsoid with one unknown for two semi-axes. The rotation is ``exp([w]x) R_0``, as in
+``factors.frame``. All are conditions between unknowns and the observed point: Jacobians exist for both.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors.frame_camera import CAMERA_SIZE, turned
+
+#: Record of the ellipsoid: factor s, centre 1:4, rotation 4:13 row-major, semi-axes 13:16; of the others: s alone.
+RECORD_SIZE: Final = 16
+#: Codes of the unknowns in the setup of the ellipsoid (codes; steps): centre 0-2, rotation vector 3-5, semi-axes 6-8,
+#: and 9-11: both semi-axes other than the first, second, third. Unknowns are corrections to the record.
+N_CODES: Final = 12
+
+
+@compiled
+def shape(record: Any, setup: Any, x: Any) -> Any:
+    """Centre (3,), camera (29,) that holds R and J, semi-axes (3,)."""
+    d, turn = np.zeros(N_CODES, x.dtype), np.empty(CAMERA_SIZE, x.dtype)
+    for j in range(setup.shape[1]):
+        d[int(setup[0, j])] += setup[1, j] * x[j]
+    turned(d[3:6], record[4:13], turn)
+    centre, semi = np.empty(3, x.dtype), np.empty(3, x.dtype)
+    for i in range(3):
+        centre[i] = record[1 + i] + d[i]
+        semi[i] = record[13 + i] + d[6 + i]
+        for k in range(3):
+            if k != i:
+                semi[i] += d[9 + k]
+    return centre, turn, semi
+
+
+@compiled
+def _local(centre: Any, turn: Any, point: Any) -> Any:
+    """Return q = R (p - c) (3,)."""
+    d = point - centre
+    q = np.empty_like(d)
+    for i in range(3):
+        q[i] = turn[3 * i] * d[0] + turn[3 * i + 1] * d[1] + turn[3 * i + 2] * d[2]
+    return q
+
+
+@compiled
+def residual_ellipsoid(record: Any, setup: Any, x: Any, point: Any) -> Any:
+    """Residual (1,); accepts complex unknowns."""
+    centre, turn, semi = shape(record, setup, x)
+    # one type for both, whichever is complex
+    q = _local(centre + 0.0 * point, turn + 0.0 * point[0], point + 0.0 * centre)
+    return np.array([record[0] * ((q[0] / semi[0]) ** 2 + (q[1] / semi[1]) ** 2 + (q[2] / semi[2]) ** 2 - 1.0)])
+
+
+@compiled
+def kernel_ellipsoid(record: Array, setup: Array, x: Array, point: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (1,), Jacobians with respect to the unknowns (1, k) and the point (1, 3)."""
+    value = residual_ellipsoid(record, setup, x, point)
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    centre, turn, semi = shape(record, setup, x)
+    q = _local(centre, turn, point)
+    d, g = np.zeros(N_CODES), 2.0 * record[0] * q / semi**2
+    turned_g = np.array([q[1] * g[2] - q[2] * g[1], q[2] * g[0] - q[0] * g[2], q[0] * g[1] - q[1] * g[0]])
+    ground = np.zeros((1, 3))
+    for i in range(3):
+        ground[0, i] = turn[i] * g[0] + turn[3 + i] * g[1] + turn[6 + i] * g[2]
+        d[i] = -ground[0, i]
+        # q moves by (J dw) x q, and g . (e x q) = e . (q x g)
+        d[3 + i] = turn[20 + i] * turned_g[0] + turn[23 + i] * turned_g[1] + turn[26 + i] * turned_g[2]
+        d[6 + i] = -g[i] * q[i] / semi[i]
+    total = d[6] + d[7] + d[8]
+    for i in range(3):
+        d[9 + i] = total - d[6 + i]
+    out = np.empty((1, setup.shape[1]))
+    for j in range(setup.shape[1]):
+        out[0, j] = setup[1, j] * d[int(setup[0, j])]
+    return value, out, ground
+
+
+@compiled
+def residual_sphere(record: Any, setup: Any, x: Any, point: Any) -> Any:
+    """Residual (1,) of the unknowns centre, radius (4,)."""
+    return np.array(
+        [record[0] * ((point[0] - x[0]) ** 2 + (point[1] - x[1]) ** 2 + (point[2] - x[2]) ** 2 - x[3] ** 2)]
+    )
+
+
+@compiled
+def kernel_sphere(record: Array, setup: Array, x: Array, point: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (1,), Jacobians (1, 4) and (1, 3)."""
+    value = residual_sphere(record, setup, x, point)
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    d = 2.0 * record[0] * (point - x[:3])
+    return value, np.array([[-d[0], -d[1], -d[2], -2.0 * record[0] * x[3]]]), d.reshape((1, 3))
+
+
+@compiled
+def residual_quadric(record: Any, setup: Any, c: Any, p: Any) -> Any:
+    """Residual (1,) of the ten coefficients; only their ratios are determined."""
+    square = c[0] * p[0] * p[0] + c[1] * p[1] * p[1] + c[2] * p[2] * p[2]
+    mixed = c[3] * p[0] * p[1] + c[4] * p[0] * p[2] + c[5] * p[1] * p[2]
+    linear = c[6] * p[0] + c[7] * p[1] + c[8] * p[2]
+    return np.array([record[0] * (square + 2.0 * (mixed + linear) + c[9])])
+
+
+@compiled
+def kernel_quadric(record: Array, setup: Array, c: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (1,), Jacobians (1, 10) and (1, 3)."""
+    value, s = residual_quadric(record, setup, c, p), record[0]
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    x, y, z = p[0], p[1], p[2]
+    terms = np.array([[x * x, y * y, z * z, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z, 2.0 * x, 2.0 * y, 2.0 * z, 1.0]])
+    slope = np.array([[
+        c[0] * x + c[3] * y + c[4] * z + c[6], c[3] * x + c[1] * y + c[5] * z + c[7],
+        c[4] * x + c[5] * y + c[2] * z + c[8],
+    ]])  # fmt: skip
+    return value, s * terms, 2.0 * s * slope
+
+
+def _example_ellipsoid(rng: np.random.Generator) -> Example:
+    start, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    start *= np.sign(np.linalg.det(start))
+    record = np.concatenate([[rng.uniform(0.5, 2.0)], rng.normal(size=3), start.ravel(), rng.uniform(1.0, 3.0, 3)])
+    codes = np.sort(rng.permutation(N_CODES)[: rng.integers(1, N_CODES + 1)]).astype(float)
+    setup = np.ascontiguousarray(np.stack([codes, rng.uniform(0.02, 0.3, len(codes))]))
+    return Example(record, setup, (rng.normal(scale=0.5, size=len(codes)), record[1:4] + rng.normal(size=3)))
+
+
+def _example_sphere(rng: np.random.Generator) -> Example:
+    return Example(rng.uniform(0.5, 2.0, 1), np.zeros((2, 0)), (rng.normal(size=4), rng.normal(size=3)))
+
+
+def _example_quadric(rng: np.random.Generator) -> Example:
+    return Example(rng.uniform(0.5, 2.0, 1), np.zeros((2, 0)), (rng.normal(size=10), rng.normal(size=3)))
+
+
+_POINT = Argument("point", "m", is_point=True)
+SPHERE = register(Equation(
+    "surface_sphere", kernel_sphere, residual_sphere, (Argument("centre and radius", "m"), _POINT), _example_sphere,
+    "Ayhan 1996, eqs. 135-141",
+))  # fmt: skip
+ELLIPSOID = register(Equation(
+    "surface_ellipsoid", kernel_ellipsoid, residual_ellipsoid, (Argument("corrections", "steps"), _POINT),
+    _example_ellipsoid, "Ayhan 1996, eqs. 142-154; free axes: the same in turned coordinates",
+))  # fmt: skip
+QUADRIC = register(Equation(
+    "surface_quadric", kernel_quadric, residual_quadric, (Argument("coefficients", "1"), _POINT), _example_quadric,
+    "Ayhan 1996, eq. 125",
+))  # fmt: skip

@@ -1,0 +1,1 @@
+"""Close range: DLT, resection, intersection, relative and absolute orientation, parallax, surfaces."""

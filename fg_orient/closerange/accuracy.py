@@ -1,0 +1,86 @@
+"""Measures by which methods are compared: sums of squares and RMS per axis, control points apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.closerange.fitting import as_points, plain_rms
+from fg_orient.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Differences of some points from their reference.
+
+    Parameters
+    ----------
+    n : int
+    sums_cm2 : (4,) list
+        [Fxx], [Fyy], [Fzz] and their sum [Fpp], cm^2 (Ayhan 1996, eqs. 187-188).
+    rms_mm : (4,) list
+        sqrt([F]/n), mm; None without points.
+    worst_mm : (3,) list
+        Largest difference per axis; None without points.
+    """
+
+    n: int
+    sums_cm2: list[float]
+    rms_mm: list[float | None]
+    worst_mm: list[float | None]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A method against reference points: all, control points and the others.
+
+    Only the others say how accurate a method is: control points took part in it.
+    """
+
+    method: str
+    every: Measures
+    control: Measures
+    other: Measures
+
+    def as_dict(self) -> dict[str, Any]:
+        """Content for files."""
+        parts = {"all": self.every, "control": self.control, "other": self.other}
+        return {"method": self.method} | {name: vars(measures) for name, measures in parts.items()}
+
+
+def compare_points(
+    method: str, reference_m: npt.ArrayLike, points_m: npt.ArrayLike, control: npt.ArrayLike
+) -> Comparison:
+    """Compare points with their reference, ``F = reference - points``.
+
+    Parameters
+    ----------
+    method : str
+        Its name.
+    reference_m, points_m : (n, 3) arrays
+    control : (n,) bool array
+        Points that took part in the method.
+
+    Raises
+    ------
+    InputError
+        Arrays that do not fit.
+    """
+    reference = as_points(reference_m, 3, "reference", InputError.of)
+    difference = reference - as_points(points_m, 3, "points", InputError.of)
+    used = np.asarray(control, bool)
+    return Comparison(method, *(_measures(difference[rows]) for rows in (used | True, used, ~used)))
+
+
+def _measures(difference: Array) -> Measures:
+    axes = [float(s) for s in 1e4 * np.sum(difference**2, axis=0)]
+    n = len(difference)
+    rms = plain_rms(1e3 * difference)
+    radial = float(np.sqrt(100.0 * sum(axes) / n)) if n else None
+    worst = list[float | None](np.abs(1e3 * difference).max(axis=0).tolist()) if n else [None, None, None]
+    return Measures(n, [*axes, sum(axes)], [*rms, radial], worst)

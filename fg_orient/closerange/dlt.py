@@ -1,0 +1,298 @@
+"""Direct linear transformation: 11 parameters and distortion, interior and exterior orientation recovered from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.dlt import DLT, N_DISTORTION
+from factors.image_corrections import NAMES
+from fg_orient.closerange.fitting import (
+    RANK_LIMIT,
+    Determination,
+    adjust,
+    as_points,
+    determination,
+    equation_rows,
+    unit_weight,
+)
+from fg_orient.closerange.photo import Photo, YAxis, corrections_of
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.rectification.transformation import Scaling
+
+Array = npt.NDArray[np.float64]
+
+#: Distortion that a DLT may have, in order.
+DISTORTION: Final = NAMES[:N_DISTORTION]
+PARAMETERS: Final = tuple(f"L{k}" for k in range(1, 12))
+RECOVERED: Final = ("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z")
+#: Smallest singular value of the scaled design by its largest, below which the points lie in a plane but for noise.
+PLANE_LIMIT: Final = 1e-7
+_STEP: Final = 1e-30
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """Interior and exterior orientation of a DLT (Ayhan 1996, eq. 43).
+
+    Parameters
+    ----------
+    principal : (2,) array
+    cx, cy : float
+        Principal distances along x and y.
+    skew : float
+        By how much the image axes are not at right angles, rad.
+    centre_m : (3,) array
+    rotation : (3, 3) array
+        Camera axes X right, Y down, Z along the view, from ground axes; that of the y axis of the image, x follows.
+    y_axis : "up" or "down"
+        Of the image, found from the points.
+    sigma : dict or None
+        Standard deviations by name (:data:`RECOVERED`; turns about the camera axes, rad); None without redundancy.
+    """
+
+    principal: Array
+    cx: float
+    cy: float
+    skew: float
+    centre_m: Array
+    rotation: Array
+    y_axis: YAxis
+    sigma: dict[str, float] | None
+
+
+@dataclass(frozen=True)
+class DltFit:
+    """An adjusted DLT.
+
+    Parameters
+    ----------
+    photo : Photo
+        Its matrix holds L1 to L11 and 1, for ground coordinates about ``photo.origin_m``.
+    names : tuple of str
+        L1 to L11 and the distortion coefficients, in the unit of the image coordinates.
+    values : (u,) array
+    cofactors : (u, u) array
+        Times m0 squared their covariance.
+    residuals : (n, 2) array
+        Computed minus corrected image coordinates.
+    m0 : float or None
+        Standard deviation of unit weight; None without redundancy.
+    redundancy : int
+    condition : float
+        Of the scaled design.
+    recovered : Recovered
+    iterations : int
+    """
+
+    photo: Photo
+    names: tuple[str, ...]
+    values: Array
+    cofactors: Array
+    residuals: Array
+    m0: float | None
+    redundancy: int
+    condition: float
+    recovered: Recovered
+    iterations: int
+
+    @property
+    def sigma(self) -> Array | None:
+        """Standard deviations (u,) a posteriori; None without redundancy."""
+        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
+
+
+def direct_dlt(ground: Array, image: Array) -> Array:
+    """L1 to L11 by linear least squares of the equations times their denominator (Ayhan 1996, eq. 38).
+
+    Parameters
+    ----------
+    ground : (n, 3) array
+    image : (n, 2) array
+        Both about their middle: at 1000 m the form with "+1" is nearly singular.
+    """
+    n = len(ground)
+    design, right = np.zeros((2, n, 11)), image.T.copy()
+    for row in range(2):
+        design[row, :, 4 * row : 4 * row + 3], design[row, :, 4 * row + 3] = ground, 1.0
+        design[row, :, 8:] = -image[:, row, None] * ground
+    return np.asarray(np.linalg.lstsq(design.reshape(2 * n, 11), right.ravel(), rcond=None)[0])
+
+
+def fit_dlt(
+    ground_m: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0, distortion: Sequence[str] = (),
+    about: npt.ArrayLike | None = None, name: str = "", iterate: bool = True,
+) -> DltFit:  # fmt: skip
+    """Adjust a DLT.
+
+    Parameters
+    ----------
+    ground_m : (n, 3) array
+        Control points, m.
+    image : (n, 2) array
+        Measured x, y, any unit.
+    sigma : float or array that fits (n, 2)
+        Standard deviations of the image coordinates; without known ones 1 (m0 then is that of a coordinate).
+    distortion : sequence of str
+        Coefficients that are unknown, of k1, k2, k3, p1, p2 (measured to ideal).
+    about : (2,) array, optional
+        Image point that the distortion is about, held; default the principal point of the direct solution.
+    name : str
+        Of the photo.
+    iterate : bool
+        False: the direct linear solution (without distortion), whose weights are those of the equations times their
+        denominator.
+
+    Returns
+    -------
+    DltFit
+
+    Raises
+    ------
+    InputError
+        Too few points, points in a plane, no such coefficient, values not possible.
+    NoSolutionError
+        The iteration does not converge, or points lie on both sides of the camera.
+    """
+    ground = as_points(ground_m, 3, "ground", InputError.of)
+    measured = as_points(image, 2, "image", InputError.of)
+    size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
+    codes = _require(ground, measured, size, distortion, iterate)
+    source, target = Scaling.of(ground, shared=True), Scaling.of(measured, shared=True)
+    records = np.zeros((len(ground), 10))
+    records[:, :3], records[:, 3:5] = source.normalised(ground), target.normalised(measured)
+    records[:, [5, 7]] = target.scale / size
+    setup = np.ascontiguousarray(np.stack([codes, np.ones(len(codes))]))
+    rows = equation_rows(DLT, records, setup)
+    direct = direct_dlt(records[:, :3], records[:, 3:5])
+    state, log = np.concatenate([direct, np.zeros(len(codes))]), 1
+    _require_spatial(rows(state, True)[1][:, :11])
+    if len(codes):  # about the principal point of the 11 parameters alone
+        records[:, 8:] = recover(direct, np.zeros(3)).principal if about is None else target.normalised(about)
+    if iterate:
+        found = adjust(rows, state, "DLT")
+        state, log = found.state, len(found.log)
+    below = 1.0 + records[:, :3] @ state[8:11]
+    if not (below > 0.0).all():
+        raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(below)) + 1}")
+    residual, design = rows(state, True)
+    judged = _require_spatial(design)
+    return _result(name, tuple(distortion), source, target, state, residual.reshape(-1, 2) * size, size,
+                   target.physical(records[0, 8:]), judged, log)  # fmt: skip
+
+
+def _require(ground: Array, image: Array, sigma: Array, distortion: Sequence[str], iterate: bool) -> Array:
+    """Codes of the distortion coefficients (k,)."""
+    for unknown in [name for name in distortion if name not in DISTORTION or not iterate]:
+        raise InputError.of("closerange.distortion", place="distortion", value=unknown, known=", ".join(DISTORTION))
+    least = (11 + len(distortion) + 1) // 2
+    if len(ground) != len(image) or len(ground) < least:
+        raise InputError.of("closerange.few", place="DLT", value=len(ground), least=least)
+    if not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
+        raise InputError.of("closerange.sigma", place="sigma", value=float(np.nanmin(sigma)))
+    return np.array([DISTORTION.index(name) for name in distortion], float)
+
+
+def _require_spatial(design: Array) -> Determination:
+    """Refuse points in a plane, or elsewhere where L is not determined."""
+    found = determination(design)
+    if found.cofactors is None or found.condition >= 1.0 / max(PLANE_LIMIT, RANK_LIMIT):
+        raise InputError.of("closerange.plane", place="DLT", value=f"condition {found.condition:.2g}")
+    return found
+
+
+def _result(
+    name: str, distortion: tuple[str, ...], source: Scaling, target: Scaling, state: Array, residuals: Array,
+    sigma: Array, about: Array, judged: Determination, iterations: int,
+) -> DltFit:  # fmt: skip
+    """Physical parameters: linear in the normalised ones, since the last element of the matrix stays 1."""
+    to_physical = _denormalisation(source, target, distortion)
+    values = to_physical @ state
+    values[[3, 7]] += target.offset  # times the 1 of the last element
+    assert judged.cofactors is not None
+    cofactors = to_physical @ judged.cofactors @ to_physical.T
+    white = (residuals / sigma).ravel()
+    redundancy = len(white) - len(state)
+    m0 = unit_weight(float(white @ white), redundancy)
+    covariance = None if m0 is None else m0**2 * cofactors[:11, :11]
+    recovered = recover(values[:11], source.offset, covariance)
+    matrix = np.append(values[:11], 1.0).reshape(3, 4)
+    photo = Photo(name, matrix, source.offset, about, corrections_of(distortion, values[11:]))
+    return DltFit(photo, (*PARAMETERS, *distortion), values, cofactors, residuals, m0, redundancy, judged.condition,
+                  recovered, iterations)  # fmt: skip
+
+
+def _denormalisation(source: Scaling, target: Scaling, distortion: tuple[str, ...]) -> Array:
+    """Physical from normalised parameters (u, u), ground coordinates about the offset of the normalisation."""
+    u, size = 11 + len(distortion), float(target.scale[0])
+    out = np.zeros((u, u))
+    ground = np.append(1.0 / source.scale, 1.0)
+    for row in range(2):
+        for k in range(4):
+            out[4 * row + k, 4 * row + k] = size * ground[k]
+            if k < 3:
+                out[4 * row + k, 8 + k] = target.offset[row] * ground[k]
+    out[8:11, 8:11] = np.diag(ground[:3])
+    for j, coefficient in enumerate(distortion):
+        out[11 + j, 11 + j] = size ** -({"k1": 2, "k2": 4, "k3": 6}.get(coefficient, 1))
+    return out
+
+
+def recover(parameters: Array, origin_m: Array, covariance: Array | None = None) -> Recovered:
+    """Interior and exterior orientation from L1 to L11.
+
+    Parameters
+    ----------
+    parameters : (11,) array
+        For ground coordinates about ``origin_m``.
+    origin_m : (3,) array
+    covariance : (11, 11) array, optional
+        Of the parameters.
+
+    Raises
+    ------
+    NoSolutionError
+        L9 to L11 are 0 (parallel projection), or the projection is degenerate.
+
+    Notes
+    -----
+    Ayhan 1996, eq. 43; the sign of omega there is a slip of print. Standard deviations by complex step through the
+    same formulas.
+    """
+    matrix = np.append(parameters, 1.0).reshape(3, 4)
+    handed = np.linalg.det(matrix[:, :3])
+    if handed == 0.0 or not np.isfinite(handed):
+        raise NoSolutionError.of("closerange.parallel", place="DLT")
+    sign = 1.0 if handed > 0.0 else -1.0
+    values, rotation = _orientation(matrix, sign)
+    sigma = None
+    if covariance is not None:
+        slopes = np.zeros((len(RECOVERED), 11))
+        for k in range(11):
+            stepped = matrix.astype(complex)
+            stepped.flat[k] += 1j * _STEP
+            moved, turned = _orientation(stepped, sign)
+            spin = turned.imag / _STEP @ rotation.real.T  # [w]x of the turn about the camera axes
+            slopes[:8, k], slopes[8:, k] = moved.imag / _STEP, (spin[2, 1], spin[0, 2], spin[1, 0])
+        variance = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)
+        sigma = dict(zip(RECOVERED, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
+    x0, y0, cx, cy, skew = values.real[:5].tolist()
+    return Recovered(np.array([x0, y0]), cx, cy, skew, values.real[5:] + origin_m, rotation.real,
+                     "down" if sign > 0.0 else "up", sigma)  # fmt: skip
+
+
+def _orientation(matrix: npt.NDArray[Any], sign: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """x0, y0, cx, cy, skew, centre (8,) and rotation (3, 3); complex matrices pass."""
+    m = matrix[:, :3] / np.sqrt(np.sum(matrix[2, :3] ** 2))
+    x0, y0 = m[0] @ m[2], m[1] @ m[2]
+    along_x, along_y = m[0] - x0 * m[2], m[1] - y0 * m[2]
+    cx, cy = np.sqrt(np.sum(along_x**2)), np.sqrt(np.sum(along_y**2))
+    down = sign * along_y / cy
+    rotation = np.stack([np.cross(down, m[2]), down, m[2]])
+    skew = np.arcsin((along_x / cx) @ down)
+    centre = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
+    return np.concatenate([[x0, y0, cx, cy, skew], centre]), rotation

@@ -1,0 +1,180 @@
+"""The adjustment of a small problem: rows of any kind, driven by the loop of the bundle adjustment.
+
+Unknowns should be of size 1: the loop judges a step by its largest element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import Equation, evaluate
+from fg_orient.adjustment.dense import DenseStep, DenseSystem
+from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
+from fg_orient.errors import NoSolutionError
+
+Array = npt.NDArray[np.float64]
+#: Whitened residuals (n,) and their derivatives (n, u) at a state; without derivatives (0, u).
+Rows = Callable[[Array, bool], tuple[Array, Array]]
+
+SOLVER: Final = "qr_scaled"
+MAX_ITERATIONS: Final = 100
+#: Smallest by largest singular value of a design with columns of unit length, below which there is no covariance.
+RANK_LIMIT: Final = 1e-12
+#: Standard deviation by that of a point, beyond which a parameter is not determined by the points.
+UNDETERMINED: Final = 1e3
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """A minimum found.
+
+    Parameters
+    ----------
+    state : (u,) array
+    residual : (n,) array
+        Whitened.
+    design : (n, u) array
+        Its derivatives.
+    log : tuple of IterationRecord
+    """
+
+    state: Array
+    residual: Array
+    design: Array
+    log: tuple[IterationRecord, ...]
+
+    @property
+    def redundancy(self) -> int:
+        """Rows minus unknowns."""
+        return len(self.residual) - self.design.shape[1]
+
+    @property
+    def m0(self) -> float | None:
+        """Standard deviation of unit weight; None without redundancy."""
+        return unit_weight(float(self.residual @ self.residual), self.redundancy)
+
+
+def unit_weight(weighted_squares: float, redundancy: int) -> float | None:
+    """Standard deviation of unit weight; None without redundancy: it then follows from nothing."""
+    return float(np.sqrt(weighted_squares / redundancy)) if redundancy > 0 else None
+
+
+class _Backend:
+    """What the loop needs; see ``adjustment.loop.Backend``."""
+
+    def __init__(self, rows: Rows, moved: Callable[[Array, Array], Array]) -> None:
+        self._rows, self._moved = rows, moved
+
+    def linearise(self, state: Array) -> DenseSystem:
+        return DenseSystem(*self._rows(state, True), SOLVER)
+
+    def error(self, state: Array) -> float:
+        with np.errstate(all="ignore"):  # a trial step may leave the model: an error that is not finite is rejected
+            residual, _ = self._rows(state, False)
+            return 0.5 * float(residual @ residual)
+
+    def retract(self, state: Array, step: DenseStep) -> Array:
+        return self._moved(state, step.data)
+
+
+def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array], Array] | None = None) -> Adjusted:
+    """Find the minimum of the squares of some rows by Levenberg-Marquardt.
+
+    Parameters
+    ----------
+    rows : callable
+        See :data:`Rows`.
+    start : (u,) array
+    what : str
+        Named in the error.
+    moved : callable, optional
+        State after a step; default their sum.
+
+    Raises
+    ------
+    NoSolutionError
+        The iteration does not converge, or an equation has no finite value.
+    """
+    found = OPTIMIZERS["levenberg-marquardt"](_Backend(rows, moved or np.add), start, MAX_ITERATIONS)
+    if not found.converged:
+        raise NoSolutionError.of("closerange.not_converged", place=what, reason=found.reason)
+    residual, design = rows(found.state, True)
+    if not (np.isfinite(residual).all() and np.isfinite(design).all()):
+        raise NoSolutionError.of("closerange.not_converged", place=what, reason="an equation has no finite value")
+    return Adjusted(found.state, residual, design, found.log)
+
+
+def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Sequence[Array] = ()) -> Rows:
+    """Rows of a registered equation whose first unknown all observations share.
+
+    Parameters
+    ----------
+    equation : Equation
+    records : (n, d) array
+    setup : (2, k) array
+    fixed : sequence of (n, k_i) arrays
+        Values of its other arguments.
+    """
+    n = len(records)
+
+    def rows(x: Array, want: bool) -> tuple[Array, Array]:
+        values, blocks = evaluate(equation, records, [setup] * n, [x] * n, *fixed, jacobian=want)
+        return values.ravel(), np.concatenate(blocks[0]) if want else np.zeros((0, len(x)))
+
+    return rows
+
+
+@dataclass(frozen=True)
+class Determination:
+    """How well rows determine their unknowns.
+
+    Parameters
+    ----------
+    condition : float
+        Largest by smallest singular value of the design, its columns of unit length; inf if singular.
+    cofactors : (u, u) array or None
+        None if the design is singular.
+    weakest : (u,) array
+        Change of the unknowns that the rows see least, of unit length in scaled unknowns.
+    """
+
+    condition: float
+    cofactors: Array | None
+    weakest: Array
+
+
+def determination(design: Array) -> Determination:
+    """Singular values of a design whose columns have unit length, and the cofactors from them."""
+    length = np.linalg.norm(design, axis=0)
+    length = np.where(length > 0.0, length, 1.0)
+    _, values, right = np.linalg.svd(design / length, full_matrices=len(design) < design.shape[1])
+    values = np.concatenate([values, np.zeros(design.shape[1] - len(values))])
+    weakest = np.asarray(right[-1] / length)
+    if values[-1] <= RANK_LIMIT * values[0]:
+        return Determination(float("inf"), None, weakest)
+    root = right.T / values / length[:, None]
+    return Determination(float(values[0] / values[-1]), np.asarray(root @ root.T), weakest)
+
+
+def plain_rms(values: Array) -> list[float | None]:
+    """Root mean square of each column; None without rows."""
+    return list[float | None](np.sqrt(np.mean(values**2, axis=0)).tolist()) if len(values) else [None] * values.shape[1]
+
+
+def as_points(values: npt.ArrayLike, width: int, place: str, error: Callable[..., Any]) -> Array:
+    """Finite numbers (n, width).
+
+    Raises
+    ------
+    FgOrientError
+        What ``error`` builds, if they are not.
+    """
+    out = np.atleast_2d(np.ascontiguousarray(values, dtype=float))
+    if out.ndim != 2 or out.shape[1] != width or not len(out) or not np.isfinite(out).all():
+        raise error("closerange.points", place=place, value=f"shape {out.shape}", width=width)
+    return out

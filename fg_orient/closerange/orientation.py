@@ -1,0 +1,328 @@
+"""Relative orientation of two photos by coplanarity, absolute orientation of a model by control points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import evaluate
+from factors.coplanarity import COPLANARITY, turn_and_base
+from factors.frame_camera import CAMERA_SIZE, turned
+from factors.similarity import RECORD_SIZE, SIMILARITY
+from fg_orient.closerange.feet import Conditions, distance_rows, weighted_distances
+from fg_orient.closerange.fitting import (
+    UNDETERMINED,
+    Rows,
+    adjust,
+    as_points,
+    determination,
+    equation_rows,
+    unit_weight,
+)
+from fg_orient.closerange.photo import Interior
+from fg_orient.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.initial import nearest_points
+from fg_orient.rectification.transformation import Scaling
+
+Array = npt.NDArray[np.float64]
+
+LEAST_RELATIVE: Final = 6
+LEAST_EIGHT_POINT: Final = 8
+LEAST_ABSOLUTE: Final = 3
+
+
+@dataclass(frozen=True)
+class RelativeOrientation:
+    """The second photo seen from the first.
+
+    Parameters
+    ----------
+    rotation : (3, 3) array
+        Camera axes of the second photo from those of the first (X right, Y down, Z along the view).
+    base : (3,) array
+        Direction to the second projection centre in axes of the first camera, length 1.
+    base_axes : (2, 3) array
+        Directions at right angles to the base in which it may err.
+    cofactors : (5, 5) array
+        Of turns about the axes of the second camera and of the base along ``base_axes``, rad; times m0 squared their
+        covariance.
+    model : (n, 3) array
+        Points in axes of the first camera, the base as unit.
+    distances : (n,) array
+        How far each pair of image points is from coplanar, in its sigmas.
+    m0 : float or None
+        None without redundancy.
+    redundancy : int
+    condition : float
+    iterations : int
+    """
+
+    rotation: Array
+    base: Array
+    base_axes: Array
+    cofactors: Array
+    model: Array
+    distances: Array
+    m0: float | None
+    redundancy: int
+    condition: float
+    iterations: int
+
+    @property
+    def sigma(self) -> Array | None:
+        """Standard deviations (5,), rad; None without redundancy."""
+        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
+
+
+def relative_orientation(
+    first: Interior, second: Interior, image_first: npt.ArrayLike, image_second: npt.ArrayLike, *,
+    sigma: float = 1.0,
+) -> RelativeOrientation:  # fmt: skip
+    """Orient two photos to each other.
+
+    Parameters
+    ----------
+    first, second : Interior
+    image_first, image_second : (n, 2) arrays
+        Measured coordinates of six points or more in both.
+    sigma : float
+        Of all image coordinates, in the unit of the focal lengths.
+
+    Returns
+    -------
+    RelativeOrientation
+        Of all minima found that of the smallest misfit, all points in front of both cameras.
+
+    Raises
+    ------
+    InputError
+        Too few points, or points that leave the orientation open.
+    NoSolutionError
+        No minimum with the points in front of both cameras.
+
+    Notes
+    -----
+    Coplanarity (Ayhan 1996, eqs. 9-19) as a condition between five unknowns and the four image coordinates of a point,
+    adjusted by feet on it. Starts: normal cases along the axes; from eight points on the essential matrix
+    (Longuet-Higgins 1981, normalised as Hartley 1997).
+    """
+    tangents = [
+        camera.tangents(as_points(image, 2, place, InputError.of))
+        for camera, image, place in ((first, image_first, "first image"), (second, image_second, "second image"))
+    ]
+    n = len(tangents[0])
+    if n != len(tangents[1]) or n < LEAST_RELATIVE:
+        raise InputError.of("closerange.few", place="relative orientation", value=n, least=LEAST_RELATIVE)
+    if not (np.isfinite(sigma) and sigma > 0.0):
+        raise InputError.of("closerange.sigma", place="sigma", value=sigma)
+    points = np.column_stack(tangents)
+    size = np.tile(np.repeat([sigma / first.focal, sigma / second.focal], 2), (n, 1))
+    found, failure = [], NoSolutionError.of("closerange.no_pair", place="relative orientation")
+    for rotation, base in _starts(points):
+        try:
+            found.append(_adjusted_pair(points, size, rotation, base))
+        except FgOrientError as error:
+            failure = error if not isinstance(error, NoSolutionError) else failure
+    if not found:
+        raise failure
+    return min(found, key=lambda one: float(one.distances @ one.distances))
+
+
+def _starts(points: Array) -> list[tuple[Array, Array]]:
+    """Rotations and bases worth trying."""
+    out = [(np.eye(3), sign * np.eye(3)[k]) for k in range(3) for sign in (1.0, -1.0)]
+    return out if len(points) < LEAST_EIGHT_POINT else [*_eight_points(points), *out[:2]]
+
+
+def _eight_points(points: Array) -> list[tuple[Array, Array]]:
+    """The four decompositions of the essential matrix G with d2^T G d1 = 0, G = R [b]x."""
+    maps, rays = [], []
+    for pair in (points[:, :2], points[:, 2:]):
+        scaling = Scaling.of(pair, shared=True)
+        size, (x, y) = scaling.scale[0], scaling.offset
+        maps.append(np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, size]]) / size)
+        rays.append(np.column_stack([scaling.normalised(pair), np.ones(len(pair))]))
+    rows = np.einsum("ni,nj->nij", rays[1], rays[0]).reshape(len(points), 9)
+    g = maps[1].T @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ maps[0]
+    left, _, right = np.linalg.svd(g)
+    left, right = left * np.sign(np.linalg.det(left)), right * np.sign(np.linalg.det(right))
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return [(left @ w @ right, sign * right[2]) for w in (quarter, quarter.T) for sign in (1.0, -1.0)]
+
+
+def _record(rotation: Array, base: Array) -> tuple[Array, Array]:
+    """Record of the equation, and the directions in which the base may move."""
+    axes = np.linalg.svd(base[None])[2][1:]
+    return np.concatenate([[1.0], rotation.ravel(), base, axes.ravel()]), axes
+
+
+def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) -> RelativeOrientation:
+    record, _ = _record(rotation, base)
+    found = adjust(lambda x, want: _pair_rows(record, points, sigma, x, want), np.zeros(5), "relative orientation")
+    turn, moved = turn_and_base(record, found.state)
+    rotation, base = turn[:9].reshape(3, 3), moved / np.linalg.norm(moved)
+    model = _model(points, rotation, base)
+    if not (np.isfinite(model).all() and (model[:, 2] > 0.0).all() and ((model - base) @ rotation[2] > 0.0).all()):
+        raise NoSolutionError.of("closerange.no_pair", place="relative orientation")
+    record, axes = _record(rotation, base)  # at the solution: unknowns are turns of the second camera there
+    distances, design = _pair_rows(record, points, sigma, np.zeros(5), True)
+    judged = determination(design)
+    sd = None if judged.cofactors is None else np.sqrt(np.diag(judged.cofactors))
+    if sd is None or (sd > UNDETERMINED * float(np.sqrt(np.mean(sigma**2)))).any():
+        raise InputError.of("closerange.pair", place="relative orientation", value=f"condition {judged.condition:.2g}")
+    assert judged.cofactors is not None
+    redundancy = len(points) - 5
+    return RelativeOrientation(
+        rotation, base, axes, judged.cofactors, model, distances, unit_weight(float(distances @ distances), redundancy),
+        redundancy, judged.condition, len(found.log),
+    )  # fmt: skip
+
+
+def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, want: bool) -> tuple[Array, Array]:
+    """Weighted distances of the image points from coplanarity, and their derivatives."""
+    turn, base = turn_and_base(record, x)
+    across = np.array([[0.0, -base[2], base[1]], [base[2], 0.0, -base[0]], [-base[1], base[0], 0.0]])
+    g = turn[:9].reshape(3, 3) @ across
+    square = np.zeros((4, 4))
+    square[2:, :2], square[:2, 2:] = 0.5 * g[:2, :2], 0.5 * g[:2, :2].T
+    conditions = Conditions(square, 0.5 * np.concatenate([g[2, :2], g[:2, 2]]), float(g[2, 2]))
+    residual, foot = weighted_distances(conditions, points, sigma)
+    if not want:
+        return residual, np.zeros((0, 5))
+    n = len(points)
+    _, (by_unknown, slope) = evaluate(COPLANARITY, np.tile(record, (n, 1)), [np.zeros((2, 0))] * n, [x] * n, foot)
+    return residual, distance_rows(np.concatenate(by_unknown), np.concatenate(slope), sigma)
+
+
+def _model(points: Array, rotation: Array, base: Array) -> Array:
+    """Points nearest to both rays (n, 3); nan where these are parallel."""
+    n, ones = len(points), np.ones(len(points))
+    rays = np.concatenate([np.column_stack([points[:, :2], ones]), np.column_stack([points[:, 2:], ones]) @ rotation])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    centres = np.repeat(np.stack([np.zeros(3), base]), n, axis=0)
+    return nearest_points(centres, rays, np.tile(np.arange(n), 2), n)[0]
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """Seven-parameter transformation: ground = shift + scale rotation model.
+
+    Parameters
+    ----------
+    scale : float
+    rotation : (3, 3) array
+    shift_m : (3,) array
+    cofactors : (7, 7) array
+        Of turns about the ground axes (rad), of the scale's logarithm, and of the shift (m); times m0 squared their
+        covariance.
+    residuals_m : (n, 3) array
+        Computed minus given.
+    m0 : float or None
+    redundancy : int
+    condition : float
+    """
+
+    scale: float
+    rotation: Array
+    shift_m: Array
+    cofactors: Array
+    residuals_m: Array
+    m0: float | None
+    redundancy: int
+    condition: float
+
+    @property
+    def sigma(self) -> Array | None:
+        """Standard deviations (7,) in the order of the cofactors; None without redundancy."""
+        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
+
+    def apply(self, model: npt.ArrayLike) -> Array:
+        """Ground coordinates (n, 3) of model points."""
+        return np.asarray(self.shift_m + self.scale * as_points(model, 3, "model", InputError.of) @ self.rotation.T)
+
+
+def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma_m: npt.ArrayLike = 1.0) -> Similarity:
+    """Fit a model to control points.
+
+    Parameters
+    ----------
+    model : (n, 3) array
+        Any unit.
+    ground_m : (n, 3) array
+        Three points or more, not on a line.
+    sigma_m : float or array that fits (n, 3)
+        Of the differences along X, Y, Z.
+
+    Returns
+    -------
+    Similarity
+
+    Raises
+    ------
+    InputError
+        Too few points, points on a line.
+    NoSolutionError
+        The iteration does not converge.
+
+    Notes
+    -----
+    Start in closed form (Umeyama 1991), which is the solution for equal sigmas; then ``factors.similarity``.
+    """
+    source, target = as_points(model, 3, "model", InputError.of), as_points(ground_m, 3, "ground", InputError.of)
+    sigma = np.broadcast_to(np.asarray(sigma_m, float), target.shape)
+    if len(source) != len(target) or len(source) < LEAST_ABSOLUTE:
+        raise InputError.of("closerange.few", place="absolute orientation", value=len(source), least=LEAST_ABSOLUTE)
+    if not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
+        raise InputError.of("closerange.sigma", place="sigma_m", value=float(np.nanmin(sigma)))
+    from_, to = Scaling.of(source, shared=True), Scaling.of(target, shared=True)
+    a, b = from_.normalised(source), to.normalised(target)
+    size = float(to.scale[0])
+    start = _umeyama(a, b)
+    found = adjust(_similarity_rows(a, b, sigma / size, *start), np.zeros(7), "absolute orientation")
+    rotation, scale, shift = _settled(start, found.state)
+    at_solution = _similarity_rows(a, b, sigma / size, rotation, scale, shift)(np.zeros(7), True)[1]
+    judged = determination(at_solution)
+    if judged.cofactors is None or judged.condition > 1e7:
+        raise InputError.of("closerange.line", place="absolute orientation", value=f"condition {judged.condition:.2g}")
+    physical = scale * size / float(from_.scale[0])
+    offset = physical * rotation @ from_.offset
+    # shift = centre on the ground - scale R (middle of the model): turns and scale about that middle reach it
+    away = np.eye(7)
+    away[4:, 4:] *= size
+    away[4:, :3] = np.array([[0.0, -offset[2], offset[1]], [offset[2], 0.0, -offset[0]], [-offset[1], offset[0], 0.0]])
+    away[4:, 3] = -offset
+    redundancy = 3 * len(source) - 7
+    residuals = found.residual.reshape(-1, 3) * sigma
+    return Similarity(
+        physical, rotation, to.offset + size * shift - offset, away @ judged.cofactors @ away.T, residuals,
+        unit_weight(float(found.residual @ found.residual), redundancy), redundancy, judged.condition,
+    )  # fmt: skip
+
+
+def _umeyama(a: Array, b: Array) -> tuple[Array, float, Array]:
+    """Rotation, scale and shift with b ~ shift + scale R a, equal weights, in closed form."""
+    mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
+    left, values, right = np.linalg.svd((b - mean_b).T @ (a - mean_a))
+    flip = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    spread = float(np.sum((a - mean_a) ** 2))
+    if values[0] <= 0.0:
+        raise InputError.of("closerange.line", place="absolute orientation", value="one place")
+    rotation, scale = left * flip @ right, float(values @ flip) / spread
+    return rotation, scale, np.asarray(mean_b - scale * rotation @ mean_a)
+
+
+def _similarity_rows(a: Array, b: Array, sigma: Array, rotation: Array, scale: float, shift: Array) -> Rows:
+    records = np.zeros((len(a), RECORD_SIZE))
+    records[:, :3], records[:, 3:6], records[:, [6, 10, 14]] = a, b, 1.0 / sigma
+    records[:, 15:24], records[:, 24], records[:, 25:] = rotation.ravel(), scale, shift
+    return equation_rows(SIMILARITY, records, np.zeros((2, 0)))
+
+
+def _settled(start: tuple[Array, float, Array], x: Array) -> tuple[Array, float, Array]:
+    """Rotation, scale and shift of a state."""
+    turn = np.empty(CAMERA_SIZE)
+    turned(x[:3], np.ascontiguousarray(start[0]).ravel(), turn)
+    return turn[:9].reshape(3, 3), float(np.exp(x[3]) * start[1]), np.asarray(start[2] + x[4:])

@@ -1,0 +1,177 @@
+"""A photo of close range: ideal image coordinates as a projective map of the ground, corrections to measured ones.
+
+Image coordinates x (right) and y (up or down) stand in any unit, that of the focal length: mm or pixels. The rotation
+is that of ``sensors.frame``: camera axes X right, Y **down**, Z along the view, from ground axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.image_corrections import NAMES, SIZE, ideal_points, slopes
+from fg_orient.closerange.fitting import as_points
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.sensors.frame import FrameCamera
+
+Array = npt.NDArray[np.float64]
+YAxis = Literal["up", "down"]
+
+Y_AXES: Final[tuple[YAxis, ...]] = ("up", "down")
+_NEWTON: Final = 30
+_TOLERANCE: Final = 1e-12
+
+
+@dataclass(frozen=True)
+class Interior:
+    """Interior orientation of a metric or non-metric camera.
+
+    Parameters
+    ----------
+    focal : float
+        Principal distance, in the unit of the image coordinates.
+    principal : (2,) array
+        x, y of the principal point.
+    corrections : (7,) array
+        k1 k2 k3 P1 P2 A B that lead measured coordinates to ideal ones (``factors.image_corrections``).
+    y_axis : "up" or "down"
+        Where y points in the image.
+
+    Raises
+    ------
+    InputError
+        A value that is not finite, a focal length not above 0, or no such axis.
+    """
+
+    focal: float
+    principal: Array = field(default_factory=lambda: np.zeros(2))
+    corrections: Array = field(default_factory=lambda: np.zeros(SIZE))
+    y_axis: YAxis = "up"
+
+    def __post_init__(self) -> None:
+        for name, size in (("principal", 2), ("corrections", SIZE)):
+            value = np.array(getattr(self, name), float)
+            if value.shape != (size,) or not np.isfinite(value).all():
+                raise InputError.of("closerange.camera", place=name, value=value.tolist(), expected=f"{size} numbers")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        if not (np.isfinite(self.focal) and self.focal > 0.0):
+            raise InputError.of("closerange.camera", place="focal", value=self.focal, expected="a number above 0")
+        if self.y_axis not in Y_AXES:
+            raise InputError.of("closerange.camera", place="y_axis", value=self.y_axis, expected="up or down")
+
+    @property
+    def sign(self) -> float:
+        """1 if y points down, as the camera's Y does, else -1."""
+        return 1.0 if self.y_axis == "down" else -1.0
+
+    @property
+    def matrix(self) -> Array:
+        """Ideal coordinates of directions in camera axes: (3, 3)."""
+        x, y = self.principal
+        return np.array([[self.focal, 0.0, x], [0.0, self.sign * self.focal, y], [0.0, 0.0, 1.0]])
+
+    def tangents(self, image: Array) -> Array:
+        """Tangents X/Z, Y/Z (n, 2) of measured points, camera axes."""
+        reduced = ideal_points(self.corrections, np.ascontiguousarray(image - self.principal))
+        return np.asarray(reduced / self.focal * [1.0, self.sign])
+
+
+@dataclass(frozen=True)
+class Photo:
+    """An oriented photo.
+
+    Parameters
+    ----------
+    name : str
+    matrix : (3, 4) array
+        Homogeneous ideal image coordinates of ``(ground - origin_m, 1)``; its last row gives the depth, above 0.
+    origin_m : (3,) array
+    principal : (2,) array
+        Point that the corrections are about.
+    corrections : (7,) array
+        See :class:`Interior`.
+    """
+
+    name: str
+    matrix: Array
+    origin_m: Array
+    principal: Array
+    corrections: Array
+
+    @classmethod
+    def of(cls, name: str, interior: Interior, rotation: npt.ArrayLike, centre_m: npt.ArrayLike) -> Photo:
+        """Photo of a camera with rotation and projection centre.
+
+        Raises
+        ------
+        InputError
+            The matrix is no rotation, or values are not finite.
+        """
+        camera = FrameCamera(np.asarray(rotation, float), np.asarray(centre_m, float), interior.focal)
+        matrix = np.zeros((3, 4))  # about the projection centre: nothing to cancel
+        matrix[:, :3] = interior.matrix @ camera.rotation
+        return cls(name, matrix, camera.centre_m, interior.principal, interior.corrections)
+
+    def about(self, origin_m: Array) -> Array:
+        """Matrix (3, 4) for ground coordinates about another origin."""
+        shift = self.matrix[:, :3] @ (origin_m - self.origin_m)
+        return np.column_stack([self.matrix[:, :3], self.matrix[:, 3] + shift])
+
+    def ideal(self, image: npt.ArrayLike) -> Array:
+        """Ideal coordinates (n, 2) of measured ones."""
+        given = as_points(image, 2, "image", InputError.of)
+        return np.asarray(ideal_points(self.corrections, given - self.principal) + self.principal)
+
+    def measured(self, ideal: Array) -> Array:
+        """Measured coordinates (n, 2) of ideal ones, by Newton.
+
+        Raises
+        ------
+        NoSolutionError
+            The corrections cannot be inverted at a point.
+        """
+        wanted = ideal - self.principal
+        at = wanted.copy()
+        for _ in range(_NEWTON):
+            xx, xy, yx, yy = slopes(self.corrections, at[:, 0], at[:, 1])
+            left = wanted - ideal_points(self.corrections, at)
+            det = xx * yy - xy * yx
+            with np.errstate(all="ignore"):
+                step = np.column_stack([yy * left[:, 0] - xy * left[:, 1], xx * left[:, 1] - yx * left[:, 0]])
+                step = step / det[:, None]
+            at = at + step
+            if not np.isfinite(at).all():
+                break
+            if np.abs(step).max(initial=0.0) <= _TOLERANCE * (1.0 + np.abs(at).max(initial=0.0)):
+                return np.asarray(at + self.principal)
+        raise NoSolutionError.of("closerange.fold", place=self.name)
+
+    def project(self, ground_m: npt.ArrayLike) -> Array:
+        """Measured image coordinates (n, 2) of ground points; nan behind the camera."""
+        ground = as_points(ground_m, 3, "ground", InputError.of) - self.origin_m
+        q = ground @ self.matrix[:, :3].T + self.matrix[:, 3]
+        with np.errstate(all="ignore"):
+            ideal = np.where(q[:, 2:] > 0.0, q[:, :2] / q[:, 2:], np.nan)
+        out, seen = np.full_like(ideal, np.nan), np.isfinite(ideal).all(axis=1)
+        if seen.any():
+            out[seen] = self.measured(ideal[seen])
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """Content of a camera file."""
+        return {
+            "name": self.name, "matrix": self.matrix.tolist(), "origin_m": self.origin_m.tolist(),
+            "principal": self.principal.tolist(), "corrections": self.corrections.tolist(),
+        }  # fmt: skip
+
+
+def corrections_of(names: Sequence[str], values: npt.ArrayLike) -> Array:
+    """Coefficients (7,) from some of them by name; the others are 0."""
+    out = np.zeros(SIZE)
+    out[[NAMES.index(name) for name in names]] = values
+    return out

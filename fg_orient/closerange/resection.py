@@ -1,0 +1,268 @@
+"""Resection of one photo: rotation and projection centre from control points and a known camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, camera
+from fg_orient.closerange.dlt import direct_dlt, recover
+from fg_orient.closerange.fitting import (
+    UNDETERMINED,
+    adjust,
+    as_points,
+    determination,
+    equation_rows,
+    unit_weight,
+)
+from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.rectification.transformation import Scaling
+
+Array = npt.NDArray[np.float64]
+Pose = tuple[Array, Array]
+
+LEAST: Final = 4
+#: Points far apart in the image whose triples start the iteration.
+SPREAD: Final = 6
+#: Starts that are iterated, the best ones of all.
+TRIED: Final = 4
+
+
+@dataclass(frozen=True)
+class Resection:
+    """An oriented photo.
+
+    Parameters
+    ----------
+    photo : Photo
+    rotation : (3, 3) array
+        Camera axes X right, Y down, Z along the view, from ground axes.
+    centre_m : (3,) array
+    cofactors : (6, 6) array
+        Of turns about the camera axes (rad) and the centre (m); times m0 squared their covariance.
+    residuals : (n, 2) array
+        Computed minus ideal image coordinates, in their unit.
+    m0 : float or None
+        None without redundancy.
+    redundancy : int
+    condition : float
+    iterations : int
+    """
+
+    photo: Photo
+    rotation: Array
+    centre_m: Array
+    cofactors: Array
+    residuals: Array
+    m0: float | None
+    redundancy: int
+    condition: float
+    iterations: int
+
+    @property
+    def sigma(self) -> Array | None:
+        """Standard deviations (6,): turns about the camera axes (rad), centre (m); None without redundancy."""
+        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
+
+
+def resect(
+    interior: Interior, ground_m: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0, name: str = ""
+) -> Resection:
+    """Orient a photo of a known camera by control points.
+
+    Parameters
+    ----------
+    interior : Interior
+    ground_m : (n, 3) array
+        Four control points or more (three have up to four solutions), m.
+    image : (n, 2) array
+        Measured x, y, in the unit of the focal length.
+    sigma : float or array that fits (n, 2)
+        Of the image coordinates.
+    name : str
+        Of the photo.
+
+    Returns
+    -------
+    Resection
+
+    Raises
+    ------
+    InputError
+        Too few points, or points that leave the orientation open (on a line, on a dangerous cylinder).
+    NoSolutionError
+        No start value, or the iteration does not converge.
+
+    Notes
+    -----
+    Start: three points at a time (Grunert 1841 in the form of Haralick et al. 1994), and DLT from six points on. The
+    adjustment is that of ``factors.frame`` with the distortion taken off the observations.
+    """
+    ground = as_points(ground_m, 3, "ground", InputError.of)
+    measured = as_points(image, 2, "image", InputError.of)
+    size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
+    if len(ground) != len(measured) or len(ground) < LEAST:
+        raise InputError.of("closerange.few", place="resection", value=len(ground), least=LEAST)
+    if not (np.isfinite(size).all() and (size > 0.0).all()):
+        raise InputError.of("closerange.sigma", place="sigma", value=float(np.nanmin(size)))
+    tangents = interior.tangents(measured)
+    poses = start_poses(ground, tangents)
+    if not poses:
+        raise NoSolutionError.of("closerange.no_start", place="resection", value=f"{len(ground)} points")
+    failure: FgOrientError | None = None
+    for pose in poses[:TRIED]:
+        try:
+            return _adjusted(interior, ground, tangents, size / interior.focal, pose, name)
+        except (NoSolutionError, InputError) as error:
+            failure = failure or error
+    assert failure is not None
+    raise failure
+
+
+def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, start: Pose, name: str) -> Resection:
+    """Adjust from a start; unknowns are turns (rad) and the centre in units of the object's distance."""
+    rotation, centre = start
+    distance = float(np.linalg.norm(ground - centre, axis=1).mean())
+    records = np.zeros((len(ground), 24))
+    # line and sample are tangents here: focal length 1, line down
+    records[:, 0], records[:, 1] = tangents[:, 1], tangents[:, 0]
+    records[:, 2:4], records[:, 4:13], records[:, 16] = 1.0 / sigma[:, ::-1], rotation.ravel(), 1.0
+    setup = np.stack([np.arange(6.0), np.array([1.0, 1.0, 1.0, distance, distance, distance])])
+    rows = equation_rows(FRAME_BROWN_IDEAL_TO_MEASURED, records, setup, (ground - centre,))
+    found = adjust(rows, np.zeros(6), "resection")
+    turned = camera(records[0], setup, found.state)
+    rotation = turned[:9].reshape(3, 3)
+    depth = (ground - centre - turned[9:12]) @ rotation[2]
+    if not (depth > 0.0).all():
+        raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(depth)) + 1}")
+    judged = determination(found.design)
+    sd = None if judged.cofactors is None else np.sqrt(np.diag(judged.cofactors))
+    # of a point: its image sigma at the object's distance, which is the unit here
+    if sd is None or (sd > UNDETERMINED * float(np.sqrt(np.mean(sigma**2)))).any():
+        raise InputError.of("closerange.pose", place="resection", value=f"condition {judged.condition:.2g}")
+    assert judged.cofactors is not None
+    # the unknowns turn about fixed axes at the start; J leads to turns of the adjusted camera
+    away = np.diag(setup[1])
+    away[:3, :3] = turned[20:29].reshape(3, 3)
+    moved = centre + turned[9:12]
+    photo = Photo.of(name, interior, rotation, moved)
+    residuals = -found.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
+    redundancy = len(found.residual) - 6
+    return Resection(
+        photo, rotation, moved, away @ judged.cofactors @ away.T, residuals,
+        unit_weight(float(found.residual @ found.residual), redundancy), redundancy, judged.condition, len(found.log),
+    )  # fmt: skip
+
+
+def start_poses(ground: Array, tangents: Array) -> list[Pose]:
+    """Rotations and centres worth trying, the one with the smallest misfit at all points first.
+
+    Parameters
+    ----------
+    ground : (n, 3) array
+    tangents : (n, 2) array
+        X/Z, Y/Z in camera axes.
+    """
+    chosen = _spread(tangents)
+    poses = [
+        pose for three in combinations(chosen, 3) for pose in three_point_poses(ground[[*three]], tangents[[*three]])
+    ]
+    if len(ground) >= 6:
+        poses += _pose_by_dlt(ground, tangents)
+    misfits = [_misfit(pose, ground, tangents) for pose in poses]
+    order = np.argsort(misfits, kind="stable")
+    return [poses[k] for k in order if np.isfinite(misfits[k])]
+
+
+def _spread(points: Array) -> list[int]:
+    """Some points far from each other: each is the farthest from those before it."""
+    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    while len(chosen) < min(SPREAD, len(points)):
+        apart = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1)
+        chosen.append(int(np.argmax(apart)))
+    return chosen
+
+
+def _misfit(pose: Pose, ground: Array, tangents: Array) -> float:
+    """Median distance of computed and given tangents; inf if any point lies behind the camera."""
+    q = (ground - pose[1]) @ pose[0].T
+    if not (q[:, 2] > 0.0).all():
+        return np.inf
+    return float(np.median(np.linalg.norm(q[:, :2] / q[:, 2:] - tangents, axis=1)))
+
+
+def _pose_by_dlt(ground: Array, tangents: Array) -> list[Pose]:
+    """Pose of the linear DLT; none if the points lie in a plane."""
+    source, target = Scaling.of(ground, shared=True), Scaling.of(tangents, shared=True)
+    p = np.append(direct_dlt(source.normalised(ground), target.normalised(tangents)), 1.0).reshape(3, 4)
+    p[:, :3] /= source.scale
+    p[:2] = target.scale[:, None] * p[:2] + target.offset[:, None] * p[2]
+    try:
+        found = recover(p.ravel()[:11], source.offset)
+    except (FgOrientError, np.linalg.LinAlgError):
+        return []
+    return [(found.rotation, found.centre_m)] if np.isfinite(found.rotation).all() else []
+
+
+def three_point_poses(ground: Array, tangents: Array) -> list[Pose]:
+    """Up to four poses of a camera that sees three points.
+
+    Parameters
+    ----------
+    ground : (3, 3) array
+        Points in its rows.
+    tangents : (3, 2) array
+        X/Z, Y/Z in camera axes.
+
+    Returns
+    -------
+    list of (rotation (3, 3), centre (3,))
+        Points in front of the camera; empty for points on a line.
+
+    Notes
+    -----
+    Grunert 1841; coefficients of the quartic as in Haralick et al. 1994, eqs. 9-16.
+    """
+    rays = np.column_stack([tangents, np.ones(3)])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    a, b, c = (float(np.sum((ground[i] - ground[j]) ** 2)) for i, j in ((1, 2), (0, 2), (0, 1)))
+    if min(a, b, c) == 0.0:
+        return []
+    cos_a, cos_b, cos_c = (float(rays[i] @ rays[j]) for i, j in ((1, 2), (0, 2), (0, 1)))
+    p, q, r, s = (a - c) / b, (a + c) / b, (b - c) / b, (b - a) / b
+    coefficients = [
+        (p - 1.0) ** 2 - 4.0 * c / b * cos_a**2,
+        4.0 * (p * (1.0 - p) * cos_b - (1.0 - q) * cos_a * cos_c + 2.0 * c / b * cos_a**2 * cos_b),
+        2.0 * (p**2 - 1.0 + 2.0 * p**2 * cos_b**2 + 2.0 * r * cos_a**2 - 4.0 * q * cos_a * cos_b * cos_c
+               + 2.0 * s * cos_c**2),
+        4.0 * (-p * (1.0 + p) * cos_b + 2.0 * a / b * cos_c**2 * cos_b - (1.0 - q) * cos_a * cos_c),
+        (1.0 + p) ** 2 - 4.0 * a / b * cos_c**2,
+    ]  # fmt: skip
+    poses = []
+    # noise makes a double root complex: its real part is a start value
+    for v in sorted({float(root.real) for root in np.roots(coefficients) if abs(root.imag) < 0.1 * abs(root)}):
+        below, first = 2.0 * (cos_c - v * cos_a), 1.0 + v * v - 2.0 * v * cos_b
+        u = ((p - 1.0) * v * v - 2.0 * p * cos_b * v + 1.0 + p) / below if below != 0.0 else -1.0
+        if v > 0.0 and u > 0.0 and first > 0.0:
+            poses.append(_pose(ground, rays * (np.sqrt(b / first) * np.array([[1.0], [u], [v]]))))
+    return [pose for pose in poses if pose is not None]
+
+
+def _pose(ground: Array, seen: Array) -> Pose | None:
+    """Rotation and centre that lead three ground points to the same points in camera axes."""
+    frames = []
+    for points in (ground, seen):
+        along = points[1] - points[0]
+        normal = np.cross(along, points[2] - points[0])
+        length = np.linalg.norm(normal)
+        if not length > 1e-12 * np.sum(along**2):
+            return None
+        x, z = along / np.linalg.norm(along), normal / length
+        frames.append(np.stack([x, np.cross(z, x), z]))
+    rotation = np.asarray(frames[1].T @ frames[0])
+    return rotation, np.asarray(ground.mean(axis=0) - rotation.T @ seen.mean(axis=0))

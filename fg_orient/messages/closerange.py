@@ -1,0 +1,69 @@
+"""Messages about close range: DLT, resection, intersection, orientation, surfaces."""
+
+from __future__ import annotations
+
+from typing import Final
+
+CLOSERANGE: Final = {
+    "closerange.points": ("points are finite numbers, {width} a row", "check the values"),
+    "closerange.sigma": ("standard deviations are finite numbers above 0", "give them in the unit of the points"),
+    "closerange.not_converged": (
+        "the adjustment does not converge: {reason}",
+        "look for gross errors in the points, and at their distribution",
+    ),
+    "closerange.surface": ("this is no surface", "give finite numbers {shape}, semi-axes above 0"),
+    "closerange.kind": ("not possible with this kind of surface", "known: {known}"),
+    "closerange.axis": ("no such axis of revolution", "x, y, z, or free"),
+    "closerange.method": ("no such method", "known: {known}"),
+    "closerange.few": ("too few points", "give {least} or more"),
+    "closerange.prior": (
+        "no such observed parameter, or a sigma that is not above 0; the algebraic method and quadrics take none",
+        "known: {known}",
+    ),
+    "closerange.undetermined": (
+        "not determined by these points: {names} ({direction}); a standard deviation exceeds {limit:g} times that of a "
+        "point",
+        "measure points elsewhere (other levels of the surface, other depths), or observe a parameter",
+    ),
+    "closerange.camera": ("this value of the camera is not possible", "give {expected}"),
+    "closerange.fold": (
+        "the distortion of the camera cannot be inverted here",
+        "check k1, k2, k3, p1, p2: the polynomial folds inside the image",
+    ),
+    "closerange.distortion": (
+        "no such distortion of a DLT, or one that the direct solution does not have",
+        "known: {known}; they need the iteration",
+    ),
+    "closerange.plane": (
+        "the control points do not determine a DLT: they lie in a plane, or close to it",
+        "add points in front of it and behind, or use resect, which needs a known camera",
+    ),
+    "closerange.parallel": (
+        "the projection is parallel or degenerate: it has no projection centre",
+        "check the control points",
+    ),
+    "closerange.behind": ("the solution puts a point behind the camera", "look for gross errors and mixed-up points"),
+    "closerange.no_start": (
+        "no position of the camera fits any three of the points",
+        "check focal length, y_axis and the numbers of the points",
+    ),
+    "closerange.pose": (
+        "the points do not determine the orientation of the photo (on a line, or on a cylinder through the camera)",
+        "measure points elsewhere",
+    ),
+    "closerange.one_ray": ("the point is seen in one photo only", "measure it in a second one, or leave it out"),
+    "closerange.parallel_rays": (
+        "the rays to the point are close to parallel: its distance is open",
+        "measure it in a photo from another place",
+    ),
+    "closerange.parallax": ("the parallax is not above 0", "check that left and right are not exchanged"),
+    "closerange.no_pair": (
+        "no orientation of the pair has all points in front of both cameras",
+        "look for mixed-up points, and check focal lengths and y_axis",
+    ),
+    "closerange.pair": (
+        "the points do not determine the relative orientation (too close together, or on a plane through the base)",
+        "measure points that fill the common part of both photos, at several depths",
+    ),
+    "closerange.line": ("the points lie on a line or at one place", "add points beside it"),
+}
