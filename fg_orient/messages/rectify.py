@@ -65,8 +65,8 @@ RECTIFY: Final = {
         "give sigmas of the size of the coordinates' errors, or none",
     ),
     "rectify.narrow": (
-        "within their noise the control points lie on a straight line: along {direction} the scale of the "
-        "transformation is known to {sigma:.0f} % only",
+        "within their noise the control points lie on a straight line: along {direction} they spread over only "
+        "{times:.1f} times their noise",
         "measure points beside this line",
     ),
     "rectify.standard": ("no such accuracy standard", "known: {known}"),

@@ -279,7 +279,7 @@ def _require_reach(found: Fit) -> None:
         if reach.is_unknown:
             t = found.transformation
             raise InputError.of("rectify.narrow", place=t.model.title, value=f"{len(found.points)} points",
-                                direction=reach.words(t.source_names), sigma=100.0 * reach.sigma)  # fmt: skip
+                                direction=reach.words(t.source_names), times=1.0 / reach.noise)  # fmt: skip
 
 
 def _require(points: Observations, model: Model) -> None:

@@ -19,8 +19,12 @@ Array = npt.NDArray[np.float64]
 
 #: Ratio of standard deviations beyond which a direction is called weak: a strip 20 times longer than wide.
 WEAK_RATIO: Final = 20.0
-#: Relative standard deviation of the scale beyond which a weak direction is not determined at all.
-UNKNOWN_SCALE: Final = 0.1
+#: Noise by the root mean square width of the points beyond which a weak direction is not determined at all. Of points
+#: on a line it is 0.7 in the mean whatever their number, if all noise is that of the source; half of it is left to
+#: chance.
+NOISE_SHARE: Final = 1.0 / 3.0
+#: Component of a direction below which it is not worth a word: 3 degrees.
+LEAST_SHARE: Final = 0.05
 #: Half the step of differences, by the extent of the points.
 STEP: Final = 1e-3
 
@@ -37,11 +41,14 @@ class Reach:
         Standard deviation of the scale along it by that along the longest.
     sigma : float
         Standard deviation of the scale along it by the scale along the longest.
+    noise : float
+        Noise of a point, brought to the source system, by the root mean square extent in this direction.
     """
 
     direction: Array
     ratio: float
     sigma: float
+    noise: float
 
     @property
     def is_weak(self) -> bool:
@@ -51,12 +58,14 @@ class Reach:
     @property
     def is_unknown(self) -> bool:
         """Tell whether the points are so narrow that their noise hides how far they reach."""
-        return self.is_weak and self.sigma > UNKNOWN_SCALE
+        return self.is_weak and self.noise > NOISE_SHARE
 
     def words(self, names: tuple[str, ...]) -> str:
         """Direction in the names of the source coordinates: "0.71 sample - 0.71 line"."""
         first = self.direction[np.argmax(np.abs(self.direction))]
-        parts = [(v, name) for v, name in zip(self.direction * np.sign(first), names, strict=True) if abs(v) >= 0.005]
+        parts = [
+            (v, name) for v, name in zip(self.direction * np.sign(first), names, strict=True) if abs(v) >= LEAST_SHARE
+        ]
         text = " ".join(f"{'-' if v < 0.0 else '+'} {abs(v):.2f} {name}" for v, name in parts)
         return text.removeprefix("+ ")
 
@@ -84,6 +93,6 @@ def reaches(
     scale = float(np.linalg.norm((values[0, 0] - values[1, 0]) / (2.0 * step)))
     slopes = (rows[0] - rows[1]) / (2.0 * step)
     sigma = np.sqrt(0.5 * np.einsum("kij,jl,kil->k", slopes, cofactors, slopes))
-    return tuple(
-        Reach(axis, float(s / sigma[0]), float(m0 * s / scale)) for axis, s in zip(axes[1:], sigma[1:], strict=True)
-    )
+    share = m0 * sigma[1:] / scale
+    noise = np.sqrt(len(source)) * share  # a slope is known to the noise by the extent and the root of the number
+    return tuple(map(Reach, axes[1:], (sigma[1:] / sigma[0]).tolist(), share.tolist(), noise.tolist()))

@@ -14,7 +14,10 @@ from fg_orient.rectification.points import DIRECTIONS, PointFit
 
 Array = npt.NDArray[np.float64]
 
-#: Condition number of the scaled design beyond which the points hardly determine a transformation.
+#: Condition number of the scaled design beyond which the points hardly determine a transformation: 50 times the median
+#: of random layouts with three points more than terms, by degree of a polynomial, in general for all others.
+TYPICAL_CONDITION: Final = {1: 1.5, 2: 8.0, 3: 25.0, 4: 125.0, 5: 500.0}
+WEAK_FACTOR: Final = 50.0
 WEAK_CONDITION: Final = 1e4
 #: Redundancy number below which an error of a point hardly shows in its own residual.
 HARDLY_CHECKED: Final = 0.1
@@ -73,8 +76,12 @@ def _layout(found: PointFit) -> list[str]:
                 f"the control points reach little along {reach.words(names)}: the scale there is known "
                 f"{reach.ratio:.0f} times worse than along them, to {100.0 * reach.sigma:.2g} %"
             )
-    if fit.condition > WEAK_CONDITION:
-        out.append(f"the points hardly determine the transformation (condition {fit.condition:.2g})")
+    typical = TYPICAL_CONDITION.get(fit.model.degree, WEAK_CONDITION / WEAK_FACTOR)
+    if fit.condition > WEAK_FACTOR * typical and not out[bool(weak) :]:
+        out.append(
+            f"the points hardly determine the transformation: condition {fit.condition:.2g}, usual is {typical:g}: "
+            f"they lie near {'a surface' if spatial else 'a curve'} of its form"
+        )
     return out
 
 

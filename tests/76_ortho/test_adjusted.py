@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fg_orient.errors import InputError
+from fg_orient.io.sensor import read_sensor
 from fg_orient.parameters import N_EOP, parameter_name
 from fg_orient.raster.adjusted import read_correction
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.rpc_sensor import RpcSensor
+from tests.support.command import in_process as run
 
 from .conftest import Twin
 
@@ -61,3 +64,63 @@ def test_compensation_of_an_rpc_image(twin: Twin, tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
         read_correction(folder(tmp_path, {"roll_0": 1e-6}), sensor, "one")
     assert error.value.problems[0].code == "ortho.other_sensor"
+
+
+def refused(path: Path, sensor: object, image: str = "") -> tuple[str, str]:
+    with pytest.raises(InputError) as caught:
+        read_correction(path, sensor, image)  # type: ignore[arg-type]
+    return caught.value.problems[0].code, str(caught.value)
+
+
+def test_the_image_asked_for_is_that_of_the_metadata(twin: Twin, tmp_path: Path) -> None:
+    """By content: the file of another image is refused whatever its name, a renamed copy of the right one is taken."""
+    left = twin.sensors["left"]
+    code, text = refused(twin.result, left, "right")
+    assert code == "ortho.other_image" and "image right" in text and "right.DIM" in text
+    copy = tmp_path / "renamed.DIM"
+    shutil.copy(twin.folder / "left.DIM", copy)
+    expected = read_correction(twin.result, left)
+    for image in ("", "left"):
+        found = read_correction(twin.result, read_sensor(copy), image)
+        assert np.array_equal(found.eop, expected.eop)  # type: ignore[union-attr]
+    other = tmp_path / "left.DIM"
+    shutil.copy(twin.folder / "right.DIM", other)
+    assert refused(twin.result, read_sensor(other), "left")[0] == "ortho.other_image"
+    assert np.array_equal(
+        read_correction(twin.result, read_sensor(other)).eop,
+        read_correction(twin.result, twin.sensors["right"]).eop,  # type: ignore[union-attr]
+    )
+    other.write_bytes((twin.folder / "left.DIM").read_bytes().rstrip() + b"\n<!-- edited -->\n")
+    assert refused(twin.result, read_sensor(other))[0] == "ortho.other_image"
+    assert refused(twin.result, read_sensor(other), "third")[0] == "ortho.result"
+
+
+def test_two_images_with_files_of_one_name_are_told_apart(twin: Twin, tmp_path: Path) -> None:
+    """Products of one mission are all called METADATA.DIM; without their contents in the record nothing tells which."""
+    files = {}
+    for name in ("left", "right"):
+        (tmp_path / name).mkdir()
+        files[name] = tmp_path / name / "METADATA.DIM"
+        shutil.copy(twin.folder / f"{name}.DIM", files[name])
+    record = json.loads((twin.result / "result.json").read_text("utf-8"))
+    for entry in record["images"]:
+        entry["file"] = "METADATA.DIM"
+    shutil.copy(twin.result / "eop.csv", tmp_path)
+    (tmp_path / "result.json").write_text(json.dumps(record), encoding="utf-8")
+    for name, path in files.items():
+        expected = read_correction(twin.result, twin.sensors[name])
+        assert np.array_equal(read_correction(tmp_path, read_sensor(path)).eop, expected.eop)  # type: ignore[union-attr]
+    record["provenance"]["inputs"] = []
+    (tmp_path / "result.json").write_text(json.dumps(record), encoding="utf-8")
+    code, text = refused(tmp_path, read_sensor(files["right"]))
+    assert code == "ortho.which_image" and "left or right" in text
+    assert read_correction(tmp_path, read_sensor(files["right"]), "right") is not None
+
+
+def test_the_command_compares_the_image(twin: Twin, tmp_path: Path) -> None:
+    done = run(
+        "rectify", "ortho", twin.folder / "left.tif", twin.folder / "left.DIM", "--dem", twin.folder / "dem.tif",
+        "--result", twin.result, "--image-id", "right", "--out", tmp_path / "map.tif",
+    )  # fmt: skip
+    assert done.code == 2 and "was computed from another metadata file" in done.stderr
+    assert not list(tmp_path.iterdir())
