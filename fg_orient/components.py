@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
@@ -29,7 +30,13 @@ NEGATIVE_ROUNDS: Final = 8
 RANGE: Final = (1e-3, 1e4)
 
 
-def adjust_with_components(block: Block, run: Callable[[Block], Solution], *, method: Method = "helmert") -> Solution:
+def adjust_with_components(
+    block: Block,
+    run: Callable[[Block, State | None], Solution],
+    begin: State | None = None,
+    *,
+    method: Method = "helmert",
+) -> Solution:
     """Iterate adjustment and variance components.
 
     Parameters
@@ -37,7 +44,9 @@ def adjust_with_components(block: Block, run: Callable[[Block], Solution], *, me
     block : Block
         Its options name the groups; none: image points, position and height.
     run : callable
-        Adjusts a block as it is.
+        Adjusts a block as it is, from a state if one is given.
+    begin : State, optional
+        Where the first adjustment begins.
     method : str
         See ``fg_orient.quality.variance_components``.
 
@@ -61,7 +70,7 @@ def adjust_with_components(block: Block, run: Callable[[Block], Solution], *, me
     block = replace(block, options=replace(block.options, variance_components=()))
     state: _Rounds | None = None
     for rounds in range(1, MAX_ROUNDS + 1):
-        solution = run(block if state is None else scaled(block, state.groups, np.sqrt(state.variance)))
+        solution = run(block if state is None else scaled(block, state.groups, np.sqrt(state.variance)), begin)
         if solution.cofactors is None:
             raise NoSolutionError.of("covariance.withheld", value="; ".join(solution.withheld))
         state = state or _Rounds(groups_of(solution.problem, groups))

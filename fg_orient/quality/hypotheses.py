@@ -49,7 +49,7 @@ def require_names(test: str, control: str, level: float) -> None:
         raise InputError.of("options.value", place="level", value=level, expected="a number above 0 and below 1")
 
 
-def testable(d: npt.ArrayLike, redundancy: int, test: str) -> npt.NDArray[np.bool_]:
+def testable(d: npt.ArrayLike, redundancy: float | Array, test: str) -> npt.NDArray[np.bool_]:
     """Tell where d parameters of an error can be tested: some freedom, and some left for the scale if it is estimated.
 
     Parameters
@@ -64,7 +64,7 @@ def testable(d: npt.ArrayLike, redundancy: int, test: str) -> npt.NDArray[np.boo
     return np.asarray((d > 0) & ((d <= redundancy) if test == "baarda" else (d < redundancy)))
 
 
-def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: int, test: str) -> Array:
+def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Array, test: str) -> Array:
     """Statistic as it is reported: w, tau, t for d = 1; T, T/m0^2, F for more.
 
     Parameters
@@ -89,7 +89,7 @@ def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: int, test: s
     return np.where(np.asarray(d) == 1, np.sqrt(value), value)
 
 
-def probabilities(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: int, test: str) -> Array:
+def probabilities(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Array, test: str) -> Array:
     """Probability of a larger statistic without a gross error; arguments as of :func:`statistics`."""
     if test == "baarda":
         return np.asarray(chdtrc(d, t))
@@ -97,7 +97,7 @@ def probabilities(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: int, test
     return np.asarray(betaincc(0.5 * d, 0.5 * (redundancy - d), share))
 
 
-def limits(level: npt.ArrayLike, d: Index, redundancy: int, test: str) -> Array:
+def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str) -> Array:
     """Limits of the statistics of :func:`statistics` for a false alarm with probability ``level`` in each.
 
     For d = 1 Pope's limit is ``sqrt(f) t / sqrt(f - 1 + t^2)``, t Student's quantile of f - 1 degrees of freedom.

@@ -22,7 +22,10 @@ from fg_orient.errors import InputError
 from fg_orient.options import Options
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.freedom import freedoms
+from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.suspects import KINDS, Kind, Suspects, suspects
+from fg_orient.quality.variance_components import Residuals, VarianceComponents
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -207,6 +210,7 @@ def outlier_tests(
     test: str = Options.outlier_test,
     control: str = Options.multiple_testing,
     kind: Kind = "groups",
+    components: VarianceComponents | None = None,
 ) -> OutlierTests:
     """Test all suspects of a kind.
 
@@ -222,6 +226,9 @@ def outlier_tests(
         "none", "bonferroni", "sidak", "holm" or "benjamini_hochberg".
     kind : str
         "groups", "coordinates" or "points".
+    components : VarianceComponents, optional
+        Those that the sigmas of the problem were estimated with: each test has degrees of freedom of its own then
+        (``fg_orient.quality.freedom``).
 
     Returns
     -------
@@ -235,14 +242,19 @@ def outlier_tests(
     hypotheses.require_names(test, control, level)
     if kind not in KINDS:
         raise InputError.of("options.value", place="kind", value=repr(kind), expected=", ".join(KINDS))
-    return judge(problem, suspects(problem, state, cofactors, kind), chi2, level=level, test=test, control=control)
+    found, freedom = suspects(problem, state, cofactors, kind), None
+    if components is not None:
+        residuals = Residuals(problem, state, cofactors, groups_of(problem, problem.block.options.variance_components))
+        freedom = freedoms(residuals, found, components)
+    return judge(problem, found, chi2, level=level, test=test, control=control, freedom=freedom)
 
 
 def judge(
-    problem: Problem, found: Sequence[Suspects], chi2: float, *, level: float, test: str, control: str
-) -> OutlierTests:
-    """Test suspects and sort them; see :func:`outlier_tests`."""
-    f, sizes = problem.redundancy, [len(s.point) for s in found]
+    problem: Problem, found: Sequence[Suspects], chi2: float, *, level: float, test: str, control: str,
+    freedom: Array | None = None,
+) -> OutlierTests:  # fmt: skip
+    """Test suspects and sort them; see :func:`outlier_tests`. ``freedom`` (n,) is both v^T v and f of each."""
+    sizes = [len(s.point) for s in found]
     results = [s.quadratic() for s in found]
     t, d = np.concatenate([r[0] for r in results]), np.concatenate([r[1] for r in results])
     error = np.full((len(t), 2), np.nan)
@@ -250,15 +262,17 @@ def judge(
         if s.unit:
             error[end - len(own) : end, : own.shape[1]] = own
     part, point, row = np.repeat(np.arange(len(found)), sizes), _column(found, "point"), _column(found, "row")
+    f: Array = np.full(len(t), float(problem.redundancy)) if freedom is None else freedom
+    squares = np.full(len(t), chi2) if freedom is None else freedom
     tested = hypotheses.testable(d, f, test)
     d = np.where(tested, d, 0)
     error[~tested] = np.nan
     classes, of_class = _classes(point, d, t, tested)
     probability, statistic, critical = np.ones(len(t)), np.full(len(t), np.nan), np.full(len(t), np.nan)
-    probability[tested] = hypotheses.probabilities(t[tested], d[tested], chi2, f, test)
+    probability[tested] = hypotheses.probabilities(t[tested], d[tested], squares[tested], f[tested], test)
     each = hypotheses.level_of_each(probability[classes], level, control)
-    statistic[tested] = hypotheses.statistics(t[tested], d[tested], chi2, f, test)
-    critical[tested] = hypotheses.limits(each, d[tested], f, test)
+    statistic[tested] = hypotheses.statistics(t[tested], d[tested], squares[tested], f[tested], test)
+    critical[tested] = hypotheses.limits(each, d[tested], f[tested], test)
     lead = classes[of_class] if len(classes) else of_class
     first = np.where(tested, lead, np.arange(len(t)))
     order = np.lexsort((row < 0, -t[first], np.where(tested, probability[first], np.inf)))

@@ -143,7 +143,7 @@ class Residuals:
     def __init__(self, problem: Problem, state: State, cofactors: Cofactors, groups: Groups) -> None:
         found = residual_cofactors(problem, state, cofactors)
         self._problem, self._state, self.groups = problem, state, groups
-        turn = self._turn()
+        self._turns = turn = self._turn()
         self.observed = np.flatnonzero(problem.observed)
         records = problem.control_records[self.observed]
         difference = state.ground[self.observed] - records[:, 9:]
@@ -188,19 +188,46 @@ class Residuals:
         q, total = (np.bincount(rows[named], w[named], size).astype(float) for w in (v**2, r))
         return q, total, count
 
-    def shared(self) -> Array | None:
-        """S of all groups, last row and column: what belongs to none; None where the block is too large."""
-        if len(self.labels) > EXACT_ROWS:
-            return None
+    @cached_property
+    def _projector(self) -> Array:
+        """R in the axes of the groups."""
         _, design = assemble(self._problem, self._state)
         first = 2 * len(self.image)
         rows = design[first : first + 3 * len(self.observed)].reshape(len(self.observed), 3, design.shape[1])
-        design[first : first + 3 * len(self.observed)] = (self._turn() @ rows).reshape(-1, design.shape[1])
+        design[first : first + 3 * len(self.observed)] = (self._turns @ rows).reshape(-1, design.shape[1])
         basis = np.linalg.qr(design / np.linalg.norm(design, axis=0)).Q
-        squares = (np.eye(len(design)) - basis @ basis.T) ** 2
-        select = np.zeros((len(design), len(self.groups.names) + 1))
-        select[np.arange(len(design)), self.labels] = 1.0  # -1 is the last
-        return np.asarray(select.T @ squares @ select)
+        return np.asarray(np.eye(len(design)) - basis @ basis.T)
+
+    def projector(self) -> Array | None:
+        """R of all rows (:attr:`labels`); None where the block is too large."""
+        return None if len(self.labels) > EXACT_ROWS else self._projector
+
+    def rows_of(self, point: int, row: int, size: int) -> Index:
+        """Rows of an image point; of a ground point's coordinates (``row`` -1, size 3) or all that is known of it."""
+        if row >= 0:
+            return np.array([2 * row, 2 * row + 1])
+        seen = np.flatnonzero(self._problem.observations.point == point)
+        control = 2 * len(self.image) + 3 * np.searchsorted(self.observed, point) + np.arange(3)
+        n_control = 3 * int(self._problem.observed[point])
+        if size == n_control:
+            return control
+        return np.concatenate([np.stack([2 * seen, 2 * seen + 1], axis=1).ravel(), control[:n_control]])
+
+    def turned(self, rows: Index, columns: Array) -> Array:
+        """Columns (m, k) of an error, those in the rows of control factors turned to East, North, Up."""
+        out, first = columns.copy(), 2 * len(self.image)
+        if rows[-1] >= first:
+            out[-3:] = self._turns[(rows[-1] - first) // 3] @ columns[-3:]
+        return out
+
+    def shared(self) -> Array | None:
+        """S of all groups, last row and column: what belongs to none; None where the block is too large."""
+        r = self.projector()
+        if r is None:
+            return None
+        select = np.zeros((len(r), len(self.groups.names) + 1))
+        select[np.arange(len(r)), self.labels] = 1.0  # -1 is the last
+        return np.asarray(select.T @ r**2 @ select)
 
     def medians(self) -> Array:
         """Median of the quadratic form of each group's units over that of chi-square; nan where nothing is checked.
