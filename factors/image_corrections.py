@@ -5,8 +5,8 @@
     y' = y + y K + P2 (r^2 + 2 y^2) + 2 P1 x y + B y
 
 Brown 1966; Ayhan 1996, eqs. 48, 53 and 71-73, with a slip of print corrected (eq. 71 repeats "x"). The direction is
-**measured to ideal**, the opposite of ``factors.frame_camera``. Coefficients (7,) are k1 k2 k3 P1 P2 A B, in the unit of
-the coordinates: mm^-2, mm^-4, mm^-6, mm^-1, mm^-1, 1, 1 where these are mm.
+**measured to ideal**, the opposite of ``factors.frame_camera``. Coefficients (7,) are k1 k2 k3 P1 P2 A B, in the unit
+of the coordinates: mm^-2, mm^-4, mm^-6, mm^-1, mm^-1, 1, 1 where these are mm.
 """
 
 from __future__ import annotations

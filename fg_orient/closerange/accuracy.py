@@ -82,5 +82,7 @@ def _measures(difference: Array) -> Measures:
     n = len(difference)
     rms = plain_rms(1e3 * difference)
     radial = float(np.sqrt(100.0 * sum(axes) / n)) if n else None
-    worst = list[float | None](np.abs(1e3 * difference).max(axis=0).tolist()) if n else [None, None, None]
+    worst: list[float | None] = [None] * 3
+    if n:
+        worst = np.abs(1e3 * difference).max(axis=0).tolist()
     return Measures(n, [*axes, sum(axes)], [*rms, radial], worst)

@@ -172,7 +172,9 @@ def fit_dlt(
     state, log = np.concatenate([direct, np.zeros(len(codes))]), 1
     _require_spatial(rows(state, True)[1][:, :11])
     if len(codes):  # about the principal point of the 11 parameters alone
-        records[:, 8:] = recover(direct, np.zeros(3)).principal if about is None else target.normalised(about)
+        records[:, 8:] = (
+            recover(direct, np.zeros(3)).principal if about is None else target.normalised(np.asarray(about, float))
+        )
     if iterate:
         found = adjust(rows, state, "DLT")
         state, log = found.state, len(found.log)

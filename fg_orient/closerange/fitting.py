@@ -51,7 +51,7 @@ class Adjusted:
     @property
     def redundancy(self) -> int:
         """Rows minus unknowns."""
-        return len(self.residual) - self.design.shape[1]
+        return int(len(self.residual) - self.design.shape[1])
 
     @property
     def m0(self) -> float | None:

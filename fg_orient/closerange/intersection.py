@@ -14,6 +14,7 @@ from fg_orient.closerange.photo import Photo
 from fg_orient.errors import InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 _ITERATIONS: Final = 50
 #: Ends the iteration: largest step by the distance of the photos from the points.
@@ -112,7 +113,7 @@ def intersect_photos(
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {names[of[int(np.argmin(depth))]]}")
     normal = _summed(slopes / size[:, :, None], slopes / size[:, :, None], of, n)
-    cofactors = np.linalg.inv(normal)
+    cofactors: Array = np.linalg.inv(normal).astype(float)
     _require_depth(cofactors, depth, matrices, size, of, names)
     white, redundancy = (residuals / size).ravel(), 2 * len(of) - 3 * n
     m0 = unit_weight(float(white @ white), redundancy)
@@ -124,7 +125,7 @@ def _centre(photo: Photo) -> Array:
     return np.asarray(photo.origin_m - np.linalg.solve(photo.matrix[:, :3], photo.matrix[:, 3]))
 
 
-def _start(matrices: Array, ideal: Array, of: Array, n: int, names: Sequence[str]) -> Array:
+def _start(matrices: Array, ideal: Array, of: Index, n: int, names: Sequence[str]) -> Array:
     """Points of the linear equations with weight 1."""
     rows = ideal[:, :, None] * matrices[:, 2:, :] - matrices[:, :2, :]
     rows = rows / np.linalg.norm(rows[:, :, :3], axis=2, keepdims=True)
@@ -138,7 +139,7 @@ def _start(matrices: Array, ideal: Array, of: Array, n: int, names: Sequence[str
     return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :, 0])
 
 
-def _summed(left: Array, right: Array, of: Array, n: int) -> Array:
+def _summed(left: Array, right: Array, of: Index, n: int) -> Array:
     """Sums over the observations of each point of left^T right: (n, 3, 3)."""
     out = np.zeros((n, left.shape[2], right.shape[2]))
     np.add.at(out, of, np.einsum("mij,mik->mjk", left, right))
@@ -155,7 +156,7 @@ def _rows(matrices: Array, ideal: Array, points: Array, at_measured: bool) -> tu
 
 
 def _iterated(
-    matrices: Array, ideal: Array, size: Array, of: Array, points: Array, names: Sequence[str], reweighted: bool
+    matrices: Array, ideal: Array, size: Array, of: Index, points: Array, names: Sequence[str], reweighted: bool
 ) -> tuple[Array, int]:
     """Gauss-Newton, each point for itself; ends when no step is above rounding or the largest no longer shrinks."""
     before = np.inf
@@ -179,7 +180,7 @@ def _iterated(
 
 
 def _require_depth(
-    cofactors: Array, depth: Array, matrices: Array, size: Array, of: Array, names: Sequence[str]
+    cofactors: Array, depth: Array, matrices: Array, size: Array, of: Index, names: Sequence[str]
 ) -> None:
     """Refuse points whose coordinates are 1000 times worse than their image at their distance says."""
     focal = np.linalg.norm(matrices[:, 0, :3], axis=1)  # of the depth row times the principal distance, about

@@ -169,9 +169,9 @@ def start_poses(ground: Array, tangents: Array) -> list[Pose]:
         X/Z, Y/Z in camera axes.
     """
     chosen = _spread(tangents)
-    poses = [
-        pose for three in combinations(chosen, 3) for pose in three_point_poses(ground[[*three]], tangents[[*three]])
-    ]
+    poses = list[Pose]()
+    for three in combinations(chosen, 3):
+        poses += three_point_poses(ground[list(three)], tangents[list(three)])
     if len(ground) >= 6:
         poses += _pose_by_dlt(ground, tangents)
     misfits = [_misfit(pose, ground, tangents) for pose in poses]
