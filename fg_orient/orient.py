@@ -27,6 +27,7 @@ from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.components import adjust_with_components
+from fg_orient.errors import InputError
 from fg_orient.names import Role
 from fg_orient.outlier_search import search
 from fg_orient.parallel.pool import Execution
@@ -160,6 +161,8 @@ def adjust(
     block = replace(block, options=replace(block.options, **{k: v for k, v in given.items() if v is not None}))
     require_possible(block.options)
     shared = not (parts is None and workers is None and cluster is None)
+    if work_dir is not None and not shared:
+        raise InputError.of("parallel.no_parts", place="work_dir", value=work_dir)
     execution = Execution(parts, workers or 1, cluster, work_dir) if shared else None
 
     def run(block: Block, begin: State | None) -> Solution:

@@ -11,6 +11,10 @@ PARALLEL: Final = {
         "the {points} ground points cannot be divided into so many parts",
         "give a number from 1 to {points}, or leave it out",
     ),
+    "parallel.no_parts": (
+        "a work folder is for a block in parts, and nothing divides this one",
+        "give parts, workers or a scheduler, or leave the work folder out",
+    ),
     "parallel.backend": (
         "parts are adjusted by the Schur backend, not by {value}",
         "leave the backend out, or adjust without parts and workers",
