@@ -43,7 +43,7 @@ STATISTICS: Final = {
     ),
     "statistics.dem_border": (
         "the DEM has no slope here",
-        "take a larger DEM: the point lies at its border or in a gap",
+        "take a larger DEM: the point lies at its border",
     ),
     "statistics.one_image": ("rays of one image do not intersect", "name two images or more, or locate at a height"),
     "statistics.too_few": ("too few observations", "{remedy}"),

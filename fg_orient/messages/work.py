@@ -25,7 +25,11 @@ OPTIONS: Final = {
 
 ADJUST: Final = {
     "initial.no_intersection": (
-        "no start value: fewer than two rays, or rays less than {least} degrees from parallel",
+        "no start value: its rays are less than {least} degrees from parallel",
+        "measure the point in another image, give it coordinates as control, or remove it",
+    ),
+    "initial.seen_once": (
+        "seen in one image only: one direction, along its ray, is free",
         "measure the point in another image, give it coordinates as control, or remove it",
     ),
     "initial.pixel_count": (
@@ -83,8 +87,8 @@ ADJUST: Final = {
         "leave gnc out, or robust_start and robust_scale",
     ),
     "adjust.few_control": (
-        "too few image points of control points for a robust start by resection",
-        "measure {least} or more in each image, or choose robust_start huber",
+        "too few control points, or points that two oriented images see, for a robust start by resection",
+        "measure {least} or more in the image, or choose robust_start huber",
     ),
     "adjust.cycles": (
         "this weighting has no cost: it is an iteration of its own",
@@ -126,7 +130,10 @@ ADJUST: Final = {
         "look at the weights, or adjust with loss none",
     ),
     "covariance.withheld": ("no covariance was computed", "see the warnings of the adjustment"),
-    "covariance.no_such": ("no such image or point", 'name them as "image:left" or "point:12"'),
+    "covariance.no_such": (
+        "no such image, parameter, point or observation",
+        'name them as "image:left", "image:left.x_0", "point:12", "observation:left/12" or "residual:left/12"',
+    ),
     "covariance.not_unknown": ("not an unknown of the adjustment: no covariance", "ask for adjusted points only"),
     "block.not_finite": (
         "pixels, coordinates or sigmas are not finite, or sigmas not positive",

@@ -3,7 +3,7 @@
 Computations that share nothing but the Jacobians: GTSAM Marginals with back-substitution for the
 points (graph backend), the triangular factor of the full Jacobian (dense backend), the inverse of the reduced camera
 system (``fg_orient.adjustment.schur_cofactors``). Unknowns are
-prior sigmas (images) and metres (points); :func:`named_cofactors` turns them into physical units.
+prior sigmas (images) and metres (points); ``fg_orient.quality.joint`` turns them into physical units.
 Points located after the adjustment: ``fg_orient.adjustment.located``.
 """
 
@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
-from fg_orient.errors import InputError
 from fg_orient.linear.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -264,24 +263,9 @@ class NamedMatrix:
     units: tuple[str, ...]
     values: Array
 
-
-def named_cofactors(problem: Problem, cofactors: Cofactors, names: tuple[str, ...]) -> NamedMatrix:
-    """Joint cofactors of named images and points in physical units; see ``Solution.cofactor_matrix``."""
-    block = problem.block
-    images: list[int] = []
-    points: list[int] = []
-    for name in names or tuple(f"image:{image.id}" for image in block.images):
-        found = block.find(name)
-        if found is None:
-            raise InputError.of("covariance.no_such", place="covariance", value=name)
-        kind, k = found
-        (images if kind == "image" else points).append(k)
-    fixed = [block.points.ids[j] for j in points if not problem.active[j]]
-    if fixed:
-        raise InputError.of("covariance.not_unknown", place="covariance", value=", ".join(fixed))
-    scale = np.concatenate([*(problem.parameters[k].sigma for k in images), np.ones(3 * len(points))])
-    q = cofactors.joint(tuple(images), tuple(points)) * np.outer(scale, scale)
-    labels = [f"{block.images[k].id}.{n}" for k in images for n in problem.parameters[k].names]
-    labels += [f"{block.points.ids[j]}.{axis}" for j in points for axis in "xyz"]
-    units = [u for k in images for u in problem.parameters[k].units] + ["m"] * (3 * len(points))
-    return NamedMatrix(tuple(labels), tuple(units), 0.5 * (q + q.T))
+    @property
+    def correlations(self) -> Array:
+        """Correlations ``q_ij / sqrt(q_ii q_jj)``, T(2.75); nan with what has no variance."""
+        sigma = np.sqrt(np.diag(self.values))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.values / np.outer(sigma, sigma))
