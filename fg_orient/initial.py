@@ -143,7 +143,7 @@ def intersect(
     behind = _behind(found, centre, direction, point)
     bad = np.flatnonzero(missing_rows(found) | behind)
     if len(bad):
-        raise InputError(*(_complaint(f"number {j + 1}", spread[j], bool(behind[j])) for j in bad))
+        raise InputError(*(_complaint(f"number {j + 1}", spread[j], bool(behind[j]), len(sensors)) for j in bad))
     return found
 
 
@@ -172,11 +172,14 @@ def ground_points(
     behind = _behind(start, centre, direction, observations.point[rows])
     bad = np.flatnonzero(unknown & (missing_rows(start) | behind))
     if len(bad):
-        raise InputError(*(_complaint(ids[k], spread[k], bool(behind[k])) for k in bad))
+        count = np.bincount(observations.point[rows], minlength=len(ids))
+        raise InputError(*(_complaint(ids[k], spread[k], bool(behind[k]), int(count[k])) for k in bad))
     return start
 
 
-def _complaint(point_id: str, spread_deg: float, behind: bool) -> Problem:
+def _complaint(point_id: str, spread_deg: float, behind: bool, n_rays: int) -> Problem:
+    if n_rays < 2:
+        return problem("initial.seen_once", place=f"point {point_id}", value=f"{n_rays} ray")
     code = "initial.behind" if behind and spread_deg > MIN_CONVERGENCE_DEG else "initial.no_intersection"
     return problem(code, place=f"point {point_id}", value=f"convergence {spread_deg:.3f} degrees",
                    least=MIN_CONVERGENCE_DEG)  # fmt: skip

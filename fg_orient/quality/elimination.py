@@ -8,11 +8,13 @@ down to 1e-12 of the largest are those of the rows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import qr
 
+from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, rows_by_image
 
@@ -75,6 +77,23 @@ def eliminated(problem: Problem, rows: Rows) -> Array:
                 height = len(parts[0])
     whole = np.vstack(parts)
     return np.asarray(np.linalg.qr(whole, mode="r")) if len(whole) > u else whole
+
+
+def eliminated_with_own(problem: Problem) -> Array:
+    """The same at the start, own observations included, by full matrices.
+
+    Raises
+    ------
+    NotFiniteError
+        An own observation is not finite.
+    """
+    u = problem.n_image_unknowns
+    bare = replace(problem, block=replace(problem.block, options=replace(problem.block.options, priors=False)))
+    _, design = assemble(bare, problem.start)
+    q, r = qr(design[:, u:], pivoting=True)[:2]
+    size = np.abs(np.diag(r))
+    rank = int((size > size[0] * np.finfo(float).eps * len(design)).sum()) if len(size) else 0
+    return np.asarray(q[:, rank:].T @ design[:, :u])
 
 
 def _alike(problem: Problem) -> list[tuple[Index, Index]]:

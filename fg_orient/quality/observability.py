@@ -17,7 +17,7 @@ Unobservable directions of an image are named by matching them with physical can
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +25,9 @@ from scipy.optimize import linear_sum_assignment
 
 from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem
+from fg_orient.linear.system import MAX_UNKNOWNS
 from fg_orient.parameters import ImageParameters
-from fg_orient.quality.elimination import Rows, eliminated
+from fg_orient.quality.elimination import Rows, eliminated, eliminated_with_own
 from fg_orient.quality.motions import SHIFT_M, UNOBSERVABLE, FreeMotions, free_motions
 from fg_orient.quality.structure import Structure, analyse_structure, named
 
@@ -81,6 +82,15 @@ class ImageObservability:
     def determined(self) -> int:
         """Directions that the data determine better than the prior."""
         return len(self.singular_values) - self.rank_defect - self.weak
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``result.json`` (docs/results.md)."""
+        return {
+            "image": self.image, "rank_defect": self.rank_defect, "weak": self.weak, "determined": self.determined,
+            "held_by_the_prior": list(self.held), "condition": self.condition, "raw_condition": self.raw_condition,
+            "summary": self.summary, "singular_values": self.singular_values.tolist(),
+            "sentences": list(self.sentences),
+        }  # fmt: skip
 
 
 def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservability:
@@ -222,6 +232,19 @@ class BlockObservability:
             self.motions
         )  # fmt: skip
 
+    def as_dict(self) -> dict[str, Any]:
+        """For ``result.json`` (docs/results.md)."""
+        counts = self.counts or dict.fromkeys(("unobservable", "held_by_the_prior", "determined"))
+        motions = [
+            {"images": list(m.images), "control": list(m.control), "words": list(m.words),
+             "rms_in_sigmas": m.felt.tolist(), "remedy": m.remedy}
+            for m in self.motions
+        ]  # fmt: skip
+        return {
+            **counts, "structural_defect": self.structure.defect, "parts": self.structure.n_parts,
+            "free_motions": self.n_free_motions, "motions": motions, "sentences": list(self.sentences),
+        }  # fmt: skip
+
     def deficiencies(self, problem: Problem) -> tuple[str, ...]:
         """One sentence per part with free motions, and one that names the parts, each with its remedy."""
         priors = problem.block.options.priors
@@ -245,7 +268,7 @@ def affordable(problem: Problem) -> bool:
 def analyse_block(problem: Problem, structure: Structure | None = None, *, whole: bool = True) -> BlockObservability:
     """Judge the block without priors: unknown ground points are eliminated point by point (QR).
 
-    Own observations have no part in it, but for the structure.
+    Own observations take part up to 2000 unknowns, beyond them only in the structure.
 
     Parameters
     ----------
@@ -257,7 +280,8 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
     """
     structure = structure or analyse_structure(problem)
     rows, u = Rows.of(problem, problem.start), problem.n_image_unknowns
-    rest = eliminated(problem, rows) if whole else None
+    own = bool(problem.block.extra) and problem.n_unknowns <= MAX_UNKNOWNS
+    rest = None if not whole else eliminated_with_own(problem) if own else eliminated(problem, rows)
     parts = [np.flatnonzero(structure.part == p) for p in range(structure.n_parts)]
     motions = tuple(m for m in (free_motions(problem, rows, rest, p) for p in parts) if len(m))
     datum = tuple(t for m in motions for t in _motion_sentences(m, problem, alone=structure.n_parts == 1))

@@ -176,11 +176,7 @@ def _record(
          "footprint_lon_lat_deg": image.sensor.footprint().tolist(), **model.facts()}
         for image, model in zip(solution.block.images, solution.problem.models, strict=True)
     ]  # fmt: skip
-    observability = [
-        {"image": o.image, "rank_defect": o.rank_defect, "weak": o.weak, "singular_values": o.singular_values.tolist(),
-         "sentences": list(o.sentences)}
-        for o in solution.observability
-    ]  # fmt: skip
+    view = solution.block_view
     record: dict[str, Any] = plain(summary(solution))
     return {
         "schema": SCHEMA_VERSION,
@@ -189,7 +185,8 @@ def _record(
         "out": out.name,
         "notes": [*notes, *fitted_notes(models)],
         "images": images,
-        "observability": plain(observability),
+        "observability": plain([o.as_dict() for o in solution.observability]),
+        "block_observability": plain(None if view is None else view.as_dict()),
         "provenance": provenance(solution.block, folder, command),
     }
 

@@ -150,6 +150,8 @@ def _missing(solution: Solution) -> list[str]:
         out.append(f"suspicious_observations is null: more than {MAX_TESTED} image points are not tested one by one")
     elif solution.cofactors is None:
         out.append("suspicious_observations is null: the test needs the covariance")
+    if solution.block_view is not None and solution.block_view.counts is None:
+        out.append("the counts of block_observability are null: the block is too large to be decomposed as a whole")
     if not solution.problem.n_images * solution.iterations:
         out.append("us_per_observation_iteration is null: nothing was iterated")
     return out
