@@ -27,7 +27,11 @@ from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.observation_groups import DEFAULT_GROUPS
 from fg_orient.quality.outliers import GroupTest, OutlierTests, outlier_tests
+from fg_orient.quality.reliability import ALPHA, POWER, BlockReliability, reliability
+from fg_orient.quality.residuals import ResidualCofactors, residual_cofactors
 from fg_orient.quality.search import Search
+from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
+from fg_orient.quality.significance import Significance, significance
 from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
 
@@ -36,8 +40,6 @@ if TYPE_CHECKING:
 
     from fg_orient.quality.free_network import FreeNetwork
     from fg_orient.quality.located_point import LocatedPoint, Orientation
-    from fg_orient.quality.reliability import BlockReliability
-    from fg_orient.quality.residuals import ResidualCofactors
     from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
@@ -223,8 +225,6 @@ class Solution:
         NoSolutionError
             The covariance could not be computed; the message says why.
         """
-        from fg_orient.quality.residuals import residual_cofactors
-
         return residual_cofactors(self.judged, self.state, self._cofactors())
 
     def locate(
@@ -282,7 +282,7 @@ class Solution:
         scale = self.scale if np.isfinite(self.scale) else 1.0  # without redundancy
         return Orientation(self.problem, self.state, self._cofactors(), scale)
 
-    def reliability(self, *, alpha: float = 0.001, power: float = 0.80) -> BlockReliability:
+    def reliability(self, *, alpha: float = ALPHA, power: float = POWER) -> BlockReliability:
         """Redundancy numbers, minimal detectable biases and their effects, of all observations.
 
         See ``fg_orient.quality.reliability``; sigmas are those a priori.
@@ -297,8 +297,15 @@ class Solution:
         NoSolutionError
             There is no covariance, or a loss is set: its weights change both probabilities.
         """
-        from fg_orient.quality.reliability import reliability
+        if (alpha, power) == (ALPHA, POWER):
+            return self._usual_reliability
+        return self._reliability(alpha, power)
 
+    @cached_property
+    def _usual_reliability(self) -> BlockReliability:
+        return self._reliability(ALPHA, POWER)
+
+    def _reliability(self, alpha: float, power: float) -> BlockReliability:
         if self.weights is not None:
             raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
         return reliability(self.problem, self.state, self.residual_cofactors, alpha=alpha, power=power)
@@ -390,6 +397,20 @@ class Solution:
         if network is None:
             raise NoSolutionError.of("statistics.no_free_network", place=self.block.options.datum)
         return network.in_datum(*names) if names else network  # type: ignore[no-any-return]
+
+    def significance(self, *, level: float = SIGNIFICANCE_LEVEL) -> Significance:
+        """Test every unknown of the images, and groups of them; see ``fg_orient.quality.significance``.
+
+        Raises
+        ------
+        NoSolutionError
+            The covariance could not be computed, or was changed by the weights of a loss; no redundancy.
+        """
+        if self.cofactors is None:
+            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
+        if self.weights is not None:
+            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
+        return significance(self.problem, self.state, self.cofactors, self.sigma0, level=level)
 
     def role(self, point: int) -> Role:
         """Role of a ground point."""

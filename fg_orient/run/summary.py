@@ -15,6 +15,7 @@ from fg_orient.parameters import EOP_SETS
 from fg_orient.quality.deficiency import DEFICIENT
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.quality.verdict import DOWN, points_without_ray, turned_down_images
+from fg_orient.run.statistics import correlation_record, missing, reliability_record
 
 if TYPE_CHECKING:
     from fg_orient.block import Block, Options
@@ -49,7 +50,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "status": str(solution.status),
         "reason": solution.reason,
         "ended": solution.ended,
-        "warnings": [*solution.warnings, *solution.withheld, *_missing(solution)],
+        "warnings": [*solution.warnings, *solution.withheld, *_missing(solution), *missing(solution)],
         "backend": solution.backend,
         "solver": solution.solver or None,
         **_choices(options),
@@ -73,6 +74,8 @@ def summary(solution: Solution) -> dict[str, Any]:
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
         "memory": None if solution.memory is None else solution.memory.as_dict(),
         "suspicious_observations": _suspicious(solution),
+        "reliability": reliability_record(solution),
+        "correlations": correlation_record(solution),
         **_parallax(solution),
     }
 

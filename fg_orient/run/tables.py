@@ -13,7 +13,8 @@ and count neither as observation nor as unknown. The columns ``weight`` are ther
 all weights are 1.
 
 Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy and no loss; else in
-prior scale. The column ``sigma_scale`` says which.
+prior scale. The column ``sigma_scale`` says which. Columns of redundancy and reliability
+(``fg_orient.run.statistics``) are there where the option ``statistics`` asks for them.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import numpy.typing as npt
 
 from factors import ellipsoid
 from fg_orient.quality.accuracy import PointDifferences
+from fg_orient.run import statistics
 from fg_orient.run.columns import Column, Named, write_columns
 
 if TYPE_CHECKING:
@@ -63,8 +65,12 @@ def write_tables(folder: Path, solution: Solution) -> None:
     write_csv(folder / "eop.csv", EOP_COLUMNS, eop_rows(solution))
     weights = solution.weights
     of_points, of_rays = ({}, {}) if weights is None else ({"weight": weights.control}, {"weight": weights.image})
-    write_columns(folder / "points.csv", {**point_columns(solution), **of_points})
-    write_columns(folder / "residuals.csv", {**residual_columns(solution), **of_rays})
+    write_columns(
+        folder / "points.csv", {**point_columns(solution), **statistics.point_columns(solution), **of_points}
+    )
+    write_columns(
+        folder / "residuals.csv", {**residual_columns(solution), **statistics.image_columns(solution), **of_rays}
+    )
     write_csv(folder / "accuracy.csv", ACCURACY_COLUMNS, accuracy_rows(solution))
     _write_arrays(folder / "arrays.npz", solution)
 

@@ -1,0 +1,218 @@
+"""Redundancy, reliability and correlations in the results of a run: record, columns, and why a figure is absent."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.point_cofactors import AUTO_LIMIT, full_statistics
+from fg_orient.quality.reliability import CHECKABLE, noncentrality
+
+if TYPE_CHECKING:
+    from fg_orient.quality.covariance import NamedMatrix
+    from fg_orient.quality.reliability import BlockReliability, Reliability
+    from fg_orient.run.columns import Column
+    from fg_orient.solution import Solution
+
+Array = npt.NDArray[np.float64]
+
+#: Observations and correlations that are named.
+MAX_NAMED: Final = 20
+#: Correlations from here on are named.
+HIGH: Final = 0.95
+#: Image unknowns up to which correlations between images are looked at, too.
+JOINT_UNKNOWNS: Final = 600
+
+
+def withheld(solution: Solution) -> str:
+    """Why there are no redundancy numbers; empty if there are."""
+    problem, chosen = solution.problem, solution.block.options.statistics
+    if solution.cofactors is None:
+        return "it needs the covariance"
+    if full_statistics(solution.block.options, len(problem.observations), problem.n_image_unknowns):
+        return ""
+    if chosen == "basic":
+        return 'the option statistics is "basic"'
+    return f'the block has more than {AUTO_LIMIT} image points, or too many image unknowns; ask with statistics "full"'
+
+
+def reliability_of(solution: Solution) -> BlockReliability | None:
+    """Reliability for the results; None where it is withheld, or a loss is set."""
+    return None if withheld(solution) or solution.weights is not None else solution.reliability()
+
+
+def missing(solution: Solution) -> list[str]:
+    """Say why figures of this module are null."""
+    why = withheld(solution)
+    if why:
+        out = [f"reliability is null: {why}"]
+    elif solution.weights is not None:
+        out = ["reliability is null: the weights of the loss change it; residuals.csv holds the redundancy numbers"]
+    else:
+        out = []
+    return out + (["correlations is null: it needs the covariance"] if solution.cofactors is None else [])
+
+
+def reliability_record(solution: Solution) -> dict[str, Any] | None:
+    """The section ``reliability`` of the record."""
+    found = reliability_of(solution)
+    if found is None:
+        return None
+    image, control, o = found.image, found.control, solution.problem.observations
+    rays = np.bincount(o.point, minlength=len(solution.problem.active))[o.point]
+    unchecked = image.not_checkable
+    sums = (image.redundancy, control.redundancy, np.concatenate([np.zeros(0), *found.prior]),
+            np.concatenate([np.zeros(0), *found.extra]))  # fmt: skip
+    names = ("image_points", "control_points", "priors", "own_observations")
+    return {
+        "alpha": found.alpha, "power": found.power, "noncentrality": noncentrality(found.alpha, found.power),
+        "redundancy_sum": found.redundancy_sum,
+        "redundancy": {name: float(part.sum()) for name, part in zip(names, sums, strict=True)},
+        "least": _least(solution, found),
+        "limit_of_checkable": CHECKABLE,
+        "n_image_points_not_checkable": int(unchecked.sum()),
+        "n_of_these_with_two_rays": int((unchecked & (rays == 2)).sum()),
+        "n_control_coordinates_not_checkable": int((control.redundancy < CHECKABLE).sum()),
+        "not_checkable": [*_control_unchecked(solution, control), *_image_unchecked(solution, image, rays)][:MAX_NAMED],
+        "largest_mdb": _largest(solution, image),
+    }  # fmt: skip
+
+
+def _least(solution: Solution, found: BlockReliability) -> dict[str, Any]:
+    """The single coordinate that is checked least."""
+    best: dict[str, Any] = {"redundancy": None, "name": None}
+    axes = (("line", "sample"), solution.problem.axis_names)
+    for part, names in zip((found.image, found.control), axes, strict=True):
+        if not part.redundancy.size:
+            continue
+        row, axis = (int(k) for k in np.unravel_index(np.argmin(part.redundancy), part.redundancy.shape))
+        value = float(part.redundancy[row, axis])
+        if best["redundancy"] is None or value < best["redundancy"]:
+            who = solution.problem.label(row) if part is found.image else f"point {_control_id(solution, row)}"
+            best = {"redundancy": value, "name": f"{names[axis]} of {who}"}
+    return best
+
+
+def _control_id(solution: Solution, row: int) -> str:
+    """Id of a weighted control point by its number among them."""
+    return solution.block.points.ids[int(np.flatnonzero(solution.problem.observed)[row])]
+
+
+def _control_unchecked(solution: Solution, control: Reliability) -> list[dict[str, Any]]:
+    """Coordinates of control points that nothing checks, least first."""
+    rows, axes = np.nonzero(control.redundancy < CHECKABLE)
+    out = []
+    for k in np.argsort(control.redundancy[rows, axes], kind="stable")[:MAX_NAMED].tolist():
+        row, axis, point = int(rows[k]), int(axes[k]), _control_id(solution, int(rows[k]))
+        name, r = solution.problem.axis_names[axis], float(control.redundancy[row, axis])
+        out.append({
+            "image": None, "id": point, "redundancy": r, "direction": np.eye(3)[axis].tolist(),
+            "sentence": f"{name} of control point {point} is not checked by the others: redundancy {r:.4f}",
+        })  # fmt: skip
+    return out
+
+
+def _image_unchecked(solution: Solution, image: Reliability, rays: npt.NDArray[np.intp]) -> list[dict[str, Any]]:
+    """Image points with a direction that nothing checks: those with other than two rays first, least first."""
+    rows = np.flatnonzero(image.not_checkable)
+    order = np.lexsort((np.round(image.least[rows], 9), rays[rows] == 2))[:MAX_NAMED]
+    o, block, out = solution.problem.observations, solution.block, []
+    for row in rows[order].tolist():
+        line, sample = (float(v) for v in image.direction[row])
+        two = rays[row] == 2
+        out.append({
+            "image": block.images[o.image[row]].id, "id": block.points.ids[o.point[row]],
+            "redundancy": float(image.least[row]), "direction": [line, sample],
+            "sentence": f"{solution.problem.label(row)}: errors along (line {line:+.3f}, sample {sample:+.3f})"
+            f"{', the epipolar line of its two rays,' if two else ''} are not checked by the others: redundancy "
+            f"{abs(float(image.least[row])):.4f}",
+        })  # fmt: skip
+    return out
+
+
+def _largest(solution: Solution, image: Reliability) -> list[dict[str, Any]]:
+    """Checkable image points whose errors must be largest to be found, in sigmas."""
+    rows = np.flatnonzero(~image.not_checkable)
+    o, block = solution.problem.observations, solution.block
+    worst = rows[np.argsort(image.least[rows], kind="stable")[:MAX_NAMED]]
+    return [
+        {"image": block.images[o.image[r]].id, "id": block.points.ids[o.point[r]],
+         "redundancy_line": float(image.redundancy[r, 0]), "redundancy_sample": float(image.redundancy[r, 1]),
+         "mdb_line_px": float(image.minimal_detectable_bias[r, 0]),
+         "mdb_sample_px": float(image.minimal_detectable_bias[r, 1]), "mdb_largest_px": float(image.largest[r]),
+         "external_m": float(image.ground_m[r].max()), "external_image": float(image.eop[r].max())}
+        for r in worst.tolist()
+    ]  # fmt: skip
+
+
+def correlation_record(solution: Solution) -> dict[str, Any] | None:
+    """The section ``correlations`` of the record: those of image unknowns that are high."""
+    if solution.cofactors is None:
+        return None
+    problem, images = solution.problem, solution.block.images
+    joint = problem.n_image_unknowns <= JOINT_UNKNOWNS
+    groups = [tuple(image.id for image in images)] if joint else [(image.id,) for image in images]
+    found: list[tuple[float, str, str]] = []
+    for group in groups:
+        found += _high(solution.cofactor_matrix(*(f"image:{name}" for name in group)))
+    found.sort(key=lambda row: -abs(row[0]))
+    return {
+        "limit": HIGH, "between_images": joint, "n": len(found),
+        "largest": [{"a": a, "b": b, "correlation": r} for r, a, b in found[:MAX_NAMED]],
+    }  # fmt: skip
+
+
+def _high(matrix: NamedMatrix) -> list[tuple[float, str, str]]:
+    """High correlations of a matrix, with the names."""
+    r = np.triu(matrix.correlations, 1)
+    return [(float(r[a, b]), matrix.names[a], matrix.names[b]) for a, b in np.argwhere(np.abs(r) > HIGH).tolist()]
+
+
+def image_columns(solution: Solution) -> dict[str, Column]:
+    """Columns of ``residuals.csv``; under a loss the redundancy numbers only, none where they are withheld."""
+    found = reliability_of(solution)
+    if found is not None:
+        image = found.image
+        return {
+            "redundancy_line": image.redundancy[:, 0], "redundancy_sample": image.redundancy[:, 1],
+            "redundancy_least": image.least, "w_line": image.normalised[:, 0], "w_sample": image.normalised[:, 1],
+            "mdb_line_px": image.minimal_detectable_bias[:, 0], "mdb_sample_px": image.minimal_detectable_bias[:, 1],
+            "external_m": image.ground_m.max(axis=1), "external_point": image.ground.max(axis=1),
+            "external_image": image.eop.max(axis=1),
+        }  # fmt: skip
+    if withheld(solution):
+        return {}
+    q = solution.residual_cofactors.image
+    return {"redundancy_line": q[:, 0, 0], "redundancy_sample": q[:, 1, 1]}
+
+
+def point_columns(solution: Solution) -> dict[str, Column]:
+    """Columns of ``points.csv``: reliability of control points, and what undetected errors do to each point.
+
+    ``external_m`` is empty where an observation of the point has no minimal detectable bias: nothing bounds the effect.
+    """
+    found = reliability_of(solution)
+    if found is None:
+        return {}
+    n, rows = len(solution.problem.active), np.flatnonzero(solution.problem.observed)
+    axes = ("east", "north", "up")
+    out: dict[str, Column] = {}
+    parts = (("redundancy_{}", found.control.redundancy), ("w_{}", found.control.normalised),
+             ("mdb_{}_m", found.control.minimal_detectable_bias))  # fmt: skip
+    for name, values in parts:
+        for k, axis in enumerate(axes):
+            column = np.full(n, np.nan)
+            column[rows] = values[:, k]
+            out[name.format(axis)] = column
+    external = np.full(n, -np.inf)
+    np.maximum.at(external, solution.problem.observations.point, _unbounded(found.image.ground_m))
+    np.maximum.at(external, rows, _unbounded(found.control.ground_m))
+    external[~solution.problem.active] = np.nan  # fixed points do not move
+    return out | {"external_m": np.where(np.isfinite(external), external, np.nan)}
+
+
+def _unbounded(values: Array) -> Array:
+    """Largest of each row, inf where one is not known."""
+    return np.asarray(np.where(np.isnan(values).any(axis=1), np.inf, np.nan_to_num(values).max(axis=1, initial=0.0)))
