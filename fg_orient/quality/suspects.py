@@ -17,6 +17,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import residuals
 from fg_orient.quality.covariance import Cofactors
@@ -85,7 +86,7 @@ def suspects(problem: Problem, state: State, cofactors: Cofactors, kind: Kind = 
     kind : str
         "groups": image points (line and sample), positions (East and North) and heights of weighted control points;
         "coordinates": each of their coordinates alone; "points": a ground point with all its image points and its
-        coordinates. The first two take microseconds each, the third some 0.2 ms.
+        coordinates. The first two take 20 us each, the third 0.5 ms.
 
     Returns
     -------
@@ -122,10 +123,19 @@ def suspects(problem: Problem, state: State, cofactors: Cofactors, kind: Kind = 
 
 def _whole_points(problem: Problem, state: State, cofactors: Cofactors) -> list[Suspects]:
     """Ground points with all their rays and their coordinates, those of as many rows together."""
-    values, d_image, d_ground = problem.image_residuals(state, jacobian=True)
+    rays = problem.image_residuals(state, jacobian=True)
+    few = problem.n_image_unknowns <= WHOLE_LIMIT
+    of_images = cofactors.joint(tuple(range(problem.n_images)), ()) if few else None
+    arguments = (a for extra in problem.block.extra for a in problem.extra_arguments(extra))
+    tied = {a.index for a in arguments if not a.is_image}
     found: dict[int, list[tuple[int, Array, Array]]] = {}
     for j, rows in problem.rows_by_point():
-        v, q = point_residuals(problem, state, cofactors, j, rows, (values, d_image, d_ground))
+        v, b, g, columns, images = _point_rows(problem, state, j, rows, rays)
+        if j in tied:  # more than its rays and its coordinates determines it
+            q = np.eye(len(v)) - _propagated(np.hstack([b, g]), cofactors.joint(images, (j,)))
+        else:
+            own = cofactors.joint(images, ()) if of_images is None else of_images[np.ix_(columns, columns)]
+            q = _left_over(g, np.eye(len(v)) - _propagated(b, own))
         found.setdefault(len(v), []).append((j, v, q))
     return [
         Suspects(
@@ -137,28 +147,38 @@ def _whole_points(problem: Problem, state: State, cofactors: Cofactors) -> list[
     ]  # fmt: skip
 
 
-def point_residuals(
-    problem: Problem, state: State, cofactors: Cofactors, j: int, rows: Index,
-    rays: tuple[Array, list[Array], list[Array]],
-) -> tuple[Array, Array]:  # fmt: skip
-    """Whitened residuals (m,) of a ground point and their cofactors (m, m): image points ``rows``, then coordinates.
+def _propagated(design: Array, cofactors: Array) -> Array:
+    """Cofactors ``J Q J^T``."""
+    return np.asarray(design @ cofactors @ design.T)
 
-    ``rays`` are the residuals and Jacobians of ``problem.image_residuals``.
+
+def _left_over(d_ground: Array, q: Array) -> Array:
+    """Cofactors of what the ground point's own coordinates leave of residuals with cofactors q."""
+    if not d_ground.shape[1]:
+        return q
+    free = np.linalg.qr(d_ground, mode="complete")[0][:, d_ground.shape[1] :]
+    return np.asarray(free @ (free.T @ q @ free) @ free.T)
+
+
+def _point_rows(
+    problem: Problem, state: State, j: int, rows: Index, rays: tuple[Array, list[Array], list[Array]]
+) -> tuple[Array, Array, Array, Index, tuple[int, ...]]:
+    """Whitened residuals (m,) of a ground point, its image points ``rows`` first, then its coordinates.
+
+    With them Jacobians (m, u) and (m, 3 or 0), the u columns among the unknowns of all images, and the images.
     """
     values, d_image, d_ground = rays
-    o, free = problem.observations, 3 * int(problem.active[j])
-    images = tuple(dict.fromkeys(o.image[rows].tolist()))
-    first = np.concatenate([[0], np.cumsum([len(problem.parameters[k]) for k in images])])
-    n_control = 3 * int(problem.observed[j])
-    design = np.zeros((2 * len(rows) + n_control, first[-1] + free))
-    for i, r in enumerate(rows):
-        at = images.index(int(o.image[r]))
-        design[2 * i : 2 * i + 2, first[at] : first[at + 1]] = d_image[r]
-        design[2 * i : 2 * i + 2, first[-1] :] = d_ground[r][:, :free]
-    v = values[rows].ravel()
-    if n_control:
+    image, free = problem.observations.image[rows].tolist(), 3 * int(problem.active[j])
+    images = tuple(dict.fromkeys(image))
+    columns = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
+    begin = dict(zip(images, np.cumsum([0, *(len(problem.parameters[k]) for k in images[:-1])]).tolist(), strict=True))
+    m = 2 * len(rows) + 3 * int(problem.observed[j])
+    v, b, g = np.zeros(m), np.zeros((m, len(columns))), np.zeros((m, free))
+    v[: 2 * len(rows)] = values[rows].ravel()
+    for i, (r, k) in enumerate(zip(rows.tolist(), image, strict=True)):
+        b[2 * i : 2 * i + 2, begin[k] : begin[k] + d_image[r].shape[1]] = d_image[r]
+        g[2 * i : 2 * i + 2] = d_ground[r][:, :free]
+    if problem.observed[j]:
         w = problem.control_records[j, :9].reshape(3, 3)
-        design[-3:, first[-1] :] = w
-        v = np.concatenate([v, w @ (state.ground[j] - problem.control_records[j, 9:])])
-    joint = cofactors.joint(images, (j,) if free else ())
-    return v, np.eye(len(v)) - design @ joint @ design.T
+        v[-3:], g[-3:] = w @ (state.ground[j] - problem.control_records[j, 9:]), w
+    return v, b, g, columns, images

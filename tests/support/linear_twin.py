@@ -1,0 +1,66 @@
+"""The twin as a linear problem: residuals of simulated adjustments by projection, thousands at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+import fg_orient as fg
+from fg_orient.adjustment.dense import assemble
+from fg_orient.quality.suspects import Kind, Suspects, suspects
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+
+
+@dataclass(frozen=True)
+class LinearTwin:
+    """A solution, and an orthonormal basis (N, u) of its whitened design matrix."""
+
+    solution: fg.Solution
+    basis: np.ndarray
+
+    @property
+    def redundancy(self) -> int:
+        return self.solution.redundancy
+
+    def residuals(self, noise: np.ndarray) -> np.ndarray:
+        """Whitened residuals (runs, N) of adjustments with these whitened errors (runs, N)."""
+        return noise - (noise @ self.basis) @ self.basis.T
+
+    def noise(self, seed: int, runs: int) -> np.ndarray:
+        """Errors (runs, N) of all observations, priors included, with sigmas as stated."""
+        return np.random.default_rng(seed).normal(size=(runs, len(self.basis)))
+
+    def suspects(self, kind: Kind = "groups") -> list[Suspects]:
+        assert self.solution.cofactors is not None
+        return suspects(self.solution.problem, self.solution.state, self.solution.cofactors, kind)
+
+    def rows(self, found: Suspects) -> np.ndarray:
+        """Rows (n, m) of the suspects' residuals among all rows."""
+        problem = self.solution.problem
+        n, control = len(problem.observations), np.flatnonzero(problem.observed)
+        if found.part in ("image", "line", "sample"):
+            return 2 * found.row[:, None] + np.arange(2)
+        at = 2 * n + 3 * np.searchsorted(control, found.point)[:, None] + np.arange(3)
+        if found.part != "point":
+            return at
+        out = []
+        for j, own in zip(found.point, at, strict=True):
+            rays = np.flatnonzero(problem.observations.point == j)
+            image = (2 * rays[:, None] + np.arange(2)).ravel()
+            out.append(np.concatenate([image, own]) if problem.observed[j] else image)
+        return np.array(out)
+
+    def drawn(self, found: Suspects, v: np.ndarray) -> Suspects:
+        """The suspects with simulated residuals (runs, n, m)."""
+        return replace(found, v=v[:, self.rows(found)])
+
+
+@cache
+def linear_twin() -> LinearTwin:
+    """The Zonguldak twin at its solution."""
+    block, _ = zonguldak_block(ZonguldakOptions(seed=1))
+    solution = fg.adjust(block, backend="dense")
+    _, design = assemble(solution.problem, solution.state)
+    return LinearTwin(solution, np.linalg.qr(design / np.linalg.norm(design, axis=0))[0])
