@@ -11,7 +11,7 @@ from typing import Annotated, NoReturn
 import typer
 
 import fg_orient
-from fg_orient.cli import adjust, checks, compare, geometry, rectify, reports, reproduce, rpc, simulate
+from fg_orient.cli import adjust, checks, compare, geometry, rectify, reduce, reports, reproduce, rpc, simulate
 from fg_orient.cli.common import INTERRUPTED, emit_errors, note
 from fg_orient.errors import InputError
 
@@ -24,6 +24,7 @@ app = typer.Typer(
 )
 app.command("adjust")(adjust.adjust)
 app.command("compare")(compare.compare)
+app.command("reduce")(reduce.reduce)
 app.command("locate")(geometry.locate)
 app.command("project")(geometry.project)
 app.command("intersect")(geometry.intersect)

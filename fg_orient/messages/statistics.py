@@ -28,6 +28,14 @@ STATISTICS: Final = {
         "the variance component does not stand after {value} adjustments",
         "leave it out of the groups, or join it with another",
     ),
+    "statistics.no_redundancy": (
+        "there is no redundancy, so there is no unit weight to test unknowns with",
+        "measure more points, or choose a smaller set of unknowns",
+    ),
+    "statistics.folds": (
+        "cross-validation leaves out parts of the control points, of which {control} are seen",
+        "give 0 to leave out one at a time, or 2 and more parts, at most as many as control points",
+    ),
     "statistics.snoop_loss": (
         "gross errors are searched with least squares, not under a robust loss that has weighted them down",
         "leave out the loss, or the search",
@@ -59,5 +67,20 @@ STATISTICS: Final = {
     "statistics.datum_near": (
         "the models feel these motions a little, so they are no exact datum defect",
         'keep the priors: datum = "priors"; or measure control points',
+    ),
+    "curve.numbers": ("these must be finite numbers", "give {wanted}"),
+    "curve.unknowns": ("{count} observations do not determine {unknowns} unknowns", "measure more, or fix unknowns"),
+    "curve.model": (
+        "the model must give one finite number per observation at the start values",
+        "model(x, *parameters) gives a ({count},) array; look at the start values",
+    ),
+    "curve.derivatives": (
+        "the derivatives differ from what the model does",
+        "use numpy functions that take complex numbers (no abs, no conversion to real), or mend jacobian",
+    ),
+    "curve.optimizer": ("there is no such optimiser of curves", "known: {known}"),
+    "curve.lost": (
+        "the model is not finite where the iteration has come to",
+        "start nearer, or with levenberg-marquardt",
     ),
 }

@@ -1,0 +1,207 @@
+"""Significance of the unknowns of the images: t of each coefficient, F of groups of them.
+
+``m_j = m0 sqrt(q_jj)``, ``t = |x_j| / m_j`` with f degrees of freedom (Terlemezoğlu 2019, eqs. 2.78-2.80; m0^2 =
+v^T P v / f), of d unknowns together ``F = x^T Q^-1 x / (d m0^2)`` with d and f. The hypothesis is that the correction
+is zero: an insignificant orientation parameter keeps the value of the metadata, an insignificant term of a look-angle
+polynomial or an RPC compensation is dropped. Of many tests together 5 % would come out by chance: ``adjusted`` is
+Holm's (1979) probability over all coefficients, F groups are tests of their own.
+
+A prior observation says the same as the hypothesis. It belongs to x and Q, and an unknown that its prior holds
+(``prior_share`` near 1) is never significant: the observations do not speak of it. Correlated unknowns may each be
+insignificant although together they are not, so they are dropped one at a time (``fg_orient.reduction``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import fdtrc, stdtr
+
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.errors import NoSolutionError
+from fg_orient.quality.covariance import Cofactors
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: Probability of a false alarm among all coefficients.
+LEVEL: Final = 0.05
+
+
+@dataclass(frozen=True)
+class CoefficientTest:
+    """Test of one unknown of an image.
+
+    Parameters
+    ----------
+    image, name, unit : str
+    value, sd : float
+        Correction and its standard deviation, ``unit``.
+    t : float
+    probability : float
+        To find such a t without a correction.
+    adjusted : float
+        The same over all coefficients of the block (Holm).
+    prior_share : float or None
+        Which part of its weight is the prior's, 0 to 1; None without priors.
+    """
+
+    image: str
+    name: str
+    unit: str
+    value: float
+    sd: float
+    t: float
+    probability: float
+    adjusted: float
+    prior_share: float | None
+
+
+@dataclass(frozen=True)
+class GroupTest:
+    """F test of several unknowns together.
+
+    Parameters
+    ----------
+    group : str
+        "roll", "linear terms", "roll_1 of all images".
+    dimension : int
+    statistic : float
+        F.
+    probability : float
+        To find such an F without any correction.
+    """
+
+    group: str
+    dimension: int
+    statistic: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class Significance:
+    """Tests of all unknowns of the images.
+
+    Parameters
+    ----------
+    redundancy : int
+        f.
+    level : float
+    coefficients : tuple of CoefficientTest
+    groups : tuple of GroupTest
+        Each coefficient over all images (of several), each component, each degree.
+    """
+
+    redundancy: int
+    level: float
+    coefficients: tuple[CoefficientTest, ...]
+    groups: tuple[GroupTest, ...]
+
+    def significant(self, test: CoefficientTest) -> bool:
+        """Whether a coefficient is significant, all of them considered."""
+        return test.adjusted <= self.level
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "redundancy": self.redundancy, "level": self.level,
+            "coefficients": [{**vars(c), "significant": self.significant(c)} for c in self.coefficients],
+            "groups": [dict(vars(g)) for g in self.groups],
+        }  # fmt: skip
+
+
+def significance(
+    problem: Problem, state: State, cofactors: Cofactors, sigma0: float, *, level: float = LEVEL
+) -> Significance:
+    """Test all unknowns of the images.
+
+    Parameters
+    ----------
+    problem, state, cofactors
+        Of a solution by any backend, without a loss.
+    sigma0 : float
+        m0.
+    level : float
+        Probability of a false alarm among all coefficients.
+
+    Returns
+    -------
+    Significance
+
+    Raises
+    ------
+    NoSolutionError
+        There is no redundancy, so no m0.
+    """
+    f = problem.redundancy
+    if f <= 0:
+        raise NoSolutionError.of("statistics.no_redundancy", place=problem.block.name, value=f)
+    x = problem.image_vector(state)
+    q = np.concatenate([np.diag(cofactors.image(k)) for k in range(problem.n_images)])
+    t = np.abs(x) / (sigma0 * np.sqrt(q))
+    p = 2.0 * stdtr(f, -t)
+    adjusted, scale = holm(p), np.concatenate([parameters.sigma for parameters in problem.parameters])
+    priors = problem.block.options.priors
+    where = [(i.id, p.names[j], p.units[j]) for i, p in zip(problem.block.images, problem.parameters, strict=True)
+             for j in range(len(p))]  # fmt: skip
+    coefficients = tuple(
+        CoefficientTest(*where[j], float(x[j] * scale[j]), float(sigma0 * np.sqrt(q[j]) * scale[j]), float(t[j]),
+                        float(p[j]), float(adjusted[j]), float(min(q[j], 1.0)) if priors else None)
+        for j in range(len(x))
+    )  # fmt: skip
+    groups = tuple(
+        group_test(problem, state, cofactors, sigma0, name, index) for name, index in _groups(problem).items()
+    )
+    return Significance(f, level, coefficients, groups)
+
+
+def group_test(
+    problem: Problem, state: State, cofactors: Cofactors, sigma0: float, name: str, index: Index
+) -> GroupTest:
+    """F test of the unknowns at these places in ``problem.image_vector``."""
+    images = tuple(np.unique(np.searchsorted(problem.first, index, side="right") - 1).tolist())
+    places = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
+    mine = np.searchsorted(places, index)
+    q = cofactors.joint(images, ())[np.ix_(mine, mine)]
+    x, d, f = problem.image_vector(state)[index], len(index), problem.redundancy
+    # scaled to correlations: unknowns of very different size are tested together
+    length = np.sqrt(np.diag(q))
+    statistic = float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length)) / (d * sigma0**2)
+    return GroupTest(name, d, statistic, float(fdtrc(d, f, statistic)))
+
+
+def places_of(problem: Problem, wanted: Callable[[str], bool]) -> Index:
+    """Places in ``problem.image_vector`` of the unknowns whose name is wanted."""
+    names = [name for parameters in problem.parameters for name in parameters.names]
+    return np.array([j for j, name in enumerate(names) if wanted(name)], np.intp)
+
+
+def _groups(problem: Problem) -> dict[str, Index]:
+    """Groups of more than one unknown: coefficient over all images, component, degree."""
+    names = list(dict.fromkeys(name for p in problem.parameters for name in p.names))
+    found: dict[str, Index] = {}
+    if problem.n_images > 1:
+        found |= {f"{n} of all images": places_of(problem, lambda name, n=n: name == n) for n in names}  # type: ignore[misc]
+    for part, text in ((0, "{}, all terms"), (-1, "all terms of degree {}")):
+        ends = dict.fromkeys(n.rpartition("_")[part] for n in names)
+        found |= {
+            text.format(end.removeprefix("s") if part else end): places_of(
+                problem,
+                lambda name, end=end, part=part: name.rpartition("_")[part] == end,  # type: ignore[misc]
+            )
+            for end in ends
+        }
+    return {name: index for name, index in found.items() if len(index) > 1}
+
+
+def holm(p: Array) -> Array:
+    """Probabilities adjusted for as many tests, so that ``adjusted <= alpha`` bounds any false alarm (Holm 1979)."""
+    order = np.argsort(p)
+    raised = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
+    out = np.empty(len(p))
+    out[order] = np.minimum(raised, 1.0)
+    return out
