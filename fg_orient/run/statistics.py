@@ -75,7 +75,7 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
         "n_image_points_not_checkable": int(unchecked.sum()),
         "n_of_these_with_two_rays": int((unchecked & (rays == 2)).sum()),
         "n_control_coordinates_not_checkable": int((control.redundancy < CHECKABLE).sum()),
-        "not_checkable": [*_control_unchecked(solution, control), *_image_unchecked(solution, image, rays)][:MAX_NAMED],
+        "not_checkable": [*_control_unchecked(solution, control), *_image_unchecked(solution, image, rays)],
         "largest_mdb": _largest(solution, image),
     }  # fmt: skip
 
@@ -109,7 +109,8 @@ def _control_unchecked(solution: Solution, control: Reliability) -> list[dict[st
         name, r = solution.problem.axis_names[axis], float(control.redundancy[row, axis])
         out.append({
             "image": None, "id": point, "redundancy": r, "direction": np.eye(3)[axis].tolist(),
-            "sentence": f"{name} of control point {point} is not checked by the others: redundancy {r:.4f}",
+            "sentence": f"{name} of control point {point}: redundancy {abs(r):.4f}, "
+            + _found_from(float(control.minimal_detectable_bias[row, axis]), "m"),
         })  # fmt: skip
     return out
 
@@ -125,11 +126,16 @@ def _image_unchecked(solution: Solution, image: Reliability, rays: npt.NDArray[n
         out.append({
             "image": block.images[o.image[row]].id, "id": block.points.ids[o.point[row]],
             "redundancy": float(image.least[row]), "direction": [line, sample],
-            "sentence": f"{solution.problem.label(row)}: errors along (line {line:+.3f}, sample {sample:+.3f})"
-            f"{', the epipolar line of its two rays,' if two else ''} are not checked by the others: redundancy "
-            f"{abs(float(image.least[row])):.4f}",
+            "sentence": f"{solution.problem.label(row)}: along (line {line:+.3f}, sample {sample:+.3f})"
+            f"{', the epipolar line of its two rays' if two else ''}: redundancy {abs(float(image.least[row])):.4f}, "
+            + _found_from(float(image.largest[row]), "px"),
         })  # fmt: skip
     return out
+
+
+def _found_from(bias: float, unit: str) -> str:
+    """How large an error must be to be found."""
+    return "an error of any size stays unseen" if np.isnan(bias) else f"errors below {bias:.3g} {unit} stay unseen"
 
 
 def _largest(solution: Solution, image: Reliability) -> list[dict[str, Any]]:
