@@ -1,0 +1,111 @@
+"""Three classes of directions of the twenty EOP sets on the twin, and what is said of each image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.adjustment.problem import compile_problem
+from fg_orient.quality.deficiency import judge_observability
+from fg_orient.quality.observability import NEEDS_SCALING
+from tests.support.degenerate_blocks import options, pinhole, pushbroom
+
+WITH_VELOCITY = {5, 6, 7, 8, 13, 14, 17, 18, 19, 20}
+ALSO_YAW = {17, 18, 19, 20}
+
+
+@pytest.mark.parametrize("eop_set", range(1, 21))
+def test_velocity_is_named_where_it_is_an_unknown_and_nowhere_else(eop_set: int) -> None:
+    problem = compile_problem(options(pushbroom(), eop_set=eop_set))
+    for found in judge_observability(problem):
+        k = len(problem.parameters[0])
+        assert found.rank_defect + found.weak + found.determined == k == len(found.singular_values)
+        assert len(found.held) == len(set(found.held)) == found.weak
+        assert found.summary.startswith(f"image {found.image}: ")
+        assert f"{found.weak} of {k} held by the prior" in found.summary
+        if eop_set in WITH_VELOCITY:
+            assert "on nothing" in found.summary and "velocity " in found.summary
+            assert "full rank" not in found.summary and found.condition is found.raw_condition is None
+        else:
+            assert "velocity" not in found.summary and found.sentences == ()
+            assert "full rank" in found.summary
+        assert ("across-track velocity equals yaw" in found.summary) == (eop_set in ALSO_YAW)
+
+
+def test_sentence_of_the_set_with_position_velocity_and_attitude() -> None:
+    left, right = judge_observability(compile_problem(options(pushbroom(), eop_set=20)))
+    assert left.summary.startswith(
+        "image left: velocity along track and radial act on nothing; across-track velocity equals yaw; "
+    )
+    assert right.summary.startswith("image right: velocity along track and radial act on nothing; ")
+    solution = fg.adjust(pushbroom(), eop_set=20)
+    assert left.summary in solution.warnings and right.summary in solution.warnings
+
+
+def test_set_15_is_of_full_rank_and_wants_scaled_units() -> None:
+    """Raw units: metres, radians and lines, as in publications, against prior sigmas."""
+    problem = compile_problem(options(pushbroom(), eop_set=15))
+    for found in judge_observability(problem):
+        assert found.summary.startswith(
+            f"image {found.image}: full rank; {found.weak} of 18 held by the prior; raw units"
+        )
+        assert "need scaling" in found.summary
+        assert 0 < found.weak < 18
+        assert found.condition < 1e7 < NEEDS_SCALING < found.raw_condition
+    for eop_set in (2, 3):
+        assert (
+            "need scaling" not in judge_observability(compile_problem(options(pushbroom(), eop_set=eop_set)))[0].summary
+        )
+
+
+def test_classes_and_conditions_are_those_of_the_jacobian() -> None:
+    """Counted again from the image points' Jacobian by numpy; raw units by central line and prior sigmas."""
+    problem = compile_problem(options(pushbroom(), eop_set=15))
+    _, j_image, _ = problem.image_residuals(problem.start, jacobian=True)
+    for k, found in enumerate(judge_observability(problem)):
+        j = np.vstack([j_image[r] for r in np.flatnonzero(problem.observations.image == k)])
+        s = np.linalg.svd(j, compute_uv=False)
+        assert found.singular_values == pytest.approx(s, rel=1e-8)
+        assert (found.weak, found.determined) == (int(((s > 1e-5) & (s < 1.0)).sum()), int((s >= 1.0).sum()))
+        assert found.condition == pytest.approx(s[0] / s[-1], rel=1e-6)
+        half = 0.5 * (problem.block.images[k].sensor.n_lines - 1)
+        degree = np.array([code % 3 for code in problem.parameters[k].codes])
+        raw = np.linalg.svd(j * half**degree / problem.parameters[k].sigma, compute_uv=False)
+        assert found.raw_condition == pytest.approx(raw[0] / raw[-1], rel=1e-4)
+
+
+def test_tighter_priors_hold_more() -> None:
+    """Mutation: prior sigmas ten times smaller, and the classes must move."""
+    block = pushbroom()
+    o = block.options
+    tight = options(
+        block, eop_set=15, position_sigma_m=tuple(0.1 * np.array(o.position_sigma_m)),
+        attitude_sigma_rad=tuple(0.1 * np.array(o.attitude_sigma_rad)),
+    )  # fmt: skip
+    a, b = (judge_observability(compile_problem(x))[0] for x in (options(block, eop_set=15), tight))
+    assert b.singular_values == pytest.approx(0.1 * a.singular_values, rel=1e-6)
+    assert b.weak > a.weak
+
+
+def test_names_of_what_the_prior_holds() -> None:
+    """The distortion k2 of a pinhole image is better known from the prior; the words are those of the model."""
+    problem = compile_problem(pinhole((0, 7, 12, 20)))
+    for found in judge_observability(problem):
+        assert set(found.held) <= set(problem.parameters[0].words)
+    weaker = options(pushbroom(), eop_set=16)
+    o = weaker.observations
+    coarse = replace(o, sigma_line_px=1e3 * o.sigma_line_px, sigma_sample_px=1e3 * o.sigma_sample_px)
+    found = judge_observability(compile_problem(replace(weaker, observations=coarse)))[0]
+    assert found.determined == 0 and len(found.held) == 6
+
+
+def test_record_of_a_solution() -> None:
+    solution = fg.adjust(pushbroom(), eop_set=15)
+    view = solution.block_view.as_dict()
+    assert view["unobservable"] == 0 and view["held_by_the_prior"] + view["determined"] == 36
+    assert (view["structural_defect"], view["parts"], view["free_motions"]) == (0, 1, 0)
+    image = solution.observability[0].as_dict()
+    assert len(image["held_by_the_prior"]) == image["weak"] and image["raw_condition"] > image["condition"]

@@ -1,0 +1,226 @@
+"""Degenerate blocks: each ends in a sentence with images, points, the number of free motions, and a remedy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.adjustment.problem import compile_problem
+from fg_orient.block import Block
+from fg_orient.names import Role
+from fg_orient.quality.elimination import Rows, eliminated, eliminated_with_own
+from fg_orient.quality.motions import free_motions
+from fg_orient.quality.observability import analyse_block
+from tests.support.degenerate_blocks import (
+    OFF_LINE,
+    ON_LINE,
+    options,
+    pinhole,
+    pushbroom,
+    rpc,
+    seen_once,
+    two_pinhole_blocks,
+    with_control,
+)
+
+
+def refused(block: Block, **changes: object) -> fg.RankDeficientError:
+    with pytest.raises(fg.RankDeficientError) as caught:
+        fg.adjust(block, priors=False, **changes)
+    assert caught.value.exit_code == 3
+    return caught.value
+
+
+def motions(error: fg.FgOrientError) -> list[tuple[str, str]]:
+    return [(p.place, p.remedy) for p in error.problems if p.code == "statistics.motions"]
+
+
+# --- no control -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "count"), [("shift", 3), ("shift_drift", 4), ("affine", 7)])
+def test_no_control_in_an_rpc_block(kind: str, count: int) -> None:
+    """Images that can only be shifted do not follow a turn: three motions, not seven."""
+    block = with_control(rpc(kind), ())
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(block, priors=False)
+    assert caught.value.exit_code == 2
+    assert [p.code for p in caught.value.problems] == ["block.no_control", "statistics.motions"]
+    ((place, remedy),) = motions(caught.value)
+    assert place.startswith(f"images left, right, no control point: {count} motions are free (shifted together East")
+    expected = "measure a control point in images" if kind == "shift" else "measure three control points or more"
+    assert remedy.startswith(expected) and "images left, right" in remedy
+    held = fg.adjust(block, datum="priors")
+    assert held.block_view.n_free_motions == count
+    told = f"images left, right, no control point: {count} motions are held by the priors alone"
+    assert any(text.startswith(told) and remedy in text for text in held.warnings)
+
+
+@pytest.mark.parametrize(("eop_set", "count"), [(2, 3), (15, 7)])
+def test_no_control_in_a_pushbroom_block(eop_set: int, count: int) -> None:
+    """Positions follow shifts only; polynomials of position and attitude follow all seven."""
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(with_control(pushbroom(), ()), priors=False, eop_set=eop_set)
+    ((place, _),) = motions(caught.value)
+    assert f"images left, right, no control point: {count} motions are free" in place
+
+
+def test_no_control_in_a_frame_block() -> None:
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(options(pinhole(), datum="control"), priors=False)
+    ((place, remedy),) = motions(caught.value)
+    assert "images 1, 2, 3, 4, no control point: 7 motions are free" in place
+    assert remedy == "measure three control points or more, not on one line, in images 1, 2, 3, 4"
+
+
+# --- one control point, control points on a line ---------------------------------------------------
+
+
+def test_one_control_point_in_a_frame_block() -> None:
+    block = pinhole((6,))
+    ((place, remedy),) = motions(refused(block))
+    assert place.startswith("images 1, 2, 3, 4, 1 control point only, 7: 4 motions are free")
+    assert "turned about X through control point 7" in place and "scaled from control point 7" in place
+    assert remedy == "measure at least two more control points, not on a line with 7, in images 1, 2, 3, 4"
+    held = fg.adjust(block)
+    assert held.status is fg.Status.CONVERGED
+    assert sum("may be turned about" in text for text in held.unobservable) == 3
+    assert any("4 motions are held by the priors alone" in text and remedy in text for text in held.warnings)
+    assert not any("no control point tells" in text for text in held.warnings)
+
+
+def test_one_control_point_in_a_pushbroom_block() -> None:
+    block = with_control(pushbroom(), pushbroom().points.where(Role.CONTROL)[:1])
+    error = refused(block, eop_set=15)
+    ((place, _),) = motions(error)
+    assert "images left, right, 1 control point only, 01: 4 motions are free" in place
+    held = fg.adjust(block, eop_set=15)
+    assert any("4 motions are held by the priors alone" in text for text in held.warnings)
+
+
+def test_control_points_on_a_line_in_a_frame_block() -> None:
+    block = pinhole(ON_LINE, on_line=True)
+    ((place, remedy),) = motions(refused(block))
+    assert place.endswith(
+        "images 1, 2, 3, 4, 3 control points only, 4, 9, 14: 1 motion is free (turned about the line through "
+        "control points 4, 9, 14)"
+    )
+    assert remedy == "measure at least one control point off the line of 4, 9, 14, in images 1, 2, 3, 4"
+    held = fg.adjust(block)
+    assert any("1 motion is held by the priors alone" in text and remedy in text for text in held.warnings)
+    cured = fg.adjust(pinhole((*ON_LINE, OFF_LINE), on_line=True))
+    assert cured.block_view.n_free_motions == 0
+    assert cured.unobservable == ()
+
+
+def test_two_control_points_in_pushbroom_and_rpc_blocks() -> None:
+    """Two are always on a line. With an affine compensation the models resist a little, so only priors-on warns."""
+    first = pushbroom().points.where(Role.CONTROL)[:2]
+    error = refused(with_control(pushbroom(), first), eop_set=15)
+    ((place, _),) = motions(error)
+    assert "2 control points only, 01, 02: 1 motion is free (turned about the line through" in place
+    others = [p.place for p in error.problems if p.code == "adjust.rank_deficient"]
+    assert len(others) == 10, "the line's motion is not counted again among the other directions"
+    held = fg.adjust(with_control(rpc(), first))
+    assert any("1 motion is held by the priors alone (turned about the line" in text for text in held.warnings)
+
+
+def test_well_spread_control_leaves_no_motion() -> None:
+    for block in (pushbroom(), rpc(), pinhole((0, 7, 12, 20))):
+        solution = fg.adjust(block)
+        assert solution.block_view.n_free_motions == 0
+        assert not any("motion" in text for text in solution.warnings)
+
+
+# --- two blocks ---------------------------------------------------------------------------------------
+
+
+def test_two_blocks_one_of_them_without_control() -> None:
+    block = two_pinhole_blocks((0, 7, 12, 20))
+    ((place, remedy),) = motions(refused(block))
+    assert "images 5, 6, 7, 8, no control point: 7 motions are free" in place
+    assert remedy.endswith("in images 5, 6, 7, 8")
+    held = fg.adjust(block)
+    (parts,) = [text for text in held.warnings if "falls into 2 parts" in text]
+    assert "images 1, 2, 3, 4 (25 points, control points 1, 8, 13, 21)" in parts
+    assert "images 5, 6, 7, 8 (25 points, no control point)" in parts
+    assert all(text.startswith("block: images 5, 6, 7, 8 may be") for text in held.unobservable)
+    assert len(held.unobservable) == 7
+
+
+def test_images_of_a_pushbroom_pair_that_no_point_links() -> None:
+    """Each image alone with its own control points, the right one without any."""
+    block = pushbroom()
+    control = block.points.where(Role.CONTROL)
+    o = block.observations
+    alone = replace(block, observations=o.take(np.isin(o.point, control[:20]) & (o.image == 0)))
+    both = analyse_block(compile_problem(options(alone, eop_set=10)))
+    assert both.structure.n_parts == 2
+    error = refused(alone, eop_set=10)
+    assert [p.place for p in error.problems] == ["image right: in no observation, its 3 unknowns are free"]
+
+
+# --- points seen once ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [pushbroom, rpc])
+def test_points_seen_once_without_coordinates_have_no_start_value(make) -> None:
+    block = make()
+    check = block.points.where(Role.CHECK)[:2]
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(seen_once(block, check))
+    assert [p.code for p in caught.value.problems] == ["initial.seen_once"] * 2
+    assert [p.place for p in caught.value.problems] == [f"point {block.points.ids[j]}" for j in check]
+    assert "one direction, along its ray, is free" in caught.value.problems[0].message
+
+
+# --- what the sentences rest on -----------------------------------------------------------------------
+
+
+def test_motions_of_pinhole_images_are_exact() -> None:
+    """A similarity of cameras and ground changes no pixel: singular values at rounding, seven in all."""
+    view = analyse_block(compile_problem(pinhole()))
+    assert view.counts == {"unobservable": 7, "held_by_the_prior": 9, "determined": 20}
+    assert view.motions[0].strength.max() < 1e-11
+    assert view.unexplained == 0 and len(view.sentences) == 7
+
+
+def test_counts_are_those_of_the_full_jacobian() -> None:
+    """Ground points eliminated by numpy's least squares from the dense matrix, point columns projected away."""
+    from fg_orient.adjustment.dense import assemble
+
+    for block, changes in ((pushbroom(), {"eop_set": 16}), (pinhole((0, 9)), {})):
+        problem = compile_problem(options(block, priors=False, **changes))
+        design, u = assemble(problem, problem.start)[1], problem.n_image_unknowns
+        a, b = design[:, :u], design[:, u:]
+        left = a - b @ np.linalg.lstsq(b, a, rcond=None)[0]
+        s = np.linalg.svd(left, compute_uv=False)
+        found = analyse_block(problem).singular_values
+        assert found == pytest.approx(s, rel=1e-6, abs=1e-9 * s[0])
+        own = np.linalg.svd(eliminated_with_own(problem), compute_uv=False)
+        assert own[:u] == pytest.approx(s, rel=1e-6, abs=1e-9 * s[0])
+
+
+def test_images_that_do_not_follow_have_no_motion() -> None:
+    """Mutation: without the question whether images follow, a shifted RPC pair seems free to turn."""
+    from fg_orient.quality import motions as module
+
+    problem = compile_problem(options(with_control(rpc("shift"), ()), datum="priors"))
+    rows = Rows.of(problem, problem.start)
+    rest = eliminated(problem, rows)
+    assert len(free_motions(problem, rows, rest, np.arange(2))) == 3
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "FOLLOWED", np.inf)
+        assert len(free_motions(problem, rows, rest, np.arange(2))) == 7
+
+
+def test_large_blocks_are_judged_without_elimination() -> None:
+    """The motions found without eliminating the points are the same."""
+    for block in (pinhole((6,)), pinhole(ON_LINE, on_line=True), two_pinhole_blocks((0, 7, 12, 20))):
+        problem = compile_problem(block)
+        a, b = analyse_block(problem), analyse_block(problem, whole=False)
+        assert [m.words for m in a.motions] == [m.words for m in b.motions]
+        assert b.counts is None and a.counts is not None

@@ -1,0 +1,271 @@
+"""Free networks: against the pseudo-inverse, between datums, on two backends; what does not change and what does."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import fg_orient as fg
+from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.problem import compile_problem
+from fg_orient.names import Role
+from fg_orient.quality.datum import s_matrix, s_transform
+from fg_orient.quality.free_network import null_space, with_minimal_datum
+from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.solution import Solution
+from tests.support.degenerate_blocks import options, pinhole, pushbroom, rpc, two_pinhole_blocks, with_control
+
+
+@cache
+def solved(backend: str) -> Solution:
+    return fg.adjust(pinhole(), datum="inner", backend=backend)
+
+
+def everything(solution: Solution) -> list[str]:
+    block = solution.block
+    return [f"image:{i.id}" for i in block.images] + [f"point:{i}" for i in block.points.ids]
+
+
+def jacobian(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and Jacobian of the observations alone, without any datum."""
+    problem = compile_problem(options(solution.block, priors=False))
+    from dataclasses import replace
+
+    return assemble(replace(problem, block=replace(problem.block, extra=())), solution.state)
+
+
+def scaled(difference: np.ndarray, q: np.ndarray) -> float:
+    """Largest element in units of sqrt(q_ii q_jj)."""
+    size = np.sqrt(np.diag(q))
+    return float(np.abs(difference / np.outer(size, size)).max())
+
+
+def pseudo_inverse(design: np.ndarray, rank: int) -> np.ndarray:
+    """Moore-Penrose inverse of the normal matrix by the SVD of J, which is not squared."""
+    _, s, vt = np.linalg.svd(design, full_matrices=False)
+    assert s[rank] < 1e-10 * s[0] < s[rank - 1]
+    return (vt[:rank].T / s[:rank] ** 2) @ vt[:rank]
+
+
+@pytest.mark.parametrize("backend", ["dense", "graph"])
+def test_cofactors_are_the_pseudo_inverse(backend: str) -> None:
+    """All unknowns in the datum: (J^T J)^+ by numpy; seven motions, redundancy n - rank."""
+    solution = solved(backend)
+    assert solution.status is fg.Status.CONVERGED and solution.backend == backend
+    _, design = jacobian(solution)
+    u = design.shape[1]
+    network = solution.in_datum(*everything(solution))
+    assert network.datum_defect == 7
+    expected = pseudo_inverse(design, u - 7)
+    assert scaled(network.cofactors - expected, expected) < 1e-8
+    assert expected == pytest.approx(np.linalg.pinv(design.T @ design, rcond=1e-12, hermitian=True), rel=1e-3, abs=1e-6)
+    assert solution.redundancy == len(design) - (u - 7)
+    assert np.abs(design @ network.null_space).max() < 1e-10
+
+
+@pytest.mark.parametrize("backend", ["dense", "graph"])
+def test_state_fulfils_the_inner_constraints_and_is_a_minimum(backend: str) -> None:
+    """E^T (x - x_0) = 0 at the points, J^T r = 0: then x - x_0 is the solution of least length by the pseudo-inverse."""
+    solution = solved(backend)
+    network = solution.in_datum()
+    columns, problem = network.columns, solution.problem
+    difference = columns.vector(solution.state) - columns.vector(
+        compile_problem(options(pinhole(), datum="free")).start
+    )
+    carried = network.null_space[problem.n_image_unknowns :]
+    assert np.abs(carried.T @ difference[problem.n_image_unknowns :]).max() < 1e-8
+    r, design = jacobian(solution)
+    assert np.abs(design.T @ r).max() < 1e-7 * np.abs(design).max() * np.linalg.norm(r)
+    # the points' part of all solutions x - E t of the linearised problem: no other t is shorter
+    t = np.linalg.lstsq(carried, difference[problem.n_image_unknowns :], rcond=None)[0]
+    assert np.abs(t).max() < 1e-9
+    assert solution.chi2 == pytest.approx(r @ r, rel=1e-12)
+
+
+def test_both_backends_give_the_same_network() -> None:
+    a, b = solved("dense"), solved("graph")
+    assert a.state.ground == pytest.approx(b.state.ground, abs=1e-9)
+    assert a.state.image == pytest.approx(b.state.image, abs=1e-9)
+    q = a.in_datum().cofactors
+    assert scaled(q - b.in_datum().cofactors, q) < 1e-8
+    assert a.cofactors.joint((1, 0), (3,)) == pytest.approx(b.cofactors.joint((1, 0), (3,)), rel=1e-6, abs=1e-9)
+
+
+def test_shape_is_that_of_the_damped_solution() -> None:
+    """Without any constraint the same minimum and the same distances, elsewhere."""
+    free = fg.adjust(pinhole(), datum="free", priors=False)
+    inner = solved("graph")
+    assert inner.chi2 == pytest.approx(free.chi2, rel=1e-9)
+    a, b = (np.linalg.norm(s.state.ground[:, None] - s.state.ground[None], axis=2) for s in (inner, free))
+    away = ~np.eye(len(a), dtype=bool)
+    ratio = b[away] / a[away]
+    assert np.ptp(ratio) < 1e-6, "a similarity"
+
+
+def minimal(solution: Solution, held: np.ndarray) -> np.ndarray:
+    """Cofactors with some unknowns held, which is an adjustment with that datum: their rows are zero."""
+    _, design = jacobian(solution)
+    keep = np.setdiff1d(np.arange(design.shape[1]), held)
+    r = np.linalg.qr(design[:, keep], mode="r")
+    half = np.linalg.inv(r)
+    q = np.zeros((design.shape[1],) * 2)
+    q[np.ix_(keep, keep)] = half @ half.T
+    return q
+
+
+def test_s_transformation_equals_adjusting_with_that_datum() -> None:
+    """Seven coordinates of three points held exactly, by numpy, against the transformation of inner constraints."""
+    solution = solved("dense")
+    network, first = solution.in_datum(), solution.problem.n_image_unknowns
+    held = first + np.array([0, 1, 2, 3 * 9, 3 * 9 + 1, 3 * 9 + 2, 3 * 20 + 2])
+    select = np.isin(np.arange(len(network.cofactors)), held)
+    expected = minimal(solution, held)
+    found = s_transform(network.cofactors, network.null_space, select)
+    size = np.sqrt(np.diag(expected)) + 1e-9 * np.sqrt(np.diag(expected)).max()
+    assert np.abs((found - expected) / np.outer(size, size)).max() < 1e-7
+    # and back, from the one that was adjusted so
+    again = s_transform(expected, network.null_space, network.datum)
+    assert scaled(again - network.cofactors, network.cofactors) < 1e-7
+    s = s_matrix(network.null_space, select)
+    assert s @ s == pytest.approx(s, abs=1e-8), "a projection"
+    assert np.abs(s @ network.null_space).max() < 1e-9
+
+
+def test_trace_is_least_for_what_carries_the_datum() -> None:
+    """Any other minimal datum has a larger trace at the points; all unknowns in it: the least of all."""
+    solution = solved("dense")
+    network, first = solution.in_datum(), solution.problem.n_image_unknowns
+    every = solution.in_datum(*everything(solution))
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        some = rng.choice(25, 3, replace=False)
+        other = solution.in_datum(*(f"point:{solution.block.points.ids[j]}" for j in some))
+        part = np.diag(network.cofactors)[first:].sum()
+        assert np.diag(other.cofactors)[first:].sum() > part
+        assert np.trace(other.cofactors) > np.trace(every.cofactors)
+    assert np.trace(every.cofactors) < np.trace(network.cofactors)
+    # mutation: cofactors with a wrong weight are not those of this minimum
+    wrong = np.diag(np.where(np.arange(len(network.cofactors)) == first, 1.1, 1.0))
+    spoiled = wrong @ network.cofactors @ wrong
+    assert np.abs(network.null_space[first:].T @ spoiled[first:, first:]).max() > 1e-3
+    assert np.abs(network.null_space[first:].T @ network.cofactors[first:, first:]).max() < 1e-6
+
+
+def variances_of_shape(solution: Solution, q: np.ndarray) -> np.ndarray:
+    """Variances of ratios of distances and of angles between points: free of shift, turn and scale."""
+    ground, first = solution.state.ground, solution.problem.n_image_unknowns
+
+    def functions(v: np.ndarray) -> np.ndarray:
+        g = v.reshape(-1, 3)
+        a, b, c = g[4] - g[1], g[11] - g[1], g[21] - g[1]
+        lengths = [np.linalg.norm(d) for d in (a, b, c)]
+        angle = np.arccos(a @ b / (lengths[0] * lengths[1]))
+        return np.array([np.log(lengths[0] / lengths[1]), np.log(lengths[1] / lengths[2]), angle])
+
+    h = 1e-4
+    x = ground.ravel()
+    f = np.stack([(functions(x + e) - functions(x - e)) / (2 * h) for e in h * np.eye(len(x))], axis=1)
+    return np.diag(f @ q[first:, first:] @ f.T)
+
+
+def test_invariants_have_the_same_variance_in_every_datum() -> None:
+    solution = solved("dense")
+    base = variances_of_shape(solution, solution.in_datum().cofactors)
+    others = [("point:1", "point:9", "point:22"), tuple(everything(solution)), ("image:1", "image:4")]
+    for names in others:
+        network = solution.in_datum(*names)
+        assert variances_of_shape(solution, network.cofactors) == pytest.approx(base, rel=1e-6)
+        sigma = np.sqrt(np.diag(network.cofactors))
+        assert not np.allclose(sigma, np.sqrt(np.diag(solution.in_datum().cofactors)), rtol=0.05)
+    coordinate = np.diag(solution.in_datum().cofactors)[-1]
+    assert np.diag(solution.in_datum(*others[0]).cofactors)[-1] != pytest.approx(coordinate, rel=0.01)
+
+
+def test_residual_statistics_do_not_depend_on_the_datum() -> None:
+    """Redundancy numbers of the image points: from the pseudo-inverse, and from what the solution gives."""
+    solution = solved("graph")
+    _, design = jacobian(solution)
+    q = pseudo_inverse(design, design.shape[1] - 7)
+    n = len(solution.problem.observations)
+    expected = 1.0 - np.einsum("ni,ij,nj->n", design, q, design)
+    found = residual_cofactors(solution.problem, solution.state, solution.cofactors)
+    assert np.einsum("nii->ni", found.image).ravel() == pytest.approx(expected[: 2 * n], abs=1e-7)
+    assert expected.sum() == pytest.approx(solution.redundancy, abs=1e-6)
+
+
+def test_moved_start_values_move_the_result_and_nothing_else() -> None:
+    """Start values shifted, turned and scaled as a whole: the network follows them, chi2 stays."""
+    block = pinhole()
+    solution = solved("dense")
+    start = compile_problem(options(block, datum="free")).start.ground
+    turn = Rotation.from_rotvec([0.0, 0.0, 1e-4]).as_matrix()
+    known = block.points.known
+    from dataclasses import replace
+
+    moved = 1.0002 * known.ecef_m @ turn.T + np.array([0.03, -0.02, 0.01])
+    other = fg.adjust(
+        replace(block, points=replace(block.points, known=replace(known, ecef_m=moved))), datum="inner", backend="dense"
+    )
+    assert other.chi2 == pytest.approx(solution.chi2, rel=1e-9)
+    a, b = solution.state.ground - start.mean(axis=0), other.state.ground
+    expected = 1.0002 * solution.ground_m @ turn.T + np.array([0.03, -0.02, 0.01])
+    assert np.abs(other.ground_m - expected).max() < 1e-5
+    assert a.shape == b.shape
+
+
+def test_no_unknown_may_be_missing_from_a_datum() -> None:
+    solution = solved("dense")
+    with pytest.raises(fg.InputError) as caught:
+        solution.in_datum("point:1", "point:2")
+    assert caught.value.problems[0].code == "statistics.datum" and "7 motions" in caught.value.problems[0].message
+    with pytest.raises(fg.InputError):
+        solution.in_datum("point:nowhere")
+    with pytest.raises(fg.NoSolutionError) as refused:
+        fg.adjust(pinhole()).in_datum()
+    assert refused.value.problems[0].code == "statistics.no_free_network"
+    named = solution.in_datum().cofactor_matrix()
+    assert named.values.shape == (len(named.names),) * 2
+    image = solution.cofactor_matrix("image:1")
+    assert named.values[:9, :9] == pytest.approx(image.values, rel=1e-9)
+
+
+def test_two_networks_have_fourteen_motions() -> None:
+    solution = fg.adjust(two_pinhole_blocks(()), datum="inner")
+    network = solution.in_datum()
+    assert network.datum_defect == 14
+    assert solution.status is fg.Status.CONVERGED
+    assert solution.block_view.n_free_motions == 14
+    joint = network.cofactors[:36, 36:72]
+    assert np.abs(joint).max() < 1e-9, "they know nothing of each other"
+
+
+def test_control_points_leave_no_motion_and_inner_is_the_plain_adjustment() -> None:
+    block = pinhole((0, 7, 12, 20))
+    inner, plain = fg.adjust(block, datum="inner"), fg.adjust(block, priors=False)
+    assert inner.in_datum().datum_defect == 0
+    assert inner.state.ground == pytest.approx(plain.state.ground, abs=1e-9)
+    a, b = inner.cofactors.joint((0, 2), (4,)), plain.cofactors.joint((0, 2), (4,))
+    assert scaled(a - b, b) < 1e-7
+
+
+@pytest.mark.parametrize(("make", "changes"), [(rpc, {"rpc_compensation": "shift"}), (pushbroom, {"eop_set": 10})])
+def test_sensors_that_know_where_they_are_have_no_exact_defect(make, changes: dict[str, object]) -> None:
+    """RPC and orbits feel a motion a little: refused with the motions and the way out."""
+    block = with_control(make(), ())
+    with pytest.raises(fg.RankDeficientError) as caught:
+        fg.adjust(block, datum="inner", **changes)
+    (near,) = [p for p in caught.value.problems if p.code == "statistics.datum_near"]
+    assert "3 motions are free (shifted together East, shifted together North, shifted together Up)" in near.place
+    assert 'datum = "priors"' in near.remedy
+
+
+def test_minimal_datum_holds_as_many_unknowns_as_there_are_motions() -> None:
+    problem = compile_problem(options(pinhole(), datum="inner", priors=False))
+    held = with_minimal_datum(problem)
+    assert sum(e.n_residuals for e in held.block.extra) == null_space(problem, problem.start).shape[1] == 7
+    design = assemble(held, held.start)[1]
+    assert np.linalg.cond(design / np.linalg.norm(design, axis=0)) < 1e6
+    assert Role.CONTROL not in held.block.points.roles
