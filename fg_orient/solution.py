@@ -336,6 +336,7 @@ class Solution:
         options = self.block.options
         return outlier_tests(
             self.problem, self.state, self.cofactors, self.chi2, kind=kind, components=self.components,
+            known=None if kind == "points" else self.residual_cofactors,
             level=options.outlier_level if level is None else level,
             test=options.outlier_test if test is None else test,
             control=options.multiple_testing if control is None else control,

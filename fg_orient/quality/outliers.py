@@ -24,6 +24,7 @@ from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.observation_groups import groups_of
+from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import KINDS, Kind, Suspects, suspects
 from fg_orient.quality.variance_components import Residuals, VarianceComponents
 
@@ -210,6 +211,7 @@ def outlier_tests(
     test: str = Options.outlier_test,
     control: str = Options.multiple_testing,
     kind: Kind = "groups",
+    known: ResidualCofactors | None = None,
     components: VarianceComponents | None = None,
 ) -> OutlierTests:
     """Test all suspects of a kind.
@@ -226,6 +228,8 @@ def outlier_tests(
         "none", "bonferroni", "sidak", "holm" or "benjamini_hochberg".
     kind : str
         "groups", "coordinates" or "points".
+    known : ResidualCofactors, optional
+        Those of the solution, if they were computed before.
     components : VarianceComponents, optional
         Those that the sigmas of the problem were estimated with: each test has degrees of freedom of its own then
         (``fg_orient.quality.freedom``).
@@ -242,7 +246,7 @@ def outlier_tests(
     hypotheses.require_names(test, control, level)
     if kind not in KINDS:
         raise InputError.of("options.value", place="kind", value=repr(kind), expected=", ".join(KINDS))
-    found, freedom = suspects(problem, state, cofactors, kind), None
+    found, freedom = suspects(problem, state, cofactors, kind, known), None
     if components is not None:
         residuals = Residuals(problem, state, cofactors, groups_of(problem, problem.block.options.variance_components))
         freedom = freedoms(residuals, found, components)

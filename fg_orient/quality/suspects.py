@@ -21,7 +21,7 @@ from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import residuals
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.quality.residuals import ResidualCofactors, residual_cofactors
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -76,7 +76,9 @@ class Suspects:
         return np.sum(along * share, axis=-1), np.asarray(np.sum(checked, axis=-1), np.intp), error
 
 
-def suspects(problem: Problem, state: State, cofactors: Cofactors, kind: Kind = "groups") -> list[Suspects]:
+def suspects(
+    problem: Problem, state: State, cofactors: Cofactors, kind: Kind = "groups", known: ResidualCofactors | None = None
+) -> list[Suspects]:
     """Give all suspects of a kind.
 
     Parameters
@@ -87,6 +89,8 @@ def suspects(problem: Problem, state: State, cofactors: Cofactors, kind: Kind = 
         "groups": image points (line and sample), positions (East and North) and heights of weighted control points;
         "coordinates": each of their coordinates alone; "points": a ground point with all its image points and its
         coordinates. The first two take 20 us each, the third 0.5 ms.
+    known : ResidualCofactors, optional
+        Those of the solution, if they were computed before.
 
     Returns
     -------
@@ -94,17 +98,17 @@ def suspects(problem: Problem, state: State, cofactors: Cofactors, kind: Kind = 
     """
     if kind == "points":
         return _whole_points(problem, state, cofactors)
-    found = residual_cofactors(problem, state, cofactors)
-    o, known = problem.observations, np.flatnonzero(problem.observed)
+    found = known or residual_cofactors(problem, state, cofactors)
+    o, given = problem.observations, np.flatnonzero(problem.observed)
     rows = np.arange(len(o))
     scale = np.zeros((len(o), 2, 2))
     scale[:, 0, 0], scale[:, 1, 1] = 1.0 / o.sigma_line_px, 1.0 / o.sigma_sample_px
     image = (o.point, rows, residuals(problem, state), found.image)
-    w = problem.control_records[known, :9].reshape(-1, 3, 3)
-    at = problem.control_records[known, 9:]
+    w = problem.control_records[given, :9].reshape(-1, 3, 3)
+    at = problem.control_records[given, 9:]
     columns = -w @ np.swapaxes(problem.axes(at + problem.origin_m), 1, 2)  # the residual is adjusted minus observed
-    v = np.einsum("nij,nj->ni", w, state.ground[known] - at)
-    control = (known, np.full(len(known), -1), v, found.control)
+    v = np.einsum("nij,nj->ni", w, state.ground[given] - at)
+    control = (given, np.full(len(given), -1), v, found.control)
     east, north, up = problem.axis_names
     if kind == "coordinates":
         return [
