@@ -58,6 +58,12 @@ def adjust(
     robust_scale: Annotated[
         str | None, typer.Option(metavar="prior|mad", help="Unit of a loss: the sigmas, or the scale of the residuals.")
     ] = None,
+    variance_components: Annotated[
+        bool,
+        typer.Option(
+            "--variance-components", help="Estimate the sigmas of image points, positions and heights with the block."
+        ),
+    ] = False,
     max_iterations: Annotated[int | None, typer.Option(help="Give up after so many iterations.")] = None,
     check_points: Annotated[
         str | None, typer.Option(metavar="use|exclude", help="Let the rays of check points take part, or not.")
@@ -117,6 +123,7 @@ def adjust(
         "memory_limit_gb": memory_limit_gb, "statistics": statistics,
         "loss": loss, "gnc": gnc or None, "inlier_probability": inlier_probability,
         "robust_start": robust_start, "robust_scale": robust_scale,
+        "variance_components": ("image", "position", "height") if variance_components else None,
     }  # fmt: skip
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     with outcome(as_json, debug):
@@ -188,6 +195,12 @@ def show(record: dict[str, Any]) -> None:
                 rows.append([f"{role} {name} ({found['n']})" if key == "rmse" else f"{role} {name}",
                              *(number(found[f"{key}_{axis}_m"]) for axis in ("east", "north", "up"))])  # fmt: skip
     table("", ("points, m", "East", "North", "Up"), rows)
+    components = record["variance_components"]
+    if components is not None:
+        table(f"sigmas estimated in {components['rounds']} adjustments", ("group", "redundancy", "times given", "sd"), [
+            [c["group"], number(c["redundancy"], 1), number(c["factor"]), "held" if c["held"] else number(c["sd"])]
+            for c in components["components"]
+        ])  # fmt: skip
     if "y_parallax" in record:
         found = record["y_parallax"]
         say(f"y-parallax of {found['n']} tie points, RMS: {number(found['rms_before_px'])} px before, "

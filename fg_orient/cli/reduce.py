@@ -75,7 +75,7 @@ def _folds(text: str | None) -> int | None:
 def show(found: Reduction) -> None:
     """Print one line per model, what is left and which set it comes closest to."""
     first = found.steps[0]
-    columns = ["step", "unknowns", "p", "sigma0", "AIC", "AICc", "BIC"]
+    columns = ["step", "u", "p", "sigma0", "AIC", "AICc", "BIC"]
     columns += ["image px", "ground m"] if first.validation else []
     sign, rows = "-" if found.direction == "backward" else "+", []
     for step in found.steps:
