@@ -39,6 +39,8 @@ def orientation_words(record: dict[str, Any]) -> str:
     """What was unknown of the images, by their kinds: EOP set, RPC compensation."""
     kinds = {image.get("model", "pushbroom") for image in record["images"]}
     words = []
+    if record.get("image_unknowns"):
+        return f"unknowns {', '.join(record['image_unknowns'])}"
     if "pushbroom" in kinds:
         words.append(f"EOP set {record['eop_set']} {record['eop_set_name']}")
         if record["look_polynomial"] is not None:
