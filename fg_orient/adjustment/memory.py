@@ -17,7 +17,7 @@ import numpy as np
 
 from factors import pushbroom
 from fg_orient.adjustment.models.contract import image_models
-from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
+from fg_orient.adjustment.point_cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.problem import participating
 from fg_orient.adjustment.schur_structure import LEAST_CHUNKS
 from fg_orient.adjustment.solve import suitable_backend
@@ -32,6 +32,9 @@ SHARE: Final = 0.8
 SCHUR: Final = 400
 GRAPH: Final = 13_000
 RESULTS: Final = 400
+#: Bytes per image point of the statistics of every observation, and of those whose Jacobians are held at once.
+STATISTICS: Final = 700
+STATISTICS_CHUNK: Final = 300
 #: Bytes of what does not grow with the block: models, names, records of the run.
 FIXED: Final = 500_000
 #: Numbers per ground point in problem, state and results.
@@ -92,7 +95,13 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     backend = suitable_backend(block, models, len(rays), not bool(block.points.known.fixed[rays.point].all()))
     working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
     working -= n * SCHUR if backend == "schur" and elsewhere else 0
+    working += _statistics(len(block.images), n, max(sizes)) if full_statistics(options, n, u) else 0
     return Need(backend, int(FIXED + common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
+
+
+def _statistics(images: int, n: int, widest: int) -> float:
+    """Cofactors and reliability of all image points; pairs of images, turned twice."""
+    return n * STATISTICS + min(n, CHUNK) * STATISTICS_CHUNK + 2 * 8 * widest**2 * images * (images + 1) / 2
 
 
 def _schur(block: Block, n: int, u: int, widest: int) -> float:
