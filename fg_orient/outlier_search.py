@@ -23,7 +23,7 @@ from fg_orient.adjustment.problem import Problem, State, compile_problem, partic
 from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block, Coordinates, GroundPoints
 from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.names import Role
+from fg_orient.names import Role, Status
 from fg_orient.quality.freedom import least_freedom, with_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
 from fg_orient.quality.outliers import OutlierTests
@@ -110,6 +110,9 @@ class _Rounds:
         self._rounds.append(Round(
             number, solution.sigma0, solution.redundancy, tests.n_tested, len(suspicious),
         ))  # fmt: skip
+        if solution.status is Status.NOT_CONVERGED:
+            self._given_up = "the adjustment does not converge"
+            return False
         self._predict(solution)
         back = self._fitting()
         if back is not None:

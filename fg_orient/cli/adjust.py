@@ -64,6 +64,22 @@ def adjust(
             "--variance-components", help="Estimate the sigmas of image points, positions and heights with the block."
         ),
     ] = False,
+    snoop: Annotated[
+        bool, typer.Option("--snoop", help="Search for gross errors: leave out the worst observation, adjust, again.")
+    ] = False,
+    outlier_test: Annotated[
+        str | None, typer.Option(metavar="t|pope|baarda", help="Test of single observations; baarda: sigmas a priori.")
+    ] = None,
+    outlier_level: Annotated[
+        float | None,
+        typer.Option(metavar="P", help="Probability of any false alarm (see --multiple-testing); 0.05."),
+    ] = None,
+    multiple_testing: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="sidak, bonferroni, holm, benjamini_hochberg, or none: the level of each test."
+        ),
+    ] = None,
     max_iterations: Annotated[int | None, typer.Option(help="Give up after so many iterations.")] = None,
     check_points: Annotated[
         str | None, typer.Option(metavar="use|exclude", help="Let the rays of check points take part, or not.")
@@ -122,6 +138,8 @@ def adjust(
         "check_points": check_points, "rpc_compensation": rpc_compensation, "datum": datum,
         "memory_limit_gb": memory_limit_gb, "statistics": statistics,
         "loss": loss, "gnc": gnc or None, "inlier_probability": inlier_probability,
+        "snoop": snoop or None, "outlier_test": outlier_test, "outlier_level": outlier_level,
+        "multiple_testing": multiple_testing,
         "robust_start": robust_start, "robust_scale": robust_scale,
         "variance_components": ("image", "position", "height") if variance_components else None,
     }  # fmt: skip

@@ -47,8 +47,8 @@ class Contents:
 #: Result folder of ``adjust``.
 RESULT: Final = Contents(
     "result.json",
-    ("result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "iterations.jsonl", "arrays.npz",
-     "report.html", "rpc/*_RPC.TXT"),
+    ("result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "outliers.csv", "iterations.jsonl",
+     "arrays.npz", "report.html", "rpc/*_RPC.TXT"),
 )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from fg_orient.parameters import EOP_SETS
 from fg_orient.quality.deficiency import DEFICIENT
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.quality.verdict import DOWN, points_without_ray, turned_down_images
+from fg_orient.run import outliers
 from fg_orient.run.statistics import correlation_record, missing, reliability_record
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from fg_orient.solution import Solution
 
 
-#: Image points up to which every observation is tested for a gross error (0.5 ms each).
-MAX_TESTED: Final = 2000
 #: Image points of least weight that are named.
 MAX_NAMED: Final = 50
 
@@ -50,7 +49,13 @@ def summary(solution: Solution) -> dict[str, Any]:
         "status": str(solution.status),
         "reason": solution.reason,
         "ended": solution.ended,
-        "warnings": [*solution.warnings, *solution.withheld, *_missing(solution), *missing(solution)],
+        "warnings": [
+            *solution.warnings,
+            *solution.withheld,
+            *_missing(solution),
+            *outliers.missing(solution),
+            *missing(solution),
+        ],
         "backend": solution.backend,
         "solver": solution.solver or None,
         **_choices(options),
@@ -73,22 +78,11 @@ def summary(solution: Solution) -> dict[str, Any]:
         "resumed_at_iteration": solution.resumed_at or None,
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
         "memory": None if solution.memory is None else solution.memory.as_dict(),
-        "suspicious_observations": _suspicious(solution),
+        **outliers.outlier_records(solution),
         "reliability": reliability_record(solution),
         "correlations": correlation_record(solution),
         **_parallax(solution),
     }
-
-
-def _suspicious(solution: Solution) -> list[dict[str, Any]] | None:
-    """Observations with a gross error, least probable first; null where they are not tested."""
-    if solution.cofactors is None or solution.weights is not None or len(solution.problem.observations) > MAX_TESTED:
-        return None
-    return [
-        {"image": test.image or None, "id": test.point, "part": test.part, "error": test.error.tolist(),
-         "statistic": test.statistic, "limit": test.critical, "sentence": test.sentence()}
-        for test in solution.suspicious()
-    ]  # fmt: skip
 
 
 def _robust(solution: Solution) -> dict[str, Any] | None:
@@ -144,15 +138,9 @@ def _missing(solution: Solution) -> list[str]:
     if solution.redundancy <= 0:
         out.append("sigma0 is null: there is no redundancy; standard deviations are in prior scale")
     elif solution.weights is not None:
-        out.append("sigma0_interval_99_9 and suspicious_observations are null: the weights of the loss change both")
+        out.append("sigma0_interval_99_9 is null: the weights of the loss change it")
     elif not np.isfinite(solution.sigma0_interval[0]):
         out.append("sigma0_interval_99_9 is null: the adjustment did not converge")
-    if solution.weights is not None:
-        pass  # said above
-    elif len(solution.problem.observations) > MAX_TESTED:
-        out.append(f"suspicious_observations is null: more than {MAX_TESTED} image points are not tested one by one")
-    elif solution.cofactors is None:
-        out.append("suspicious_observations is null: the test needs the covariance")
     if solution.block_view is not None and solution.block_view.counts is None:
         out.append("the counts of block_observability are null: the block is too large to be decomposed as a whole")
     if not solution.problem.n_images * solution.iterations:

@@ -31,6 +31,7 @@ from factors import ellipsoid
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.run import statistics
 from fg_orient.run.columns import Column, Named, write_columns
+from fg_orient.run.outliers import OUTLIER_COLUMNS, outlier_rows
 
 if TYPE_CHECKING:
     from fg_orient.solution import Solution
@@ -65,13 +66,13 @@ def write_tables(folder: Path, solution: Solution) -> None:
     write_csv(folder / "eop.csv", EOP_COLUMNS, eop_rows(solution))
     weights = solution.weights
     of_points, of_rays = ({}, {}) if weights is None else ({"weight": weights.control}, {"weight": weights.image})
-    write_columns(
-        folder / "points.csv", {**point_columns(solution), **statistics.point_columns(solution), **of_points}
-    )
+    write_columns(folder / "points.csv", {**point_columns(solution), **statistics.point_columns(solution), **of_points})
     write_columns(
         folder / "residuals.csv", {**residual_columns(solution), **statistics.image_columns(solution), **of_rays}
     )
     write_csv(folder / "accuracy.csv", ACCURACY_COLUMNS, accuracy_rows(solution))
+    if solution.snooping is not None:
+        write_csv(folder / "outliers.csv", OUTLIER_COLUMNS, outlier_rows(solution))
     _write_arrays(folder / "arrays.npz", solution)
 
 
