@@ -15,10 +15,10 @@ Array = npt.NDArray[np.float64]
 WIDTH: Final = 720.0
 MARGIN: Final = 28.0
 FOOT: Final = 66.0
-#: Length of a large residual (90 % quantile) as a share of the width.
+#: Length of a large residual (90 % quantile), at most, as a share of the width.
 SHARE: Final = 0.07
-#: Room left for the longest residual, at most, as a share of the width.
-MOST: Final = 0.2
+#: Length of the longest residual, at most, as a share of the width.
+MOST: Final = 0.3
 #: More points than this are thinned.
 MAX_POINTS: Final = 3000
 CONTROL: Final = "#0067b0"
@@ -46,20 +46,34 @@ def residual_figure(record: dict[str, Any]) -> str:
     at = _columns(rows, f"{across}_{unit}", f"{up}_{unit}") * np.array([1.0, sign])
     vector = _columns(rows, f"residual_{across}_{unit}", f"residual_{up}_{unit}") * np.array([1.0, sign])
     lengths = np.linalg.norm(vector, axis=1)
-    large = float(np.quantile(lengths, 0.9))
-    scale = WIDTH * SHARE / large if large > 0.0 else 0.0
-    margin = MARGIN + min(float(lengths.max()) * scale, MOST * WIDTH)
-    low, size = at.min(axis=0), np.maximum(np.ptp(at, axis=0), 1e-9)
-    per_unit = (WIDTH - 2 * margin) / float(size.max())
-    height = size[1] * per_unit + 2 * margin
-    left = 0.5 * (WIDTH - size[0] * per_unit)
-    place = np.column_stack([left + (at[:, 0] - low[0]) * per_unit, height - margin - (at[:, 1] - low[1]) * per_unit])
+    large = max(float(np.quantile(lengths, 0.9)) / SHARE, float(lengths.max()) / MOST)
+    scale = WIDTH / large if large > 0.0 else 0.0
+    at = at - at.min(axis=0)
+    per_unit = _largest_scale(at, vector * scale)
+    ends = np.concatenate([at * per_unit, at * per_unit + vector * scale])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    left, height = 0.5 * (WIDTH - high[0] - low[0]), high[1] - low[1] + 2 * MARGIN
+    place = np.column_stack([left + at[:, 0] * per_unit, MARGIN + high[1] - at[:, 1] * per_unit])
     parts = [_point(row, p, v * scale * np.array([1.0, -1.0])) for row, p, v in zip(rows, place, vector, strict=True)]
     parts.append(_foot(height, per_unit, scale, unit))
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:.0f} {height + FOOT:.1f}" role="img" '
         f'aria-label="residual vectors" font-family="sans-serif" font-size="14" fill="{GREY}">{"".join(parts)}</svg>'
     )
+
+
+def _largest_scale(at: Array, vector: Array) -> float:
+    """Drawing units per unit of the coordinates with which points and the ends of their vectors fill the width.
+
+    By bisection: the extent grows with the scale wherever it is larger than that of the vectors alone.
+    """
+    room = WIDTH - 2.0 * MARGIN
+    low, high = 0.0, room / max(float(at.max()), 1e-9)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        ends = np.concatenate([at * middle, at * middle + vector])
+        low, high = (middle, high) if float(np.ptp(ends, axis=0).max()) <= room else (low, middle)
+    return low
 
 
 def _columns(rows: list[dict[str, Any]], *names: str) -> Array:

@@ -61,11 +61,13 @@ class Reach:
         return self.is_weak and self.noise > NOISE_SHARE
 
     def words(self, names: tuple[str, ...]) -> str:
-        """Direction in the names of the source coordinates: "0.71 sample - 0.71 line"."""
+        """Direction in the names of the source coordinates: "line", or "0.71 sample - 0.71 line"."""
         first = self.direction[np.argmax(np.abs(self.direction))]
         parts = [
             (v, name) for v, name in zip(self.direction * np.sign(first), names, strict=True) if abs(v) >= LEAST_SHARE
         ]
+        if len(parts) == 1:
+            return parts[0][1]
         text = " ".join(f"{'-' if v < 0.0 else '+'} {abs(v):.2f} {name}" for v, name in parts)
         return text.removeprefix("+ ")
 

@@ -40,17 +40,20 @@ def render(found: Reproduction, record: dict[str, Any]) -> str:
          "rows": [row for row in found.rows if row.table == table]}
         for table, title in found.titles.items()
     ]  # fmt: skip
+    legend = {kind: (*words[:2], found.source.meanings.get(kind, words[2])) for kind, words in LEGEND.items()}
     return environment.get_template("report.html.j2").render(
-        record=record, legend=LEGEND, kinds=KINDS, tables=tables, claims=found.claims, counts=found.counts(),
+        record=record, legend=legend, kinds=KINDS, tables=tables, claims=found.claims, counts=found.counts(),
         verdict=verdict(found),
     )  # fmt: skip
 
 
 def table_name(table: str) -> str:
-    """Name a table in words: "Table 4.3", "Eq. (4.1)", "Sect. 4.2.2", "Text"."""
+    """Name a table in words: "Table 4.3", "Eq. (4.1)", "Sect. 4.2.2", "Text", "Summary"."""
     if table.startswith("eq"):
         return f"Eq. ({table[2:]})"
-    return "Text" if table == "text" else f"Sect. {table[1:]}" if table.startswith("s") else f"Table {table}"
+    if table.isalpha():
+        return table.capitalize()
+    return f"Sect. {table[1:]}" if table.startswith("s") else f"Table {table}"
 
 
 def verdict(found: Reproduction) -> dict[str, str]:
@@ -63,8 +66,9 @@ def verdict(found: Reproduction) -> dict[str, str]:
         title += f"; {met} of {len(found.claims)} claims met"
     text = (
         f"{counts['equal']} agree to the printed digits (counts and definitions among them), {counts['order']} within "
-        f"a factor of ten, {counts['rounding']} are rounding noise inside the spread of the runs, "
-        f"{counts['pattern']} lie on the same side of the limit. {counts['differs']} differ; "
-        f"{counts['not_reproducible']} cannot be reproduced, each for the reason beside it."
+        f"a factor of ten, {counts['rounding']} {found.source.counted}"
+        + (f", {counts['pattern']} lie on the same side of the limit" if counts["pattern"] else "")
+        + f". {counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced, each for the reason "
+        "beside it."
     )
     return {"kind": "good" if met == len(found.claims) else "warn", "title": title, "text": text}

@@ -132,4 +132,10 @@ SOURCE: Final = Source(
     "The thesis prints no control points, residuals, coefficients or outlines: its rectifications cannot be repeated. "
     "Recomputed are numbers that follow from others beside them, figures of orbits, sensors and projections, and, by "
     "simulation, how precisions of one kind depend on those of another. The range is the stated spread, if any.",
+    {
+        "equal": "all printed digits",
+        "rounding": "one unit of the last digit, or inside the stated spread",
+        "not_reproducible": "a fact, or its points, outlines or images are not in the source",
+    },
+    "are one unit of the last digit off or inside a stated spread",
 )

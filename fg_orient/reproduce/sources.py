@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -66,6 +66,10 @@ class Source:
         Its tables; the twin has no part in them.
     about : str
         What the numbers stand on, for the report.
+    meanings : mapping, optional
+        Meaning of a verdict where it is not that of runs on the twin.
+    counted : str
+        How the numbers of the verdict ``rounding`` are summed up.
     """
 
     name: str
@@ -76,3 +80,5 @@ class Source:
     real: RealVerdicts | None = None
     real_tables: tuple[str, ...] = ()
     about: str = ON_TWIN
+    meanings: Mapping[str, str] = field(default_factory=dict)
+    counted: str = "are rounding noise inside the spread of the runs"

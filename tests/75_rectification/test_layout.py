@@ -52,7 +52,7 @@ def test_points_within_their_noise_of_a_line_are_refused(name: str, degree: int 
 
 def test_the_refusal_names_the_direction() -> None:
     text = str(refusal(strip(0.0, 0.0)))
-    assert "along 1.00 line they spread over only" in text
+    assert "along line they spread over only" in text
     assert "0.71 sample" in str(refusal(strip(0.0, math.pi / 4.0)))
 
 
@@ -93,7 +93,7 @@ def test_narrow_points_are_remarked_and_wide_ones_are_not(tmp_path: Path) -> Non
         points = strip(width, 0.0)
         path = write_points(tmp_path / "p.csv", points.source[:, ::-1], points.target)
         words = run("rectify", "fit", path, "--json").json["warnings"]
-        assert any("reach little along 1.00 line" in text for text in words) is remarked
+        assert any("reach little along line" in text for text in words) is remarked
 
 
 def test_helmert_needs_no_width() -> None:
@@ -121,7 +121,7 @@ def test_heights_that_say_nothing_are_remarked(name: str) -> None:
         points = Observations.of(np.column_stack([plan, height * share]), image + rng.normal(0.0, 0.3, image.shape))
         found = fit(points, find_model(name), source_names=("easting", "northing", "height"))
         words = record_of(PointFit(found, "map-to-image", None, np.zeros((0, 2))))["warnings"]
-        assert any("reach little along 1.00 height" in text for text in words) is remarked
+        assert any("reach little along height" in text for text in words) is remarked
 
 
 def derivatives(found: Fit, source: Array) -> Array:
@@ -154,8 +154,8 @@ def test_check_points_against_plain_matrices(name: str, degree: int | None) -> N
 
 
 def test_false_alarms_of_check_points_are_as_stated_and_not_without_the_error_of_the_fit() -> None:
-    """400 runs, 8 control points, a check point outside of them, level 5 %; interval of 4 standard deviations."""
-    rng, model, level, runs = np.random.default_rng(11), find_model("affine"), 0.05, 400
+    """200 runs, 8 control points, a check point outside of them, level 20 %; interval of 4 standard deviations."""
+    rng, model, level, runs = np.random.default_rng(11), find_model("affine"), 0.2, 200
     image = np.vstack([rng.uniform(0.0, 1000.0, (8, 2)), [[1600.0, 1500.0]]])
     alarms = careless = 0
     for _ in range(runs):

@@ -148,10 +148,12 @@ def test_sizes_are_compared_with_any_printed_number(printed: float, kind: str, r
 
 def test_command_writes_a_report_without_a_twin(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = run("reproduce", "ipbuker1994", "--tables", "7.3,7.5-7.6", "--out", out)
+    done = run("reproduce", "ipbuker1994", "--tables", "7.3,7.5-summary", "--out", out)
     assert done.code == 0, done.stderr
     record = json.loads((out / "result.json").read_text("utf-8"))
-    assert record["options"] == {"tables": ["7.3", "7.5", "7.6"]}
+    assert record["options"] == {"tables": ["7.3", "7.5", "7.6", "summary"]}
     html = (out / "report.html").read_text("utf-8")
     assert "synthetic twin" not in html and "seeds" not in html.partition("Made with")[2]
     assert "prints no control points" in html
+    assert "Summary" in html and "Sect. ummary" not in html
+    assert "one unit of the last digit, or inside the stated spread" in html and "rounding noise" not in html
