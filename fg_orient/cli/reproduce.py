@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 def reproduce(
     source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="terlemezoglu2019, topan2010, ipbuker1994.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="SOURCE", help="terlemezoglu2019, topan2010, ipbuker1994, ayhan1996.", show_default=False
+        ),
     ],
     tables: Annotated[
         str, typer.Option(metavar="TABLES", help="Tables and ranges: 4.3-4.9,4.28; all if not given.")

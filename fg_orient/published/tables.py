@@ -19,7 +19,7 @@ from fg_orient.cells import CellKey
 from fg_orient.errors import InputError
 
 #: Publications with tables in this package.
-SOURCES: Final = ("terlemezoglu2019", "topan2010", "ipbuker1994")
+SOURCES: Final = ("terlemezoglu2019", "topan2010", "ipbuker1994", "ayhan1996")
 _HERE: Final = Path(__file__).parent
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?|nan|[+-]?inf")
 

@@ -31,7 +31,7 @@ def reproduce_to(
     Parameters
     ----------
     name : str
-        "terlemezoglu2019", "topan2010" or "ipbuker1994".
+        "terlemezoglu2019", "topan2010", "ipbuker1994" or "ayhan1996".
     out : Path, optional
         Folder to make; default "reproduced-" and the name.
     overwrite : bool

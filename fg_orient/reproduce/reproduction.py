@@ -17,7 +17,7 @@ from fg_orient.errors import InputError
 from fg_orient.experiments.claims import ClaimResult, all_claims, run_claims
 from fg_orient.experiments.tables_spot6 import PERMUTATIONS
 from fg_orient.published.tables import PublishedTables, load
-from fg_orient.reproduce import ipbuker1994, terlemezoglu2019, topan2010
+from fg_orient.reproduce import ayhan1996, ipbuker1994, terlemezoglu2019, topan2010
 from fg_orient.reproduce.sources import Source
 from fg_orient.reproduce.verdict import KINDS, Verdict, judge
 
@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 #: Told after each run: runs done, runs in all, what is being done.
 Callback = Callable[[int, int, str], None]
 
-SOURCES: Final = {source.name: source for source in (terlemezoglu2019.SOURCE, topan2010.SOURCE, ipbuker1994.SOURCE)}
+SOURCES: Final = {module.SOURCE.name: module.SOURCE for module in (terlemezoglu2019, topan2010, ipbuker1994, ayhan1996)}
 #: Runs when nothing is said: about a minute.
 DEFAULT_SEEDS: Final = 10
 MAX_SEEDS: Final = 1000
@@ -103,7 +103,7 @@ def reproduce(
     Parameters
     ----------
     name : str
-        "terlemezoglu2019", "topan2010" or "ipbuker1994" (which has no seeds, points or programs to vary).
+        "terlemezoglu2019", "topan2010"; "ipbuker1994", "ayhan1996" (no seeds, points or programs to vary).
     tables : str
         Tables and ranges of tables ("4.3-4.9,4.28"); "" for all.
     n_seeds : int
