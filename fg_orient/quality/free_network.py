@@ -25,6 +25,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.block import Block, ExtraObservation
 from fg_orient.errors import InputError
+from fg_orient.linear.threads import one_blas_thread
 from fg_orient.quality.covariance import Cofactors, Indeterminate, NamedMatrix
 from fg_orient.quality.datum import datum_step, s_transform
 from fg_orient.quality.elimination import Rows, eliminated, followed_by_ground
@@ -69,11 +70,12 @@ def null_space(problem: Problem, state: State) -> Array:
     Columns are orthonormal in the image unknowns. Own observations are not looked at.
     """
     rows, u = Rows.of(problem, state), problem.n_image_unknowns
-    rest = eliminated(problem, rows)
-    _, s, vt = np.linalg.svd(np.vstack([rest, np.zeros((max(0, u - len(rest)), u))]), full_matrices=False)
+    with one_blas_thread():
+        rest = eliminated(problem, rows)
+        _, s, vt = np.linalg.svd(np.vstack([rest, np.zeros((max(0, u - len(rest)), u))]), full_matrices=False)
     motions = np.asarray(vt[s <= UNOBSERVABLE].T)
     ground = followed_by_ground(problem, rows, motions)[problem.active]
-    return np.vstack([motions, ground.reshape(-1, motions.shape[1])])
+    return np.vstack([motions, ground.reshape(3 * len(ground), motions.shape[1])])
 
 
 def without_priors(block: Block) -> Block:
@@ -258,7 +260,8 @@ class InnerCofactors:
                 f"the free network has {problem.n_unknowns} unknowns; all its cofactors are formed up to {MAX_UNKNOWNS}"
             )
         motions, datum = null_space(problem, state), datum_points(problem)
-        q = s_transform(_all_cofactors(problem, state, minimal), motions, datum)
+        with one_blas_thread():
+            q = s_transform(_all_cofactors(problem, state, minimal), motions, datum)
         self.network = FreeNetwork(problem, state, motions, q, datum)
 
     def image(self, k: int) -> Array:
