@@ -7,7 +7,8 @@ five. What fits the best subset within 2.5 scales is adjusted again by least squ
 
     s = c (1 + 5 / (n - u)) sqrt(med),   c = 1.4826 in one dimension, 0.8493 for image points (median of chi2_2)
 
-with n residuals and u unknowns that they determine. The sigmas of the control points are carried to the image:
+with n residuals and u unknowns that they determine. Images with too few control points come after those that have
+enough, by points that two of these locate. The sigmas of control and located points are carried to the image:
 whitening takes ``I + C Q C^T``. Each ground point then starts where most of its rays and its measured coordinates
 agree, by the least sum of squares cut off at 2.5 scales, among the intersections of pairs of its rays and the
 measured coordinates. (The least median says nothing of a point with two rays: their intersection always fits.)
@@ -41,7 +42,7 @@ CERTAINTY: Final = 0.999
 SHARE: Final = 0.4
 #: Image points of a subset; more than the least where more than twice as many unknowns are determined.
 SIZES: Final = (5, 9)
-#: Control points of an image beyond a subset, which judge it.
+#: Points of an image beyond a subset, which judge it.
 JUDGES: Final = 2
 SEED: Final = 1984
 #: Linearisations: at the metadata, and at what the first gave.
@@ -54,14 +55,14 @@ MOST_PAIRS: Final = 28
 
 @dataclass(frozen=True)
 class Resection:
-    """Orientation of one image from its control points.
+    """Orientation of one image from its control points, or from points that other images located.
 
     Parameters
     ----------
     unknowns : (u,) array
         Prior sigmas.
     rows : (n,) int array
-        Image points of control points.
+        Image points used.
     kept : (n,) bool array
         Those that fit.
     scale : float
@@ -97,33 +98,100 @@ def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[S
     Raises
     ------
     InputError
-        An image has too few control points; names all of them.
+        An image has too few control points, and too few that other images locate; names all of them.
     """
-    rows = _control_rows(compiled)
-    unable = [k for k, found in enumerate(rows) if len(found) < SIZES[0] + JUDGES]
-    if unable:
-        raise InputError(*(
-            problem("adjust.few_control", place=f"image {compiled.block.images[k].id}", value=len(rows[k]),
-                    least=SIZES[0] + JUDGES) for k in unable
-        ))  # fmt: skip
-    state = compiled.start
+    image = compiled.start.image
     for _ in range(ROUNDS):
-        resections = tuple(_resect(compiled, state, k, found, method, seed) for k, found in enumerate(rows))
-        state = State(compiled.image_matrix(np.concatenate([r.unknowns for r in resections])), compiled.start.ground)
-    scale = max(1.0, float(np.median([r.scale for r in resections])))
-    return State(state.image, _ground(compiled, state, scale, seed)), resections
+        found = _Pass(compiled, image, method, seed)
+        found.run()
+        image = compiled.image_matrix(np.concatenate([found.resections[k].unknowns for k in range(compiled.n_images)]))
+    resections = tuple(found.resections[k] for k in range(compiled.n_images))
+    ground, _ = found.located(compiled.active, np.ones(len(compiled.observations), bool))
+    return State(image, ground), resections
 
 
-def _control_rows(compiled: Problem) -> list[Index]:
-    """Image points of control points, observed or fixed, per image."""
-    point = compiled.observations.point
-    known = compiled.observed[point] | ~compiled.active[point]
-    return [rows[known[rows]] for rows in rows_by_image(compiled)]
+class _Pass:
+    """Resections of all images, linearised at given unknowns: those first that have control, then their neighbours.
+
+    ``known``: control points and points located so far; ``cofactors`` (N, 3, 3) m^2 of these.
+    """
+
+    def __init__(self, compiled: Problem, image: Array, method: str, seed: int) -> None:
+        self.compiled, self.image, self.method, self.seed = compiled, image.copy(), method, seed
+        self.rows = rows_by_image(compiled)
+        self.ground, self.cofactors = compiled.start.ground.copy(), np.zeros((len(compiled.active), 3, 3))
+        self.known = compiled.observed | ~compiled.active
+        w = compiled.control_records[compiled.observed, :9].reshape(-1, 3, 3)
+        self.cofactors[compiled.observed] = np.linalg.inv(w.transpose(0, 2, 1) @ w)
+        self.resections: dict[int, Resection] = {}
+
+    @property
+    def state(self) -> State:
+        """Where it stands."""
+        return State(self.image, self.ground)
+
+    def run(self) -> None:
+        """Resect all images.
+
+        Raises
+        ------
+        InputError
+            See :func:`resection_start`.
+        """
+        o, least = self.compiled.observations, SIZES[0] + JUDGES
+        while len(self.resections) < self.compiled.n_images:
+            left = {k: own[self.known[o.point[own]]] for k, own in enumerate(self.rows) if k not in self.resections}
+            ready = [k for k, own in left.items() if len(own) >= least]
+            if not ready:
+                ids = [image.id for image in self.compiled.block.images]
+                raise InputError(*(
+                    problem("adjust.few_control", place=f"image {ids[k]}", value=len(own), least=least)
+                    for k, own in left.items()
+                ))  # fmt: skip
+            found = {k: _resect(self.compiled, self.state, self.cofactors, k, left[k], self.method, self.seed)
+                     for k in ready}  # fmt: skip
+            for k, resection in found.items():
+                self.image[k, : len(resection.unknowns)] = resection.unknowns
+            self.resections |= found
+            self._locate()
+
+    def _locate(self) -> None:
+        """Locate the points that two oriented images see."""
+        o = self.compiled.observations
+        usable = np.isin(o.image, list(self.resections))
+        wanted = ~self.known & (np.bincount(o.point[usable], minlength=len(self.known)) >= 2)
+        self.ground, cofactors = self.located(wanted, usable)
+        self.cofactors[wanted] = cofactors[wanted]
+        self.known |= wanted
+
+    def located(self, wanted: npt.NDArray[np.bool_], usable: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Coordinates (N, 3), local m, where most of the usable rays (and measured coordinates) agree; cofactors."""
+        compiled, o = self.compiled, self.compiled.observations
+        scale = max(1.0, float(np.median([r.scale for r in self.resections.values()])))
+        v, c = np.empty((len(o), 2)), np.empty((len(o), 2, 3))
+        for k, rows in enumerate(self.rows):
+            v[rows], _, c[rows] = image_rows(compiled, self.state, k, rows, jacobian=True)
+        mine = np.flatnonzero(usable & wanted[o.point])
+        order, count = mine[np.argsort(o.point[mine], kind="stable")], np.bincount(o.point[mine], minlength=len(wanted))
+        first, ground, cofactors = np.cumsum(count) - count, self.ground.copy(), np.zeros_like(self.cofactors)
+        rng = np.random.default_rng([self.seed, compiled.n_images])
+        for rays in np.unique(count[count > 0]):
+            for observed in (False, True):
+                points = np.flatnonzero((count == rays) & (compiled.observed == observed))
+                if len(points):
+                    own = order[first[points, None] + np.arange(rays)]
+                    a = c[own].reshape(len(points), -1, 3)
+                    w = compiled.control_records[points, :9].reshape(-1, 3, 3) if observed else None
+                    ground[points] += _located(v[own], c[own], w, scale, rng)
+                    cofactors[points] = np.linalg.pinv(a.transpose(0, 2, 1) @ a, rcond=1e-12, hermitian=True)
+        return ground, cofactors
 
 
-def _resect(compiled: Problem, state: State, k: int, rows: Index, method: str, seed: int) -> Resection:
-    """Resection of an image, linearised at a state."""
-    v, b = _whitened(compiled, state, k, rows)
+def _resect(
+    compiled: Problem, state: State, cofactors: Array, k: int, rows: Index, method: str, seed: int
+) -> Resection:
+    """Resection of an image by known points, linearised at a state."""
+    v, b = _whitened(compiled, state, cofactors, k, rows)
     x, prior = compiled.unknowns(state, k), compiled.block.options.priors
     determined = int(np.count_nonzero(np.linalg.svd(b.reshape(-1, b.shape[2]), compute_uv=False) >= 1.0))
     size = min(max(math.ceil(0.5 * determined), SIZES[0]), SIZES[1], len(rows) - JUDGES)
@@ -138,15 +206,10 @@ def _resect(compiled: Problem, state: State, k: int, rows: Index, method: str, s
     return Resection(x + final, rows, kept, scale, size, len(subsets))
 
 
-def _whitened(compiled: Problem, state: State, k: int, rows: Index) -> tuple[Array, Array]:
-    """Residuals (n, 2) and Jacobians (n, 2, u), in sigmas of image point and control point together."""
+def _whitened(compiled: Problem, state: State, cofactors: Array, k: int, rows: Index) -> tuple[Array, Array]:
+    """Residuals (n, 2) and Jacobians (n, 2, u), in sigmas of image point and known point together."""
     v, b, c = image_rows(compiled, state, k, rows, jacobian=True)
-    point = compiled.observations.point[rows]
-    weighted = np.flatnonzero(compiled.observed[point])
-    total = np.tile(np.eye(2), (len(rows), 1, 1))
-    w = compiled.control_records[point[weighted], :9].reshape(-1, 3, 3)
-    spread = c[weighted] @ np.linalg.inv(w)
-    total[weighted] += spread @ spread.transpose(0, 2, 1)
+    total = np.eye(2) + c @ cofactors[compiled.observations.point[rows]] @ c.transpose(0, 2, 1)
     inverse = np.linalg.inv(np.linalg.cholesky(total))
     return np.einsum("nij,nj->ni", inverse, v), inverse @ b
 
@@ -185,29 +248,6 @@ def _best(v: Array, b: Array, x: Array, prior: bool, subsets: Index, method: str
     h = _half(len(v), subsets.shape[1])
     ordered = np.sort(_squares(v, b, steps), axis=1)[:, :h]
     return np.asarray(steps[np.argmin(ordered[:, -1] if method == "lms" else ordered.sum(axis=1))])
-
-
-def _ground(compiled: Problem, state: State, scale: float, seed: int) -> Array:
-    """Ground points (N, 3), local m, where most rays and measured coordinates agree."""
-    o = compiled.observations
-    v, c = np.empty((len(o), 2)), np.empty((len(o), 2, 3))
-    for k, rows in enumerate(rows_by_image(compiled)):
-        v[rows], _, c[rows] = image_rows(compiled, state, k, rows, jacobian=True)
-    order = np.argsort(o.point, kind="stable")
-    count = np.bincount(o.point, minlength=len(compiled.active))
-    first, ground = np.cumsum(count) - count, state.ground.copy()
-    rng = np.random.default_rng([seed, compiled.n_images])
-    for rays in np.unique(count[compiled.active]):
-        for observed in (False, True):
-            points = np.flatnonzero(compiled.active & (count == rays) & (compiled.observed == observed))
-            if len(points):
-                own = order[first[points, None] + np.arange(rays)]
-                ground[points] += _located(v[own], c[own], _weights(compiled, points, observed), scale, rng)
-    return ground
-
-
-def _weights(compiled: Problem, points: Index, observed: bool) -> Array | None:
-    return compiled.control_records[points, :9].reshape(-1, 3, 3) if observed else None
 
 
 def _located(v: Array, c: Array, w: Array | None, scale: float, rng: np.random.Generator) -> Array:

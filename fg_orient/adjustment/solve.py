@@ -17,7 +17,7 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors.losses import losses
 from fg_orient.adjustment.checkpoint import Checkpoint
-from fg_orient.adjustment.gnc import EXACT, PLAIN, SCHEDULES
+from fg_orient.adjustment.gnc import PLAIN, SCHEDULES
 from fg_orient.adjustment.irls import DIMENSIONS, RULES, norms_at, reweight, weights_of
 from fg_orient.adjustment.loop import (
     OPTIMIZERS,
@@ -34,7 +34,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.resection import METHODS, resection_start
 from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, Weights, find_loss, weighted_problem, weights_at
 from fg_orient.adjustment.robust_scale import robust_scale
-from fg_orient.adjustment.stages import plan_of, run_stages
+from fg_orient.adjustment.stages import FROM_RESECTIONS, plan_of, run_stages
 from fg_orient.block import Block, Options
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.linear.threads import one_blas_thread
@@ -259,7 +259,7 @@ class _Job:
             return Carried(self._start or self.problem.start, mu=math.nan if self._plan is None else PLAIN)
         state, _ = resection_start(self.problem, self.options.robust_start)
         image, control = self._measured(state)
-        return Carried(state, mu=EXACT, image_scale=image, control_scale=control)
+        return Carried(state, mu=FROM_RESECTIONS, image_scale=image, control_scale=control)
 
     def _measured(self, state: State) -> tuple[float, float]:
         """Scale of the losses at a state."""

@@ -2,7 +2,9 @@
 
 Metadata are off by many sigmas, where bounded losses see nothing: the first stage is plain least squares. A loss whose
 influence falls again has several minima; it starts from the minimum of Huber's, which has one (Huber 1981, ch. 7.8), or
-from resections (:mod:`fg_orient.adjustment.resection`), and then goes straight to the loss.
+from resections (:mod:`fg_orient.adjustment.resection`). Resections are good to some sigmas, so the loss is eight
+times as wide at first, then four, two times and as it is: Huber's in between would forget them, since it ends at its
+only minimum wherever it begins.
 
 A scale of the residuals (``robust_scale = "mad"``) is taken at the end of each stage and fixed while the next one runs,
 so that every stage has a cost. Huber's stage is repeated until the scale has settled; the last stage keeps that scale
@@ -41,6 +43,10 @@ START_ITERATIONS: Final = 30
 #: A stage before the last ends at this scaled step.
 STAGE_STEP: Final = 1e-3
 PLAIN_ITERATIONS: Final = 5
+#: Stages after resections: WIDE - k has the loss 2^k times as wide.
+WIDE: Final = -100.0
+FROM_RESECTIONS: Final = WIDE - 3.0
+WIDE_ITERATIONS: Final = 10
 
 
 class Plan(Protocol):
@@ -76,16 +82,23 @@ class Direct:
         """See :class:`Plan`."""
         if mu == PLAIN:
             return Robust(*(ScaledLoss(np.ones_like, half_square, s) for s in scale))
+        if mu < WIDE:
+            image, control = scale
+            return scaled(self.loss, (image * 2.0 ** (WIDE - mu), control * 2.0 ** (WIDE - mu)))
         return scaled(self.loss if mu == EXACT else HUBER, scale)
 
     def iterations(self, mu: float) -> int:
         """See :class:`Plan`."""
+        if mu < WIDE:
+            return WIDE_ITERATIONS
         return PLAIN_ITERATIONS if mu == PLAIN else START_ITERATIONS
 
     def following(self, mu: float, squares: tuple[Array, Array], settled: bool = True) -> float:
         """See :class:`Plan`."""
         if mu == PLAIN:
             return START if self.from_huber else EXACT
+        if mu < WIDE:
+            return mu + 1.0 if mu + 1.0 < WIDE else EXACT
         return EXACT if settled or mu <= START - START_STAGES + 1.0 else mu - 1.0
 
 

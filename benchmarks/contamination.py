@@ -1,0 +1,344 @@
+"""Gross errors against methods: check points, errors found, errors missed, and false alarms.
+
+    python -m benchmarks.contamination [--seeds N] [--cases twin block everywhere] [--workers N]
+
+writes results/contamination.json; ``python -m benchmarks.contamination_page`` makes the study of docs/robust.md of it.
+
+Cases, each with seeds 1 to 20 of the simulation:
+
+* twin: the Zonguldak pair (47 points, H-10); errors in image points of its 37 control points;
+* block: 20 images in 4 rows of 5, 250 points, 40 of them control and 50 check; errors in image points of control
+  points and of tie points with 4 rays or more, and in coordinates of control points;
+* everywhere: the same block; errors in all image points but those of check points, and in coordinates of control
+  points.
+
+A share of these observations, drawn, is moved by 5 to 100 sigmas in a random direction (2 or 3 dimensions). Check
+points are clean, and judged by their true coordinates: the RMSE is that of the 3-D distance. Methods that adjust once
+per error or per cycle (:data:`SLOW`) run on the first seeds of the blocks only.
+
+An error of s sigmas in the direction e is *checkable* if the trace that it leaves in the residuals, ``s sqrt(e^T R e)``
+with the redundancy R of the clean block, exceeds 4.13: found with a power of 80 % at a level of 0.1 % (Baarda 1968).
+Errors in points that two rays alone determine are not checkable: neither ray is known to be the wrong one.
+
+Found is what lies beyond the 99.9 % quantile of its whitened residual, for all methods alike; snooping: what it left
+out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+import fg_orient as fg
+from factors.warmup import compile_kernels
+from fg_orient.adjustment.irls import norms_at
+from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
+from fg_orient.adjustment.solve import solve
+from fg_orient.block import Block, Coordinates, GroundPoints, ImagePoints
+from fg_orient.names import Role
+from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.simulate.block import BlockOptions, grid_block
+from fg_orient.simulate.simulation import Truth
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+RESULTS: Final = Path(__file__).parent / "results" / "contamination.json"
+CASES: Final = ("twin", "block", "everywhere")
+SHARES: Final = (0.0, 0.05, 0.1, 0.2, 0.3)
+SEEDS: Final = 20
+SIZES_SIGMA: Final = (5.0, 100.0)
+#: Root of the non-centrality that a test at 0.1 % finds with 80 %.
+TRACE: Final = 4.13
+FOUND: Final = 0.999
+MAX_ITERATIONS: Final = 300
+SNOOPING: Final = "snooping"
+PLAIN: Final = "least squares"
+#: Options by method; all losses but Huber's start from Huber's unless they say otherwise.
+METHODS: Final[dict[str, dict[str, Any]]] = {
+    PLAIN: {},
+    SNOOPING: {},
+    "huber": {"loss": "huber"},
+    "cauchy": {"loss": "cauchy"},
+    "hampel": {"loss": "hampel"},
+    "tukey": {"loss": "tukey"},
+    "andrews": {"loss": "andrews"},
+    "danish": {"loss": "danish"},
+    "geman_mcclure": {"loss": "geman_mcclure"},
+    "welsch": {"loss": "welsch"},
+    "tukey, start least squares": {"loss": "tukey", "robust_start": "none"},
+    "tukey, start LMS": {"loss": "tukey", "robust_start": "lms"},
+    "tukey, start LTS": {"loss": "tukey", "robust_start": "lts"},
+    "tukey, scale MAD": {"loss": "tukey", "robust_scale": "mad"},
+    "GNC, tls": {"loss": "tls", "gnc": True},
+    "danish_original": {"loss": "danish_original"},
+    "lad": {"loss": "lad"},
+}
+#: Seeds and shares of methods that take minutes on a block.
+SLOW: Final = (SNOOPING, "lad")
+SLOW_SEEDS: Final = 2
+SLOW_SHARES: Final = (0.0, 0.05, 0.1, 0.2)
+#: Shares of the case in which not all is checkable.
+EVERYWHERE_SHARES: Final = (0.2,)
+
+
+@dataclass(frozen=True)
+class Spoiled:
+    """A block with gross errors.
+
+    Parameters
+    ----------
+    block : Block
+    truth : Truth
+    image, control : (n,), (N,) bool arrays
+        Which image points and which control points have one.
+    checkable_image, checkable_control : the same
+        Those of them that the others check.
+    """
+
+    block: Block
+    truth: Truth
+    image: Mask
+    control: Mask
+    checkable_image: Mask
+    checkable_control: Mask
+
+
+@dataclass(frozen=True)
+class Clean:
+    """A clean block, its truth, and the redundancy of its observations."""
+
+    block: Block
+    truth: Truth
+    problem: Problem
+    image: Array
+    control: Array
+
+
+@lru_cache(maxsize=1)
+def clean(case: str, seed: int) -> Clean:
+    """Simulate the block of a case and adjust it by least squares."""
+    if case == "twin":
+        block, truth = zonguldak_block(ZonguldakOptions(seed=seed))
+    else:
+        block, truth = grid_block(
+            BlockOptions(rows=4, columns=5, points=250, seed=seed, control_share=0.16, check_share=0.2)
+        )
+    solution = fg.adjust(block)
+    assert solution.cofactors is not None
+    q = residual_cofactors(solution.problem, solution.state, solution.cofactors)
+    control = np.zeros((len(block.points.ids), 3, 3))
+    control[solution.problem.observed] = q.control
+    return Clean(block, truth, solution.problem, q.image, control)
+
+
+def eligible(case: str, block: Block) -> tuple[Mask, Mask]:
+    """Image points (n,) and control points (N,) that an error may lie in."""
+    point = block.observations.point
+    n = len(block.points.ids)
+    rays = np.bincount(point, minlength=n)
+    is_control, is_check = (np.isin(np.arange(n), block.points.where(role)) for role in (Role.CONTROL, Role.CHECK))
+    if case == "twin":
+        return is_control[point], np.zeros(n, bool)
+    if case == "block":
+        return (is_control | (~is_check & (rays >= 4)))[point], is_control
+    return ~is_check[point], is_control
+
+
+def spoil(case: str, seed: int, share: float) -> Spoiled:
+    """Draw the gross errors of a case."""
+    found = clean(case, seed)
+    rng = np.random.default_rng([CASES.index(case), seed, round(1000 * share)])
+    image, control = eligible(case, found.block)
+    places = np.concatenate([np.flatnonzero(image), len(image) + np.flatnonzero(control)])
+    bad = rng.choice(places, round(share * len(places)), replace=False)
+    rows, points = np.sort(bad[bad < len(image)]), np.sort(bad[bad >= len(image)]) - len(image)
+    moved_image, moved_control = (_errors(rng, len(at), d) for at, d in ((rows, 2), (points, 3)))
+    rays = np.bincount(found.block.observations.point, minlength=len(control))
+    alone = (rays == 2) & ~found.problem.observed
+    w = found.problem.control_records[points, :9].reshape(-1, 3, 3)
+    enu = moved_control * found.block.points.known.sigma_enu_m[points]
+    ecef = np.einsum("nji,nj->ni", found.problem.axes(found.truth.ecef_m[points]), enu)
+    traced = _trace(moved_image, found.image[rows]) & ~alone[found.block.observations.point[rows]]
+    block = _move_points(_move_rays(found.block, rows, moved_image), points, ecef)
+    return Spoiled(
+        block, found.truth, _mask(len(image), rows), _mask(len(control), points),
+        _mask(len(image), rows[traced]),
+        _mask(len(control), points[_trace(np.einsum("nij,nj->ni", w, ecef), found.control[points])]),
+    )  # fmt: skip
+
+
+def _mask(n: int, rows: Index) -> Mask:
+    return np.isin(np.arange(n), rows)
+
+
+def _errors(rng: np.random.Generator, n: int, dimension: int) -> Array:
+    """Errors (n, dimension) in sigmas: size uniform, direction uniform."""
+    direction = rng.standard_normal((n, dimension))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.asarray(direction * rng.uniform(*SIZES_SIGMA, n)[:, None])
+
+
+def _trace(error: Array, q: Array) -> Mask:
+    """Whether the others check an error, whitened, whose residuals have these cofactors."""
+    return np.asarray(np.einsum("ni,nij,nj->n", error, q, error) > TRACE**2)
+
+
+def _move_rays(block: Block, rows: Index, error: Array) -> Block:
+    o = block.observations
+    line, sample = o.line.copy(), o.sample.copy()
+    line[rows] += error[:, 0] * o.sigma_line_px[rows]
+    sample[rows] += error[:, 1] * o.sigma_sample_px[rows]
+    return replace(block, observations=ImagePoints(o.image, o.point, line, sample, o.sigma_line_px, o.sigma_sample_px))
+
+
+def _move_points(block: Block, points: Index, ecef_m: Array) -> Block:
+    known = block.points.known
+    moved = known.ecef_m.copy()
+    moved[points] += ecef_m
+    return replace(block, points=GroundPoints(
+        block.points.ids, block.points.roles, Coordinates(moved, known.sigma_enu_m, known.fixed),
+    ))  # fmt: skip
+
+
+def measure(spoiled: Spoiled, method: str) -> dict[str, Any]:
+    """RMSE at the check points, m, and what was found of the errors."""
+    start = time.perf_counter()
+    run = _snooped if method == SNOOPING else partial(_adjusted, options=METHODS[method])
+    ground_m, image, control, ended = run(spoiled.block)
+    seconds = time.perf_counter() - start
+    check = spoiled.block.points.where(Role.CHECK)
+    rmse = math.sqrt(float(np.mean(np.sum((ground_m[check] - spoiled.truth.ecef_m[check]) ** 2, axis=1))))
+    flagged, bad = np.concatenate([image, control]), np.concatenate([spoiled.image, spoiled.control])
+    checkable = np.concatenate([spoiled.checkable_image, spoiled.checkable_control])
+    observed = np.isin(np.arange(len(control)), spoiled.block.points.where(Role.CONTROL))
+    good = ~bad & np.concatenate([np.ones(len(image), bool), observed])
+    return {
+        "rmse_m": round(rmse, 4), "good": int(good.sum()), "false": int((flagged & good).sum()),
+        "checkable": int(checkable.sum()), "missed": int((checkable & ~flagged).sum()),
+        "not_checkable": int((bad & ~checkable).sum()), "ended": bool(ended), "seconds": round(seconds, 3),
+    }  # fmt: skip
+
+
+def _adjusted(block: Block, options: dict[str, Any]) -> tuple[Array, Mask, Mask, bool]:
+    """Ground points (N, 3) ECEF m; image points and control points found; whether it converged."""
+    problem = compile_problem(replace(block, options=replace(block.options, max_iterations=MAX_ITERATIONS, **options)))
+    end = solve(problem)
+    return _judged(problem, end.state, end.converged)
+
+
+def _judged(problem: Problem, state: State, ended: bool) -> tuple[Array, Mask, Mask, bool]:
+    image, observed = norms_at(problem, state)
+    control = np.zeros(len(problem.observed), bool)
+    control[problem.observed] = observed > inlier_limit(FOUND, CONTROL)
+    return state.ground + problem.origin_m, image > inlier_limit(FOUND, IMAGE), control, ended
+
+
+def _snooped(block: Block) -> tuple[Array, Mask, Mask, bool]:
+    from fg_orient.snooping import snoop
+
+    search = snoop(block)
+    ids = {name: k for k, name in enumerate(block.points.ids)}
+    images = {image.id: k for k, image in enumerate(block.images)}
+    o = block.observations
+    image, control = np.zeros(len(o), bool), np.zeros(len(ids), bool)
+    for test in search.found:
+        if test.image:
+            image |= (o.image == images[test.image]) & (o.point == ids[test.point])
+        else:
+            control[ids[test.point]] = True
+    return search.solution.ground_m, image, control, search.complete
+
+
+def wanted(case: str, seed: int, share: float, method: str) -> bool:
+    """Whether a run belongs to the study."""
+    if case == "everywhere":
+        return share in EVERYWHERE_SHARES and method not in SLOW
+    return case == "twin" or method not in SLOW or (seed <= SLOW_SEEDS and share in SLOW_SHARES)
+
+
+def runs(case: str, seed: int, shares: Iterable[float], methods: Iterable[str]) -> list[dict[str, Any]]:
+    """Measure one seed of a case; the same on any number of workers."""
+    out = []
+    for share in shares:
+        spoiled = spoil(case, seed, share)
+        for method in methods:
+            if not wanted(case, seed, share, method):
+                continue
+            out.append({"case": case, "seed": seed, "share": share, "method": method, **measure(spoiled, method)})
+    return out
+
+
+def study(
+    seeds: int, cases: Iterable[str], workers: int, *, shares: Iterable[float] = SHARES,
+    methods: Iterable[str] = tuple(METHODS), tell: Callable[[str], object] = lambda text: None,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """All runs, sorted by case, seed, share, method."""
+    tasks = list(product(cases, range(1, seeds + 1)))
+    one = partial(_task, shares=tuple(shares), methods=tuple(methods))
+    if workers == 1:
+        return [record for task in tasks for record in one(task)]
+    out: list[dict[str, Any]] = []
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=compile_kernels) as pool:
+        for (case, seed), records in zip(tasks, pool.map(one, tasks), strict=True):
+            out += records
+            tell(f"{case} seed {seed}: {sum(r['seconds'] for r in records):.0f} s")
+    return out
+
+
+def _task(task: tuple[str, int], shares: tuple[float, ...], methods: tuple[str, ...]) -> list[dict[str, Any]]:
+    return runs(*task, shares, methods)
+
+
+def gathered(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One entry per case, share and method, lists over the seeds."""
+    groups: dict[tuple[str, float, str], list[dict[str, Any]]] = {}
+    for record in sorted(records, key=lambda r: r["seed"]):
+        groups.setdefault((record["case"], record["share"], record["method"]), []).append(record)
+    names = [name for name in records[0] if name not in ("case", "share", "method")]
+    return [
+        {"case": case, "share": share, "method": method, **{name: [r[name] for r in rows] for name in names}}
+        for (case, share, method), rows in groups.items()
+    ]
+
+
+def main(arguments: list[str]) -> None:
+    """Run the study and write its results."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.contamination")
+    parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    given = parser.parse_args(arguments)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    start = time.perf_counter()
+    entries = gathered(study(given.seeds, given.cases, given.workers, tell=lambda text: sys.stderr.write(text + "\n")))
+    head = {
+        "version": fg.__version__, "machine": platform.machine(), "minutes": (time.perf_counter() - start) / 60.0,
+        "seeds": given.seeds,
+    }  # fmt: skip
+    lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
+    given.out.write_text(f'{{"head": {json.dumps(head)},\n"entries": [\n{lines}\n]}}\n', encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
