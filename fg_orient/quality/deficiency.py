@@ -30,8 +30,8 @@ from fg_orient.quality.structure import Structure, analyse_structure
 
 #: Codes of faults that name what is not determined.
 DEFICIENT: Final = ("adjust.rank_deficient", "statistics.too_few", "statistics.motions")
-#: Image points of a block with control points up to which its motions are looked at.
-MOTIONS_UP_TO: Final = 100_000
+#: Image points that tell the motions of a block that is too large to be decomposed.
+ENOUGH: Final = 20_000
 
 
 def compiled_problem(block: Block) -> Problem:
@@ -58,7 +58,7 @@ def _motions_without_control(block: Block) -> list[Fault]:
     except FgOrientError:
         return []
     with one_blas_thread():
-        view = analyse_block(compiled, whole=affordable(compiled))
+        view = analyse_block(compiled) if affordable(compiled) else analyse_block(_thinned(compiled), whole=False)
     return _motion_faults(view)
 
 
@@ -93,13 +93,19 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
 
 
 def _view(compiled: Problem, structure: Structure) -> BlockObservability:
-    """As much of the block as its size allows; all of it where nothing but the observations holds it."""
-    options = compiled.block.options
-    if not options.priors or affordable(compiled):
+    """The whole block where its size allows it or nothing but the observations holds it; else its motions."""
+    if not compiled.block.options.priors or affordable(compiled):
         return analyse_block(compiled, structure)
-    if options.datum != "control" or len(compiled.observations) <= MOTIONS_UP_TO:
-        return analyse_block(compiled, structure, whole=False)
-    return BlockObservability(np.zeros(0), (), 0, (), (), structure)
+    return analyse_block(_thinned(compiled), structure, whole=False)
+
+
+def _thinned(compiled: Problem) -> Problem:
+    """The same block with all control points, but only some of many other ground points."""
+    o = compiled.observations
+    step = -(-len(o) // ENOUGH)
+    control = compiled.observed | ~compiled.active
+    rows = np.flatnonzero(control[o.point] | (o.point % step == 0))
+    return replace(compiled, observations=o.take(rows), records=compiled.records[rows])
 
 
 def _structural(compiled: Problem, structure: Structure, observability: tuple[ImageObservability, ...]) -> list[Fault]:

@@ -224,3 +224,14 @@ def test_large_blocks_are_judged_without_elimination() -> None:
         a, b = analyse_block(problem), analyse_block(problem, whole=False)
         assert [m.words for m in a.motions] == [m.words for m in b.motions]
         assert b.counts is None and a.counts is not None
+
+
+def test_some_points_tell_the_motions_of_large_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    from fg_orient.quality import deficiency
+
+    monkeypatch.setattr(deficiency, "affordable", lambda problem: False)
+    monkeypatch.setattr(deficiency, "ENOUGH", 40)
+    solution = fg.adjust(pinhole((6,)))
+    assert solution.block_view.n_free_motions == 4
+    assert solution.block_view.as_dict()["determined"] is None
+    assert any("1 control point only, 7: 4 motions are held" in text for text in solution.warnings)
