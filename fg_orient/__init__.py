@@ -23,6 +23,7 @@ if not getattr(factors, "FG_ORIENT_FACTORS", False):
     )
 
 if TYPE_CHECKING:
+    from fg_orient.adjustment.regression import fit_curve
     from fg_orient.block import Block, ExtraObservation, GroundPoints, Image, ImagePoints, Options
     from fg_orient.comparison.compare import compare
     from fg_orient.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
@@ -55,6 +56,7 @@ _HOME: Final[dict[str, str]] = {
     "Status": "fg_orient.names",
     "adjust": "fg_orient.orient",
     "compare": "fg_orient.comparison.compare",
+    "fit_curve": "fg_orient.adjustment.regression",
     "intersect": "fg_orient.initial",
     "read_project": "fg_orient.io.project",
     "read_sensor": "fg_orient.io.sensor",
@@ -79,6 +81,7 @@ __all__ = [
     "__version__",
     "adjust",
     "compare",
+    "fit_curve",
     "intersect",
     "read_project",
     "read_sensor",

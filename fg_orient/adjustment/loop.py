@@ -28,6 +28,9 @@ ROUNDING_STEP = 1e-6
 SHRINK = 0.5
 SHRINK_REWEIGHTED = 1.0
 MAX_REJECTED = 20
+#: The same for :func:`delayed_gratification`, whose damping only doubles.
+MAX_REJECTED_DOUBLING = 60
+LEAST_DAMPING = 1e-14
 SMALL = "the scaled step is below the tolerance"
 
 
@@ -257,13 +260,15 @@ def gauss_newton(
 class _Control:
     """How damping or radius rules the steps: its first value, the step under it, what follows from a record.
 
-    ``regular``: a larger value makes singular equations regular, so they are no end.
+    ``regular``: a larger value makes singular equations regular, so they are no end. ``max_rejected``: steps refused
+    in a row that end the loop.
     """
 
     first: float
     solve: Callable[[System, float], Step]
     follow: Callable[[float, float, IterationRecord], tuple[float, float]]
     regular: bool = False
+    max_rejected: int = MAX_REJECTED
 
     def step(self, system: System, control: float) -> Step:
         """The step under a control; of infinite length if the equations are singular under so little damping."""
@@ -300,6 +305,23 @@ def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> b
         return rounding
 
 
+def nielsen(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
+    """Damping by the ratio of actual to predicted decrease (Nielsen 1999); falls fast where the model holds."""
+    if not record.accepted:
+        return damping * growth, 2.0 * growth
+    ratio = 1.0 if math.isnan(record.ratio) else record.ratio
+    return max(damping * max(1e-3, 1.0 - (2.0 * ratio - 1.0) ** 3), LEAST_DAMPING), 2.0
+
+
+def delayed_gratification(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
+    """Damping doubles after a refused step and falls to a fifth after one taken (Transtrum, Sethna 2012, 5).
+
+    It stays as high as the error allows, so that the way into a narrow curved valley is long and the steps in it
+    short: for start values that are far off.
+    """
+    return (2.0 * damping if not record.accepted else max(0.2 * damping, LEAST_DAMPING)), growth
+
+
 def levenberg_marquardt(
     backend: Backend[S],
     start: S | Carried[S],
@@ -309,16 +331,17 @@ def levenberg_marquardt(
     *,
     shrink: float = SHRINK,
     keep: Callable[[Carried[S]], None] | None = None,
+    far: bool = False,
 ) -> LoopResult[S]:
-    """Damped steps; the damping follows the ratio of actual to predicted decrease (Nielsen 1999)."""
+    """Damped steps; the damping follows :func:`nielsen`, or :func:`delayed_gratification` from ``far`` starts."""
 
-    def follow(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
-        if not record.accepted:
-            return damping * growth, 2.0 * growth
-        ratio = 1.0 if math.isnan(record.ratio) else record.ratio
-        return max(damping * max(1e-3, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-14), 2.0
+    def solve(system: System, damping: float) -> Step:
+        return system.solve(damping)
 
-    rule = _Control(1e-4, lambda system, damping: system.solve(damping), follow, regular=True)
+    if far:
+        rule = _Control(1e-2, solve, delayed_gratification, regular=True, max_rejected=MAX_REJECTED_DOUBLING)
+    else:
+        rule = _Control(1e-4, solve, nielsen, regular=True)
     return _controlled(backend, Course(start, callback, keep), max_iterations, tolerance, shrink, rule)
 
 
@@ -358,7 +381,7 @@ def _controlled(
         record = course.judge(system.error, error, step, carried.control)
         control, growth = rule.follow(carried.control, carried.growth, record)
         if not record.accepted:
-            if carried.rejected + 1 >= MAX_REJECTED:
+            if carried.rejected + 1 >= rule.max_rejected:
                 return course.end(carried.state, system.error, False, "no step lowers the error")
             course.go_on(control=control, growth=growth, rejected=carried.rejected + 1)
             continue

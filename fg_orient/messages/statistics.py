@@ -80,7 +80,7 @@ STATISTICS: Final = {
     ),
     "curve.optimizer": ("there is no such optimiser of curves", "known: {known}"),
     "curve.lost": (
-        "the model is not finite where the iteration has come to",
+        "the iteration has come to where the model is not finite or does not depend on every parameter",
         "start nearer, or with levenberg-marquardt",
     ),
 }
