@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from factors.control import CONTROL_POINT
 from fg_orient.adjustment.problem import compile_problem
-from fg_orient.block import Block
+from fg_orient.block import Block, ExtraObservation
 from fg_orient.names import Role
 from fg_orient.quality.elimination import Rows, eliminated, eliminated_with_own
 from fg_orient.quality.motions import free_motions
 from fg_orient.quality.observability import analyse_block
+from fg_orient.run.summary import deficient_summary
 from tests.support.degenerate_blocks import (
     OFF_LINE,
     ON_LINE,
@@ -235,3 +237,28 @@ def test_some_points_tell_the_motions_of_large_blocks(monkeypatch: pytest.Monkey
     assert solution.block_view.n_free_motions == 4
     assert solution.block_view.as_dict()["determined"] is None
     assert any("1 control point only, 7: 4 motions are held" in text for text in solution.warnings)
+
+
+def test_own_observations_hold_what_they_see() -> None:
+    """One control point, and two more points observed by own equations: no motion is left, nothing is refused."""
+    block = pinhole((6,))
+    start = compile_problem(block).start.ground
+    own = tuple(
+        ExtraObservation(
+            CONTROL_POINT, (f"point:{block.points.ids[j]}",), np.concatenate([20.0 * np.eye(3).ravel(), start[j]]),
+            np.zeros((2, 0)), 3, f"own observation of point {j}",
+        )
+        for j in (0, 20)
+    )  # fmt: skip
+    assert motions(refused(block))
+    solution = fg.adjust(replace(block, extra=own), priors=False)
+    assert solution.block_view.n_free_motions == 0
+    assert solution.unobservable == ()
+
+
+def test_record_of_a_refused_block_has_every_sentence() -> None:
+    error = refused(pinhole((6,)))
+    record = deficient_summary(error, pinhole((6,)))
+    assert record["status"] == "rank_deficient"
+    assert record["unobservable"] == [p.place for p in error.problems]
+    assert [e["remedy"] for e in record["errors"]] == [p.remedy for p in error.problems]
