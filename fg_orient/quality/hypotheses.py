@@ -19,7 +19,7 @@ from typing import Final, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import betaincc, betainccinv, chdtr, chdtrc, chdtri, gammaincinv
+from scipy.special import betainc, betainccinv, betaincinv, chdtr, chdtrc, chdtri, gammaincinv
 
 from fg_orient.errors import InputError
 from fg_orient.options import MultipleTesting, OutlierTest
@@ -49,7 +49,7 @@ def require_names(test: str, control: str, level: float) -> None:
         raise InputError.of("options.value", place="level", value=level, expected="a number above 0 and below 1")
 
 
-def testable(d: npt.ArrayLike, redundancy: float | Array, test: str) -> npt.NDArray[np.bool_]:
+def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> npt.NDArray[np.bool_]:
     """Tell where d parameters of an error can be tested: some freedom, and some left for the scale if it is estimated.
 
     Parameters
@@ -72,7 +72,7 @@ def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Arra
     t : (n,) array
         Decrease T of the weighted sum of squares; any shape that goes with the others.
     d : (n,) int array
-        Its degrees of freedom, testable ones.
+        Its degrees of freedom, where it can be tested.
     chi2 : float or array
         v^T v with the suspects in it.
     redundancy : int
@@ -93,8 +93,9 @@ def probabilities(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | A
     """Probability of a larger statistic without a gross error; arguments as of :func:`statistics`."""
     if test == "baarda":
         return np.asarray(chdtrc(d, t))
-    share = np.clip(t / np.maximum(chi2, _TINY), 0.0, 1.0)
-    return np.asarray(betaincc(0.5 * d, 0.5 * (redundancy - d), share))
+    chi2 = np.asarray(chi2, dtype=np.float64)
+    rest = np.clip((chi2 - t) / np.maximum(chi2, _TINY), 0.0, 1.0)
+    return np.asarray(betainc(0.5 * (redundancy - d), 0.5 * d, rest))
 
 
 def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str) -> Array:
@@ -106,7 +107,8 @@ def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str)
         value = np.asarray(chdtri(d, np.asarray(level)))
     else:
         share = np.asarray(betainccinv(0.5 * d, 0.5 * (redundancy - d), np.asarray(level)))
-        value = redundancy * share if test == "pope" else share / (1.0 - share) * (redundancy - d) / d
+        rest = np.asarray(betaincinv(0.5 * (redundancy - d), 0.5 * d, np.asarray(level)))  # 1 - share, with its digits
+        value = redundancy * share if test == "pope" else share / rest * (redundancy - d) / d
     return np.where(np.asarray(d) == 1, np.sqrt(value), value)
 
 

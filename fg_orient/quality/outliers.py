@@ -268,7 +268,7 @@ def judge(
     part, point, row = np.repeat(np.arange(len(found)), sizes), _column(found, "point"), _column(found, "row")
     f: Array = np.full(len(t), float(problem.redundancy)) if freedom is None else freedom
     squares = np.full(len(t), chi2) if freedom is None else freedom
-    tested = hypotheses.testable(d, f, test)
+    tested = hypotheses.can_be_tested(d, f, test)
     d = np.where(tested, d, 0)
     error[~tested] = np.nan
     classes, of_class = _classes(point, d, t, tested)

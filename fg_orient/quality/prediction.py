@@ -121,7 +121,7 @@ def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: st
     checked = size > CHECKED
     along = axes[:, checked].T @ (e.T @ residual)
     t, d, f = np.array([along**2 @ (1.0 / size[checked])]), np.array([checked.sum()]), redundancy + len(v)
-    if not hypotheses.testable(d, f, test)[0]:
+    if not hypotheses.can_be_tested(d, f, test)[0]:
         return Fit(float(t[0]), 0, None, None)
     total = chi2 + float(v @ residual)
     statistic, p = (law(t, d, total, f, test)[0] for law in (hypotheses.statistics, hypotheses.probabilities))

@@ -128,7 +128,7 @@ def any_alarm(twin: LinearTwin, v: np.ndarray, test: str, level: float) -> dict[
     parts = [twin.drawn(f, v).quadratic() for f in families]
     t, d = np.concatenate([p[0] for p in parts], axis=1), np.concatenate([p[1] for p in parts])
     chi2, f = np.sum(v**2, axis=1), twin.redundancy
-    tested = hypotheses.testable(d, f, test)
+    tested = hypotheses.can_be_tested(d, f, test)
     point = np.concatenate([s.point for s in families])
     classes, _ = _classes(point, d, t[0], tested)
     p = hypotheses.probabilities(t[:, classes], d[classes], chi2[:, None], f, test)

@@ -1,0 +1,122 @@
+"""T of every kind of suspect against one more column of unknowns in the full matrix; tests as users meet them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.adjustment.dense import assemble
+from fg_orient.block import Block
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.quality.suspects import Kind
+from tests.support.linear_twin import linear_twin
+from tests.support.rpc_block import rpc_twin
+
+KINDS: tuple[Kind, ...] = ("groups", "coordinates", "points")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_quadratic_forms_are_what_more_unknowns_gain(kind: Kind) -> None:
+    """Mean-shift model: v^T v with and without the error as unknown, by projection of the full matrix.
+
+    With the residuals of another observation in the place of the suspect's the same comparison fails.
+    """
+    twin = linear_twin()
+    problem, state = twin.solution.problem, twin.solution.state
+    v, _ = assemble(problem, state)
+    for found in twin.suspects(kind):
+        t, d, _ = found.quadratic()
+        rows = twin.rows(found)
+        for k in range(0, len(t), max(1, len(t) // 6)):
+            extra = np.zeros((len(v), found.columns.shape[2]))
+            extra[rows[k]] = found.columns[k]
+            extra -= twin.basis @ (twin.basis.T @ extra)
+            u, s, _ = np.linalg.svd(extra / np.linalg.norm(found.columns[k], axis=0), full_matrices=False)
+            gain = (u[:, s > 1e-4].T @ v) ** 2
+            assert d[k] == len(gain)
+            assert t[k] == pytest.approx(gain.sum(), rel=1e-6, abs=1e-8)
+            assert t[k] != pytest.approx(replace(found, v=np.roll(found.v, 1, axis=0)).quadratic()[0][k], rel=1e-3)
+
+
+@pytest.mark.parametrize("backend", ["graph", "schur"])
+def test_all_backends_test_alike(backend: str) -> None:
+    """The same statistics as from full matrices: all kinds, all tests."""
+    block = rpc_twin("affine", seed=5).block
+    dense, other = fg.adjust(block, backend="dense"), fg.adjust(block, backend=backend)
+    for kind in KINDS:
+        one, two = dense.outlier_tests(kind=kind), other.outlier_tests(kind=kind)
+        order_one, order_two = (np.lexsort((x.row, x.point, x.part)) for x in (one, two))
+        assert np.array_equal(one.dimension[order_one], two.dimension[order_two])
+        np.testing.assert_allclose(one.quadratic[order_one], two.quadratic[order_two], rtol=1e-5, atol=1e-7)
+
+
+def test_rows_and_columns_say_the_same() -> None:
+    twin = linear_twin()
+    tests = twin.solution.outlier_tests(kind="coordinates")
+    assert len(tests) == 2 * 94 + 3 * 37
+    first, last = tests[0], tests[-1]
+    assert first.statistic == tests.statistic[0]
+    assert first.probability == pytest.approx(tests.probability.min())
+    assert first.symbol == "t"
+    assert {test.part for test in tests} == {"line", "sample", "east", "north", "up"}
+    assert all(len(test.error) == 1 for test in tests)
+    assert last.dimension <= 1
+    assert tests[:2] == (tests[0], tests[1]) or tests[0].name == tests[:2][0].name
+    whole = twin.solution.outlier_tests(kind="points", test="pope")
+    assert len(whole) == 47
+    assert whole[0].name.endswith("with all its observations")
+    assert whole[0].symbol == "T/m0^2"
+    assert len(whole[0].error) == 0
+
+
+def one_ray_more_than_needed() -> Block:
+    """Tie points alone but for the control: points of two rays are checked in one direction only."""
+    return rpc_twin("shift").block
+
+
+def test_inseparable_suspects_are_one_hypothesis() -> None:
+    """Both rays of a tie point stand or fall together: two suspects, one test in the count."""
+    solution = fg.adjust(one_ray_more_than_needed())
+    tests = solution.outlier_tests()
+    roles = solution.block.points.roles
+    tie = [k for k in range(len(tests)) if roles[tests.point[k]] != "control"]
+    assert tests.n_tested == len(tests) - len(tie) // 2
+    assert np.allclose(tests.level_each, 1.0 - 0.95 ** (1.0 / tests.n_tested))
+
+
+def test_what_is_not_tested_has_no_figures() -> None:
+    """Without redundancy for the scale: None, not 0 or nan, and the sentence says why."""
+    twin = rpc_twin("shift")
+    block = twin.block
+    control = np.flatnonzero([role == "control" for role in block.points.roles])[:1]
+    keep = (block.observations.point == control[0]) & (block.observations.image == 0)
+    alone = replace(block, images=block.images[:1], observations=block.observations.take(keep))
+    solution = fg.adjust(alone, check_points="exclude")
+    assert solution.redundancy == 2
+    tests = solution.outlier_tests()
+    image = next(test for test in tests if test.part == "image")
+    assert (image.statistic, image.critical, image.probability) == (None, None, None)
+    assert "not tested" in image.sentence()
+    assert not image.suspicious
+    assert solution.outlier_tests(test="baarda")[0].statistic is not None
+
+
+def test_no_covariance_no_test() -> None:
+    solution = replace(linear_twin().solution, cofactors=None, withheld=("singular",))
+    with pytest.raises(NoSolutionError, match="no covariance"):
+        solution.outlier_tests()
+
+
+def test_under_a_loss_both_tests_are_refused() -> None:
+    solution = fg.adjust(rpc_twin("shift").block, loss="huber")
+    for refused in (solution.outlier_tests, solution.global_test):
+        with pytest.raises(NoSolutionError, match="robust loss"):
+            refused()
+
+
+def test_other_kinds_are_refused() -> None:
+    with pytest.raises(InputError, match="groups, coordinates, points"):
+        linear_twin().solution.outlier_tests(kind="images")  # type: ignore[arg-type]
