@@ -24,6 +24,8 @@ from fg_orient.solution import Solution
 STANDS: Final = 1e-5
 #: Rounds after which a component that does not stand is refused.
 MAX_ROUNDS: Final = 100
+#: Rounds in which no component is judged: given sigmas may be wrong by orders of magnitude.
+FIRST_ROUNDS: Final = 2
 #: So many rounds with a variance below zero are no accident of the start.
 NEGATIVE_ROUNDS: Final = 8
 #: Factors of sigmas beyond which a component runs away.
@@ -75,8 +77,9 @@ def adjust_with_components(
             raise NoSolutionError.of("covariance.withheld", value="; ".join(solution.withheld))
         state = state or _Rounds(groups_of(solution.problem, groups))
         residuals = Residuals(solution.problem, solution.state, solution.cofactors, state.groups)
-        found = one_round(residuals, method, keep=state.kept)
-        if state.stands(found):
+        judge = rounds > FIRST_ROUNDS
+        found = one_round(residuals, method, keep=state.kept, judge=judge)
+        if judge and state.stands(found):
             components = components_of(state.groups, found, state.variance, rounds, method)
             return replace(
                 solution, components=components, warnings=(*solution.warnings, *components.sentences),

@@ -9,11 +9,12 @@ With whitened residuals v, their cofactors ``R = I - A N^-1 A^T`` and the rows o
 Both have the same fixed point, s_i = 1 for all groups, since the rows of S sum up to r; there it is the maximum of the
 residual (restricted) likelihood (Patterson & Thompson 1971), and ``2 S^-1`` the covariance of the s_i^2. Helmert's
 equations reach it in a few rounds and are taken where R can be formed; Foerstner's are never negative and are taken
-elsewhere, and far from the fixed point. A round of either needs a new adjustment (``fg_orient.components``).
+elsewhere, and for variances that Helmert's make negative. A round of either needs a new adjustment
+(``fg_orient.components``).
 
 What is not named in ``groups`` has the sigmas that it was given. A component whose estimate is not above its own
 standard deviation has too little redundancy: it is held. The robust variant puts medians in the place of sums; half
-of a group may then be grossly wrong.
+of a group may then be grossly wrong, if their errors stay in the residuals of their own group.
 """
 
 from __future__ import annotations
@@ -43,8 +44,6 @@ METHODS: Final = ("helmert", "median")
 EXACT_ROWS: Final = 1500
 #: A block of residuals with an eigenvalue of its cofactors below this is not checked in all directions.
 CHECKED: Final = 1e-6
-#: Variances this far from the given ones are approached by Foerstner's equation.
-FAR: Final = (0.1, 10.0)
 
 
 @dataclass(frozen=True)
@@ -284,8 +283,21 @@ class Round:
     exact: bool
 
 
-def one_round(residuals: Residuals, method: Method = "helmert", *, keep: tuple[str, ...] = ()) -> Round:
-    """Estimate the components from one solution; ``keep``: why a component is held in any case, one text per group."""
+def one_round(
+    residuals: Residuals, method: Method = "helmert", *, keep: tuple[str, ...] = (), judge: bool = True
+) -> Round:
+    """Estimate the components from one solution.
+
+    Parameters
+    ----------
+    residuals : Residuals
+    method : str
+    keep : tuple of str
+        Why a component is held in any case, one text per group.
+    judge : bool
+        False: hold nothing but what nothing checks. Helmert's equations are unbiased for any weights and find sigmas
+        that are wrong by orders of magnitude, although these leave a group no redundancy.
+    """
     q, r, count = residuals.sums()
     shared = residuals.shared()
     s = np.diag(np.append(r, 0.0)) if shared is None else shared
@@ -293,32 +305,33 @@ def one_round(residuals: Residuals, method: Method = "helmert", *, keep: tuple[s
     nothing = (r <= CHECKED) | np.isnan(medians)
     held = list(keep) or [""] * len(r)
     held = [text or ("nothing checks them" if none else "") for text, none in zip(held, nothing, strict=True)]
-    free, inverse = _hold(s[:-1, :-1], r, held)
+    free, inverse = _hold(s[:-1, :-1], r, held, judge)
     variance, negative = np.ones(len(r)), np.zeros(len(r), bool)
     if free.any():
         known = s[:-1][:, [*np.flatnonzero(~free), len(r)]].sum(axis=1)[free]
         helmert = inverse @ (q[free] - known)
-        far = shared is None or (helmert < FAR[0]).any() or (helmert > FAR[1]).any()
-        negative[free] = (helmert <= 0.0) & (shared is not None)
-        variance[free] = medians[free] if method == "median" else q[free] / r[free] if far else helmert
+        negative[free] = (helmert <= 0.0) & judge & (shared is not None)
+        positive = np.where((helmert > 0.0) & (shared is not None), helmert, q[free] / r[free])
+        variance[free] = medians[free] if method == "median" else positive
     covariance = np.full((len(r), len(r)), np.nan)
     covariance[np.ix_(free, free)] = 2.0 * inverse
     return Round(variance, negative & (method == "helmert"), tuple(held), covariance, count, r, shared is not None)
 
 
-def _hold(s: Array, r: Array, held: list[str]) -> tuple[npt.NDArray[np.bool_], Array]:
+def _hold(s: Array, r: Array, held: list[str], judge: bool) -> tuple[npt.NDArray[np.bool_], Array]:
     """Hold components, the worst first, until each estimate is above its own standard deviation.
 
     Adds to ``held`` why; gives what is free and the inverse of its S.
     """
     while True:
         free = np.array([not text for text in held], bool)
-        inverse = np.linalg.pinv(s[np.ix_(free, free)], rcond=1e-10, hermitian=True)
+        scale = np.sqrt(np.outer(r[free], r[free]))  # redundancies may differ by orders of magnitude
+        inverse = np.linalg.pinv(s[np.ix_(free, free)] / scale, rcond=1e-10, hermitian=True) / scale
         sd = np.zeros(len(r))
         # 1 / r: the least variance that there is, where S is singular
         sd[free] = np.sqrt(2.0 * np.maximum(np.diag(inverse), 1.0 / r[free]))
         worst = int(np.argmax(sd))
-        if sd[worst] < 1.0:
+        if sd[worst] < 1.0 or not judge:
             return free, inverse
         held[worst] = f"a redundancy of {r[worst]:.1f} leaves its variance uncertain by {100.0 * sd[worst]:.0f} %"
 

@@ -1,0 +1,296 @@
+"""Variance components against planted ones, an independent likelihood, each other; what is held and refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.stats import chi2
+
+import fg_orient as fg
+from fg_orient.adjustment.dense import assemble
+from fg_orient.block import Block
+from fg_orient.components import adjust_with_components
+from fg_orient.quality import variance_components as module
+from fg_orient.quality.freedom import freedoms
+from fg_orient.quality.observation_groups import groups_of
+from fg_orient.quality.suspects import suspects
+from fg_orient.quality.variance_components import Residuals
+from tests.support.planted_errors import planted
+
+GROUPS = ("image", "position", "height")
+TRUE = {"image": 0.8, "position": 2.0, "height": 1.5}
+DENSE = {"rpc_compensation": "shift", "backend": "schur"}
+
+
+def drawn(seed: int, **factors: float) -> Block:
+    return planted().draw(np.random.default_rng(seed), **(factors or TRUE))
+
+
+def estimated(block: Block, **options: object) -> fg.Solution:
+    return fg.adjust(block, variance_components=GROUPS, **{**DENSE, **options})
+
+
+@pytest.fixture(scope="module")
+def solution() -> fg.Solution:
+    return estimated(drawn(1))
+
+
+def relative_errors(seeds: range) -> tuple[np.ndarray, np.ndarray]:
+    """Estimated over true variances minus 1 (runs, groups), and their stated covariances (runs, g, g)."""
+    errors, stated = [], []
+    for seed in seeds:
+        found = estimated(drawn(seed)).components
+        assert found is not None
+        errors.append([(found.factor(name) / TRUE[name]) ** 2 - 1.0 for name in GROUPS])
+        stated.append(found.covariance)
+    return np.array(errors), np.array(stated)
+
+
+def calibrated(errors: np.ndarray, stated: np.ndarray) -> bool:
+    """Whether the mean of e^T C^-1 e is within its 99.9 % interval; variances are spread by C of the true ones.
+
+    e is a sum of squares of normal errors: its kurtosis widens the interval of the chi-square by the root of
+    1 + 12 / (2 nu) per component, nu = 2 / C_ii.
+    """
+    c = stated.mean(axis=0)
+    m = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(c), errors)
+    dof = errors.size
+    widened = float(np.sqrt(1.0 + 3.0 * np.diag(c).max()))
+    low, high = chi2.ppf([5e-4, 1.0 - 5e-4], dof) / dof - 1.0
+    return bool(low * widened < m.mean() / errors.shape[1] - 1.0 < high * widened)
+
+
+def test_planted_components_are_met_within_their_stated_deviations() -> None:
+    errors, stated = relative_errors(range(100, 108))
+    assert calibrated(errors, stated)
+    assert not calibrated(errors, stated / 16.0), "a standard deviation of a quarter must not pass"
+    assert not calibrated(errors + 1.0, stated), "a variance twice as large must not pass"
+
+
+@pytest.mark.slow
+def test_planted_components_of_200_seeds() -> None:
+    errors, stated = relative_errors(range(1000, 1200))
+    c = stated.mean(axis=0)
+    m = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(c), errors).mean() / 3.0
+    print(f"\nmean of e C^-1 e / 3: {m:.3f}; mean error {errors.mean(axis=0)}; "
+          f"spread over stated {errors.std(axis=0) / np.sqrt(np.diag(c))}")  # fmt: skip
+    assert calibrated(errors, stated)
+    assert np.abs(errors.mean(axis=0) / np.sqrt(np.diag(c) / len(errors))).max() < 3.9  # no bias
+    assert not calibrated(errors, stated / 2.0)
+
+
+def test_maximum_of_an_independent_restricted_likelihood() -> None:
+    """The linear model at the solution as full matrices: -2 ln L = ln|V| + ln|A^T V^-1 A| + l^T P l, by scipy."""
+    start = fg.adjust(drawn(1), **DENSE)
+    problem = start.problem
+    l, a = assemble(problem, start.state)
+    n = 2 * len(problem.observations)
+    # rows of a control point are W (G - G_0), W upper triangular of East, North, Up in sigmas: turned back to the axes
+    for k in range(int(problem.observed.sum())):
+        rows = slice(n + 3 * k, n + 3 * k + 3)
+        w = problem.control_records[k, :9].reshape(3, 3)
+        sigma = problem.block.points.known.sigma_enu_m[k]
+        turn = problem.axes(problem.control_records[k : k + 1, 9:] + problem.origin_m)[0] / sigma[:, None] @ np.linalg.inv(w)
+        l[rows], a[rows] = turn @ l[rows], turn @ a[rows]
+    a = a / np.linalg.norm(a, axis=0)
+    group = np.concatenate([np.zeros(n, int), np.tile([1, 1, 2], (len(l) - n - 4) // 3), np.full(4, 3)])
+
+    def minus_two_log(log_factor: np.ndarray) -> float:
+        weight = 1.0 / np.append(np.exp(log_factor), 1.0)[group]
+        r = np.linalg.qr(a * weight[:, None])
+        v = l * weight
+        v = v - r.Q @ (r.Q.T @ v)
+        return float(v @ v - 2.0 * np.log(weight).sum() + 2.0 * np.log(np.abs(np.diag(r.R))).sum())
+
+    best = minimize(minus_two_log, np.zeros(3), method="BFGS", options={"gtol": 1e-6})
+    found = estimated(drawn(1)).components
+    assert found is not None
+    np.testing.assert_allclose([found.factor(name) for name in GROUPS], np.exp(best.x), rtol=2e-4)
+    # the weights of heights wrong by 10 %: not the maximum
+    assert minus_two_log(best.x + [0.0, 0.0, 0.1]) > best.fun + 0.1
+
+
+def test_after_the_rounds_each_group_has_the_squares_that_its_redundancy_says(solution: fg.Solution) -> None:
+    """From the residuals in pixels and the sigmas of the block found, without the code of the components."""
+    o, components = solution.problem.observations, solution.components
+    assert components is not None
+    assert solution.block.options.variance_components == GROUPS
+    v = solution.residuals_px / np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+    by_name = {c.group: c for c in components.components}
+    assert np.sum(v**2) == pytest.approx(by_name["image"].redundancy, rel=1e-4)
+    assert o.sigma_line_px[0] == pytest.approx(0.5 * by_name["image"].factor)
+    assert sum(c.n for c in components.components) == 188 + 141
+    again = fg.adjust(replace(solution.block, options=replace(solution.block.options, variance_components=())))
+    assert again.chi2 == pytest.approx(solution.chi2, rel=1e-9)
+    once = again.variance_components(groups=GROUPS)
+    assert [c.factor for c in once.components] == pytest.approx([1.0] * 3, abs=1e-5)
+
+
+def test_all_backends_and_both_equations_have_one_fixed_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    block, factors = drawn(1), []
+    for backend in ("graph", "schur", "dense"):
+        found = estimated(block, backend=backend).components
+        assert found is not None and found.exact
+        factors.append([c.factor for c in found.components])
+    np.testing.assert_allclose(factors[1:], factors[:1] * 2, rtol=1e-7)
+    monkeypatch.setattr(module, "EXACT_ROWS", 0)  # Foerstner's equation, as for large blocks
+    found = estimated(block).components
+    assert found is not None and not found.exact
+    assert [c.factor for c in found.components] == pytest.approx(factors[0], rel=1e-4)
+    assert "lower bounds" in found.sentences[-1]
+
+
+def test_groups_by_image_and_of_priors() -> None:
+    rng = np.random.default_rng(5)
+    block = planted().draw(rng)
+    o = block.observations
+    noise = rng.normal(size=(2, len(o))) * (o.image == 1) * 2.0
+    block = replace(block, observations=replace(o, line=o.line + noise[0], sample=o.sample + noise[1]))
+    found = fg.adjust(block, variance_components=("image_by_image", "control", "priors"), **DENSE).components
+    assert found is not None
+    assert [c.group for c in found.components] == ["image left", "image right", "control", "prior RPC shift"]
+    assert found.factor("image right") > 2.0 * found.factor("image left")
+    shift = fg.adjust(block, variance_components=("priors",), **DENSE)
+    assert shift.block.options.rpc_shift_sigma_px == pytest.approx(20.0 * shift.components.factor("prior RPC shift"))
+
+
+def test_too_little_redundancy_is_held_and_said() -> None:
+    known = planted().block.points.known
+    sigma = known.sigma_enu_m * [1e-3, 1e-3, 1.0]
+    block = drawn(2, image=1.0, position=1e-3, height=1.0)
+    block = replace(block, points=replace(block.points, known=replace(block.points.known, sigma_enu_m=sigma)))
+    solution = estimated(block)
+    components = solution.components
+    assert components is not None
+    position = {c.group: c for c in components.components}["position"]
+    assert (position.factor, position.sd) == (1.0, None)
+    assert "redundancy of 0.0" in position.held
+    assert any("position is held" in text for text in solution.warnings)
+
+
+def with_sigmas(block: Block, image: float, control: float) -> Block:
+    """Other given sigmas, the same errors."""
+    o, known = block.observations, block.points.known
+    o = replace(o, sigma_line_px=image * o.sigma_line_px, sigma_sample_px=image * o.sigma_sample_px)
+    known = replace(known, sigma_enu_m=control * known.sigma_enu_m)
+    return replace(block, observations=o, points=replace(block.points, known=known))
+
+
+def test_the_start_does_not_matter() -> None:
+    """Given sigmas of image points and coordinates wrong by 100, against each other."""
+    block = drawn(1)
+    right, wrong = estimated(block).components, estimated(with_sigmas(block, 10.0, 0.1)).components
+    assert right is not None and wrong is not None
+    given = [10.0, 0.1, 0.1]
+    assert [c.factor * g for c, g in zip(wrong.components, given, strict=True)] == pytest.approx(
+        [c.factor for c in right.components], rel=1e-4
+    )
+    assert [c.sd * g for c, g in zip(wrong.components, given, strict=True) if c.sd] == pytest.approx(
+        [c.sd for c in right.components], rel=1e-3
+    )
+
+
+@pytest.mark.parametrize(("factors", "code"), [
+    ({"image": 1e-9, "position": 1.0, "height": 1.0}, "statistics.component_negative"),
+    ({"image": 1.0, "position": 1.0, "height": 1.0}, "statistics.component_explodes"),
+])  # fmt: skip
+def test_what_cannot_be_estimated_is_refused_in_words(factors: dict[str, float], code: str) -> None:
+    block = drawn(3, **factors)
+    if code.endswith("explodes"):
+        block = with_sigmas(block, 1e-5, 1e-5)
+    with pytest.raises(fg.NoSolutionError) as caught:
+        estimated(block)
+    assert caught.value.problems[0].code == code
+
+
+@pytest.mark.parametrize(("options", "code"), [
+    ({"variance_components": ("pixels",)}, "statistics.groups"),
+    ({"variance_components": ("image", "image_by_image")}, "statistics.groups_overlap"),
+    ({"variance_components": ("control", "height")}, "statistics.groups_overlap"),
+    ({"variance_components": ("image",), "loss": "huber"}, "statistics.components_loss"),
+])  # fmt: skip
+def test_impossible_choices(options: dict[str, object], code: str) -> None:
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(planted().block, **{**DENSE, **options})
+    assert caught.value.problems[0].code == code
+
+
+def test_medians_withstand_gross_errors() -> None:
+    """A sixth of the image points 30 px wrong; control points twice as good as image points leave them no place."""
+    block = drawn(4, image=1.0, position=0.1, height=0.1)
+    known, o = block.points.known, block.observations
+    block = replace(
+        block, observations=replace(o, sample=o.sample + 30.0 * (np.arange(len(o)) % 6 == 0)),
+        points=replace(block.points, known=replace(known, sigma_enu_m=0.1 * known.sigma_enu_m)),
+        options=replace(block.options, variance_components=("image",)),
+    )  # fmt: skip
+
+    def run(b: Block, begin: object) -> fg.Solution:
+        return fg.adjust(b, **DENSE)
+
+    sums, medians = (adjust_with_components(block, run, method=m).components for m in ("helmert", "median"))
+    assert sums is not None and medians is not None
+    assert sums.factor("image") > 10.0
+    assert 0.7 < medians.factor("image") < 2.0
+    assert medians.components[0].sd is None
+
+
+def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.Solution) -> None:
+    """c_j = dVar / ds_j^2 of the error estimated with the weights held fixed, from full matrices."""
+    problem, state, cofactors, components = solution.problem, solution.state, solution.cofactors, solution.components
+    assert cofactors is not None and components is not None
+    residuals = Residuals(problem, state, cofactors, groups_of(problem, GROUPS))
+    found = suspects(problem, state, cofactors)
+    nu = freedoms(residuals, found, components)
+    _, a = assemble(problem, state)
+    n, row = len(a), 7
+    e = np.zeros((n, 1))
+    e[2 * row] = 1.0  # line of image point 7 alone
+    full = np.hstack([a / np.linalg.norm(a, axis=0), e])
+    estimator = np.linalg.pinv(full)[-1]
+    labels = np.concatenate([np.zeros(188, int), np.repeat([1], 141), np.full(n - 188 - 141, 3)])
+    share = np.array([np.sum(estimator[labels == k] ** 2) for k in (0, 1)]) / np.sum(estimator**2)
+    line = replace(found[0], columns=found[0].columns[:, :, :1])
+    one = freedoms(residuals, [line], components)[row]
+    r = residuals.projector()
+    assert r is not None
+    c = np.bincount(np.where(residuals.labels < 0, 3, residuals.labels), r[:, 2 * row] ** 2 / r[2 * row, 2 * row])
+    assert [c[0], c[1] + c[2]] == pytest.approx(share, rel=1e-6)
+    assert one == pytest.approx(2.0 / (c[:3] @ components.covariance @ c[:3]), rel=1e-9)
+    assert nu.max() < problem.redundancy  # less is known of a mixture than of one unit weight
+    tests = solution.outlier_tests()
+    assert tests.critical.max() > fg.adjust(solution.block, variance_components=(), **DENSE).outlier_tests().critical.max()
+
+
+def false_alarms(seeds: range, level: float) -> tuple[int, int]:
+    """Alarms and tests of good blocks whose sigmas are estimated."""
+    alarms, total = 0, 0
+    for seed in seeds:
+        tests = estimated(drawn(seed)).outlier_tests(level=level, control="none")
+        alarms, total = alarms + len(tests.suspicious()), total + tests.n_tested
+    return alarms, total
+
+
+@pytest.mark.slow
+def test_false_alarms_with_estimated_components() -> None:
+    """Rate of alarms at 1 % each, 100 blocks of 188 tests: within five deviations of independent tests."""
+    alarms, total = false_alarms(range(3000, 3100), 0.01)
+    print(f"\n{alarms} alarms in {total} tests: {100 * alarms / total:.2f} %")
+    assert abs(alarms - 0.01 * total) < 5.0 * np.sqrt(0.01 * total)
+
+
+def test_gross_errors_are_found_although_sigmas_are_unknown() -> None:
+    block = drawn(6, image=1.0, position=1.0, height=1.0)
+    o, known = block.observations, block.points.known
+    o = replace(o, sample=o.sample + 15.0 * (np.arange(len(o)) == 11))
+    block = replace(block, observations=o, points=replace(block.points, known=known))
+    from fg_orient.snooping import snoop
+
+    found = snoop(block, variance_components=GROUPS, **DENSE)
+    image, point = block.images[int(o.image[11])].id, block.points.ids[int(o.point[11])]
+    assert [test.name for test in found.found] == [f"point {point} in image {image}"]
+    assert found.solution.components is not None
+    assert found.solution.components.factor("image") == pytest.approx(1.0, abs=0.3)
