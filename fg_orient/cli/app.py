@@ -11,7 +11,19 @@ from typing import Annotated, NoReturn
 import typer
 
 import fg_orient
-from fg_orient.cli import adjust, checks, compare, geometry, rectify, reduce, reports, reproduce, rpc, simulate
+from fg_orient.cli import (
+    adjust,
+    checks,
+    closerange,
+    compare,
+    geometry,
+    rectify,
+    reduce,
+    reports,
+    reproduce,
+    rpc,
+    simulate,
+)
 from fg_orient.cli.common import INTERRUPTED, emit_errors, note
 from fg_orient.errors import InputError
 
@@ -31,6 +43,7 @@ app.command("intersect")(geometry.intersect)
 app.add_typer(simulate.app, name="simulate")
 app.add_typer(rpc.app, name="rpc")
 app.add_typer(rectify.app, name="rectify")
+app.add_typer(closerange.app, name="closerange")
 app.command("validate")(checks.validate)
 app.command("doctor")(checks.doctor)
 app.command("report")(reports.report)

@@ -128,7 +128,7 @@ def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
     unknown = sorted(set(overrides) - set(_TABLE_OF))
     if unknown:
         raise TypeError(f"read_project() has no option {unknown[0]!r}; known: {', '.join(_TABLE_OF)}")
-    content = _parse(path)
+    content = parse_toml(path)
     for name, value in overrides.items():
         if value is not None:
             table = content.setdefault(_TABLE_OF[name], {})
@@ -149,7 +149,14 @@ def _blame(found: Problem, overrides: Mapping[str, object]) -> Problem:
     return found
 
 
-def _parse(path: Path) -> dict[str, Any]:
+def parse_toml(path: Path) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is no TOML.
+    """
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:

@@ -141,15 +141,20 @@ def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Problem,
     try:
         return ProjectFile.model_validate(content)
     except ValidationError as error:
-        places: dict[str, Problem] = {}
-        for detail in error.errors(include_url=False, include_context=False):
-            found = _problem(detail["type"], detail["loc"], detail["input"], file)
-            places.setdefault(found.place, found)  # a union reports one fault per member
-        return tuple(places.values())
+        return problems_of(error, file, ProjectFile)
 
 
-def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str) -> Problem:
-    path, field, siblings = _walk(loc)
+def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tuple[Problem, ...]:
+    """Every fault of a file that should have been a ``root``, with its place and remedy."""
+    places: dict[str, Problem] = {}
+    for detail in error.errors(include_url=False, include_context=False):
+        found = _problem(detail["type"], detail["loc"], detail["input"], file, root)
+        places.setdefault(found.place, found)  # a union reports one fault per member
+    return tuple(places.values())
+
+
+def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, root: type[BaseModel]) -> Problem:
+    path, field, siblings = _walk(loc, root)
     if kind == "extra_forbidden":
         hint = did_you_mean(path.rpartition(".")[2], siblings)
         return problem("project.unknown_key", file=file, place=path, value=value, hint=hint)
@@ -161,10 +166,10 @@ def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str) ->
     return problem("project.value", file=file, place=path, value=repr(value), expected=expected)
 
 
-def _walk(loc: tuple[int | str, ...]) -> tuple[str, FieldInfo | None, list[str]]:
+def _walk(loc: tuple[int | str, ...], root: type[BaseModel]) -> tuple[str, FieldInfo | None, list[str]]:
     """Path such as ``images[1].metadata``, the field's definition and the names beside it."""
     path, field, siblings = "", None, list[str]()
-    table: type[BaseModel] | None = ProjectFile
+    table: type[BaseModel] | None = root
     for step in loc:
         if isinstance(step, int):
             path += f"[{step + 1}]"

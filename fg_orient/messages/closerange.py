@@ -66,4 +66,11 @@ CLOSERANGE: Final = {
         "measure points that fill the common part of both photos, at several depths",
     ),
     "closerange.line": ("the points lie on a line or at one place", "add points beside it"),
+    "closerange.no_camera": ("the photo has no camera", "give its focal, principal and y_axis"),
+    "closerange.not_oriented": (
+        "the photo is not oriented",
+        "give rotation, centre_m and focal, or matrix and origin_m: closerange dlt and resect write them",
+    ),
+    "closerange.no_photo": ("the file has no such photo", "photos in it: {known}"),
+    "closerange.prior_text": ("not an observed parameter", "write it as name=value:sigma, for instance b=0.845:0.001"),
 }

@@ -104,6 +104,6 @@ SOURCE: Final = Source(
     TABLES,
     "Recomputed in double precision from the measurements that the thesis prints: comparator and refined image "
     "coordinates, cameras, geodetic points. Single precision of its program, or a model with other parameters, is "
-    "stated as a spread beside the number. Control points and image coordinates of most applications are not printed. The "
-    "range is the stated spread, if any.",
+    "stated as a spread beside the number. Control points and image coordinates of most applications are not printed. "
+    "The range is the stated spread, if any.",
 )

@@ -1,0 +1,209 @@
+"""Commands ``closerange dlt``, ``resect``, ``intersect`` and ``surface``: photos of close range and surfaces."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.errors import InputError
+
+app = typer.Typer(help="Close range: DLT, resection, intersection, surfaces of the second degree.")
+
+Control = Annotated[
+    Path,
+    typer.Argument(
+        metavar="POINTS", show_default=False,
+        help="CSV: id,x,y,x_m,y_m,z_m; photo, role (control, check), sigma_x and sigma_y if wanted.",
+    ),
+]  # fmt: skip
+Photos = Annotated[Path, typer.Argument(metavar="PHOTOS", show_default=False, help="TOML with [[photos]].")]
+Sigma = Annotated[
+    float, typer.Option(metavar="S", help="Of image coordinates without a sigma of their own, in their unit.")
+]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results.")]
+
+
+@app.command("dlt")
+def dlt(
+    points: Control,
+    distortion: Annotated[
+        str, typer.Option(metavar="NAMES", help="Unknown coefficients: k1,k2,k3,p1,p2; none if not given.")
+    ] = "",
+    direct: Annotated[bool, typer.Option("--direct", help="The direct linear solution, not iterated.")] = False,
+    sigma: Sigma = 1.0,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Orient photos of unknown cameras by a direct linear transformation."""
+    with outcome(as_json, debug):
+        from fg_orient.closerange.job import run_dlt
+
+        names = [word.strip() for word in distortion.split(",") if word.strip()]
+        record = run_dlt(points, distortion=names, sigma=_positive("--sigma", sigma), iterate=not direct, out=out,
+                         overwrite=overwrite, command=_command())  # fmt: skip
+        _finish(record, as_json, _show_photos)
+
+
+@app.command("resect")
+def resect(
+    points: Control,
+    camera: Photos,
+    sigma: Sigma = 1.0,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Orient photos of known cameras by control points."""
+    with outcome(as_json, debug):
+        from fg_orient.closerange.job import run_resect
+
+        record = run_resect(points, camera, sigma=_positive("--sigma", sigma), out=out, overwrite=overwrite,
+                            command=_command())  # fmt: skip
+        _finish(record, as_json, _show_photos)
+
+
+@app.command("intersect")
+def intersect(
+    points: Annotated[
+        Path,
+        typer.Argument(metavar="POINTS", show_default=False, help="CSV: id,photo,x,y; sigma_x and sigma_y if wanted."),
+    ],
+    photos: Photos,
+    sigma: Sigma = 1.0,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Intersect points of oriented photos."""
+    with outcome(as_json, debug):
+        from fg_orient.closerange.job import run_intersect
+
+        record = run_intersect(points, photos, sigma=_positive("--sigma", sigma), out=out, overwrite=overwrite,
+                               command=_command())  # fmt: skip
+        _finish(record, as_json, _show_points)
+
+
+@app.command("surface")
+def surface(
+    points: Annotated[
+        Path,
+        typer.Argument(
+            metavar="POINTS", show_default=False, help="CSV: id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted."
+        ),
+    ],
+    kind: Annotated[Literal["sphere", "spheroid", "ellipsoid", "quadric"], typer.Option(help="Kind of surface.")],
+    axis: Annotated[Literal["x", "y", "z", "free"], typer.Option(help="Axis of a spheroid.")] = "y",
+    method: Annotated[
+        Literal["geometric", "algebraic"], typer.Option(help="Distances to the surface, or conditions (Ayhan 1996).")
+    ] = "geometric",
+    sigma: Annotated[float, typer.Option(metavar="M", help="Of coordinates without a sigma of their own, m.")] = 1.0,
+    prior: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE:SIGMA", help="Observed parameter, m; repeatable.")
+    ] = None,
+    out: Out = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Fit a sphere, spheroid, ellipsoid or quadric to points."""
+    with outcome(as_json, debug):
+        from fg_orient.closerange.job import run_surface
+
+        record = run_surface(points, kind, axis=axis, method=method, sigma_m=_positive("--sigma", sigma),
+                             priors=_priors(prior or []), out=out, overwrite=overwrite, command=_command())  # fmt: skip
+        _finish(record, as_json, _show_surface)
+
+
+def _command() -> list[str]:
+    return ["fg-orient", *sys.argv[1:]]
+
+
+def _positive(place: str, value: float) -> float:
+    if not (value > 0.0 and value != float("inf")):
+        raise InputError.of("closerange.sigma", place=place, value=value)
+    return value
+
+
+def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Priors of NAME=VALUE:SIGMA."""
+    out = {}
+    for text in texts:
+        name, equals, rest = text.partition("=")
+        value, colon, sigma = rest.partition(":")
+        try:
+            if not (equals and colon):
+                raise ValueError
+            out[name.strip()] = float(value), float(sigma)
+        except ValueError:
+            raise InputError.of("closerange.prior_text", place="--prior", value=text) from None
+    return out
+
+
+def _finish(record: dict[str, Any], as_json: bool, show: Any) -> None:
+    if as_json:
+        emit(record)
+        return
+    show(record)
+    if record["out"]:
+        say(f"written: {record['out']}")
+
+
+def _m0(record: dict[str, Any]) -> str:
+    return "-" if record["m0"] is None else f"{record['m0']:.4g}"
+
+
+def _show_photos(record: dict[str, Any]) -> None:
+    for photo in record["photos"]:
+        say(f"photo {photo['photo'] or '-'}: {len(photo['points'])} points, redundancy {photo['redundancy']}, "
+            f"m0 {_m0(photo)}, condition {photo['condition']:.3g}")  # fmt: skip
+        rows = [(p["name"], f"{p['value']:.8g}", _short(p["sigma"])) for p in photo.get("parameters", [])]
+        inner, outer = photo.get("interior"), photo["exterior"]
+        if inner:
+            rows += [(f"principal {axis}", f"{v:.4f}", _short(s)) for axis, v, s in
+                     zip("xy", inner["principal"], inner["sigma_principal"], strict=True)]  # fmt: skip
+            rows += [(name, f"{inner[name]:.4f}", _short(inner[f"sigma_{name}"])) for name in ("cx", "cy")]
+        rows += [(f"centre {axis}, m", f"{v:.4f}", _short(s)) for axis, v, s in
+                 zip("XYZ", outer["centre_m"], outer["sigma_centre_m"], strict=True)]  # fmt: skip
+        rows += [(f"{name}, deg", f"{outer[f'{name}_deg']:.5f}", "") for name in ("omega", "phi", "kappa")]
+        table("", ("", "value", "sigma"), rows)
+        _warn(photo)
+
+
+def _show_points(record: dict[str, Any]) -> None:
+    say(f"{len(record['points'])} points, redundancy {record['redundancy']}, m0 {_m0(record)}")
+    names = ("x_m", "y_m", "z_m")
+    rows = [(p["id"], *(number(p[n], 4) for n in names), *(_short(p[f"sigma_{n}"]) for n in names), p["rays"])
+            for p in record["points"]]  # fmt: skip
+    table("", ("id", "X", "Y", "Z", "sX", "sY", "sZ", "rays"), rows)
+    _warn(record)
+
+
+def _show_surface(record: dict[str, Any]) -> None:
+    say(f"{record['surface']['shape']}: {len(record['points'])} points, redundancy {record['redundancy']}, "
+        f"m0 {_m0(record)}, condition {record['condition']:.3g}")  # fmt: skip
+    table(
+        "", ("", "value", "sigma"), [(p["name"], f"{p['value']:.6f}", _short(p["sigma"])) for p in record["parameters"]]
+    )
+    worst = max(record["points"], key=lambda p: abs(p["distance_m"]))
+    along = ", ".join(f"{1e3 * v:.2f}" for v in record["rms_deviation_m"])
+    say(f"normal distances: rms {1e3 * record['rms_m']:.2f} mm, largest {1e3 * worst['distance_m']:.2f} mm at "
+        f"{worst['id']}; rms along X, Y, Z {along} mm")  # fmt: skip
+    _warn(record)
+
+
+def _short(value: Any) -> str:
+    return "-" if value is None else f"{value:.2g}"
+
+
+def _warn(record: dict[str, Any]) -> None:
+    for text in record["warnings"]:
+        note(f"warning: {text}")

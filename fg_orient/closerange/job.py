@@ -1,0 +1,301 @@
+"""What the commands do: read a table, compute, give the record, write the folder."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.closerange.axes import aerial_from_rotation
+from fg_orient.closerange.dlt import DltFit, fit_dlt
+from fg_orient.closerange.files import (
+    GROUND,
+    Observed,
+    interiors,
+    oriented_photos,
+    photo_text,
+    read_control,
+    read_ground_points,
+    read_image_points,
+)
+from fg_orient.closerange.fitting import plain_rms
+from fg_orient.closerange.intersection import intersect_photos
+from fg_orient.closerange.photo import Photo
+from fg_orient.closerange.resection import Resection, resect
+from fg_orient.closerange.surface import Kind
+from fg_orient.closerange.surface_fit import Method, Priors, fit_surface
+from fg_orient.errors import InputError
+from fg_orient.io.folder import Contents, require_free, staged_folder, writing
+from fg_orient.io.photos import read_photos
+from fg_orient.linear.threads import one_blas_thread
+from fg_orient.run.json import dumps
+from fg_orient.run.provenance import versions
+
+Array = npt.NDArray[np.float64]
+Record = dict[str, Any]
+T = TypeVar("T")
+
+SCHEMA: Final = 1
+CONTENTS: Final = Contents("closerange.json", ("closerange.json", "points.csv", "photos.toml"))
+NO_REDUNDANCY: Final = "no redundancy: standard deviations follow from nothing"
+
+
+def run_dlt(
+    path: Path, *, distortion: Sequence[str] = (), sigma: float = 1.0, iterate: bool = True, out: Path | None = None,
+    overwrite: bool = False, command: Sequence[str] = (),
+) -> Record:  # fmt: skip
+    """Fit a DLT to each photo of a table of control points.
+
+    Parameters
+    ----------
+    path : Path
+        See :func:`fg_orient.closerange.files.read_control`.
+    distortion : sequence of str
+        Unknown coefficients.
+    sigma : float
+        Of image coordinates, where the table has none.
+    iterate : bool
+        False: the direct linear solution.
+    out, overwrite, command
+        Folder of the results; replace it; words of the command line, for the record.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        See :func:`fg_orient.closerange.dlt.fit_dlt`.
+    """
+    table, texts = _begin(path, read_control, out, overwrite), list[str]()
+
+    def one(name: str, rows: Array, weights: Array) -> Record:
+        used = rows[~table.check[rows]]
+        found = fit_dlt(table.ground[used], table.image[used], sigma=weights[~table.check[rows]],
+                        distortion=distortion, name=name, iterate=iterate)  # fmt: skip
+        texts.append(photo_text(found.photo))
+        return _dlt_record(found) | _photo_points(table, rows, found.photo)
+
+    photos = _each_photo(table, sigma, one)
+    return _end({"kind": "dlt", "photos": photos}, path, table, out, overwrite, command, texts)
+
+
+def _dlt_record(found: DltFit) -> Record:
+    r, sd = found.recovered, found.sigma
+    s = r.sigma or dict.fromkeys(("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z"))
+    return {
+        "photo": found.photo.name, **_fit_facts(found),
+        "parameters": [
+            {"name": n, "value": v, "sigma": None if sd is None else float(sd[k])}
+            for k, (n, v) in enumerate(zip(found.names, found.values.tolist(), strict=True))
+        ],
+        "origin_m": found.photo.origin_m.tolist(),
+        "interior": {
+            "principal": r.principal.tolist(), "sigma_principal": [s["x0"], s["y0"]], "cx": r.cx, "sigma_cx": s["cx"],
+            "cy": r.cy, "sigma_cy": s["cy"], "skew_rad": r.skew, "sigma_skew_rad": s["skew"], "y_axis": r.y_axis,
+        },
+        "exterior": _exterior(r.rotation, r.centre_m, [s["turn_x"], s["turn_y"], s["turn_z"]],
+                              [s["X0"], s["Y0"], s["Z0"]]),
+    }  # fmt: skip
+
+
+def run_resect(
+    path: Path, camera: Path, *, sigma: float = 1.0, out: Path | None = None, overwrite: bool = False,
+    command: Sequence[str] = (),
+) -> Record:  # fmt: skip
+    """Orient each photo of a table of control points by its camera.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        See :func:`fg_orient.closerange.resection.resect`; a photo without a camera.
+    """
+    table, texts = _begin(path, read_control, out, overwrite), list[str]()
+    cameras = interiors(read_photos(camera))
+
+    def one(name: str, rows: Array, weights: Array) -> Record:
+        interior, used = _of_name(cameras, name, camera), rows[~table.check[rows]]
+        found = resect(interior, table.ground[used], table.image[used], sigma=weights[~table.check[rows]], name=name)
+        texts.append(photo_text(found.photo, interior, found.rotation))
+        return _resection_record(found) | _photo_points(table, rows, found.photo)
+
+    photos = _each_photo(table, sigma, one)
+    return _end({"kind": "resection", "photos": photos}, path, table, out, overwrite, command, texts)
+
+
+def _resection_record(found: Resection) -> Record:
+    sd = found.sigma
+    turns, centre = ([None] * 3, [None] * 3) if sd is None else (sd[:3].tolist(), sd[3:].tolist())
+    return {"photo": found.photo.name, **_fit_facts(found),
+            "exterior": _exterior(found.rotation, found.centre_m, turns, centre)}  # fmt: skip
+
+
+def run_intersect(
+    path: Path, photos: Path, *, sigma: float = 1.0, out: Path | None = None, overwrite: bool = False,
+    command: Sequence[str] = (),
+) -> Record:  # fmt: skip
+    """Intersect the points of a table by oriented photos.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        See :func:`fg_orient.closerange.intersection.intersect_photos`; a photo that the file does not have.
+    """
+    table = _begin(path, read_image_points, out, overwrite)
+    known = oriented_photos(read_photos(photos))
+    names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys(table.ids))
+    which, of = [names.index(name) for name in table.photos], [ids.index(name) for name in table.ids]
+    weights = _weights(table, sigma)
+    with one_blas_thread():
+        found = intersect_photos([_of_name(known, n, photos) for n in names], which, of, table.image, sigma=weights,
+                                 ids=ids)  # fmt: skip
+    rms, sd = [np.linalg.norm(found.residuals[np.array(of) == k]) for k in range(len(ids))], found.sigma_m
+    points = [
+        {"id": name, **_xyz(found.points_m[k]), **_xyz(None if sd is None else sd[k], "sigma_"),
+         "rays": of.count(k), "misfit": float(rms[k] / np.sqrt(of.count(k)))}
+        for k, name in enumerate(ids)
+    ]  # fmt: skip
+    record = {"kind": "intersection", "m0": found.m0, "redundancy": found.redundancy, "iterations": found.iterations,
+              "points": points, "warnings": [] if found.m0 is not None else [NO_REDUNDANCY]}  # fmt: skip
+    return _end(record, path, table, out, overwrite, command)
+
+
+def run_surface(
+    path: Path, kind: Kind, *, axis: str = "y", method: Method = "geometric", sigma_m: float = 1.0,
+    priors: Priors | None = None, out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
+) -> Record:  # fmt: skip
+    """Fit a surface to the points of a table.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        See :func:`fg_orient.closerange.surface_fit.fit_surface`.
+    """
+    table = _begin(path, read_ground_points, out, overwrite)
+    weights = np.full((len(table), 3), sigma_m) if table.sigma is None else table.sigma
+    with one_blas_thread():
+        found = fit_surface(table.ground, kind, axis=axis, sigma_m=weights, method=method, priors=priors)
+    sd = found.sigma
+    record: Record = {
+        "kind": "surface", "surface": found.surface.as_dict(), "method": method,
+        "axis": axis if kind == "spheroid" else None, "m0": found.m0, "redundancy": found.redundancy,
+        "condition": found.condition, "iterations": found.iterations, "rms_m": found.rms_m,
+        "rms_deviation_m": plain_rms(found.deviations_m),
+        "parameters": [
+            {"name": name, "value": value, "sigma": None if sd is None else float(sd[k])}
+            for k, (name, value) in enumerate(zip(found.names, found.values.tolist(), strict=True))
+        ],
+        "points": [
+            {"id": name, **_xyz(table.ground[k]), **_xyz(found.deviations_m[k], "deviation_"),
+             "distance_m": float(found.distances_m[k])}
+            for k, name in enumerate(table.ids)
+        ],
+        "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
+    }  # fmt: skip
+    return _end(record, path, table, out, overwrite, command)
+
+
+# --- what they share -------------------------------------------------------------------------------
+
+
+def _begin(path: Path, read: Callable[[Path], Observed], out: Path | None, overwrite: bool) -> Observed:
+    if out is not None:
+        require_free(out, overwrite=overwrite, contents=CONTENTS)
+    return read(path)
+
+
+def _weights(table: Observed, sigma: float) -> Array:
+    """Sigmas (n, 2) of the image coordinates: the table's, or one for all."""
+    return np.full((len(table), 2), sigma) if table.sigma is None else table.sigma
+
+
+def _each_photo(table: Observed, sigma: float, one: Callable[[str, Any, Array], Record]) -> list[Record]:
+    """Records of the photos in the order of the table; faults name the photo."""
+    weights, out = _weights(table, sigma), []
+    with one_blas_thread():
+        for name in dict.fromkeys(table.photos):
+            rows = np.flatnonzero(np.array(table.photos, dtype=object) == name)
+            try:
+                out.append(one(name, rows, weights[rows]))
+            except InputError as error:
+                raise _in_photo(error, name) from None
+    return out
+
+
+def _in_photo(error: InputError, name: str) -> InputError:
+    """Put the name of the photo to a fault."""
+    if not name:
+        return error
+    return InputError(*(replace(p, place=f"photo {name}, {p.place}".rstrip(", ")) for p in error.problems))
+
+
+def _of_name(known: Mapping[str, T], name: str, path: Path) -> T:
+    """A photo of a file; the only one if the table names none."""
+    if not name and len(known) == 1:
+        return next(iter(known.values()))
+    if name not in known:
+        raise InputError.of("closerange.no_photo", file=path, place="photos", value=name or "no name",
+                            known=", ".join(known))  # fmt: skip
+    return known[name]
+
+
+def _fit_facts(found: DltFit | Resection) -> Record:
+    return {
+        "m0": found.m0, "redundancy": found.redundancy, "condition": found.condition, "iterations": found.iterations,
+        "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
+    }  # fmt: skip
+
+
+def _exterior(rotation: Array, centre: Array, turns: Sequence[Any], sigma: Sequence[Any]) -> Record:
+    omega, phi, kappa = (float(np.degrees(angle)) for angle in aerial_from_rotation(rotation))
+    return {
+        "centre_m": centre.tolist(), "sigma_centre_m": list(sigma), "rotation": rotation.tolist(),
+        "sigma_turns_rad": list(turns), "omega_deg": omega, "phi_deg": phi, "kappa_deg": kappa,
+    }  # fmt: skip
+
+
+def _photo_points(table: Observed, rows: Array, photo: Photo) -> Record:
+    """Residuals of all points of a photo, computed minus measured, and their RMS by role."""
+    index = np.asarray(rows, np.intp)
+    residual = photo.project(table.ground[index]) - table.image[index]
+    check = table.check[index]
+    points = [
+        {"id": table.ids[k], "role": "check" if table.check[k] else "control", "residual_x": float(r[0]),
+         "residual_y": float(r[1])}
+        for k, r in zip(index.tolist(), residual, strict=True)
+    ]  # fmt: skip
+    return {"rms": plain_rms(residual[~check]), "check_rms": plain_rms(residual[check]), "points": points}
+
+
+def _xyz(values: Array | None, prefix: str = "") -> Record:
+    numbers: Sequence[Any] = [None] * 3 if values is None else values.tolist()
+    return {f"{prefix}{name}": value for name, value in zip(GROUND, numbers, strict=True)}
+
+
+def _end(
+    record: Record, path: Path, table: Observed, out: Path | None, overwrite: bool, command: Sequence[str],
+    photos: Sequence[str] = (),
+) -> Record:  # fmt: skip
+    """Add what the record was made from, write the folder if one is wanted."""
+    record = {"schema": SCHEMA, **record, "input": {"file": path.name, "sha256": table.sha256}, "versions": versions(),
+              "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
+              "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds")}  # fmt: skip
+    if out is not None:
+        with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
+            (folder / "closerange.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
+            _write_points(folder / "points.csv", record)
+            if photos:
+                (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
+    return record | {"out": None if out is None else str(out)}
+
+
+def _write_points(path: Path, record: Record) -> None:
+    """Write all points as one table; None and nan are empty cells."""
+    rows = record.get("points") or [{"photo": p["photo"]} | row for p in record["photos"] for row in p["points"]]
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(rows[0])
+        writer.writerows(["" if v is None or v != v else v for v in row.values()] for row in rows)
