@@ -105,7 +105,7 @@ class _Rounds:
 
     def __init__(self, groups: Groups) -> None:
         size = len(groups.names)
-        self.groups, self.variance, self.kept = groups, np.ones(size), ("",) * size
+        self.groups, self.variance, self.kept = groups, np.ones(size), [False] * size
         self.negative, self.worst = np.zeros(size, int), 0
 
     def stands(self, found: Round) -> bool:
@@ -119,9 +119,7 @@ class _Rounds:
         """Take over what a round found."""
         held = np.array([bool(text) for text in found.held], bool)
         reset = held & (self.variance != 1.0)
-        self.kept = tuple(
-            text if again else kept for text, again, kept in zip(found.held, reset, self.kept, strict=True)
-        )
+        self.kept = [bool(k or again) for k, again in zip(self.kept, reset, strict=True)]
         self.variance = np.where(held, 1.0, self.variance * found.variance)
         self.negative = np.where(found.negative, self.negative + 1, 0)
 

@@ -14,11 +14,12 @@ elsewhere, and for variances that Helmert's make negative. A round of either nee
 
 What is not named in ``groups`` has the sigmas that it was given. A component whose estimate is not above its own
 standard deviation has too little redundancy: it is held. The robust variant puts medians in the place of sums; half
-of a group may then be grossly wrong, if their errors stay in the residuals of their own group.
+of a group may then be grossly wrong, if their errors neither move the solution nor leave their own group.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal
@@ -284,7 +285,7 @@ class Round:
 
 
 def one_round(
-    residuals: Residuals, method: Method = "helmert", *, keep: tuple[str, ...] = (), judge: bool = True
+    residuals: Residuals, method: Method = "helmert", *, keep: Sequence[bool] = (), judge: bool = True
 ) -> Round:
     """Estimate the components from one solution.
 
@@ -292,8 +293,8 @@ def one_round(
     ----------
     residuals : Residuals
     method : str
-    keep : tuple of str
-        Why a component is held in any case, one text per group.
+    keep : sequence of bool
+        Components that are held in any case.
     judge : bool
         False: hold nothing but what nothing checks. Helmert's equations are unbiased for any weights and find sigmas
         that are wrong by orders of magnitude, although these leave a group no redundancy.
@@ -303,9 +304,8 @@ def one_round(
     s = np.diag(np.append(r, 0.0)) if shared is None else shared
     medians = residuals.medians() if method == "median" else np.ones(len(r))
     nothing = (r <= CHECKED) | np.isnan(medians)
-    held = list(keep) or [""] * len(r)
-    held = [text or ("nothing checks them" if none else "") for text, none in zip(held, nothing, strict=True)]
-    free, inverse = _hold(s[:-1, :-1], r, held, judge)
+    held = ["nothing checks them" if none else "" for none in nothing]
+    free, inverse = _hold(s[:-1, :-1], r, held, keep, judge)
     variance, negative = np.ones(len(r)), np.zeros(len(r), bool)
     if free.any():
         known = s[:-1][:, [*np.flatnonzero(~free), len(r)]].sum(axis=1)[free]
@@ -318,11 +318,14 @@ def one_round(
     return Round(variance, negative & (method == "helmert"), tuple(held), covariance, count, r, shared is not None)
 
 
-def _hold(s: Array, r: Array, held: list[str], judge: bool) -> tuple[npt.NDArray[np.bool_], Array]:
+def _hold(
+    s: Array, r: Array, held: list[str], keep: Sequence[bool], judge: bool
+) -> tuple[npt.NDArray[np.bool_], Array]:
     """Hold components, the worst first, until each estimate is above its own standard deviation.
 
     Adds to ``held`` why; gives what is free and the inverse of its S.
     """
+    kept = np.array(keep or [False] * len(r), bool)
     while True:
         free = np.array([not text for text in held], bool)
         scale = np.sqrt(np.outer(r[free], r[free]))  # redundancies may differ by orders of magnitude
@@ -330,8 +333,8 @@ def _hold(s: Array, r: Array, held: list[str], judge: bool) -> tuple[npt.NDArray
         sd = np.zeros(len(r))
         # 1 / r: the least variance that there is, where S is singular
         sd[free] = np.sqrt(2.0 * np.maximum(np.diag(inverse), 1.0 / r[free]))
-        worst = int(np.argmax(sd))
-        if sd[worst] < 1.0 or not judge:
+        worst = int(np.argmax(np.where(kept & free, np.inf, sd)))
+        if not (kept & free).any() and (sd[worst] < 1.0 or not judge):
             return free, inverse
         held[worst] = f"a redundancy of {r[worst]:.1f} leaves its variance uncertain by {100.0 * sd[worst]:.0f} %"
 

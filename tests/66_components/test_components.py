@@ -64,7 +64,7 @@ def calibrated(errors: np.ndarray, stated: np.ndarray) -> bool:
 
 
 def test_planted_components_are_met_within_their_stated_deviations() -> None:
-    errors, stated = relative_errors(range(100, 108))
+    errors, stated = relative_errors(range(100, 106))
     assert calibrated(errors, stated)
     assert not calibrated(errors, stated / 16.0), "a standard deviation of a quarter must not pass"
     assert not calibrated(errors + 1.0, stated), "a variance twice as large must not pass"
@@ -86,22 +86,23 @@ def test_maximum_of_an_independent_restricted_likelihood() -> None:
     """The linear model at the solution as full matrices: -2 ln L = ln|V| + ln|A^T V^-1 A| + l^T P l, by scipy."""
     start = fg.adjust(drawn(1), **DENSE)
     problem = start.problem
-    l, a = assemble(problem, start.state)
+    given, a = assemble(problem, start.state)
     n = 2 * len(problem.observations)
     # rows of a control point are W (G - G_0), W upper triangular of East, North, Up in sigmas: turned back to the axes
     for k in range(int(problem.observed.sum())):
         rows = slice(n + 3 * k, n + 3 * k + 3)
         w = problem.control_records[k, :9].reshape(3, 3)
         sigma = problem.block.points.known.sigma_enu_m[k]
-        turn = problem.axes(problem.control_records[k : k + 1, 9:] + problem.origin_m)[0] / sigma[:, None] @ np.linalg.inv(w)
-        l[rows], a[rows] = turn @ l[rows], turn @ a[rows]
+        axes = problem.axes(problem.control_records[k : k + 1, 9:] + problem.origin_m)[0]
+        turn = axes / sigma[:, None] @ np.linalg.inv(w)
+        given[rows], a[rows] = turn @ given[rows], turn @ a[rows]
     a = a / np.linalg.norm(a, axis=0)
-    group = np.concatenate([np.zeros(n, int), np.tile([1, 1, 2], (len(l) - n - 4) // 3), np.full(4, 3)])
+    group = np.concatenate([np.zeros(n, int), np.tile([1, 1, 2], (len(given) - n - 4) // 3), np.full(4, 3)])
 
     def minus_two_log(log_factor: np.ndarray) -> float:
         weight = 1.0 / np.append(np.exp(log_factor), 1.0)[group]
         r = np.linalg.qr(a * weight[:, None])
-        v = l * weight
+        v = given * weight
         v = v - r.Q @ (r.Q.T @ v)
         return float(v @ v - 2.0 * np.log(weight).sum() + 2.0 * np.log(np.abs(np.diag(r.R))).sum())
 
@@ -110,7 +111,7 @@ def test_maximum_of_an_independent_restricted_likelihood() -> None:
     assert found is not None
     np.testing.assert_allclose([found.factor(name) for name in GROUPS], np.exp(best.x), rtol=2e-4)
     # the weights of heights wrong by 10 %: not the maximum
-    assert minus_two_log(best.x + [0.0, 0.0, 0.1]) > best.fun + 0.1
+    assert minus_two_log(best.x + np.array([0.0, 0.0, 0.1])) > best.fun + 0.1
 
 
 def test_after_the_rounds_each_group_has_the_squares_that_its_redundancy_says(solution: fg.Solution) -> None:
@@ -222,8 +223,10 @@ def test_medians_withstand_gross_errors() -> None:
     """A sixth of the image points 30 px wrong; control points twice as good as image points leave them no place."""
     block = drawn(4, image=1.0, position=0.1, height=0.1)
     known, o = block.points.known, block.observations
+    rows = np.arange(len(o))
+    error = np.where(rows % 6 == 0, 30.0, 0.0) * (-1.0) ** (rows // 6)  # both signs: the shift stays
     block = replace(
-        block, observations=replace(o, sample=o.sample + 30.0 * (np.arange(len(o)) % 6 == 0)),
+        block, observations=replace(o, sample=o.sample + error),
         points=replace(block.points, known=replace(known, sigma_enu_m=0.1 * known.sigma_enu_m)),
         options=replace(block.options, variance_components=("image",)),
     )  # fmt: skip
@@ -261,8 +264,8 @@ def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.
     assert [c[0], c[1] + c[2]] == pytest.approx(share, rel=1e-6)
     assert one == pytest.approx(2.0 / (c[:3] @ components.covariance @ c[:3]), rel=1e-9)
     assert nu.max() < problem.redundancy  # less is known of a mixture than of one unit weight
-    tests = solution.outlier_tests()
-    assert tests.critical.max() > fg.adjust(solution.block, variance_components=(), **DENSE).outlier_tests().critical.max()
+    known = fg.adjust(solution.block, variance_components=(), **DENSE)
+    assert solution.outlier_tests().critical.max() > known.outlier_tests().critical.max()
 
 
 def false_alarms(seeds: range, level: float) -> tuple[int, int]:
