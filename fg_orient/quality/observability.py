@@ -250,11 +250,19 @@ class BlockObservability:
 
     def deficiencies(self, problem: Problem) -> tuple[str, ...]:
         """One sentence per part with free motions, and one that names the parts, each with its remedy."""
-        priors = problem.block.options.priors
-        out = [f"{part_sentence(m, priors=priors)}; {m.remedy}" for m in self.motions]
-        if self.structure.n_parts > 1:
+        options = problem.block.options
+        carried = "inner constraints on the ground points carry them: standard deviations are relative"
+        out = [
+            f"{part_sentence(m, priors=options.priors)}; {carried if options.datum == 'inner' else m.remedy}"
+            for m in self.motions
+        ]
+        if self.structure.n_parts > 1 and (self.motions or not self._each_part_has_control(problem)):
             out.append(_parts_sentence(problem, self.structure))
         return tuple(out)
+
+    def _each_part_has_control(self, problem: Problem) -> bool:
+        known = self.structure.point_part[problem.observed | ~problem.active]
+        return len(np.unique(known[known >= 0])) == self.structure.n_parts
 
 
 #: Without priors, directions below this singular value are pointed out.

@@ -165,6 +165,12 @@ def test_images_of_a_pushbroom_pair_that_no_point_links() -> None:
     assert [p.place for p in error.problems] == ["image right: in no observation, its 3 unknowns are free"]
 
 
+def test_two_blocks_with_control_each_are_no_deficiency() -> None:
+    solution = fg.adjust(two_pinhole_blocks((0, 7, 12, 20, 25, 32, 37, 45)))
+    assert solution.block_view.structure.n_parts == 2
+    assert not any("parts" in text or "motion" in text for text in solution.warnings)
+
+
 # --- points seen once ---------------------------------------------------------------------------------
 
 

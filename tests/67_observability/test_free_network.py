@@ -86,6 +86,12 @@ def test_state_fulfils_the_inner_constraints_and_is_a_minimum(backend: str) -> N
     assert solution.chi2 == pytest.approx(r @ r, rel=1e-12)
 
 
+def test_network_says_what_its_standard_deviations_are() -> None:
+    (told,) = [text for text in solved("graph").warnings if "inner constraints" in text]
+    assert told.startswith("images 1, 2, 3, 4, no control point: 7 motions are free (shifted together X")
+    assert told.endswith("standard deviations are relative")
+
+
 def test_both_backends_give_the_same_network() -> None:
     a, b = solved("dense"), solved("graph")
     assert a.state.ground == pytest.approx(b.state.ground, abs=1e-9)
