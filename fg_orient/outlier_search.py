@@ -211,9 +211,14 @@ class _Rounds:
         return self._kept()[1]
 
     def state(self, last: State) -> State:
-        """Where the next adjustment begins: the last one's end, the first start for points that were not in it."""
-        missing = initial.missing_rows(last.ground)
-        return State(last.image, np.where(missing[:, None], self._full.start.ground, last.ground))
+        """Where the next adjustment begins: the last one's end, the first start for points that were not in it.
+
+        Points that are not in it either stay without coordinates.
+        """
+        ground = np.where(initial.missing_rows(last.ground)[:, None], self._full.start.ground, last.ground)
+        block = self.block()
+        part = np.isin(np.arange(len(ground)), block.observations.point[participates(block)])
+        return State(last.image, np.where(part[:, None], ground, np.nan))
 
     def concluded(self, solution: Solution) -> Solution:
         """Give the last solution with what was found."""

@@ -83,7 +83,7 @@ def prediction(
     suspect : Suspect
         Where the error is suspected.
     """
-    held = bool(np.isfinite(state.ground[point]).all()) or not full.active[point]
+    held = bool(rest.active[point] or not full.active[point])  # unknown there, or a constant
     x = (state if rest.active[point] else full.start).ground[point]
     if not held:
         x = _intersected(full, state, point, rows, control)

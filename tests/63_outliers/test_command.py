@@ -1,0 +1,107 @@
+"""``adjust --snoop`` from the project file to record, table and report."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
+from tests.support.command import in_process
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The twin's project; the line of point 05 is 8 px off in the left image."""
+    folder = tmp_path_factory.mktemp("snoop") / "twin"
+    simulate_zonguldak(folder, ZonguldakOptions())
+    path = folder / "observations.csv"
+    rows = list(csv.reader(path.read_text("utf-8").splitlines()))
+    for row in rows:
+        if row[:2] == ["left", "05"]:
+            row[2] = repr(float(row[2]) + 8.0)
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n", "utf-8")
+    return folder / "project.toml"
+
+
+def run(project: Path, out: Path, *words: object) -> Any:
+    return in_process("adjust", project, "--out", out, "--json", *words)
+
+
+def test_record_table_and_report(project: Path, tmp_path: Path) -> None:
+    """Left out in the first round, named everywhere, and the files are those of the last round."""
+    out = tmp_path / "result"
+    ended = run(project, out, "--snoop", "--backend", "schur")
+    assert ended.code == 0
+    record = ended.json
+    found = record["snooping"]
+    assert (found["n_left_out"], found["given_up"], len(found["rounds"])) == (1, None, 2)
+    assert found["rounds"][0]["left_out"] == "point 05 in image left"
+    assert found["rounds"][1]["left_out"] is None
+    assert found["rounds"][1]["sigma0"] == record["sigma0"]
+    assert found["found"][0]["error"] == pytest.approx([8.0, 0.0], abs=1.0)
+    assert any("snooping left out 1 observation(s)" in text for text in record["warnings"])
+    assert (record["outlier_tests"]["test"], record["outlier_tests"]["multiple_testing"]) == ("t", "sidak")
+    assert record["suspicious_observations"] == []
+    assert record["global_test"]["accepted"]
+    rows = list(csv.DictReader((out / "outliers.csv").read_text("utf-8").splitlines()))
+    assert [(r["round"], r["part"], r["image"], r["id"], r["readmitted"]) for r in rows] == [
+        ("1", "image", "left", "05", "")
+    ]
+    assert float(rows[0]["error_line_px"]) == found["found"][0]["error"][0]
+    assert rows[0]["error_up_m"] == ""
+    assert float(rows[0]["statistic_without"]) == pytest.approx(float(rows[0]["statistic"]), rel=0.01)
+    residuals = (out / "residuals.csv").read_text("utf-8")
+    assert "\nleft,05," not in residuals
+    assert "\nright,05," in residuals
+    assert "Search for gross errors" in (out / "report.html").read_text("utf-8")
+
+
+def test_options_of_the_project_file_and_the_line(project: Path, tmp_path: Path) -> None:
+    """Options stand in the file or on the line; a run without search has the suspicious ones and no table."""
+    text = project.read_text("utf-8")
+    chosen = project.with_name("chosen.toml")
+    lines = 'snoop = true\noutlier_test = "baarda"\noutlier_level = 0.001\nmultiple_testing = "none"\n'
+    assert "[adjustment]" in text
+    chosen.write_text(text.replace("[adjustment]\n", "[adjustment]\n" + lines), "utf-8")
+    record = run(chosen, tmp_path / "a").json
+    assert record["outlier_tests"]["level_each"] == 0.001
+    assert record["outlier_tests"]["test"] == "baarda"
+    assert record["snooping"]["n_left_out"] >= 1
+    plain = run(
+        project, tmp_path / "b", "--outlier-test", "pope", "--multiple-testing", "holm", "--outlier-level", 0.01
+    )
+    assert plain.json["snooping"] is None
+    assert plain.json["suspicious_observations"][0]["id"] == "05"
+    assert plain.json["suspicious_observations"][0]["symbol"] == "T/m0^2"
+    assert not plain.json["global_test"]["accepted"]
+    assert not (tmp_path / "b" / "outliers.csv").exists()
+    again = run(chosen, tmp_path / "a", "--overwrite")
+    assert again.code in (0, 4)
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [(("--outlier-test", "F"), "--outlier-test"), (("--outlier-level", "1.5"), "--outlier-level"),
+     (("--multiple-testing", "fdr"), "--multiple-testing"), (("--snoop", "--loss", "tukey"), "--snoop")],
+)  # fmt: skip
+def test_impossible_choices(project: Path, tmp_path: Path, words: tuple[str, ...], place: str) -> None:
+    ended = run(project, tmp_path / "result", *words)
+    assert ended.code == 2
+    assert ended.json["errors"][0]["place"] == place
+
+
+def test_basic_statistics_say_why_nothing_is_tested(project: Path, tmp_path: Path) -> None:
+    record = run(project, tmp_path / "result", "--statistics", "basic").json
+    assert record["outlier_tests"] is None
+    assert record["suspicious_observations"] is None
+    assert any(text.startswith("outlier_tests and suspicious_observations are null") for text in record["warnings"])
+
+
+def test_under_a_loss_nothing_is_tested(project: Path, tmp_path: Path) -> None:
+    record = run(project, tmp_path / "result", "--loss", "huber").json
+    assert record["global_test"] is None
+    assert record["outlier_tests"] is None
+    assert any(text.startswith("global_test, outlier_tests") for text in record["warnings"])

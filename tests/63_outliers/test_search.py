@@ -1,0 +1,243 @@
+"""The search for gross errors: rounds, predictions, re-admission, its end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient import outlier_search
+from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.block import Block
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.names import Role
+from fg_orient.quality.outliers import OutlierTests
+from fg_orient.simulate.block import BlockOptions, grid_block
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient.snooping import snoop
+
+
+def twin(seed: int = 1) -> Block:
+    block = zonguldak_block(ZonguldakOptions(seed=seed))[0]
+    return replace(block, options=replace(block.options, backend="schur"))
+
+
+def with_error(block: Block, row: int, line: float, sample: float) -> Block:
+    """Add pixels to one image point."""
+    o = block.observations
+    hit = np.arange(len(o)) == row
+    return replace(block, observations=replace(o, line=o.line + line * hit, sample=o.sample + sample * hit))
+
+
+def row_of(block: Block, role: Role, place: int = 0, image: int = 0) -> int:
+    """Row of an image point of the place-th point of a role."""
+    j = block.points.where(role)[place]
+    o = block.observations
+    return int(np.flatnonzero((o.point == j) & (o.image == image))[0])
+
+
+def name_of(block: Block, row: int) -> str:
+    o = block.observations
+    return f"point {block.points.ids[o.point[row]]} in image {block.images[o.image[row]].id}"
+
+
+@pytest.mark.parametrize(("backend", "test"), [("graph", "t"), ("dense", "pope"), ("schur", "baarda")])
+def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
+    """Two image points 6 and 4 px off: found one after the other, largest first, on every backend alike."""
+    block = twin()
+    first, second = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 20, image=1)
+    wrong = with_error(with_error(block, first, 6.0, 0.0), second, 0.0, -4.0)
+    found = snoop(wrong, backend=backend, test=test, level=0.001)
+    assert found.complete
+    assert [f.name for f in found.found] == [name_of(block, first), name_of(block, second)]
+    assert [f.round for f in found.search.found] == [1, 2]
+    assert [(r.left_out != "", r.n_suspicious > 0) for r in found.search.rounds] == [(True, True)] * 2 + [
+        (False, False)
+    ]
+    assert found.found[0].error == pytest.approx([6.0, 0.0], abs=1.5)
+    assert found.search.rounds[-1].sigma0 == found.solution.sigma0
+    assert found.search.rounds[-1].redundancy == found.search.rounds[0].redundancy - 4
+    assert len(wrong.observations) == len(found.solution.problem.observations) + 2  # the given block stays whole
+    assert any("snooping left out 2 observation(s) in 3 rounds" in text for text in found.solution.warnings)
+
+
+@pytest.mark.parametrize("role", [Role.CONTROL, Role.CHECK])
+def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
+    """Statistic and probability from the rest are those of the adjustment with it, for points that vanish, too.
+
+    Of a point seen twice without coordinates the other ray goes along; both are intersected and judged by what is
+    left over.
+    """
+    block = twin()
+    row = row_of(block, role, 2)
+    searched = snoop(with_error(block, row, 5.0, 1.0), level=0.001)
+    found, solution = searched.search.found, searched.solution
+    assert [f.test.name for f in found] == [name_of(block, row)]
+    only, fit = found[0], found[0].fit
+    assert fit is not None
+    assert fit.dimension == only.test.dimension
+    assert fit.statistic == pytest.approx(only.test.statistic, rel=1e-4)
+    assert len(only.with_it) == (role is Role.CHECK)
+    if role is Role.CHECK:
+        assert fit.dimension == 1
+        assert np.isnan(solution.ground_m[block.observations.point[row]]).all()  # nothing determines it any more
+        assert only.test.inseparable == only.with_it
+
+
+@pytest.mark.parametrize("error", [(8.0, 0.0, 0.0), (0.0, 0.0, 30.0)])
+def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
+    """Position or height of a control point: it becomes a tie point, and its test from the rest is the same."""
+    block = twin()
+    j, known = int(block.points.where(Role.CONTROL)[5]), block.points.known
+    turn = fg.adjust(block).problem.axes(known.ecef_m[j][None])[0]
+    ecef = known.ecef_m.copy()
+    ecef[j] += turn.T @ np.array(error)
+    wrong = replace(block, points=replace(block.points, known=replace(known, ecef_m=ecef)))
+    found = snoop(wrong, level=0.001)
+    only = found.search.found[0]
+    assert (only.test.point, only.test.part) == (block.points.ids[j], "height" if error[2] else "position")
+    assert only.fit is not None
+    assert only.fit.statistic == pytest.approx(only.test.statistic, rel=1e-3)
+    assert found.solution.role(j) is Role.TIE
+    assert found.search.rounds[0].redundancy - found.search.rounds[1].redundancy == 3
+
+
+def test_whole_points() -> None:
+    """A wrong target, measured alike in both images of a control point: all of the point goes at once."""
+    block = twin()
+    j = int(block.points.where(Role.CONTROL)[8])
+    wrong = block
+    for row in np.flatnonzero(block.observations.point == j):
+        wrong = with_error(wrong, int(row), 6.0, 6.0)
+    found = snoop(wrong, level=0.001, kind="points")
+    only = found.search.found[0]
+    assert [f.name for f in found.found] == [f"point {block.points.ids[j]} with all its observations"]
+    assert only.test.dimension == 4
+    assert only.fit is not None
+    assert only.fit.statistic == pytest.approx(only.test.statistic, rel=1e-3)
+    assert not (found.solution.problem.observations.point == j).any()
+
+
+def leave_out_first(block: Block, rows: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the search begin with wrong choices: good observations, called suspicious."""
+    genuine, names = outlier_search._Rounds._leave_out, [name_of(block, row) for row in rows]
+
+    def chosen(self: outlier_search._Rounds, tests: OutlierTests, number: int) -> None:
+        k = 0
+        if number <= len(names):
+            k = next(i for i in range(len(tests)) if tests[i].name == names[number - 1])
+        order = np.r_[k, np.delete(np.arange(len(tests)), k)]
+        columns = ("part", "point", "row", "dimension", "quadratic", "statistic", "critical", "probability", "error")
+        genuine(self, replace(tests, **{c: getattr(tests, c)[order] for c in columns}), number)
+
+    monkeypatch.setattr(outlier_search._Rounds, "_leave_out", chosen)
+
+
+def test_what_was_left_out_in_vain_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A good ray is left out first, in place of the wrong one: it comes back, and only the wrong one stays out."""
+    block = twin()
+    bad, good = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 12, image=1)
+    wrong = with_error(block, bad, 6.0, 0.0)
+    leave_out_first(block, [good], monkeypatch)
+    found = snoop(wrong, level=0.001)
+    names = [(f.test.name, f.round, f.readmitted) for f in found.search.found]
+    assert names[0] == (name_of(block, good), 1, 2)
+    assert names[1] == (name_of(block, bad), 3, None)
+    assert [(r.left_out, r.put_back) for r in found.search.rounds] == [
+        (name_of(block, good), ""), ("", name_of(block, good)), (name_of(block, bad), ""), ("", ""),
+    ]  # fmt: skip
+    assert [f.name for f in found.found] == [name_of(block, bad)]
+    assert found.solution.chi2 == pytest.approx(fg.adjust(found.solution.block).chi2, rel=1e-9)
+    assert "put back after round 2" in found.search.found[0].sentence()
+
+
+def test_nothing_comes_back_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Left out again after it came back, an observation stays out: the search ends although it always fits."""
+    block = twin()
+    bad, good = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 12, image=1)
+    leave_out_first(block, [good, good, good], monkeypatch)
+    found = snoop(with_error(block, bad, 6.0, 0.0), level=0.001)
+    same = [f for f in found.search.found if f.test.name == name_of(block, good)]
+    assert [f.readmitted for f in same] == [2, None]
+    assert found.complete
+    assert len(found.search.rounds) == 5
+
+
+def test_many_small_errors_end_the_search() -> None:
+    """A third of the image points wrong by tens of sigmas: given up at a quarter, with the reason."""
+    block = twin()
+    wrong = block
+    rng = np.random.default_rng(4)
+    for row in rng.choice(len(block.observations), 20, replace=False):
+        wrong = with_error(wrong, int(row), *rng.normal(0.0, 30.0, 2))
+    found = snoop(wrong, control="none", level=0.3)
+    out, back = len(found.search.left_out), sum(f.readmitted is not None for f in found.search.found)
+    assert not found.complete
+    assert out == len(block.observations) // 4
+    assert len(found.search.rounds) == out + 2 * back + 1
+    assert any("given up: a quarter" in text for text in found.solution.warnings)
+
+
+def test_last_control_point_is_not_given_up() -> None:
+    """The coordinates of the only control point are wrong: without them there is no datum, and that is said."""
+    block = twin()
+    roles = [Role.TIE] * len(block.points.ids)
+    j = int(block.points.where(Role.CONTROL)[0])
+    roles[j] = Role.CONTROL
+    points = replace(block.points, roles=tuple(roles))
+    alone = replace(block, points=points, withheld=replace(block.withheld, ids=()))
+    known = points.known
+    ecef = known.ecef_m.copy()
+    ecef[[k for k in range(len(roles)) if k != j]] = np.nan
+    ecef[j] += 3000.0
+    alone = replace(alone, points=replace(points, known=replace(known, ecef_m=ecef)))
+    found = snoop(alone, test="baarda")
+    assert "the block cannot be adjusted: no control point" in found.search.given_up
+    assert block.points.ids[j] in found.search.given_up
+    assert found.search.rounds[-1].left_out == ""
+    assert found.solution.problem.observed[j]
+
+
+@pytest.mark.parametrize(("rows", "columns", "points"), [(1, 4, 300)])
+def test_block_of_several_images(rows: int, columns: int, points: int) -> None:
+    """Twelve wrong image points among 700, seen two to four times: all that are checked are found, nothing else."""
+    block, _ = grid_block(BlockOptions(rows=rows, columns=columns, points=points, seed=2))
+    rays = np.bincount(block.observations.point)[block.observations.point]
+    rng, wrong = np.random.default_rng(5), block
+    hit = rng.choice(np.flatnonzero(rays > 2), 8, replace=False)
+    for row in hit:
+        wrong = with_error(wrong, int(row), *(6.0 * rng.choice([-1.0, 1.0], 2)))
+    found = snoop(wrong)
+    assert found.complete
+    assert {f.name for f in found.found} == {name_of(block, int(row)) for row in hit}
+    assert all(r.n_tested <= found.search.rounds[0].n_tested for r in found.search.rounds)
+
+
+def test_each_round_begins_where_the_last_one_ended() -> None:
+    """The second adjustment begins at a sum of squares near its end, the first at that of the metadata."""
+    block = twin()
+    first: list[float] = []
+
+    def note(record: IterationRecord) -> None:
+        if record.iteration == 1:
+            first.append(record.chi2)
+
+    wrong = with_error(block, row_of(block, Role.CONTROL, 3), 6.0, 0.0)
+    solution = fg.adjust(wrong, snoop=True, callback=note)
+    assert len(first) == 2
+    assert first[1] < 2.0 * solution.chi2 < 0.1 * first[0]
+    again = fg.adjust(solution.block, snoop=False)
+    assert again.snooping is None
+    np.testing.assert_allclose(again.state.image, solution.state.image, atol=1e-8)
+
+
+def test_refusals() -> None:
+    block = twin()
+    with pytest.raises(InputError, match="not under a robust loss"):
+        fg.adjust(block, snoop=True, loss="huber")
+    with pytest.raises(InputError, match="not allowed"):
+        fg.adjust(block, snoop=True, snoop_kind="coordinates")
+    with pytest.raises(NoSolutionError, match="no covariance"):
+        fg.adjust(block, snoop=True, datum="free", priors=False)
