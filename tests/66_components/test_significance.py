@@ -1,0 +1,261 @@
+"""Significance of unknowns against refits and full matrices; reduction against likelihood and points left out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import f as fisher
+from scipy.stats import norm
+from scipy.stats import t as student
+
+import fg_orient as fg
+from fg_orient.adjustment.dense import assemble
+from fg_orient.block import Block, Coordinates
+from fg_orient.cross_validation import cross_validate, folds_of
+from fg_orient.names import Role
+from fg_orient.quality.significance import group_test, holm, places_of
+from fg_orient.reduction import closest_eop_set, criteria, reduce_unknowns
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.command import in_process
+
+LINEAR = {"eop_set": 10, "priors": False, "backend": "dense"}
+
+
+@pytest.fixture(scope="module")
+def twin() -> Block:
+    return zonguldak_block(ZonguldakOptions(seed=1))[0]
+
+
+def test_t_of_each_unknown_by_full_matrices(twin: Block) -> None:
+    solution = fg.adjust(twin, eop_set=15)
+    found = solution.significance()
+    residual, design = assemble(solution.problem, solution.state)
+    q = np.linalg.inv(design.T @ design)
+    x = solution.problem.image_vector(solution.state)
+    f = len(residual) - design.shape[1]
+    m0 = np.sqrt(residual @ residual / f)
+    t = np.abs(x) / (m0 * np.sqrt(np.diag(q)[: len(x)]))
+    assert found.redundancy == f
+    assert [c.t for c in found.coefficients] == pytest.approx(t, rel=1e-6)
+    assert [c.probability for c in found.coefficients] == pytest.approx(2.0 * student.sf(t, f), rel=1e-6)
+    sigma0_prior = np.abs(x) / np.sqrt(np.diag(q)[: len(x)])  # the unit weight a priori: another test
+    assert [c.t for c in found.coefficients] != pytest.approx(sigma0_prior, rel=1e-3)
+    first = found.coefficients[0]
+    assert (first.image, first.name, first.unit) == ("left", "x_0", "m")
+    assert first.value == pytest.approx(x[0] * 10.0)
+    assert first.prior_share == pytest.approx(q[0, 0], rel=1e-6)
+
+
+@pytest.mark.parametrize("backend", ["graph", "schur", "dense"])
+def test_f_of_a_coefficient_is_what_its_removal_costs(twin: Block, backend: str) -> None:
+    """(v^T P v without - with) / (d m0^2), adjusted both ways, without priors."""
+    options = {"priors": False, "backend": backend}
+    names = ("roll_0", "pitch_0", "yaw_0")
+    full = fg.adjust(twin, image_unknowns=names, **options)
+    index = places_of(full.problem, lambda name: name == "yaw_0")
+    test = group_test(full.problem, full.state, full.cofactors, full.sigma0, "yaw_0", index)
+    rest = fg.adjust(twin, image_unknowns=names[:2], **options)
+    d = full.problem.n_unknowns - rest.problem.n_unknowns
+    assert d == test.dimension == 2
+    assert test.statistic == pytest.approx((rest.chi2 - full.chi2) / d / full.sigma0**2, rel=1e-3)
+    assert test.probability == pytest.approx(fisher.sf(test.statistic, d, full.redundancy), rel=1e-9)
+
+
+def test_groups_are_coefficients_components_and_degrees(twin: Block) -> None:
+    found = fg.adjust(twin, eop_set=9).significance()
+    names = {g.group: g for g in found.groups}
+    assert names["roll, all terms"].dimension == names["all terms of degree 2"].dimension == 6
+    assert names["pitch_1 of all images"].dimension == 2
+    assert names["all terms of degree 0"].probability < 1e-10 < 0.05 < names["all terms of degree 2"].probability
+    assert [c.name for c in found.coefficients if found.significant(c)] == ["roll_0", "pitch_0"] * 2
+    json.dumps(found.as_dict())
+
+
+def test_holm_is_the_step_down_rule() -> None:
+    p = np.array([0.04, 0.001, 0.02, 0.9])
+    assert holm(p) == pytest.approx([0.08, 0.004, 0.06, 0.9])
+    rejected = {int(k) for k in np.flatnonzero(holm(p) <= 0.05)}
+    assert rejected == {1}  # 0.02 > 0.05 / 3 stops
+    assert int(np.sum(p <= 0.05)) == 3  # without care for their number
+
+
+def false_alarms(seeds: range) -> tuple[int, int]:
+    """Coefficients that are zero in truth, called significant at 5 % each; their number."""
+    alarms, total = 0, 0
+    for seed in seeds:
+        block, _ = zonguldak_block(ZonguldakOptions(seed=seed))
+        names = ("x_0", "roll_0", "pitch_0", "yaw_0", "roll_1", "pitch_1")
+        found = fg.adjust(block, image_unknowns=names, priors=False).significance()
+        p = [c.probability for c in found.coefficients if c.name.endswith("_1")]
+        alarms, total = alarms + sum(x <= 0.05 for x in p), total + len(p)
+    return alarms, total
+
+
+@pytest.mark.slow
+def test_false_alarms_of_the_t_test() -> None:
+    alarms, total = false_alarms(range(5000, 5200))
+    print(f"\n{alarms} of {total}: {100 * alarms / total:.1f} %")
+    assert abs(alarms - 0.05 * total) < 3.9 * np.sqrt(0.05 * 0.95 * total)
+
+
+@pytest.mark.parametrize("direction", ["backward", "forward"])
+def test_constant_errors_leave_constant_coefficients(twin: Block, direction: str) -> None:
+    """Truth: constant errors of position and attitude."""
+    told: list[str] = []
+    found = reduce_unknowns(
+        twin, direction=direction, eop_set=9, progress=lambda done, most, text: told.append(text)
+    )  # fmt: skip
+    assert found.unknowns == ("roll_0", "pitch_0")
+    assert found.closest_set == (10, ("yaw_0",), ())
+    assert len(told) >= len(found.steps)
+    assert all(t.probability < 0.05 for t in found.steps[-1].tests)
+    assert found.solution.accuracy.check.statistics()["rmse_east_m"] < 5.0
+    record = json.loads(json.dumps(found.as_dict()))
+    assert record["closest_eop_set"]["name"] == "A0"
+    assert len(record["steps"]) == len(found.steps)
+    assert found.best("bic").criteria.bic == min(s.criteria.bic for s in found.steps)
+
+
+def test_a_drift_in_truth_stays(twin: Block) -> None:
+    """Lines 3 px off at both ends of both images: one linear coefficient stays."""
+    o = twin.observations
+    tau = o.line / 5999.5 - 1.0
+    drifting = replace(twin, observations=replace(o, sample=o.sample + 3.0 * tau))
+    assert "roll_1" in reduce_unknowns(drifting, eop_set=9).unknowns
+
+
+def test_criteria_are_those_of_the_likelihood(twin: Block) -> None:
+    """Sum of ln densities of all residuals, the unit weight at its maximum; unknowns counted; by hand."""
+    solution = fg.adjust(twin, **LINEAR)
+    found = criteria(solution)
+    o, problem = solution.problem.observations, solution.problem
+    sigma = np.concatenate([o.sigma_line_px, o.sigma_sample_px])
+    v = solution.residuals_px.T.ravel()
+    seen = np.flatnonzero(problem.observed)
+    ground = solution.ground_m[seen] - problem.block.points.known.ecef_m[seen]
+    enu = np.einsum("nij,nj->ni", problem.axes(problem.block.points.known.ecef_m[seen]), ground)
+    sigma = np.concatenate([sigma, problem.block.points.known.sigma_enu_m[seen].ravel()])
+    v = np.concatenate([v, enu.ravel()])
+    unit = np.sqrt(np.mean((v / sigma) ** 2))
+    log_likelihood = norm.logpdf(v, scale=unit * sigma).sum()
+    assert norm.logpdf(v, scale=1.01 * unit * sigma).sum() < log_likelihood
+    n, k = len(v), 6 + 3 * int(problem.active.sum()) + 1
+    assert (found.n, found.k) == (n, k)
+    assert found.log_likelihood == pytest.approx(log_likelihood, rel=1e-9)
+    assert found.aic == pytest.approx(2 * k - 2 * log_likelihood, rel=1e-9)
+    assert found.aicc == pytest.approx(found.aic + 2 * k * (k + 1) / (n - k - 1), rel=1e-9)
+    assert found.bic == pytest.approx(k * np.log(n) - 2 * log_likelihood, rel=1e-9)
+
+
+def fixed_control(block: Block) -> Block:
+    known = block.points.known
+    control = np.array([role is Role.CONTROL for role in block.points.roles])
+    sealed = Coordinates(known.ecef_m, known.sigma_enu_m, control)
+    return replace(block, points=replace(block.points, known=sealed))
+
+
+def test_left_out_points_are_predicted_as_deleted_residuals_say(twin: Block) -> None:
+    """Fixed control points: the prediction error of a point is (I - H_pp)^-1 v_p of the adjustment with it."""
+    block = fixed_control(twin)
+    options = {"eop_set": 10, "priors": False, "check_points": "exclude"}
+    solution = fg.adjust(block, backend="dense", **options)
+    folds = folds_of(block)[:4]
+    found = cross_validate(block, folds, **options)
+    _, design = assemble(solution.problem, solution.state)
+    hat = design @ np.linalg.solve(design.T @ design, design.T)
+    o, rows = solution.problem.observations, []
+    for (j,) in folds:
+        seen = np.flatnonzero(o.point == j)
+        place = np.stack([2 * seen, 2 * seen + 1], axis=1).ravel()
+        v = (solution.residuals_px / np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)).ravel()[place]
+        deleted = np.linalg.solve(np.eye(len(place)) - hat[np.ix_(place, place)], v)
+        rows.append(deleted.reshape(-1, 2) * np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)[seen])
+    np.testing.assert_allclose(found.image_px, np.vstack(rows), atol=2e-4)
+    with_it = np.vstack([solution.residuals_px[o.point == j] for (j,) in folds])
+    assert np.abs(found.image_px - with_it).max() > 1e-2  # residuals are no predictions
+
+
+def test_leaving_one_out_by_hand(twin: Block) -> None:
+    j = folds_of(twin)[5][0]
+    found = cross_validate(twin, ((j,),), eop_set=10)
+    o, points = twin.observations, twin.points
+    roles = tuple(Role.TIE if role is Role.CHECK else role for role in points.roles)
+    rest = replace(twin, observations=o.take(o.point != j), points=replace(points, roles=roles),
+                   withheld=replace(twin.withheld, ids=()))  # fmt: skip
+    solution = fg.adjust(rest, eop_set=10)
+    pixels = []
+    for k, image in enumerate(twin.images):
+        mine = int(np.flatnonzero((o.point == j) & (o.image == k))[0])
+        pixels.append((o.line[mine], o.sample[mine]))
+        line, sample = image.sensor.project(points.known.ecef_m[[j]], solution.correction(image.id))
+        assert found.image_px[k] == pytest.approx([line[0] - o.line[mine], sample[0] - o.sample[mine]], abs=1e-9)
+    located = fg.intersect(
+        [i.sensor for i in twin.images], [[p[0]] for p in pixels], [[p[1]] for p in pixels],
+        [solution.correction(i.id) for i in twin.images],
+    )  # fmt: skip
+    off = np.linalg.norm(located[0] - points.known.ecef_m[j])
+    assert np.linalg.norm(found.ground_m[0]) == pytest.approx(off, rel=0.2)  # weighted pixels against nearest rays
+
+
+def test_parts_are_drawn_once_and_hold_every_control_point(twin: Block) -> None:
+    folds = folds_of(twin, 5)
+    assert folds == folds_of(twin, 5)
+    assert sorted(j for fold in folds for j in fold) == sorted(twin.points.where(Role.CONTROL).tolist())
+    for count in (1, 38, -1):
+        with pytest.raises(fg.InputError, match="37 are seen"):
+            folds_of(twin, count)
+
+
+def test_closest_set() -> None:
+    assert closest_eop_set(("x_0", "y_0", "z_0")) == (2, (), ())
+    assert closest_eop_set(("roll_0", "pitch_0", "yaw_0", "vx_2")) == (10, (), ("vx_2",))
+    assert closest_eop_set(("line_0", "sample_0")) is None
+
+
+@pytest.mark.parametrize(("names", "code"), [(("x_9",), "parameters.unknowns"), (("x_0", "x_9"), "parameters.unknown")])
+def test_unknowns_that_do_not_exist_are_refused(twin: Block, names: tuple[str, ...], code: str) -> None:
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(twin, image_unknowns=names)
+    assert caught.value.problems[0].code == code
+
+
+def test_single_unknowns_on_all_backends(twin: Block) -> None:
+    names = ("psi_y_s1", "roll_0", "x_2")
+    states = [fg.adjust(twin, image_unknowns=names, backend=b) for b in ("graph", "schur", "dense")]
+    assert states[0].problem.parameters[0].names == ("x_2", "roll_0", "psi_y_s1")
+    for other in states[1:]:
+        np.testing.assert_allclose(other.state.image, states[0].state.image, atol=1e-11)
+    assert states[0].correction("left").look.shape == (2, 2)
+
+
+def test_no_redundancy_no_test(twin: Block) -> None:
+    solution = fg.adjust(twin, eop_set=10)
+    empty = replace(solution, problem=replace(solution.problem, observations=solution.problem.observations.take(
+        np.zeros(len(twin.observations), bool))))  # fmt: skip
+    with pytest.raises(fg.NoSolutionError, match="no redundancy"):
+        empty.significance()
+
+
+def test_command_reduces_a_project(tmp_path: Path) -> None:
+    made = in_process("simulate", "zonguldak", "--out", tmp_path / "twin", "--seed", 1)
+    assert made.code == 0
+    project = tmp_path / "twin" / "project.toml"
+    ended = in_process("reduce", project, "--eop-set", "A0", "--cross-validation", 2, "--json")
+    assert ended.code == 0
+    assert ended.json["unknowns"] == ["roll_0", "pitch_0"]
+    assert [s["validation"]["folds"] for s in ended.json["steps"]] == [2, 2]
+    text = in_process("reduce", project, "--eop-set", "A0")
+    assert text.code == 0
+    assert 'significant: image_unknowns = ["roll_0", "pitch_0"]' in text.stdout
+    assert "closest EOP set: 10 A0, without yaw_0" in text.stdout
+    for wrong in (("--direction", "up"), ("--cross-validation", "1"), ("--level", "2")):
+        assert in_process("reduce", project, *wrong).code == 2
+    ended = in_process("adjust", project, "--variance-components", "--eop-set", "A0", "--json", "--out", tmp_path / "r")
+    assert ended.code == 0
+    components = {c["group"]: c for c in ended.json["variance_components"]["components"]}
+    assert components["image"]["held"] is None and components["position"]["sd"] is None
+    assert "Estimated sigmas" in (tmp_path / "r" / "report.html").read_text()
