@@ -82,16 +82,18 @@ def efficiency(weight: Curve, constant: float, dimension: int, corners: Sequence
 
 
 def constant_for(weight: Curve, dimension: int, corners: Sequence[float] = (), goal: float = EFFICIENCY) -> float:
-    """Constant c that leaves this efficiency.
+    """Largest constant c that leaves no more than this efficiency.
 
     Raises
     ------
     ValueError
         No constant between 0.01 and 100 does.
     """
-    low, high = 0.01, 100.0
-    if not efficiency(weight, low, dimension, corners) < goal < efficiency(weight, high, dimension, corners):
+    grid = np.geomspace(100.0, 0.01, 40)
+    below = [k for k, c in enumerate(grid) if efficiency(weight, float(c), dimension, corners) < goal]
+    if not below or below[0] == 0:
         raise ValueError(f"no constant of this weight leaves the efficiency {goal:g} in {dimension} dimension(s)")
+    low, high = float(grid[below[0]]), float(grid[below[0] - 1])
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if efficiency(weight, middle, dimension, corners) < goal else (low, middle)

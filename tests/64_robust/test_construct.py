@@ -1,0 +1,123 @@
+"""Losses made of their weight: cost and constants agree with scipy and with the registered ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, trapezoid
+from scipy.optimize import brentq
+from scipy.stats import chi
+
+import factors.losses as registry
+from factors.losses import ALIASES, Loss, find, losses, register
+from factors.losses.construct import constant_for, efficiency, loss_from_weight
+from fg_orient.adjustment.robust import CONTROL, FLOOR, IMAGE, ScaledLoss, scaled
+
+NAMES = tuple(losses())
+
+
+def integral(loss: Loss, end: float) -> float:
+    """``int_0^end s w(s) ds`` by an adaptive quadrature between the corners."""
+    places = [0.0, *(c for c in loss.corners if c < end), end]
+    return sum(
+        quad(lambda s: s * float(loss.weight(np.array(s))), a, b, epsabs=1e-13, limit=200)[0]
+        for a, b in pairwise(places)
+    )
+
+
+def inconsistency(loss: Loss) -> float:
+    """Largest difference of the cost from the integral of the weight."""
+    return max(
+        abs(float(loss.cost(np.array(u))) - integral(loss, u))
+        for u in (0.2, 0.9, 1.1, 1.9, 2.5, 3.0, 3.3, 4.9, 6.0, 30.0)
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_cost_is_the_integral_of_the_weight(name: str) -> None:
+    assert inconsistency(losses()[name]) <= 1e-10
+
+
+def test_a_cost_of_another_weight_is_found() -> None:
+    known = losses()
+    for a, b in (("huber", "hampel"), ("tukey", "andrews"), ("danish", "welsch")):
+        assert inconsistency(replace(known[a], cost=known[b].cost)) > 1e-2
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_made_of_its_weight_a_loss_is_the_registered_one(name: str) -> None:
+    loss = losses()[name]
+    made = loss_from_weight("made", loss.weight, corners=loss.corners)
+    assert made.constants == pytest.approx(loss.constants, rel=2e-9)
+    u = np.concatenate([[0.0, 1e-9], np.linspace(0.01, 20.0, 397), np.geomspace(20.0, 1e6, 50)])
+    expected = loss.cost(u)
+    assert np.abs(made.cost(u) - expected).max() <= 1e-11 * max(1.0, float(expected.max()))
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+def test_efficiency_against_scipy(dimension: int) -> None:
+    for name in ("huber", "hampel", "tls"):
+        loss = losses()[name]
+        for c in (0.8, 1.7, 4.0):
+            places = [0.0, *(c * k for k in loss.corners), 12.0]
+
+            ends = sorted(p for p in places if p <= 12.0)
+            t = np.unique(np.concatenate([np.linspace(a + 1e-12, b - 1e-12, 20001) for a, b in pairwise(ends)]))
+            w, density = loss.weight(t / c), chi(dimension).pdf(t)
+            expected = trapezoid(w * t**2 * density, t) ** 2 / (dimension * trapezoid(w**2 * t**2 * density, t))
+            assert efficiency(loss.weight, c, dimension, loss.corners) == pytest.approx(expected, rel=1e-7)
+
+
+def test_constants_of_the_literature() -> None:
+    """Hampel's 1.7 : 3.4 : 8.5 has 0.98 or so; Andrews 1.339, Danish 2 (Holland & Welsch 1977; Kubik)."""
+    known = losses()
+    assert known["andrews"].constants[0] == pytest.approx(1.339, abs=5e-4)
+    assert known["danish"].constants[0] == pytest.approx(2.0, abs=0.01)
+    assert efficiency(known["hampel"].weight, 1.7, 1, known["hampel"].corners) == pytest.approx(0.98, abs=0.01)
+    found = brentq(lambda c: efficiency(known["andrews"].weight, c, 3, (np.pi,)) - 0.95, 0.5, 5.0, xtol=1e-12)
+    assert found == pytest.approx(known["andrews"].constants[2], rel=1e-8)
+
+
+def hard_weight(u: np.ndarray) -> np.ndarray:
+    """1 up to 1, 0.05 beyond: a jump, and a cost that grows without end."""
+    return np.where(u <= 1.0, 1.0, 0.05)
+
+
+def test_a_weight_with_a_jump() -> None:
+    loss = loss_from_weight("hard", hard_weight, corners=(1.0,), source="nobody")
+    u = np.array([0.0, 0.5, 1.0, 1.0 + 1e-9, 3.0, 500.0])
+    assert loss.cost(u) == pytest.approx(np.where(u <= 1.0, 0.5 * u**2, 0.5 + 0.025 * (u**2 - 1.0)), rel=1e-12)
+    floored = ScaledLoss(loss.weight, loss.cost, 2.0)
+    assert floored.weights(np.array([1e6])) == pytest.approx(FLOOR + (1.0 - FLOOR) * 0.05)
+
+
+@pytest.mark.parametrize(
+    "weight", [lambda u: 0.5 * np.ones_like(u), lambda u: 1.0 + u, lambda u: 1.0 - u, lambda u: u / 0.0 * 0.0]
+)
+def test_what_is_no_weight_is_refused(weight: object) -> None:
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match="is not 1 at 0"):
+        loss_from_weight("bad", weight)  # type: ignore[arg-type]
+
+
+def test_a_constant_that_does_not_exist() -> None:
+    with pytest.raises(ValueError, match="no constant"):
+        constant_for(np.ones_like, 2)
+
+
+def test_other_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
+    assert find("beaton_tukey") is losses()["tukey"]
+    assert find("hubre") is None
+    for name in ALIASES:
+        with pytest.raises(ValueError, match="another name"):
+            register(replace(losses()["huber"], name=name))
+
+
+def test_scales_multiply_the_constants() -> None:
+    loss = losses()["hampel"]
+    robust = scaled(loss, (2.0, 0.5))
+    assert robust.image.constant == 2.0 * loss.constant(IMAGE)
+    assert robust.control.constant == 0.5 * loss.constant(CONTROL)

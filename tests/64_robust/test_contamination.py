@@ -1,0 +1,82 @@
+"""The study of gross errors: its parts, a small twin of it, and the claim made of it."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+
+import numpy as np
+import pytest
+
+from benchmarks import contamination as study
+from benchmarks.contamination import PLAIN, RESULTS, SEEDS, TRACE
+from benchmarks.contamination_page import LIMIT, PAGE, ratios, with_study
+from fg_orient.names import Role
+
+#: Methods that must keep the check points within 1.2 of the clean run.
+WINNERS = ("tukey", "hampel", "GNC, tls")
+
+
+def means(records: list[dict[str, object]]) -> dict[tuple[float, str], float]:
+    found: dict[tuple[float, str], list[float]] = defaultdict(list)
+    for r in records:
+        found[r["share"], r["method"]].append(r["rmse_m"])  # type: ignore[index, arg-type]
+    return {key: float(np.mean(values)) for key, values in found.items()}
+
+
+def test_errors_are_where_and_as_large_as_the_case_says() -> None:
+    clean = study.clean("twin", 1)
+    spoiled = study.spoil("twin", 1, 0.2)
+    o, moved = clean.block.observations, spoiled.block.observations
+    delta = np.hypot((moved.line - o.line) / o.sigma_line_px, (moved.sample - o.sample) / o.sigma_sample_px)
+    assert np.array_equal(delta > 0.0, spoiled.image)
+    assert spoiled.image.sum() == round(0.2 * 74)
+    assert not spoiled.control.any()
+    assert 5.0 - 1e-9 <= delta[spoiled.image].min() <= delta.max() <= 100.0
+    control = np.isin(o.point, clean.block.points.where(Role.CONTROL))
+    assert control[spoiled.image].all()
+    assert spoiled.truth is clean.truth
+
+
+def test_what_is_checkable_follows_from_the_redundancy_of_its_direction() -> None:
+    """An error of 20 sigmas in a direction that keeps 1 % of it leaves 2 sigmas; in another that keeps half, 14."""
+    q = np.array([[[0.01, 0.0], [0.0, 0.5]]] * 3)
+    error = np.array([[20.0, 0.0], [0.0, 20.0], [42.0, 0.0]])
+    assert study._trace(error, q).tolist() == [False, True, True]
+    assert 0.1 * 41.0 < TRACE < 0.1 * 42.0
+
+
+def test_a_small_twin_of_the_study() -> None:
+    """One pair, 20 % wrong: Tukey's loss and Hampel's keep the check points, least squares loses them."""
+    records = study.study(1, ["twin"], 1, shares=(0.0, 0.2), methods=(PLAIN, "tukey", "hampel"))
+    mean = means(records)
+    for method in ("tukey", "hampel"):
+        assert mean[0.2, method] <= LIMIT * mean[0.0, PLAIN]
+    assert mean[0.2, PLAIN] > 2.0 * mean[0.0, PLAIN]
+    for record in records:
+        assert record["good"] == 131 - (15 if record["share"] else 0)
+        assert record["checkable"] + record["not_checkable"] == (15 if record["share"] else 0)
+        if record["method"] != PLAIN:
+            assert record["missed"] == record["false"] == 0
+
+
+def test_the_page_is_made_of_the_results() -> None:
+    results = json.loads(RESULTS.read_text("utf-8"))
+    assert PAGE.read_text("utf-8") == with_study(PAGE.read_text("utf-8"), results), (
+        "run: python -m benchmarks.contamination_page"
+    )
+    found = ratios(results["entries"])
+    for case in ("twin", "block"):
+        for method in WINNERS:
+            assert found[case, 0.2, method] <= LIMIT, (case, method)
+        assert found[case, 0.2, PLAIN] > 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["twin", "block"])
+def test_at_20_percent_the_winners_keep_the_check_points(case: str) -> None:
+    """Mean RMSE of 20 seeds within 1.2 of the clean least squares; seeds 1 to 20."""
+    mean = means(study.study(SEEDS, [case], 1, shares=(0.0, 0.2), methods=(PLAIN, *WINNERS)))
+    for method in WINNERS:
+        assert mean[0.2, method] <= LIMIT * mean[0.0, PLAIN], method
+    assert mean[0.2, PLAIN] > 2.0 * mean[0.0, PLAIN]

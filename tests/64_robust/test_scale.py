@@ -1,0 +1,82 @@
+"""Scale of the residuals by their median: against chi-square, against exact cofactors, under gross errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import fg_orient as fg
+from fg_orient.adjustment.robust import A_PRIORI
+from fg_orient.adjustment.robust_scale import LEAST, LOWEST, chi_square_median, robust_scale
+from fg_orient.quality.residuals import residual_cofactors
+
+from .conftest import adjusted, grid, problem_of, spoiled, twin, with_sigmas
+
+
+def test_factors_are_medians_of_chi_square() -> None:
+    for d in (1, 2, 3):
+        assert float(chi_square_median(d)) == pytest.approx(chi2.median(d), rel=1e-12)
+    factors = 1.0 / np.sqrt(chi_square_median(np.array([1, 2, 3])))
+    assert factors == pytest.approx([1.4826, 0.8493, 0.6501], abs=5e-5)
+
+
+def exact_image_scale(solution: fg.Solution) -> float:
+    """The same median with the exact cofactors of the residuals."""
+    assert solution.cofactors is not None
+    q = residual_cofactors(solution.problem, solution.state, solution.cofactors).image
+    v, _, _ = solution.problem.image_residuals(solution.state)
+    size, axes = np.linalg.eigh(q)
+    part = np.einsum("nij,ni->nj", axes, v)
+    checked = size > 0.1
+    t = np.where(checked, part**2 / np.where(checked, size, 1.0), 0.0).sum(axis=1)
+    d = checked.sum(axis=1)
+    return float(np.sqrt(np.median(t[d > 0] / chi2.median(d[d > 0]))))
+
+
+@pytest.mark.parametrize("block", [twin(), grid()], ids=["twin", "grid"])
+def test_as_with_exact_cofactors(block: fg.Block) -> None:
+    """Points and images one at a time instead of all unknowns together: 5 % on blocks of this size."""
+    solution = fg.adjust(block)
+    image, _ = robust_scale(solution.problem, solution.state)
+    assert image == pytest.approx(exact_image_scale(solution), rel=0.05)
+    assert image == pytest.approx(1.0, abs=0.25)
+
+
+def test_wrong_sigmas_are_seen() -> None:
+    """Sigmas a third as large: both scales are three times as large."""
+    right, wrong = (fg.adjust(with_sigmas(grid(), f)) for f in (1.0, 1.0 / 3.0))
+    scales = [robust_scale(s.problem, s.state) for s in (right, wrong)]
+    assert np.divide(*scales[::-1]) == pytest.approx([3.0, 3.0], rel=0.1)
+
+
+def test_few_control_points_and_vanishing_residuals() -> None:
+    block = grid(40, 0.15)
+    problem = problem_of(block)
+    assert int(problem.observed.sum()) < LEAST
+    assert robust_scale(problem, problem.start)[1] == A_PRIORI[1]
+    hardly_checked = problem_of(twin())  # sigmas of centimetres against rays good to metres
+    assert robust_scale(hardly_checked, hardly_checked.start)[1] == A_PRIORI[1]
+    exact = problem_of(grid())
+    assert robust_scale(exact, exact.start)[1] == LOWEST  # control points start at their measured coordinates
+
+
+def test_gross_errors_hardly_move_it() -> None:
+    """30 % of the rays of control points, 10 to 100 sigmas: the scale at the end is below 1.6, sigma0 above 10."""
+    block, bad = spoiled(twin(), 0.3, 3)
+    end = adjusted(block, loss="tukey", robust_scale="mad")
+    assert end.converged
+    assert end.weights is not None
+    assert 0.8 <= end.weights.scale[0] <= 1.6
+    assert (end.weights.image[bad] < 0.5).all()
+    assert np.sqrt(adjusted(block).chi2 / problem_of(block).redundancy) > 10.0
+
+
+def test_wrong_sigmas_without_and_with_the_scale() -> None:
+    """Sigmas a tenth as large: half of the points are turned down unless the scale is measured."""
+    block = with_sigmas(grid(), 0.1)
+    plain, measured = (adjusted(block, loss="tukey", robust_scale=s) for s in ("prior", "mad"))
+    assert plain.weights is not None and measured.weights is not None
+    assert np.mean(plain.weights.image < 0.5) > 0.4
+    assert np.mean(measured.weights.image < 0.5) < 0.1
+    assert measured.weights.scale[0] == pytest.approx(10.0, rel=0.25)

@@ -1,0 +1,120 @@
+"""The way to a loss: stages, what is carried from one to the next, and what is said of its end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.gnc import EXACT, PLAIN
+from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.adjustment.solve import solve
+from fg_orient.adjustment.stages import FROM_RESECTIONS, START, START_STAGES, WIDE, Direct, plan_of
+
+from .conftest import adjusted, control_rays, moved, problem_of, spoiled, twin, with_options
+
+
+def stages(log: tuple[IterationRecord, ...]) -> list[float]:
+    return list(dict.fromkeys(record.mu for record in log))
+
+
+def test_stages_of_each_start() -> None:
+    block, _ = spoiled(twin(), 0.1, 3)
+    expected = {
+        ("tukey", "none"): [PLAIN, EXACT],
+        ("tukey", "huber"): [PLAIN, START, EXACT],
+        ("huber", "huber"): [PLAIN, EXACT],
+        ("tukey", "lts"): [FROM_RESECTIONS, WIDE - 2.0, WIDE - 1.0, EXACT],
+    }
+    for (loss, start), found in expected.items():
+        assert stages(adjusted(block, loss=loss, robust_start=start).log) == found
+    measured = stages(adjusted(block, loss="tukey", robust_scale="mad").log)
+    assert measured[:3] == [PLAIN, START, START - 1.0]
+    assert measured[-1] == EXACT
+
+
+def test_scale_settles_or_the_stages_end() -> None:
+    plan = plan_of(with_options(twin(), loss="tukey", robust_scale="mad").options)
+    assert isinstance(plan, Direct)
+    none = (np.empty(0), np.empty(0))
+    mu = plan.following(PLAIN, none, settled=False)
+    seen = []
+    while mu != EXACT:
+        seen.append(mu)
+        mu = plan.following(mu, none, settled=False)
+    assert seen == [START - k for k in range(START_STAGES)]
+    assert plan.following(START, none, settled=True) == EXACT
+    wide, exact = plan.robust(FROM_RESECTIONS, (1.5, 2.0)), plan.robust(EXACT, (1.5, 2.0))
+    assert wide.image.constant == 8.0 * exact.image.constant
+    assert wide.control.constant == 8.0 * exact.control.constant
+
+
+def test_the_start_decides_between_minima() -> None:
+    """35 % wrong: from least squares Tukey's loss turns down good points, from Huber's minimum it does not."""
+    block, bad = spoiled(twin(), 0.35, 8, (3.0, 60.0))
+    good = np.setdiff1d(control_rays(block), bad)
+    down = {}
+    for start in ("none", "huber"):
+        end = adjusted(block, loss="tukey", robust_start=start)
+        assert end.weights is not None
+        down[start] = int(np.count_nonzero(end.weights.image[good] < 0.5))
+    assert down["huber"] == 0
+    assert down["none"] > 20
+
+
+@pytest.mark.parametrize("options", [{"robust_scale": "mad"}, {"robust_start": "lms", "robust_scale": "mad"}])
+def test_a_stopped_run_goes_on_with_its_scale(tmp_path: Path, options: dict[str, str]) -> None:
+    problem = problem_of(spoiled(twin(), 0.2, 3)[0], loss="tukey", **options)
+    whole = solve(problem)
+
+    class Stop(Exception):
+        pass
+
+    def stop(record: IterationRecord) -> None:
+        if record.iteration == len(whole.log) - 2:
+            raise Stop
+
+    path = tmp_path / "checkpoint.npz"
+    with pytest.raises(Stop):
+        solve(problem, stop, checkpoint=Checkpoint(path, every_s=0.0))
+    again = solve(problem, checkpoint=Checkpoint(path, resume=True))
+    assert again.resumed_at > 0
+    assert np.array_equal(again.state.image, whole.state.image)
+    assert again.chi2 == whole.chi2
+    assert again.weights is not None and whole.weights is not None
+    assert again.weights.scale == whole.weights.scale != (1.0, 1.0)
+
+
+def test_an_image_turned_down_is_said() -> None:
+    """30 of 47 points of the left image off by 30 to 60 px, each elsewhere: no majority there."""
+    block, rng = twin(), np.random.default_rng(4)
+    rows = np.flatnonzero(block.observations.image == 0)[:30]
+    wrong = moved(block, rows, rng.choice([-1, 1], 30) * rng.uniform(30, 60, 30), rng.uniform(-60, 60, 30))
+    solution = fg.adjust(wrong, loss="tukey", max_iterations=200)
+    assert solution.weights is not None
+    assert solution.status is fg.Status.NOT_TRUSTWORTHY
+    assert "image left" in solution.reason
+    assert "rests on the rest and on the priors" in solution.reason
+    clean = fg.adjust(block, loss="tukey", max_iterations=200)
+    assert clean.status is fg.Status.CONVERGED
+    assert not [w for w in clean.warnings if "all rays of" in w]
+
+
+def test_a_point_without_ray_is_said() -> None:
+    block = twin()
+    point = block.points.where(fg.Role.CHECK)[0]
+    rows = np.flatnonzero(block.observations.point == point)[:1]
+    solution = fg.adjust(moved(block, rows, 20.0, 40.0), loss="tukey", max_iterations=200)
+    (text,) = (w for w in solution.warnings if "all rays of" in w)
+    assert block.points.ids[point] in text
+
+
+def test_the_unit_of_the_loss_is_said() -> None:
+    block, _ = spoiled(twin(), 0.1, 3)
+    solution = fg.adjust(block, loss="tukey", robust_scale="mad", max_iterations=200)
+    assert solution.weights is not None
+    (text,) = (w for w in solution.warnings if w.startswith("robust loss tukey"))
+    assert f"its unit is {solution.weights.scale[0]:.2f} sigmas of image points" in text
