@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 from typing import Any
 
@@ -63,10 +64,14 @@ def test_options_of_the_project_file_and_the_line(project: Path, tmp_path: Path)
     """Options stand in the file or on the line; a run without search has the suspicious ones and no table."""
     text = project.read_text("utf-8")
     chosen = project.with_name("chosen.toml")
-    lines = 'snoop = true\noutlier_test = "baarda"\noutlier_level = 0.001\nmultiple_testing = "none"\n'
-    assert "[adjustment]" in text
-    chosen.write_text(text.replace("[adjustment]\n", "[adjustment]\n" + lines), "utf-8")
-    record = run(chosen, tmp_path / "a").json
+    values = {"snoop": "true", "outlier_test": '"baarda"', "outlier_level": "0.001", "multiple_testing": '"none"'}
+    for key, value in values.items():
+        text, count = re.subn(f"(?m)^{key} = .*$", f"{key} = {value}", text)
+        assert count == 1
+    chosen.write_text(text, "utf-8")
+    first = run(chosen, tmp_path / "a")
+    assert first.code == 0, first.stdout
+    record = first.json
     assert record["outlier_tests"]["level_each"] == 0.001
     assert record["outlier_tests"]["test"] == "baarda"
     assert record["snooping"]["n_left_out"] >= 1
