@@ -37,9 +37,12 @@ from fg_orient.quality.variance_components import Method, VarianceComponents, va
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
+    from fg_orient.quality.dem_accuracy import DemComparison
     from fg_orient.quality.free_network import FreeNetwork
     from fg_orient.quality.located_point import LocatedPoint, Orientation
+    from fg_orient.quality.prediction_test import PredictionTest
     from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
@@ -412,6 +415,30 @@ class Solution:
         if self.weights is not None:
             raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
         return significance(self.problem, self.state, self.cofactors, self.sigma0, level=level)
+
+    def prediction_test(self) -> PredictionTest:
+        """Hold the predicted accuracy against the check points; see ``fg_orient.quality.prediction_test``.
+
+        Raises
+        ------
+        NoSolutionError
+            No covariance, no check points, or check points that are no unknowns.
+        """
+        from fg_orient.quality.prediction_test import prediction_test
+
+        return prediction_test(self.problem, self.state, self._cofactors(), self.accuracy.check)
+
+    def compare_dem(self, dem: HeightSurface | str | Path, *, role: str | None = None) -> DemComparison:
+        """Compare adjusted heights (of one role: "control", "check", "tie") with a DEM of ellipsoidal heights.
+
+        Raises
+        ------
+        InputError
+            The DEM cannot be read, no such point lies over it, or the block has no coordinates of the Earth.
+        """
+        from fg_orient.quality.dem_accuracy import compare_points
+
+        return compare_points(self.block, self.ground_m, dem, role)
 
     def role(self, point: int) -> Role:
         """Role of a ground point."""

@@ -12,6 +12,7 @@ import typer
 
 import fg_orient
 from fg_orient.cli import (
+    accuracy,
     adjust,
     checks,
     closerange,
@@ -37,6 +38,7 @@ app = typer.Typer(
 app.command("adjust")(adjust.adjust)
 app.command("compare")(compare.compare)
 app.command("reduce")(reduce.reduce)
+app.command("accuracy")(accuracy.accuracy)
 app.command("locate")(geometry.locate)
 app.command("project")(geometry.project)
 app.command("intersect")(geometry.intersect)

@@ -83,4 +83,15 @@ STATISTICS: Final = {
         "the iteration has come to where the model is not finite or does not depend on every parameter",
         "start nearer, or with levenberg-marquardt",
     ),
+    "accuracy.no_check": ("there are no check points to hold the predicted accuracy against", "withhold some points"),
+    "accuracy.check_excluded": (
+        "check points that are located afterwards have no joint covariance, and their errors are not independent",
+        'keep check_points = "use": their coordinates stay withheld all the same',
+    ),
+    "accuracy.dem_outside": ("no point lies over the elevation model", "check its extent and coordinate system"),
+    "accuracy.local": (
+        "points of a local coordinate system do not lie over an elevation model",
+        "use control points in a coordinate system of the Earth",
+    ),
+    "accuracy.role": ("there are no points of this role", "choose among {known}"),
 }

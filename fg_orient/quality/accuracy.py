@@ -1,10 +1,10 @@
 """Accuracy at control and check points: differences adjusted minus measured.
 
-Per axis in East, North, Up of the point and in ECEF: root mean square, mean (bias),
-standard deviation, maximum; CE90 and LE90 as 90 % quantiles of the horizontal length and
-of |Up|. A check point's difference is compared with ``sqrt(predicted + own variance)``,
-both in prior scale. Source: Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the rest is
-common practice.
+Per axis in East, North, Up of the point and in ECEF: root mean square, mean (bias), standard deviation, maximum; CE90
+and LE90 as 90 % quantiles of the horizontal length and of |Up|, and beside them as they follow from the RMSE of normal
+errors (FGDC-STD-007.3-1998, NSSDA: appendix 3-A; the circular ones only where the smaller of the East and North RMSE is
+at least 0.6 of the larger). A check point's difference is compared with ``sqrt(predicted + own variance)``, both in
+prior scale. Source: Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the rest is common practice.
 """
 
 from __future__ import annotations
@@ -21,6 +21,10 @@ AXES = ("east", "north", "up", "ecef_x", "ecef_y", "ecef_z")
 RATIO_LIMIT = 3.0
 #: ASPRS edition 2 (2023) asks for at least this many check points.
 ASPRS_MINIMUM = 30
+#: RMSE of one axis to the radius or half-length that holds 90 or 95 % of normal errors (NSSDA, appendix 3-A).
+CIRCULAR_90, CIRCULAR_95, LINEAR_90, LINEAR_95 = 2.1460, 2.4477, 1.6449, 1.9600
+#: Least ratio of East and North RMSE for which the circular factors hold (NSSDA, appendix 3-A).
+CIRCULAR_RATIO = 0.6
 
 
 @dataclass(frozen=True)
@@ -59,9 +63,10 @@ class PointDifferences:
             return np.asarray(np.abs(self.enu_m) / np.hypot(self.predicted_sigma_enu_m, self.own_sigma_enu_m))
 
     def statistics(self) -> dict[str, float | int]:
-        """Figures under the keys of ``--json``: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90_m, le90_m.
+        """Figures under the keys of ``--json``: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90*, le90*, ce95*, le95*.
 
-        Figures that the number of points does not support (none; sd, CE90 and LE90 of one) are absent.
+        ``horizontal`` is East and North together (2-D), ``3d`` all three. Figures that the number of points does not
+        support (none; sd, CE90 and LE90 of one) are absent.
         """
         out: dict[str, float | int] = {"n": len(self), "n_fixed": self.n_fixed}
         if not len(self):
@@ -74,11 +79,22 @@ class PointDifferences:
             if len(d) > 1:
                 out[f"sd_{axis}_m"] = float(d.std(ddof=1))
             out[f"max_{axis}_m"] = float(np.abs(d).max())
-        out["rmse_3d_m"] = float(np.sqrt(np.mean((self.enu_m**2).sum(axis=1))))
-        if len(self) < 2:
-            return out
-        out["ce90_m"] = float(np.quantile(np.hypot(self.enu_m[:, 0], self.enu_m[:, 1]), 0.9))
-        out["le90_m"] = float(np.quantile(np.abs(self.enu_m[:, 2]), 0.9))
+        for name, axes in (("horizontal", 2), ("3d", 3)):
+            squares = (self.enu_m[:, :axes] ** 2).sum(axis=1)
+            out[f"rmse_{name}_m"], out[f"max_{name}_m"] = float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))
+        return out | self._ninety_percent() if len(self) > 1 else out
+
+    def _ninety_percent(self) -> dict[str, float]:
+        """Radii and half-lengths of 90 and 95 %: as quantiles, and from the RMSE."""
+        east, north, up = np.sqrt(np.mean(self.enu_m**2, axis=0)).tolist()
+        out = {
+            "ce90_m": float(np.quantile(np.hypot(self.enu_m[:, 0], self.enu_m[:, 1]), 0.9)),
+            "le90_m": float(np.quantile(np.abs(self.enu_m[:, 2]), 0.9)),
+            "le90_rmse_m": LINEAR_90 * up,
+            "le95_rmse_m": LINEAR_95 * up,
+        }
+        if min(east, north) >= CIRCULAR_RATIO * max(east, north):
+            out |= {f"ce{p}_rmse_m": k * 0.5 * (east + north) for p, k in ((90, CIRCULAR_90), (95, CIRCULAR_95))}
         return out
 
     def suspicious(self) -> list[tuple[str, str, float, float]]:

@@ -16,6 +16,7 @@ from fg_orient.quality.deficiency import DEFICIENT
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.quality.verdict import DOWN, points_without_ray, turned_down_images
 from fg_orient.run import outliers
+from fg_orient.run.prediction import prediction_records
 from fg_orient.run.statistics import correlation_record, missing, reliability_record
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "unobservable": list(solution.unobservable),
         "accuracy": {
             "control": solution.accuracy.control.statistics(),
-            "check": _check(solution.accuracy.check),
+            "check": {**_check(solution.accuracy.check), **prediction_records(solution)},
         },
         "robust": _robust(solution),
         "variance_components": None if solution.components is None else solution.components.as_dict(),

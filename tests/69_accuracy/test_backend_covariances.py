@@ -1,7 +1,8 @@
 """Covariance blocks of all backends on random blocks: images, points, image with point, point with point.
 
 Compared with each other, element by element in units of ``sqrt(c_ii c_jj)``: within 1e-8 wherever the condition of the
-normal matrix (unknowns in prior sigmas and metres) is at most 1e6. Beyond it the difference stays below rounding times the condition.
+normal matrix (unknowns in prior sigmas and metres) is at most 1e6. Beyond it
+the difference stays below rounding times the condition.
 """
 
 from __future__ import annotations

@@ -1,0 +1,228 @@
+"""Heights of points against a reference elevation model: differences, and the shift that explains them.
+
+Differences are point minus model. Beside mean and standard deviation stand median, NMAD = 1.4826 median|d - median|
+and quantiles of |d|, which withstand blunders and vegetation (Höhle, Höhle 2009). A horizontal shift of the points
+shows as a difference that follows slope and aspect (Nuth, Kääb 2011): ``d = U - s_E E - s_N N`` with the model's slopes
+s, solved by least squares, the model read again at the shifted places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import stdtrit
+
+from factors import ellipsoid
+from fg_orient.block import Block
+from fg_orient.errors import InputError
+from fg_orient.geodesy import enu_from_ecef
+from fg_orient.sensors.correction import HeightSurface
+from fg_orient.sensors.surface import RasterDem
+
+Array = npt.NDArray[np.float64]
+
+NMAD: Final = 1.4826
+#: Half the step over which slopes are taken.
+SLOPE_M: Final = 15.0
+#: Differences beyond this many NMAD of the median do not take part in the shift.
+REACH: Final = 3.0
+MAX_STEPS, STEP_M = 30, 1e-3
+#: Steps after which the points that take part are held: others at the border would come and go for ever.
+CHOOSING_STEPS: Final = 8
+LEAST_POINTS: Final = 10
+#: Condition of the scaled slopes and the constant beyond which East, North and Up are not told apart.
+CONDITION: Final = 1e3
+CONFIDENCE: Final = 0.95
+
+
+@dataclass(frozen=True)
+class Shift:
+    """Shift of the points against the model: what must be taken from them to lay them on it.
+
+    Parameters
+    ----------
+    enu_m, sigma_m : (3,) arrays
+        East, North, Up and their standard deviations, from the scatter about the model.
+    n : int
+        Points that took part.
+    limit : float
+        |shift| / sigma beyond which a component is significant (Student, 95 %).
+    rmse_before_m, rmse_after_m : float
+        Of the differences of these points.
+    """
+
+    enu_m: Array
+    sigma_m: Array
+    n: int
+    limit: float
+    rmse_before_m: float
+    rmse_after_m: float
+
+    @property
+    def significant(self) -> npt.NDArray[np.bool_]:
+        """Components that differ from zero (3,)."""
+        return np.asarray(np.abs(self.enu_m) > self.limit * self.sigma_m)
+
+
+@dataclass(frozen=True)
+class DemComparison:
+    """Result of :func:`compare_dem`.
+
+    Parameters
+    ----------
+    difference_m : (n,) array
+        Point minus model, of the points over it.
+    n_outside : int
+        Points where the model has no height.
+    shift : Shift or None
+        None where it is not determined; ``withheld`` says why.
+    """
+
+    difference_m: Array
+    n_outside: int
+    shift: Shift | None
+    withheld: str = ""
+
+    def statistics(self) -> dict[str, float | int]:
+        """Figures under the keys of ``--json``; those that the number of points does not support are absent."""
+        d = self.difference_m
+        out: dict[str, float | int] = {"n": len(d), "n_outside": self.n_outside}
+        if not len(d):
+            return out
+        out |= {"mean_m": float(d.mean()), "rmse_m": float(np.sqrt(np.mean(d**2))), "max_m": float(np.abs(d).max()),
+                "median_m": float(np.median(d))}  # fmt: skip
+        if len(d) > 1:
+            out |= {"sd_m": float(d.std(ddof=1)), "nmad_m": nmad(d)}
+            out |= {f"q{name}_m": float(np.quantile(np.abs(d), q)) for name, q in (("68_3", 0.683), ("95", 0.95))}
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give the record of ``--json``."""
+        s, axes = self.shift, ("east", "north", "up")
+        shift = None if s is None else {
+            **{f"{a}_m": float(v) for a, v in zip(axes, s.enu_m, strict=True)},
+            **{f"sigma_{a}_m": float(v) for a, v in zip(axes, s.sigma_m, strict=True)},
+            "significant": [a for a, yes in zip(axes, s.significant, strict=True) if yes],
+            "n": s.n, "rmse_before_m": s.rmse_before_m, "rmse_after_m": s.rmse_after_m,
+        }  # fmt: skip
+        return {**self.statistics(), "shift": shift, "warnings": [self.withheld] if self.withheld else []}
+
+
+def nmad(values: Array) -> float:
+    """Normalised median absolute deviation: the standard deviation of normal errors, whatever a few blunders do."""
+    return NMAD * float(np.median(np.abs(values - np.median(values))))
+
+
+def compare_dem(ground_m: Array, dem: HeightSurface) -> DemComparison:
+    """Compare points with an elevation model.
+
+    Parameters
+    ----------
+    ground_m : (n, 3) array
+        ECEF; rows that are not finite are left out.
+    dem : HeightSurface
+        ``height_m(lon_deg, lat_deg)`` above the ellipsoid, nan where there is none.
+
+    Raises
+    ------
+    InputError
+        No point lies over the model.
+    """
+    ground = np.ascontiguousarray(ground_m[np.isfinite(ground_m).all(axis=1)])
+    difference = _differences(ground, dem)
+    over = np.isfinite(difference)
+    if not over.any():
+        raise InputError.of("accuracy.dem_outside", file=dem.path, value=f"{len(ground)} points")
+    shift, withheld = _shift(ground[over], dem)
+    return DemComparison(difference[over], int((~over).sum()), shift, withheld)
+
+
+def compare_points(
+    block: Block, ground_m: Array, dem: HeightSurface | str | Path, role: str | None = None
+) -> DemComparison:
+    """Compare the points of a block, or those of one role, with an elevation model or the raster of this name.
+
+    Raises
+    ------
+    InputError
+        See :func:`compare_dem`; a local coordinate system; no points of this role; a raster that cannot be read or
+        whose heights are not ellipsoidal.
+    """
+    if not block.georeferenced:
+        raise InputError.of("accuracy.local", place="dem", value=block.name)
+    rows = rows_of_role([found.value for found in block.points.roles], role)
+    return compare_dem(ground_m[rows], RasterDem(dem) if isinstance(dem, str | Path) else dem)
+
+
+def rows_of_role(roles: Sequence[str], role: str | None) -> list[int]:
+    """Rows of the points of a role; all without one.
+
+    Raises
+    ------
+    InputError
+        There are none.
+    """
+    if role is not None and role not in roles:
+        raise InputError.of("accuracy.role", place="role", value=role, known=", ".join(sorted(set(roles))))
+    return [k for k, found in enumerate(roles) if role in (None, found)]
+
+
+def _differences(ground: Array, dem: HeightSurface) -> Array:
+    """Height of the points minus that of the model below them (n,)."""
+    lon, lat, height = ellipsoid.geodetic_array(ground).T
+    return np.asarray(height - dem.height_m(np.degrees(lon), np.degrees(lat)))
+
+
+def _axes(ground: Array) -> Array:
+    lon, lat, _ = np.degrees(ellipsoid.geodetic_array(ground)).T
+    return enu_from_ecef(lon, lat)
+
+
+def _design(ground: Array, axes: Array, dem: HeightSurface) -> Array:
+    """Derivatives of the difference for a shift of the points to East, North, Up (n, 3)."""
+    slopes = [
+        (_differences(ground + SLOPE_M * axes[:, k], dem) - _differences(ground - SLOPE_M * axes[:, k], dem))
+        / (2.0 * SLOPE_M)
+        for k in range(2)
+    ]
+    return np.stack([*slopes, np.ones(len(ground))], axis=1)
+
+
+def _near(d: Array, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Known differences within reach of their median."""
+    if not known.any():
+        return known
+    reach = max(REACH * nmad(d[known]), STEP_M)
+    return np.asarray(known & (np.abs(d - np.median(d[known])) <= reach))
+
+
+def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, str]:
+    """Shift by Gauss-Newton, blunders left out by their NMAD at each step; None and the reason."""
+    axes, shift, kept = _axes(ground), np.zeros(3), np.zeros(len(ground), bool)
+    for k in range(MAX_STEPS):
+        moved = ground - np.einsum("k,nkj->nj", shift, axes)
+        d, a = _differences(moved, dem), _design(moved, axes, dem)
+        known = np.isfinite(d) & np.isfinite(a).all(axis=1)
+        kept = _near(d, known) if k < CHOOSING_STEPS else kept & known
+        n = int(kept.sum())
+        if n < LEAST_POINTS:
+            return None, f"shift withheld: {n} points over slopes of the model, {LEAST_POINTS} are needed"
+        length = np.linalg.norm(a[kept], axis=0)
+        if not length.all() or np.linalg.cond(a[kept] / length) > CONDITION:
+            return None, "shift withheld: the terrain has not enough slopes of different aspect to tell East and North"
+        step = np.linalg.lstsq(a[kept], d[kept], rcond=None)[0]
+        shift = shift + step
+        if k >= CHOOSING_STEPS and np.abs(step).max() < STEP_M:
+            break
+    else:
+        return None, f"shift withheld: it does not stand after {MAX_STEPS} steps"
+    rest = d[kept] - a[kept] @ step
+    sigma = np.sqrt(rest @ rest / (n - 3) * np.linalg.inv(a[kept].T @ a[kept]).diagonal())
+    before = _differences(ground, dem)[kept]
+    return Shift(shift, sigma, n, float(stdtrit(n - 3, 0.5 + CONFIDENCE / 2.0)),
+                 float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(rest**2)))), ""  # fmt: skip
