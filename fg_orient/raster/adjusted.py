@@ -80,7 +80,7 @@ def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, ima
             if (known == digest if known and digest else file == metadata.name)]  # fmt: skip
     if image in files:
         if image not in same:
-            raise InputError.of("ortho.other_image", file=metadata, place="--image-id", value=image, image=image,
+            raise InputError.of("ortho.other_image", file=metadata, place="--image-id", image=image,
                                 known=files[image][0])  # fmt: skip
         return image
     named = [key for key, (file, _) in files.items() if file == metadata.name]

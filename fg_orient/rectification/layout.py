@@ -68,8 +68,8 @@ class Reach:
         ]
         if len(parts) == 1:
             return parts[0][1]
-        text = " ".join(f"{'-' if v < 0.0 else '+'} {abs(v):.2f} {name}" for v, name in parts)
-        return text.removeprefix("+ ")
+        rest = (f" {'-' if v < 0.0 else '+'} {abs(v):.2f} {name}" for v, name in parts[1:])
+        return f"{parts[0][0]:.2f} {parts[0][1]}" + "".join(rest)
 
 
 def reaches(
