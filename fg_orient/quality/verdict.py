@@ -48,7 +48,7 @@ def judge(problem: Problem, estimate: Estimate, withheld: tuple[str, ...]) -> Ve
     if problem.least_damping > 0.0:
         reason = "the datum is free: position, orientation and scale of the block are those of its start values"
         return Verdict(Status.NOT_TRUSTWORTHY, f"{reason}, only its shape is determined", interval)
-    if withheld and not problem.block.options.priors:
+    if withheld and not problem.block.options.priors and problem.block.options.datum != "inner":
         reason = "without priors the control points determine some directions too weakly for a covariance"
         return Verdict(Status.NOT_TRUSTWORTHY, f"{reason}: coordinates must not be trusted", interval)
     if f <= 0:

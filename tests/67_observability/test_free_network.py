@@ -267,6 +267,16 @@ def test_sensors_that_know_where_they_are_have_no_exact_defect(make, changes: di
     assert 'datum = "priors"' in near.remedy
 
 
+def test_large_networks_have_no_covariance_but_a_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+    from fg_orient.quality import free_network
+
+    monkeypatch.setattr(free_network, "MAX_UNKNOWNS", 50)
+    solution = fg.adjust(pinhole(), datum="inner")
+    assert solution.status is fg.Status.CONVERGED and solution.cofactors is None
+    assert "111 unknowns" in solution.withheld[0]
+    assert solution.chi2 == pytest.approx(solved("graph").chi2, rel=1e-12)
+
+
 def test_minimal_datum_holds_as_many_unknowns_as_there_are_motions() -> None:
     problem = compile_problem(options(pinhole(), datum="inner", priors=False))
     held = with_minimal_datum(problem)
