@@ -11,16 +11,14 @@ import pytest
 import fg_orient as fg
 from fg_orient.block import Block
 from fg_orient.names import Status
-from fg_orient.quality.outliers import robust_scales
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.snooping import Snooping, snoop
 from tests.support.real_rpc import pleiades_1, pleiades_neo, spot7, spread, with_roles
 
 pytestmark = pytest.mark.real_data
 
-#: Sigmas of the Neo pair's control, stated 0.15 px and 0.1/0.1/0.5 m: with these factors for pixels and position
-#: the residuals of all points are as large as their sigmas say (test_stated_sigmas_of_the_neo_pair).
-PIXEL_FACTOR, POSITION_FACTOR = 2.0, 4.0
+#: What is estimated of the Neo pair's sigmas, stated 0.15 px and 0.1/0.1/0.5 m: the default groups.
+COMPONENTS = ("image", "position", "height")
 #: Location error of SPOT 7 without control: some 10 m, 7 pixels.
 SPOT7_SIGMA_PX = 7.0
 
@@ -53,32 +51,32 @@ def _others(block: Block, control: list[int]) -> list[str]:
 
 @pytest.fixture(scope="module")
 def searched(real_data: Path) -> Snooping:
-    """The Neo pair, all points as control, searched for gross errors with the affine compensation."""
-    # each at 0.001: at 5 % over all, the default, point 27 (2 px) is not significant among 96 tests
-    block = pleiades_neo(real_data, PIXEL_FACTOR, POSITION_FACTOR)
-    return snoop(block, rpc_compensation="affine", level=0.001, control="none")
+    """The Neo pair, all points as control, by the default search with unknown sigmas: nothing of it is chosen here."""
+    return snoop(pleiades_neo(real_data), rpc_compensation="affine", variance_components=COMPONENTS)
 
 
-def test_stated_sigmas_of_the_neo_pair(real_data: Path) -> None:
-    """As stated all sigmas are three times too small; the factors bring pixels, position and height near 1."""
-    for factors, low, high in (((1.0, 1.0), 2.5, 5.0), ((PIXEL_FACTOR, POSITION_FACTOR), 0.7, 1.4)):
-        solution = fg.adjust(pleiades_neo(real_data, *factors), rpc_compensation="affine")
-        assert solution.cofactors is not None
-        scales = robust_scales(solution.problem, solution.state, solution.cofactors)
-        print(f"\nNeo pair, sigmas times {factors}: scales {scales}, sigma0 {solution.sigma0:.2f}")
-        assert all(low < value < high for value in scales.values())
+def test_stated_sigmas_of_the_neo_pair(searched: Snooping) -> None:
+    """Pixels and positions are two to four times worse than stated; heights are too weakly checked to tell."""
+    components = searched.solution.components
+    assert components is not None
+    print()
+    for c in components.components:
+        print(f"  {c.group}: redundancy {c.redundancy:.1f}, factor {c.factor:.2f}, sd {c.sd}, held: {c.held}")
+    assert 1.5 < components.factor("image") < 3.5
+    assert 3.0 < components.factor("position") < 5.0
+    assert components.components[2].held
 
 
 def test_gross_errors_of_the_neo_pair_are_named(searched: Snooping) -> None:
-    """Point 53, measured in one image 50 px beside its place, first; then a few of some sigmas."""
+    """Point 53, whose only image point is 50 px beside its place (93 m of height explain it as well), and point 17."""
     print()
     for test in searched.found:
         print(f"  {test.sentence()}")
     assert searched.complete
-    assert searched.found[0].name == "point 53 in image PNEO3_202309051055194"
-    assert np.linalg.norm(searched.found[0].error) == pytest.approx(52.0, abs=3.0)
-    assert {"53", "17", "27"} <= set(searched.points)  # the heights of 17 and 27 are 2.5 m off
-    assert len(searched.points) <= 6
+    assert searched.points == ("53", "17")
+    assert searched.found[0].error == pytest.approx([93.0], abs=3.0)
+    assert searched.found[0].probability < 1e-20 < 1e-5 < searched.found[1].probability
+    assert searched.search.left_out[0].with_it == ("point 53 in image PNEO3_202309051055194",)
     assert searched.solution.status is Status.CONVERGED
 
 
@@ -90,12 +88,17 @@ def test_point_53_is_found_with_any_model_and_with_the_stated_sigmas(real_data: 
 
 
 def test_neo_pair_by_shifts(real_data: Path, searched: Snooping) -> None:
-    """1, 5, 10 well-spread control points; accuracy at the others that are in both images and pass the test."""
-    block = pleiades_neo(real_data, PIXEL_FACTOR, POSITION_FACTOR)
+    """1, 5, 10 well-spread control points; accuracy at the others that are in both images and pass the test.
+
+    North and Up with 10 points are those of points 5 and 27, 2.0 and 2.5 m off: they pass, because errors of this size
+    are not rare with the sigmas estimated. 0.6 and 0.8 m would be met without them (0.5/0.6/0.8 m are not reached).
+    """
+    rest = searched.solution.block
+    block = replace(rest, options=replace(rest.options, variance_components=(), snoop=False))
     o, ids = block.observations, block.points.ids
     rays = np.bincount(o.point, minlength=len(ids))
-    assert (rays == 2).sum() == 24
     good = [j for j in range(len(ids)) if rays[j] == 2 and ids[j] not in searched.points]
+    assert len(good) == 23  # 24 are in both images
     first = {int(o.point[r]): (o.line[r], o.sample[r]) for r in np.flatnonzero(o.image == 0)}
     left_out = [name for j, name in enumerate(ids) if j not in good]
     print()
@@ -106,11 +109,13 @@ def test_neo_pair_by_shifts(real_data: Path, searched: Snooping) -> None:
             solution = fg.adjust(trial, rpc_compensation=kind)
             dense = fg.adjust(trial, rpc_compensation=kind, backend="dense")
             assert np.abs(dense.state.image - solution.state.image).max() <= 1e-9
-            rmse = _rmse(solution)
-            print(f"  {kind:7s} {count:2d} control points, RMSE at {len(solution.accuracy.check)} check points: "
+            rmse, check = _rmse(solution), solution.accuracy.check
+            print(f"  {kind:7s} {count:2d} control points, RMSE at {len(check)} check points: "
                   f"East {rmse[0]:.2f}, North {rmse[1]:.2f}, Up {rmse[2]:.2f} m")  # fmt: skip
             if kind == "shift" and count == 10:
-                assert (rmse <= [0.5, 0.6, 0.8]).all()
+                assert (rmse <= [0.5, 0.8, 0.9]).all()
+                others = ~np.isin(check.ids, ["5", "27"])
+                assert (np.sqrt(np.mean(check.enu_m[others] ** 2, axis=0)) <= [0.5, 0.6, 0.8]).all()
 
 
 def _rmse(solution: fg.Solution) -> np.ndarray:
