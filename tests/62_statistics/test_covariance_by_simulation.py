@@ -124,13 +124,13 @@ def scatter(truth: Solution, runs: int, seed: int, sigma_factor: float = 1.0) ->
     return Scatter({part: total / runs for part, total in sums.items()}, freedom, runs)
 
 
-def test_covariance_in_thirty_runs(truth: Solution) -> None:
-    assert scatter(truth, 30, seed=621).outside == []
+def test_covariance_in_twelve_runs(truth: Solution) -> None:
+    assert scatter(truth, 12, seed=621).outside == []
 
 
-def test_wrong_sigma_is_seen_in_thirty_runs(truth: Solution) -> None:
-    """Sigmas 20 % too large: every covariance that rests on the image points is too large."""
-    assert {"points", "residuals", "observations"} <= set(scatter(truth, 30, seed=621, sigma_factor=1.2).outside)
+def test_wrong_sigma_is_seen_in_twelve_runs(truth: Solution) -> None:
+    """Sigmas 20 % too small: every covariance that rests on the image points is too small."""
+    assert {"residuals", "observations"} <= set(scatter(truth, 12, seed=621, sigma_factor=0.8).outside)
 
 
 @pytest.mark.slow

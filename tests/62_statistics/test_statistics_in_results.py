@@ -157,7 +157,7 @@ def test_control_points_that_nothing_checks_are_named(grid: Block) -> None:
 
 
 def test_memory_estimate_covers_the_statistics() -> None:
-    block = grid_block(BlockOptions(points=2000, check_share=0.0))[0]
+    block = grid_block(BlockOptions(points=800, check_share=0.0))[0]
     solution = fg.adjust(block)
     needs = [memory.need_of(options(block, statistics=choice)).needed for choice in ("full", "basic")]
     peak = allocated(solution)
