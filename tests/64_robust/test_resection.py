@@ -78,7 +78,7 @@ def test_the_same_seed_gives_the_same_start() -> None:
 def test_equal_errors_at_one_end_that_huber_follows() -> None:
     """The first 12 of 37 points along the left image wrong by the same 100 px, priors 100 times as wide as usual.
 
-    Points at an end have leverage: Huber's loss turns the image (check points are off by over 100 m), resections do not.
+    Points at an end have leverage: Huber's loss turns the image, check points are off by over 100 m; resections do not.
     """
     block = twin()
     rows = control_rays(block, 0)
