@@ -337,6 +337,10 @@ def _hold(
         if not (kept & free).any() and (sd[worst] < 1.0 or not judge):
             return free, inverse
         held[worst] = f"a redundancy of {r[worst]:.1f} leaves its variance uncertain by {100.0 * sd[worst]:.0f} %"
+        if kept[worst]:  # these figures are those at the given sigma
+            held[worst] = (
+                f"estimated it would leave itself too little redundancy; at the given sigma it is {r[worst]:.1f}"
+            )
 
 
 def components_of(
