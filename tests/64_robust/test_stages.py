@@ -14,7 +14,7 @@ from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.solve import solve
 from fg_orient.adjustment.stages import FROM_RESECTIONS, START, START_STAGES, WIDE, Direct, plan_of
 
-from .conftest import adjusted, control_rays, moved, problem_of, spoiled, twin, with_options
+from .conftest import adjusted, control_rays, grid, moved, problem_of, spoiled, twin, with_options
 
 
 def stages(log: tuple[IterationRecord, ...]) -> list[float]:
@@ -118,3 +118,18 @@ def test_the_unit_of_the_loss_is_said() -> None:
     assert solution.weights is not None
     (text,) = (w for w in solution.warnings if w.startswith("robust loss tukey"))
     assert f"its unit is {solution.weights.scale[0]:.2f} sigmas of image points" in text
+
+
+@pytest.mark.parametrize("options", [{"robust_scale": "mad"}, {"robust_start": "lts"}])
+def test_backends_alike(options: dict[str, str]) -> None:
+    """Graph, Schur, dense and parts take the same way to the same end: 1e-9 prior sigma, scales to 1e-9."""
+    block, _ = spoiled(grid(), 0.1, 3)
+    wanted = {"loss": "tukey", "max_iterations": 200, **options}
+    first = fg.adjust(block, backend="schur", **wanted)  # type: ignore[arg-type]
+    assert first.weights is not None
+    for how in ({"backend": "graph"}, {"backend": "dense"}, {"parts": 2}):
+        other = fg.adjust(block, **how, **wanted)  # type: ignore[arg-type]
+        assert other.weights is not None
+        assert stages(other.log) == stages(first.log)
+        assert np.abs(other.state.image - first.state.image).max() <= 1e-9
+        assert other.weights.scale == pytest.approx(first.weights.scale, rel=1e-9)
