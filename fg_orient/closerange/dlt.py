@@ -14,6 +14,7 @@ from factors.image_corrections import NAMES
 from fg_orient.closerange.fitting import (
     RANK_LIMIT,
     Determination,
+    Rows,
     adjust,
     as_points,
     determination,
@@ -32,6 +33,8 @@ PARAMETERS: Final = tuple(f"L{k}" for k in range(1, 12))
 RECOVERED: Final = ("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z")
 #: Smallest singular value of the scaled design by its largest, below which the points lie in a plane but for noise.
 PLANE_LIMIT: Final = 1e-7
+#: Movement of the centre of the distortion that ends its search, by the extent of the image.
+SETTLED: Final = 1e-9
 _STEP: Final = 1e-30
 
 
@@ -140,7 +143,8 @@ def fit_dlt(
     distortion : sequence of str
         Coefficients that are unknown, of k1, k2, k3, p1, p2 (measured to ideal).
     about : (2,) array, optional
-        Image point that the distortion is about, held; default the principal point of the direct solution.
+        Image point that the distortion is about, held; default the principal point of L, found by repetition (where
+        that does not settle: the one of the direct solution).
     name : str
         Of the photo.
     iterate : bool
@@ -171,13 +175,13 @@ def fit_dlt(
     direct = direct_dlt(records[:, :3], records[:, 3:5])
     state, log = np.concatenate([direct, np.zeros(len(codes))]), 1
     _require_spatial(rows(state, True)[1][:, :11])
-    if len(codes):  # about the principal point of the 11 parameters alone
-        records[:, 8:] = (
+    if len(codes):
+        centre = (
             recover(direct, np.zeros(3)).principal if about is None else target.normalised(np.asarray(about, float))
         )
+        records[:, 8:] = centre
     if iterate:
-        found = adjust(rows, state, "DLT")
-        state, log = found.state, len(found.log)
+        state, log = _iterated(rows, records, state, moves=len(codes) > 0 and about is None)
     below = 1.0 + records[:, :3] @ state[8:11]
     if not (below > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(below)) + 1}")
@@ -185,6 +189,29 @@ def fit_dlt(
     judged = _require_spatial(design)
     return _result(name, tuple(distortion), source, target, state, residual.reshape(-1, 2) * size, size,
                    target.physical(records[0, 8:]), judged, log)  # fmt: skip
+
+
+def _iterated(rows: Rows, records: Array, state: Array, *, moves: bool) -> tuple[Array, int]:
+    """Adjust; state and number of iterations. The centre of the distortion follows the principal point of L.
+
+    Where it does not settle (points that do not tell distortion from the principal point), it stays that of the
+    direct solution; ``records`` hold the one that was used.
+    """
+    start, before = records[0, 8:].copy(), np.inf
+    first = found = adjust(rows, state, "DLT")
+    iterations = len(found.log)
+    while moves:
+        centre = recover(found.state[:11], np.zeros(3)).principal
+        shift = float(np.linalg.norm(centre - records[0, 8:]))
+        if shift <= SETTLED:
+            return found.state, iterations
+        if not shift <= 0.5 * before:
+            records[:, 8:] = start
+            return first.state, iterations
+        records[:, 8:], before = centre, shift
+        found = adjust(rows, found.state, "DLT")
+        iterations += len(found.log)
+    return found.state, iterations
 
 
 def _require(ground: Array, image: Array, sigma: Array, distortion: Sequence[str], iterate: bool) -> Array:
@@ -223,7 +250,8 @@ def _result(
     covariance = None if m0 is None else m0**2 * cofactors[:11, :11]
     recovered = recover(values[:11], source.offset, covariance)
     matrix = np.append(values[:11], 1.0).reshape(3, 4)
-    photo = Photo(name, matrix, source.offset, about, corrections_of(distortion, values[11:]))
+    centre = about if distortion else recovered.principal
+    photo = Photo(name, matrix, source.offset, centre, corrections_of(distortion, values[11:]))
     return DltFit(photo, (*PARAMETERS, *distortion), values, cofactors, residuals, m0, redundancy, judged.condition,
                   recovered, iterations)  # fmt: skip
 
@@ -270,7 +298,10 @@ def recover(parameters: Array, origin_m: Array, covariance: Array | None = None)
     if handed == 0.0 or not np.isfinite(handed):
         raise NoSolutionError.of("closerange.parallel", place="DLT")
     sign = 1.0 if handed > 0.0 else -1.0
-    values, rotation = _orientation(matrix, sign)
+    with np.errstate(all="ignore"):
+        values, rotation = _orientation(matrix, sign)
+    if not (np.isfinite(values).all() and np.isfinite(rotation).all()):
+        raise NoSolutionError.of("closerange.parallel", place="DLT")
     sigma = None
     if covariance is not None:
         slopes = np.zeros((len(RECOVERED), 11))

@@ -151,9 +151,12 @@ class Determination:
 def determination(design: Array) -> Determination:
     """Singular values of a design whose columns have unit length, and the cofactors from them."""
     length = np.linalg.norm(design, axis=0)
-    length = np.where(length > 0.0, length, 1.0)
+    # a column of rounding noise must not become one of unit length
+    length = np.where(length > RANK_LIMIT * length.max(), length, np.inf)
+    none = np.isinf(length)
     _, values, right = np.linalg.svd(design / length, full_matrices=len(design) < design.shape[1])
     values = np.concatenate([values, np.zeros(design.shape[1] - len(values))])
+    length = np.where(none, 1.0, length)
     weakest = np.asarray(right[-1] / length)
     if values[-1] <= RANK_LIMIT * values[0]:
         return Determination(float("inf"), None, weakest)

@@ -145,7 +145,8 @@ class Photo:
                 step = np.column_stack([yy * left[:, 0] - xy * left[:, 1], xx * left[:, 1] - yx * left[:, 0]])
                 step = step / det[:, None]
             at = at + step
-            if not np.isfinite(at).all():
+            # beyond the fold of the polynomial two points share an ideal one
+            if not (np.isfinite(at).all() and (det > 0.0).all() and (xx > 0.0).all()):
                 break
             if np.abs(step).max(initial=0.0) <= _TOLERANCE * (1.0 + np.abs(at).max(initial=0.0)):
                 return np.asarray(at + self.principal)

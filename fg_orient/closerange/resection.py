@@ -134,18 +134,17 @@ def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, 
     records[:, 2:4], records[:, 4:13], records[:, 16] = 1.0 / sigma[:, ::-1], rotation.ravel(), 1.0
     setup = np.stack([np.arange(6.0), np.array([1.0, 1.0, 1.0, distance, distance, distance])])
     rows = equation_rows(FRAME_BROWN_IDEAL_TO_MEASURED, records, setup, (ground - centre,))
-    found = adjust(rows, np.zeros(6), "resection")
+    try:
+        found = adjust(rows, np.zeros(6), "resection")
+    except NoSolutionError:
+        _require_determined(rows(np.zeros(6), True)[1], sigma)
+        raise
     turned = camera(records[0], setup, found.state)
     rotation = turned[:9].reshape(3, 3)
     depth = (ground - centre - turned[9:12]) @ rotation[2]
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(depth)) + 1}")
-    judged = determination(found.design)
-    sd = None if judged.cofactors is None else np.sqrt(np.diag(judged.cofactors))
-    # of a point: its image sigma at the object's distance, which is the unit here
-    if sd is None or (sd > UNDETERMINED * float(np.sqrt(np.mean(sigma**2)))).any():
-        raise InputError.of("closerange.pose", place="resection", value=f"condition {judged.condition:.2g}")
-    assert judged.cofactors is not None
+    condition, cofactors = _require_determined(found.design, sigma)
     # the unknowns turn about fixed axes at the start; J leads to turns of the adjusted camera
     away = np.diag(setup[1])
     away[:3, :3] = turned[20:29].reshape(3, 3)
@@ -154,9 +153,18 @@ def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, 
     residuals = -found.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
     redundancy = len(found.residual) - 6
     return Resection(
-        photo, rotation, moved, away @ judged.cofactors @ away.T, residuals,
-        unit_weight(float(found.residual @ found.residual), redundancy), redundancy, judged.condition, len(found.log),
+        photo, rotation, moved, away @ cofactors @ away.T, residuals,
+        unit_weight(float(found.residual @ found.residual), redundancy), redundancy, condition, len(found.log),
     )  # fmt: skip
+
+
+def _require_determined(design: Array, sigma: Array) -> tuple[float, Array]:
+    """Condition and cofactors; a point's own sigma is that of its image at the object's distance, the unit here."""
+    judged = determination(design)
+    sd = np.inf if judged.cofactors is None else np.sqrt(np.diag(judged.cofactors))
+    if judged.cofactors is None or (sd > UNDETERMINED * float(np.sqrt(np.mean(sigma**2)))).any():
+        raise InputError.of("closerange.pose", place="resection", value=f"condition {judged.condition:.2g}")
+    return judged.condition, judged.cofactors
 
 
 def start_poses(ground: Array, tangents: Array) -> list[Pose]:

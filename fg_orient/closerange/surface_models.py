@@ -133,21 +133,19 @@ def models_of(kind: Kind, points: Array, axis: str) -> list[Model]:
     ball = start_sphere(points)
     if kind == "sphere":
         return [Model("sphere", surfaces.SPHERE, np.ones(1), np.zeros((2, 0)), (*_CENTRE, "a"), ball, np.ones(4, bool))]
-    starts = [(ball[:3], np.eye(3), np.full(3, ball[3])), *_from_quadric(points)]
+    if kind == "spheroid" and axis in AXES:
+        return [_spheroid(AXES.index(axis), ball[:3], np.eye(3), np.full(3, ball[3]), free=False)]
+    # a ball does not see turns: where no quadric helps, oblate ones
+    oblate = [(ball[:3], np.eye(3), ball[3] * (1.0 - OBLATE * np.eye(3)[k])) for k in range(3)]
+    starts = _from_quadric(points)
     if kind == "ellipsoid":
         codes, names = (0, 1, 2, 3, 4, 5, 6, 7, 8), (*_CENTRE, "turn_1", "turn_2", "turn_3", "a", "b", "c")
-        return [_ellipsoid("ellipsoid", codes, names, *start) for start in starts]
+        return [_ellipsoid("ellipsoid", codes, names, *start) for start in starts or oblate]
     if kind != "spheroid":
         raise InputError.of("closerange.kind", place="kind", value=kind, known="sphere, spheroid, ellipsoid, quadric")
-    if axis not in (*AXES, FREE):
-        raise InputError.of("closerange.axis", place="axis", value=axis)
     if axis != FREE:
-        return [_spheroid(AXES.index(axis), ball[:3], np.eye(3), np.full(3, ball[3]), free=False)]
-    if len(starts) > 1:
-        centre, turn, semi = starts[1]
-        return [_spheroid(_odd_one(semi), centre, turn, semi, free=True)]
-    # a ball does not see its tilts: three oblate ones
-    return [_spheroid(k, ball[:3], np.eye(3), ball[3] * (1.0 - OBLATE * np.eye(3)[k]), free=True) for k in range(3)]
+        raise InputError.of("closerange.axis", place="axis", value=axis)
+    return [_spheroid(_odd_one(semi), centre, turn, semi, free=True) for centre, turn, semi in starts or oblate]
 
 
 def _odd_one(semi: Array) -> int:
