@@ -86,13 +86,13 @@ def test_shift_is_found_through_blunders() -> None:
 
 
 def test_sigmas_of_the_shift_are_calibrated() -> None:
-    """60 seeds without blunders: sum of squares of (found - true) / sigma in its 99.9 % interval; halved outside."""
+    """30 seeds without blunders: sum of squares of (found - true) / sigma in its 99.9 % interval; halved outside."""
     put_in, total = np.array([2.0, 1.0, -1.0]), np.zeros(3)
-    for seed in range(60):
+    for seed in range(30):
         shift = compare_dem(on_the_hills(Hills(), seed, tuple(put_in), 1.0, 80), Hills()).shift
         assert shift is not None
         total += ((shift.enu_m - put_in) / shift.sigma_m) ** 2
-    low, high = chi2.ppf([0.0005, 0.9995], 60)
+    low, high = chi2.ppf([0.0005, 0.9995], 30)
     assert np.all((low < total) & (total < high)), total
     assert np.all(4.0 * total > high)
 
