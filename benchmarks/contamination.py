@@ -1,6 +1,6 @@
 """Gross errors against methods: check points, errors found, errors missed, and false alarms.
 
-    python -m benchmarks.contamination [--seeds N] [--cases twin block everywhere] [--workers N]
+    python -m benchmarks.contamination [--seeds N] [--cases ...] [--shares ...] [--methods ...] [--workers N]
 
 writes results/contamination.json; ``python -m benchmarks.contamination_page`` makes the study of docs/robust.md of it.
 
@@ -295,9 +295,12 @@ def study(
     """All runs, sorted by case, seed, share, method."""
     tasks = list(product(cases, range(1, seeds + 1)))
     one = partial(_task, shares=tuple(shares), methods=tuple(methods))
-    if workers == 1:
-        return [record for task in tasks for record in one(task)]
     out: list[dict[str, Any]] = []
+    if workers == 1:
+        for case, seed in tasks:
+            out += one((case, seed))
+            tell(f"{case} seed {seed}")
+        return out
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=compile_kernels) as pool:
         for (case, seed), records in zip(tasks, pool.map(one, tasks), strict=True):
             out += records
@@ -326,12 +329,18 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.contamination")
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES)
+    parser.add_argument("--shares", nargs="+", type=float, choices=SHARES, default=SHARES)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=tuple(METHODS))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=RESULTS)
     given = parser.parse_args(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     start = time.perf_counter()
-    entries = gathered(study(given.seeds, given.cases, given.workers, tell=lambda text: sys.stderr.write(text + "\n")))
+    records = study(
+        given.seeds, given.cases, given.workers, shares=given.shares, methods=given.methods,
+        tell=lambda text: sys.stderr.write(text + "\n"),
+    )  # fmt: skip
+    entries = gathered(records)
     head = {
         "version": fg.__version__, "machine": platform.machine(), "minutes": (time.perf_counter() - start) / 60.0,
         "seeds": given.seeds,
