@@ -122,7 +122,8 @@ class _Rounds:
             self._rounds[-1] = replace(self._rounds[-1], put_back=self._found[place].test.name)
             return True
         if suspicious and len(self._out) >= self._most:
-            self._given_up = f"{100.0 * MOST:.0f} % of the image points are out and more is suspicious: the model or the sigmas are wrong, not they"
+            share = f"{100.0 * MOST:.0f} % of the image points"
+            self._given_up = f"{share} are out and more is suspicious: the model or the sigmas are wrong, not they"
         if not suspicious or self._given_up:
             return False
         self._leave_out(tests, number)
