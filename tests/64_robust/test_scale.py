@@ -43,6 +43,14 @@ def test_as_with_exact_cofactors(block: fg.Block) -> None:
     assert image == pytest.approx(1.0, abs=0.25)
 
 
+def test_residuals_taken_as_errors_are_found_out() -> None:
+    """Without the share that the unknowns take up, the check above fails by far."""
+    solution = fg.adjust(grid())
+    v, _, _ = solution.problem.image_residuals(solution.state)
+    plain = float(np.sqrt(np.median(np.sum(v**2, axis=1)) / chi2.median(2)))
+    assert plain < 0.75 * exact_image_scale(solution)
+
+
 def test_wrong_sigmas_are_seen() -> None:
     """Sigmas a third as large: both scales are three times as large."""
     right, wrong = (fg.adjust(with_sigmas(grid(), f)) for f in (1.0, 1.0 / 3.0))
