@@ -64,7 +64,7 @@ def calibrated(errors: np.ndarray, stated: np.ndarray) -> bool:
 
 
 def test_planted_components_are_met_within_their_stated_deviations() -> None:
-    errors, stated = relative_errors(range(100, 106))
+    errors, stated = relative_errors(range(100, 104))
     assert calibrated(errors, stated)
     assert not calibrated(errors, stated / 16.0), "a standard deviation of a quarter must not pass"
     assert not calibrated(errors + 1.0, stated), "a variance twice as large must not pass"

@@ -102,15 +102,17 @@ def test_false_alarms_of_the_t_test() -> None:
     assert abs(alarms - 0.05 * total) < 3.9 * np.sqrt(0.05 * 0.95 * total)
 
 
-@pytest.mark.parametrize("direction", ["backward", "forward"])
-def test_constant_errors_leave_constant_coefficients(twin: Block, direction: str) -> None:
+@pytest.mark.parametrize(("direction", "begin"), [("backward", 9), ("forward", 10)])
+def test_constant_errors_leave_constant_coefficients(twin: Block, direction: str, begin: int) -> None:
     """Truth: constant errors of position and attitude."""
     told: list[str] = []
     found = reduce_unknowns(
-        twin, direction=direction, eop_set=9, progress=lambda done, most, text: told.append(text)
+        twin, direction=direction, eop_set=begin, progress=lambda done, most, text: told.append(text)
     )  # fmt: skip
-    assert found.unknowns == ("roll_0", "pitch_0")
-    assert found.closest_set == (10, ("yaw_0",), ())
+    # yaw, p = 0.044: among nine coefficients it is not significant, as the last of three it is
+    yaw = () if direction == "backward" else ("yaw_0",)
+    assert found.unknowns == ("roll_0", "pitch_0", *yaw)
+    assert found.closest_set == (10, () if yaw else ("yaw_0",), ())
     assert len(told) >= len(found.steps)
     assert all(t.probability < 0.05 for t in found.steps[-1].tests)
     assert found.solution.accuracy.check.statistics()["rmse_east_m"] < 5.0
@@ -244,12 +246,13 @@ def test_command_reduces_a_project(tmp_path: Path) -> None:
     made = in_process("simulate", "zonguldak", "--out", tmp_path / "twin", "--seed", 1)
     assert made.code == 0
     project = tmp_path / "twin" / "project.toml"
-    ended = in_process("reduce", project, "--eop-set", "A0", "--cross-validation", 2, "--json")
+    ended = in_process("reduce", project, "--eop-set", "A0", "--json")
     assert ended.code == 0
     assert ended.json["unknowns"] == ["roll_0", "pitch_0"]
-    assert [s["validation"]["folds"] for s in ended.json["steps"]] == [2, 2]
-    text = in_process("reduce", project, "--eop-set", "A0")
+    assert [s["validation"] for s in ended.json["steps"]] == [None, None]
+    text = in_process("reduce", project, "--eop-set", "A0", "--cross-validation", 2)
     assert text.code == 0
+    assert "best by prediction on the ground" in text.stdout
     assert 'significant: image_unknowns = ["roll_0", "pitch_0"]' in text.stdout
     assert "closest EOP set: 10 A0, without yaw_0" in text.stdout
     for wrong in (("--direction", "up"), ("--cross-validation", "1"), ("--level", "2")):
