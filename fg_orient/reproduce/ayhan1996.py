@@ -106,4 +106,10 @@ SOURCE: Final = Source(
     "coordinates, cameras, geodetic points. Single precision of its program, or a model with other parameters, is "
     "stated as a spread beside the number. Control points and image coordinates of most applications are not printed. "
     "The range is the stated spread, if any.",
+    {
+        "equal": "all printed digits",
+        "rounding": "one unit of the last digit, or inside the stated spread",
+        "not_reproducible": "a measurement, or its measurements are not printed",
+    },
+    "are one unit of the last digit off or inside a stated spread",
 )
