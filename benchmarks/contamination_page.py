@@ -110,7 +110,7 @@ def study(results: dict[str, Any]) -> str:
     parts = [
         f"Mean RMSE of the check points over {seeds} seeds, divided by that of least squares without gross errors. "
         f"At 20 % least squares has {plain['twin']:.1f} and {plain['block']:.1f} times the clean RMSE. Within "
-        f"{LIMIT} in both cases: {', '.join(keep)}.",
+        f"{LIMIT} in both cases: {'; '.join(keep)}.",
         "![Check points under gross errors](robust.svg)",
     ]
     for case, title in CASES.items():
@@ -142,6 +142,8 @@ def figure(results: dict[str, Any], digest: str) -> None:
     for axis, (case, title) in zip(axes, CASES.items(), strict=True):
         for k, method in enumerate(drawn):
             points = sorted((100.0 * s, r) for (c, s, m), r in found.items() if (c, m) == (case, method))
+            if not points:
+                continue
             axis.plot(*zip(*points, strict=True), marker="osv^D<>Px"[k], markersize=4, linewidth=1, label=method)
         axis.axhline(LIMIT, color="grey", linewidth=0.8, linestyle="--")
         axis.set(title=title, xlabel="gross errors, %", yscale="log")
