@@ -161,8 +161,8 @@ def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, 
 def _require_determined(design: Array, sigma: Array) -> tuple[float, Array]:
     """Condition and cofactors; a point's own sigma is that of its image at the object's distance, the unit here."""
     judged = determination(design)
-    sd = np.inf if judged.cofactors is None else np.sqrt(np.diag(judged.cofactors))
-    if judged.cofactors is None or (sd > UNDETERMINED * float(np.sqrt(np.mean(sigma**2)))).any():
+    worst = np.inf if judged.cofactors is None else float(np.sqrt(np.diag(judged.cofactors).max()))
+    if judged.cofactors is None or worst > UNDETERMINED * float(np.sqrt(np.mean(sigma**2))):
         raise InputError.of("closerange.pose", place="resection", value=f"condition {judged.condition:.2g}")
     return judged.condition, judged.cofactors
 
