@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +13,7 @@ from factors.dlt import DLT, N_DISTORTION
 from factors.image_corrections import NAMES
 from fg_orient.closerange.fitting import (
     RANK_LIMIT,
+    UNDETERMINED,
     Determination,
     Rows,
     adjust,
@@ -247,13 +248,24 @@ def _result(
     white = (residuals / sigma).ravel()
     redundancy = len(white) - len(state)
     m0 = unit_weight(float(white @ white), redundancy)
-    covariance = None if m0 is None else m0**2 * cofactors[:11, :11]
-    recovered = recover(values[:11], source.offset, covariance)
+    recovered = _scaled(recover(values[:11], source.offset, cofactors[:11, :11]), m0, source, sigma)
     matrix = np.append(values[:11], 1.0).reshape(3, 4)
     centre = about if distortion else recovered.principal
     photo = Photo(name, matrix, source.offset, centre, corrections_of(distortion, values[11:]))
     return DltFit(photo, (*PARAMETERS, *distortion), values, cofactors, residuals, m0, redundancy, judged.condition,
                   recovered, iterations)  # fmt: skip
+
+
+def _scaled(found: Recovered, m0: float | None, source: Scaling, sigma: Array) -> Recovered:
+    """Orientation with standard deviations a posteriori; refused if its centre is 1000 times worse than a point."""
+    apriori = found.sigma
+    assert apriori is not None
+    depth = float(np.linalg.norm(found.centre_m - source.offset))
+    worst = max(apriori[name] for name in ("X0", "Y0", "Z0"))
+    ratio = worst / (float(np.sqrt(np.mean(sigma**2))) * depth / found.cx)
+    if not ratio <= UNDETERMINED:
+        raise InputError.of("closerange.plane", place="DLT", value=f"projection centre {ratio:.2g} sigmas of a point")
+    return replace(found, sigma=None if m0 is None else {name: m0 * s for name, s in apriori.items()})
 
 
 def _denormalisation(source: Scaling, target: Scaling, distortion: tuple[str, ...]) -> Array:
