@@ -26,6 +26,21 @@ def sign_aligned(quaternion: Array) -> Array:
     return np.asarray(unit * sign[:, None])
 
 
+def extended(sample_time_s: Array, samples: Array, before_s: float, after_s: float) -> tuple[Array, Array]:
+    """Samples (n, c), and one more at each end that is open for ``before_s`` or ``after_s``: the last rate held.
+
+    Of quaternions (aligned signs) the line through two neighbours is meant: over seconds the attitude turns by
+    less than 0.1 rad, and its normalised line differs from the constant rate by the cube of that angle.
+    """
+    times, rows = [sample_time_s], [samples]
+    for end, neighbour, seconds, at in ((0, 1, -before_s, 0), (-1, -2, after_s, 2)):
+        if seconds:
+            rate = (samples[end] - samples[neighbour]) / (sample_time_s[end] - sample_time_s[neighbour])
+            times.insert(at, sample_time_s[[end]] + seconds)
+            rows.insert(at, (samples[end] + rate * seconds)[None])
+    return np.concatenate(times), np.concatenate(rows)
+
+
 def quaternion_linear(sample_time_s: Array, quaternion: Array, time_s: Array) -> Array:
     """Normalised linear interpolation of sampled quaternions: (n, 4), (N,) -> (N, 4).
 

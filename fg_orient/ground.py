@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Records = list[dict[str, Any]]
 
+#: Of frame points without height: horizontal metres per metre of height below which a ray decides none.
+LEAST_SLOPE = 0.01
+#: Steps of these heights, and the length of the last.
+MAX_STEPS, STEP_M = 20, 1e-4
+
 
 def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array) -> Records:
     """Give one record per point: id, line, sample, geodetic and ECEF coordinates.
@@ -50,8 +55,9 @@ def frame_records(
 ) -> Records:
     """Locate the file's own frame points and compare them with the coordinates it states.
 
-    Points are located at the height of the file (0 where it states none), unless a height or
-    a DEM is given.
+    Points are located at the height of the file, unless a height or a DEM is given. Where the file states
+    none, the height is solved at which the ray comes nearest to the stated position: what is left is
+    across the ray's plane. Rays steeper than 1 : 100 decide no height and are taken to height 0.
 
     Parameters
     ----------
@@ -64,8 +70,9 @@ def frame_records(
     -------
     list of dict
         Beside the keys of :func:`ground_records`: ``file_lon_deg``, ``file_lat_deg``,
-        ``misfit_m`` (horizontal, model minus file), ``misfit_east_m``, ``misfit_north_m`` and
-        ``note`` (None, or why the file's point need not agree with the model).
+        ``misfit_m`` (horizontal, model minus file), ``misfit_east_m``, ``misfit_north_m``,
+        ``height_from`` ("file", "given", "dem", "solved" or "none") and ``note`` (None, or why
+        the file's point need not agree with the model).
 
     Raises
     ------
@@ -76,20 +83,52 @@ def frame_records(
         raise InputError.of("cli.no_frame", file=sensor.file, place="--frame")
     points = sensor.metadata.frame_points
     line, sample = (np.array([getattr(p, axis) for p in points]) for axis in ("line", "sample"))
-    heights = np.array([(p.height_m or 0.0) if height_m is None else height_m for p in points])
+    lon, lat = (np.array([getattr(p, axis) for p in points]) for axis in ("lon_deg", "lat_deg"))
+    heights, sources = _frame_heights(sensor, (line, sample), (lon, lat), height_m)
+    if dem is not None:
+        sources = ["dem"] * len(points)
     ecef = sensor.locate(line, sample, dem=dem) if dem else sensor.locate(line, sample, height_m=heights)
     records = ground_records([p.id for p in points], line, sample, ecef)
-    lon, lat = (np.array([getattr(p, axis) for p in points]) for axis in ("lon_deg", "lat_deg"))
-    stated = geodetic_to_ecef(lon, lat, np.array([r["height_m"] for r in records]))
-    east, north, _ = np.einsum("nij,nj->ni", enu_from_ecef(lon, lat), ecef - stated).T
+    east, north = _horizontal(ecef, lon, lat, np.array([r["height_m"] for r in records])).T
     note = sensor.metadata.frame_note or None
     for k, record in enumerate(records):
         record |= {
             "file_lon_deg": float(lon[k]), "file_lat_deg": float(lat[k]),
             "misfit_m": float(np.hypot(east[k], north[k])),
-            "misfit_east_m": float(east[k]), "misfit_north_m": float(north[k]), "note": note,
+            "misfit_east_m": float(east[k]), "misfit_north_m": float(north[k]),
+            "height_from": sources[k], "note": note,
         }  # fmt: skip
     return records
+
+
+def _horizontal(ecef_m: Array, lon_deg: Array, lat_deg: Array, height_m: Array) -> Array:
+    """East and North (n, 2) m of points from places at the same heights."""
+    apart = ecef_m - geodetic_to_ecef(lon_deg, lat_deg, height_m)
+    return np.asarray(np.einsum("nij,nj->ni", enu_from_ecef(lon_deg, lat_deg)[:, :2], apart))
+
+
+def _frame_heights(
+    sensor: PushbroomSensor, pixel: tuple[Array, Array], place: tuple[Array, Array], height_m: float | None
+) -> tuple[Array, list[str]]:
+    """Heights (n,) of the frame points, and where each is from; those that nobody gives are solved."""
+    stated = [p.height_m for p in sensor.metadata.frame_points]
+    if height_m is not None:
+        return np.full(len(stated), height_m), ["given"] * len(stated)
+    h = np.array([0.0 if value is None else value for value in stated])
+    enu = enu_from_ecef(*place)
+    up = np.einsum("nij,nj->ni", enu, sensor.rays(*pixel)[1])
+    slope = up[:, :2] / up[:, 2:]  # metres per metre of height
+    flat = np.linalg.norm(slope, axis=1)
+    open_ = np.array([value is None for value in stated]) & (flat >= LEAST_SLOPE)
+    for _ in range(MAX_STEPS if open_.any() else 0):
+        missed = _horizontal(sensor.locate(*pixel, height_m=h), *place, h)
+        step = np.where(open_, -np.einsum("ni,ni->n", slope, missed) / np.maximum(flat, LEAST_SLOPE) ** 2, 0.0)
+        h = h + step
+        if np.abs(step).max() < STEP_M:
+            break
+    sources = ["solved" if new else "none" if value is None else "file"
+               for new, value in zip(open_, stated, strict=True)]  # fmt: skip
+    return h, sources
 
 
 def pixel_records(sensor: PushbroomSensor | RpcSensor, ids: Sequence[str], ecef_m: Array) -> Records:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.cli.common import Debug, Extrapolate, Json, Overwrite, emit, note, number, outcome, say, table
 from fg_orient.cli.progress import progress
 from fg_orient.errors import InputError
 from fg_orient.names import EXIT_CODE, Status
@@ -109,6 +109,7 @@ def adjust(
         float | None,
         typer.Option(metavar="GB", help="Refuse a run that needs more memory; default: 80 % of what is available."),
     ] = None,
+    extrapolate_attitude: Extrapolate = 0.0,
     out: Annotated[
         Path | None, typer.Option("--out", help="Result folder; default: result, beside the project file.")
     ] = None,
@@ -140,6 +141,7 @@ def adjust(
         "loss": loss, "gnc": gnc or None, "inlier_probability": inlier_probability,
         "snoop": snoop or None, "outlier_test": outlier_test, "outlier_level": outlier_level,
         "multiple_testing": multiple_testing,
+        "extrapolate_attitude_s": extrapolate_attitude or None,
         "robust_start": robust_start, "robust_scale": robust_scale,
         "variance_components": ("image", "position", "height") if variance_components else None,
     }  # fmt: skip

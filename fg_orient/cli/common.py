@@ -19,6 +19,16 @@ INTERRUPTED = 130
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error of the program itself.")]
+Extrapolate = Annotated[
+    float,
+    typer.Option(
+        "--extrapolate-attitude",
+        metavar="SECONDS",
+        min=0.0,
+        max=5.0,
+        help="Hold the last rate where attitudes do not cover the image.",
+    ),
+]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace an existing output once the new one is complete.")
 ]

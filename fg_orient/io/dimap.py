@@ -1,7 +1,7 @@
 """Reading a DIMAP metadata file: what it is, and which reader takes it.
 
-Read: DIMAP 1.1 of SPOT 1 to 5 at level 1A, and DIMAP 2.x sensor products of Pléiades
-1A/1B and SPOT 6/7. Everything else that is recognised is named in the message together
+Read: DIMAP 1.1 of SPOT 1 to 5 at level 1A, DIMAP 2.x sensor products of Pléiades
+1A/1B and SPOT 6/7, and the PHR_DIMAP of CNES. Everything else that is recognised is named in the message together
 with what is needed instead.
 """
 
@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import os
 
-from fg_orient.io import dimap1, dimap2
+from fg_orient.io import dimap1, dimap2, dimap_phr
 from fg_orient.io.xml import MAX_BYTES, XmlNode, read_xml
 from fg_orient.sensors.metadata import PushbroomMetadata
 
 _ROOTS = {
-    "PHR_Dimap_Document": "PHR_DIMAP (the CNES inventory format of Pléiades)",
     "isd": "a DigitalGlobe ISD file",
     "VRTDataset": "a GDAL virtual raster",
     "PAMDataset": "a GDAL .aux.xml file",
@@ -32,7 +31,7 @@ def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> P
     ----------
     path : path
         ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, or ``DIM_*.XML`` of a Pléiades 1A/1B or
-        SPOT 6/7 sensor product.
+        SPOT 6/7 sensor product, or ``PHRDIMAP_*.XML`` of CNES.
     max_bytes : int
         Size limit of the file.
 
@@ -49,6 +48,8 @@ def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> P
         Angular speeds (SPOT 1 to 4) leave more than 0.2 s of the image open.
     """
     root = read_xml(path, max_bytes=max_bytes)
+    if root.tag == dimap_phr.ROOT:
+        return dimap_phr.read_dimap_phr(root)
     if root.tag != "Dimap_Document":
         raise root.fault("dimap.other_format", _ROOTS.get(root.tag, f"root element {root.tag}"))
     if root.maybe("Metadata_Id") is not None:

@@ -46,8 +46,8 @@ _FRAME_TAGS = ("ROW", "COL", "LON", "LAT")
 
 #: Said when frame points are compared with the model.
 FRAME_NOTE = (
-    "the file states no heights for its frame points: they lie on the terrain, so that they are missed at height 0; "
-    "give --height or --dem"
+    "the file states no heights for its frame points, which lie on the terrain: without --height or --dem "
+    "the height of each is solved, and the misfit is what no height explains"
 )
 
 
@@ -113,10 +113,15 @@ def _timing(model: XmlNode, n_lines: int) -> tuple[np.datetime64, LineTiming]:
     duration = limits.one("END").seconds_since(epoch) - float(start)
     node = model.one("Time/Time_Stamp/LINE_PERIOD")
     period = node.number(MILLISECONDS, *checks.LINE_PERIOD_S)
-    lines = period * (n_lines - 1)
-    if not lines / MAX_DURATION_RATIO <= duration <= lines * MAX_DURATION_RATIO:
-        raise node.fault("dimap.duration", f"{lines:.6g} s", duration=duration, n_lines=n_lines)
+    require_duration(node, period, duration, n_lines)
     return epoch, LineTiming(0.0, float(start), period)
+
+
+def require_duration(node: XmlNode, period_s: float, duration_s: float, n_lines: int) -> None:
+    """Refuse a line period (element ``node``) that does not fit the time range of the image."""
+    lines = period_s * (n_lines - 1)
+    if not lines / MAX_DURATION_RATIO <= duration_s <= lines * MAX_DURATION_RATIO:
+        raise node.fault("dimap.duration", f"{lines:.6g} s", duration=duration_s, n_lines=n_lines)
 
 
 def _ephemeris(model: XmlNode, epoch: np.datetime64) -> Ephemeris:
@@ -139,7 +144,7 @@ def _attitude(
     notes: tuple[str, ...] = ()
     if source.maybe("Quaternion_List"):
         notes = ("the file holds polynomial and sampled quaternions: the polynomials are used",)
-    return _quaternion_polynomial(polynomial, span_s), notes
+    return quaternion_polynomial(polynomial, polynomial, span_s), notes
 
 
 def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionList, tuple[str, ...]]:
@@ -154,7 +159,16 @@ def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionL
     return QuaternionList(time_s, sign_aligned(quaternion)), notes
 
 
-def _quaternion_polynomial(node: XmlNode, span_s: Array) -> QuaternionPolynomial:
+def quaternion_polynomial(node: XmlNode, models: XmlNode, span_s: Array) -> QuaternionPolynomial:
+    """Polynomials ``models/Q0`` to ``Q3`` of the time scaled by ``node/OFFSET`` and ``SCALE``.
+
+    ``span_s`` (n,): times of the image at which they must be unit quaternions.
+
+    Raises
+    ------
+    InputError
+        They are made for another time, or are no rotation.
+    """
     scale_node = node.one("SCALE")
     offset, scale = node.one("OFFSET").number(SECONDS), scale_node.number(SECONDS, 1e-3, 1e4)
     scaled = (span_s - offset) / scale
@@ -163,7 +177,7 @@ def _quaternion_polynomial(node: XmlNode, span_s: Array) -> QuaternionPolynomial
         raise scale_node.fault("dimap.quaternion_span", seen, limit=MAX_SCALED_TIME)
     rows = []
     for j in range(4):
-        part = node.one(f"Q{j}")
+        part = models.one(f"Q{j}")
         rows.append(part.one("COEFFICIENTS").vector(part.one("DEGREE").integer(0, MAX_DEGREE) + 1))
     coefficients = np.zeros((4, max(map(len, rows))))
     for j, row in enumerate(rows):
@@ -205,13 +219,18 @@ def _look_polynomial(band: XmlNode, n_samples: int) -> LookAnglePolynomial:
         tan_psi_x=_coefficients(node, "YLOS", at_least=1),
         tan_psi_y=_coefficients(node, "XLOS", at_least=2),
     )
+    require_look_angles(node, look, n_samples, ("YLOS", "XLOS"))
+    return look
+
+
+def require_look_angles(node: XmlNode, look: LookAnglePolynomial, n_samples: int, names: tuple[str, str]) -> None:
+    """Refuse look angles beyond 45 degrees; ``names`` are those of the file for along and across."""
     column = np.array([0.0, (n_samples - 1) / 2, n_samples - 1.0]) - look.origin_sample
-    for name, row in (("YLOS", look.tan_psi_x), ("XLOS", look.tan_psi_y)):
+    for name, row in zip(names, (look.tan_psi_x, look.tan_psi_y), strict=True):
         tangent = np.polynomial.polynomial.polyval(column, row)
         worst = float(tangent[np.abs(tangent).argmax()])
         if not abs(worst) <= math.tan(checks.MAX_LOOK_ANGLE_RAD):
             raise node.fault("dimap.look_angle", f"{name} = {worst:.6g}")
-    return look
 
 
 def _coefficients(node: XmlNode, name: str, at_least: int) -> Array:

@@ -43,7 +43,7 @@ _TABLE_OF = {
     "robust_start": "adjustment", "robust_scale": "adjustment",
     "snoop": "adjustment", "outlier_test": "adjustment", "outlier_level": "adjustment",
     "multiple_testing": "adjustment", "points_seen_once": "adjustment", "memory_limit_gb": "adjustment",
-    "statistics": "adjustment",
+    "statistics": "adjustment", "extrapolate_attitude_s": "orientation",
 }  # fmt: skip
 
 
@@ -60,7 +60,8 @@ def read_project(path: str | Path, **overrides: object) -> Block:
         ``check_points``, ``points_seen_once``, ``small_angle``, ``image_unknowns``, ``variance_components``,
         ``rpc_compensation``, ``datum``, ``memory_limit_gb``,
         ``loss``, ``gnc``, ``inlier_probability``, ``robust_start``, ``robust_scale``, ``snoop``,
-        ``outlier_test``, ``outlier_level``, ``multiple_testing``, ``statistics`` and the prior sigmas.
+        ``outlier_test``, ``outlier_level``, ``multiple_testing``, ``statistics``,
+        ``extrapolate_attitude_s`` and the prior sigmas.
         None keeps the file's.
 
     Returns
@@ -178,7 +179,8 @@ def _options(project: ProjectFile, file: str) -> tuple[Options, list[Problem]]:
     """Options of the block; problems that the schema cannot see."""
     problems: list[Problem] = []
     values = {**dict(project.orientation), **dict(project.adjustment)}
-    values.pop("points_seen_once")
+    for of_reading in ("points_seen_once", "extrapolate_attitude_s"):
+        values.pop(of_reading)
     try:
         values["eop_set"] = eop_set_number(project.orientation.eop_set)
     except InputError as error:
@@ -213,7 +215,9 @@ def _images(
             )
             continue
         try:
-            images[entry.id] = Image(entry.id, sensor_reader.read_sensor(metadata))
+            seconds = project.orientation.extrapolate_attitude_s
+            sensor = sensor_reader.read_sensor(metadata, extrapolate_attitude_s=seconds)
+            images[entry.id] = Image(entry.id, sensor)
             sources.append(_source(metadata))
         except InputError as error:
             problems += error.problems

@@ -28,6 +28,7 @@ from fg_orient.options import (
     RpcCompensation,
     StatisticsChoice,
 )
+from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
@@ -81,6 +82,9 @@ class Orientation(_Table):
         default=Options.rpc_linear_sigma_px, description=EXPECTED["rpc_linear_sigma_px"]
     )
     image_unknowns: tuple[Text, ...] = Field(default=Options.image_unknowns, description=EXPECTED["image_unknowns"])
+    extrapolate_attitude_s: Annotated[
+        float, Field(strict=True, ge=0.0, le=MAX_EXTRAPOLATION_S, allow_inf_nan=False)
+    ] = Field(default=0.0, description=f"seconds, 0 to {MAX_EXTRAPOLATION_S:g}")
     small_angle: Switch = Field(default=Options.small_angle, description=EXPECTED["small_angle"])
 
 

@@ -3,21 +3,33 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, Literal
+
+from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
     from fg_orient.sensors.pushbroom import PushbroomSensor
     from fg_orient.sensors.rpc_sensor import RpcSensor
 
+Model = Literal["auto", "rigorous", "rpc"]
+MODELS: Final = ("auto", "rigorous", "rpc")
 
-def read_sensor(path: str | Path) -> PushbroomSensor | RpcSensor:
+
+def read_sensor(
+    path: str | Path, *, model: Model = "auto", extrapolate_attitude_s: float = 0.0
+) -> PushbroomSensor | RpcSensor:
     """Read a metadata file of any supported format and bind it to its sensor model.
 
     Parameters
     ----------
     path : str or Path
-        ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, or ``DIM_*.XML`` of a Pléiades or
-        SPOT 6/7 sensor product; or a file with RPC (see :func:`fg_orient.io.rpc.read_rpc`).
+        ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, ``DIM_*.XML`` of a Pléiades or
+        SPOT 6/7 sensor product, a PHR_DIMAP; or a file with RPC (see :func:`fg_orient.io.rpc.read_rpc`).
+    model : {"auto", "rigorous", "rpc"}
+        Which model of the file; ``"auto"``: the rigorous one if the file holds it.
+    extrapolate_attitude_s : float
+        Attitudes that do not cover the image are extrapolated by at most so many seconds with the
+        last rate (:class:`fg_orient.sensors.pushbroom.PushbroomSensor`); RPC have none.
 
     Returns
     -------
@@ -27,15 +39,29 @@ def read_sensor(path: str | Path) -> PushbroomSensor | RpcSensor:
     Raises
     ------
     InputError
-        The file is not usable; the message names file, line, value and remedy.
+        The file is not usable, or holds no model of the kind; the message names file, line, value and remedy.
     """
+    if model not in MODELS:
+        raise InputError.of("sensor.model", file=path, place="model", value=model, known=", ".join(MODELS))
     from fg_orient.io.rpc import read_rpc, rpc_format
 
-    if rpc_format(path) is not None:
+    form = rpc_format(path)
+    both = form is not None and form.name == "PHR_DIMAP" and _holds_rigorous(path)
+    if model == "rigorous" and form is not None and not both:
+        raise InputError.of("sensor.only_rpc", file=path, place="model", value=form.name)
+    if model == "rpc" or (model == "auto" and form is not None and not both):
         from fg_orient.sensors.rpc_sensor import RpcSensor
 
         return RpcSensor(read_rpc(path))
     from fg_orient.io.dimap import read_dimap
     from fg_orient.sensors.pushbroom import PushbroomSensor
 
-    return PushbroomSensor(read_dimap(path))
+    return PushbroomSensor(read_dimap(path), extrapolate_attitude_s=extrapolate_attitude_s)
+
+
+def _holds_rigorous(path: str | Path) -> bool:
+    """Tell whether a PHR_DIMAP has the rigorous model beside its RPC."""
+    from fg_orient.io.dimap_phr import MODEL
+    from fg_orient.io.xml import read_xml
+
+    return read_xml(path).maybe(MODEL) is not None

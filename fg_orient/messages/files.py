@@ -35,7 +35,8 @@ XML: Final = {
 DIMAP: Final = {
     "dimap.other_format": (
         "not a DIMAP product file that can be read",
-        "give METADATA.DIM of a SPOT 1-5 level 1A scene or DIM_*.XML of a Pléiades 1A/1B or SPOT 6/7 sensor product",
+        "give METADATA.DIM of a SPOT 1-5 level 1A scene, DIM_*.XML of a Pléiades 1A/1B or SPOT 6/7 sensor product, "
+        "or a PHRDIMAP",
     ),
     "dimap.other_version": (
         "DIMAP of a version that is not read",
@@ -47,7 +48,8 @@ DIMAP: Final = {
     ),
     "dimap.other_level": (
         "the image is resampled: its viewing model is no longer in the file",
-        "needed: level 1A (SPOT 1-5) or the sensor product (profile PHR_SENSOR, S6_SENSOR, S7_SENSOR)",
+        "needed: level 1A (SPOT 1-5) or the sensor product (profile PHR_SENSOR, S6_SENSOR, S7_SENSOR; "
+        "PHR_DIMAP of level SENSOR)",
     ),
     "dimap.rpc_file": (
         "the file holds RPC, not the rigorous model",
@@ -104,9 +106,17 @@ SENSOR: Final = {
         "use a metadata file whose state vectors cover the image",
     ),
     "sensor.attitude_span": (
-        "the attitudes cover {first:.6f} .. {last:.6f} s of the day, {gap:.3f} s less than the image; "
-        "at most {hold} s are held",
-        "use a metadata file whose attitudes cover the image",
+        "the attitudes cover {first:.6f} .. {last:.6f} s of the day, {gap:.3f} s less than what is asked for",
+        "stay within {lines}, or extrapolate with the last rate: --extrapolate-attitude SECONDS",
+    ),
+    "sensor.extrapolation": (
+        "attitudes are extrapolated for 0 to {most:g} s only",
+        "give the seconds that are missing, such as 0.2",
+    ),
+    "sensor.model": ("no such kind of model", "use one of: {known}"),
+    "sensor.only_rpc": (
+        "the file holds an RPC, no rigorous model",
+        "use its RPC (--model rpc), or give the DIM_*.XML or METADATA.DIM of the image",
     ),
     "sensor.no_field": (
         "first and last sample look in the same direction (less than {least:g} rad apart)",

@@ -11,6 +11,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from factors import polynomials
+
 Array = npt.NDArray[np.float64]
 
 
@@ -51,11 +53,16 @@ class Correction:
     look: Array = field(default_factory=lambda: np.zeros((2, 0)))
     small_angle: bool = False
 
+    def eop_at(self, tau: Array) -> Array:
+        """Corrections of the nine EOP (N, 9) at N line times tau."""
+        return polynomials.evaluate(self.eop, tau)
+
 
 class PixelModel(Protocol):
     """A line sensor as the projection sees it."""
 
-    n_lines: int
+    first_line: float
+    last_line: float
     first_sample: float
     last_sample: float
 

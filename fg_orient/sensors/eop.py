@@ -52,8 +52,8 @@ def metadata_eop(sensor: PushbroomSensor, line: Array) -> Array:
 
 
 def fit_eop(sensor: PushbroomSensor, n_lines: int = 601) -> EopPolynomials:
-    """Fit degree-2 polynomials to the metadata at ``n_lines`` evenly spaced lines."""
-    line = np.linspace(0.0, sensor.n_lines - 1.0, n_lines)
+    """Fit degree-2 polynomials to the metadata at ``n_lines`` evenly spaced lines that it covers."""
+    line = np.linspace(sensor.first_line, sensor.last_line, n_lines)
     values = metadata_eop(sensor, line)
     per_tau, residual = polynomials.fit(polynomials.normalised(line, sensor.n_lines), values, 2)
     return EopPolynomials(

@@ -40,7 +40,7 @@ def conditions(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, 
 def pixel_derivative(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """Local derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
     columns = []
-    limits = ((0.0, sensor.n_lines - 1.0), (sensor.first_sample, sensor.last_sample))
+    limits = ((sensor.first_line, sensor.last_line), (sensor.first_sample, sensor.last_sample))
     for axis, (values, (first, last)) in enumerate(zip((line, sample), limits, strict=True)):
         low, high = (np.clip(values + step, first - 0.5, last + 0.5) for step in (-0.5, 0.5))
         pair = [(v, sample) if axis == 0 else (line, v) for v in (low, high)]
@@ -51,7 +51,7 @@ def pixel_derivative(sensor: PixelModel, line: Array, sample: Array, ground_m: A
 
 def project(sensor: PixelModel, ground_m: Array, correction: Correction) -> tuple[Array, Array]:
     """Line and sample of N ECEF points (N, 3) m; see the module docstring."""
-    line = np.full(len(ground_m), (sensor.n_lines - 1) / 2.0)
+    line = np.full(len(ground_m), (sensor.first_line + sensor.last_line) / 2.0)
     sample = np.full(len(ground_m), (sensor.first_sample + sensor.last_sample) / 2.0)
     centre = sensor.centre_position()
     visible = np.isfinite(ground_m).all(axis=1)
@@ -74,7 +74,7 @@ def project(sensor: PixelModel, ground_m: Array, correction: Correction) -> tupl
 
 def _newton_step(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """Step (N, 2) from the nearest pixel of the image, relative to the present estimate."""
-    l_in = np.clip(line, -0.5, sensor.n_lines - 0.5)
+    l_in = np.clip(line, sensor.first_line - 0.5, sensor.last_line + 0.5)
     s_in = np.clip(sample, sensor.first_sample - 0.5, sensor.last_sample + 0.5)
     f = conditions(sensor, l_in, s_in, ground_m, correction)
     j = pixel_derivative(sensor, l_in, s_in, ground_m, correction)

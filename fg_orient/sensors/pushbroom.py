@@ -31,8 +31,8 @@ from fg_orient.sensors.surface import landed
 
 Array = npt.NDArray[np.float64]
 
-#: Attitudes are held constant for at most this long beyond their list, with a note.
-HOLD_S = 0.2
+#: Attitudes may be extrapolated for so long: with a rate that is wrong by 1e-6 rad/s they are off by 5 m then.
+MAX_EXTRAPOLATION_S = 5.0
 #: The samples of an image cannot all look the same way; the narrowest known field is 0.015 rad.
 MIN_FIELD_RAD = 1e-4
 #: Rounding of printed times: lists of SPOT 6 start and end with the image.
@@ -52,6 +52,15 @@ class LineStates:
     mount: Array  # (N, 3, 3)
 
 
+def _extended(source: AngleAttitude | QuaternionList, seconds: Array) -> AngleAttitude | QuaternionList:
+    """Attitudes with the last rate held for ``seconds`` (2,) before and after their list."""
+    if not seconds.any():
+        return source
+    if isinstance(source, AngleAttitude):
+        return AngleAttitude(*attitude.extended(source.time_s, source.angles_rad, *seconds))
+    return QuaternionList(*attitude.extended(source.time_s, source.quaternion, *seconds))
+
+
 class PushbroomSensor(PixelRange):
     """Rigorous model of one pushbroom image.
 
@@ -59,18 +68,21 @@ class PushbroomSensor(PixelRange):
     ----------
     metadata : PushbroomMetadata
         Everything read from the file.
+    extrapolate_attitude_s : float
+        Where the list of attitudes ends inside the image it is extrapolated by at most so many seconds with
+        the last rate, and a note says so. Default 0: the lines without attitude are refused, one by one.
 
     Raises
     ------
     InputError
-        All samples look in the same direction.
+        All samples look in the same direction, or the seconds are none.
     OutOfTimeRange
-        The ephemeris does not cover the image, or the attitudes leave more than 0.2 s open.
+        The ephemeris does not cover the image, or the attitudes do not cover any line.
     """
 
     georeferenced = True
 
-    def __init__(self, metadata: PushbroomMetadata) -> None:
+    def __init__(self, metadata: PushbroomMetadata, *, extrapolate_attitude_s: float = 0.0) -> None:
         self.metadata = metadata
         self.n_lines, self.n_samples = metadata.n_lines, metadata.n_samples
         self.first_line, self.last_line = 0.0, self.n_lines - 1.0
@@ -79,7 +91,8 @@ class PushbroomSensor(PixelRange):
             self.first_sample, self.last_sample = float(metadata.look.sample[0]), float(metadata.look.sample[-1])
         self.follows_orbit = isinstance(metadata.attitude, AngleAttitude)
         self._check_field_of_view()
-        self.notes: tuple[str, ...] = metadata.notes + self._check_time_range()
+        self._check_ephemeris()
+        self.notes: tuple[str, ...] = metadata.notes + self._bind_attitude(extrapolate_attitude_s)
 
     @property
     def file(self) -> str:
@@ -98,29 +111,79 @@ class PushbroomSensor(PixelRange):
                 least=MIN_FIELD_RAD,
             ))  # fmt: skip
 
-    def _check_time_range(self) -> tuple[str, ...]:
-        first, last = self._line_time(np.array([0.0, self.n_lines - 1.0]))
+    def _check_ephemeris(self) -> None:
+        times = self._line_time(np.array([0.0, self.n_lines - 1.0]))
         covered = self.metadata.ephemeris.time_s
-        if min(first, last) < covered[0] - TIME_PRINT_S or max(first, last) > covered[-1] + TIME_PRINT_S:
+        if times.min() < covered[0] - TIME_PRINT_S or times.max() > covered[-1] + TIME_PRINT_S:
             raise OutOfTimeRange(problem(
-                "sensor.ephemeris_span", file=self.file, place="ephemeris", value=f"image {first:.6f} .. {last:.6f} s",
-                first=covered[0], last=covered[-1],
+                "sensor.ephemeris_span", file=self.file, place="ephemeris",
+                value=f"image {times.min():.6f} .. {times.max():.6f} s", first=covered[0], last=covered[-1],
             ))  # fmt: skip
-        source = self.metadata.attitude
-        if isinstance(source, QuaternionPolynomial):
+
+    def _bind_attitude(self, seconds: float) -> tuple[str, ...]:
+        """Extrapolate the attitudes, find the lines that they cover, and say what was done or is missing."""
+        if not 0.0 <= seconds <= MAX_EXTRAPOLATION_S:
+            raise InputError.of("sensor.extrapolation", file=self.file, place="extrapolate attitude", value=seconds,
+                                most=MAX_EXTRAPOLATION_S)  # fmt: skip
+        self.attitude = self.metadata.attitude
+        if isinstance(self.attitude, QuaternionPolynomial):
             return ()
-        late, early = source.time_s[0] - min(first, last), max(first, last) - source.time_s[-1]
-        gap = max(late, early)
-        if gap > HOLD_S:
-            raise OutOfTimeRange(problem(
-                "sensor.attitude_span", file=self.file, place="attitudes", value=f"image {first:.6f} .. {last:.6f} s",
-                first=source.time_s[0], last=source.time_s[-1], hold=HOLD_S, gap=gap,
-            ))  # fmt: skip
-        notes = (
-            (late, f"attitudes start {late:.3f} s after the image does: the first one is held"),
-            (early, f"attitudes end {early:.3f} s before the image does: the last one is held"),
-        )
-        return tuple(note for open_s, note in notes if open_s > TIME_PRINT_S)
+        times = self._line_time(np.array([0.0, self.n_lines - 1.0]))
+        open_s = np.array([self.attitude.time_s[0] - times.min(), times.max() - self.attitude.time_s[-1]])
+        open_s = np.where(open_s > TIME_PRINT_S, open_s, 0.0)
+        added = np.minimum(open_s, seconds)
+        self.attitude = _extended(self.attitude, added)
+        self._cover_lines()
+        words = ("attitudes {} the image by {:.3f} s: extrapolated with the last rate by {:.3f} s",
+                 "the attitudes do not cover lines {} to {}: they are refused")  # fmt: skip
+        where = ("start later than", "end before")
+        notes = [words[0].format(where[k], open_s[k], added[k]) for k in (0, 1) if added[k]]
+        if self.first_line > 0.0:
+            notes.append(words[1].format(0, int(self.first_line) - 1))
+        if self.last_line < self.n_lines - 1.0:
+            notes.append(words[1].format(int(self.last_line) + 1, self.n_lines - 1))
+        return tuple(notes)
+
+    def _cover_lines(self) -> None:
+        """Narrow the usable lines to those whose centres the attitudes cover."""
+        timing = self.metadata.timing
+        time_s = self.attitude.time_s[[0, -1]] + [-TIME_PRINT_S, TIME_PRINT_S]  # type: ignore[union-attr]
+        ends = timing.reference_line + (time_s - timing.reference_time_s) / timing.line_period_s
+        self.first_line = max(0.0, float(np.ceil(ends.min())))
+        self.last_line = min(self.n_lines - 1.0, float(np.floor(ends.max())))
+        if self.first_line > self.last_line:
+            times = self._line_time(np.array([0.0, self.n_lines - 1.0]))
+            raise self._attitude_fault("attitudes", f"image {times.min():.6f} .. {times.max():.6f} s", times)
+
+    def _attitude_fault(self, place: str, value: str, t: Array) -> OutOfTimeRange:
+        listed = self.attitude.time_s  # type: ignore[union-attr]
+        gap = float(np.maximum(listed[0] - t, t - listed[-1]).max())
+        lines = f"lines {self.first_line:.0f} to {self.last_line:.0f}" if self.first_line <= self.last_line else "them"
+        return OutOfTimeRange(problem("sensor.attitude_span", file=self.file, place=place, value=value,
+                                      first=listed[0], last=listed[-1], gap=gap, lines=lines))  # fmt: skip
+
+    def require_inside(self, line: Array, sample: Array) -> None:
+        """Refuse pixels outside the image, and lines that the attitudes do not cover.
+
+        Raises
+        ------
+        OutOfImage
+            Names the first pixel and the image's range.
+        OutOfTimeRange
+            Names the first line and the span of the attitudes.
+        """
+        in_image = (line >= -0.5) & (line <= self.n_lines - 0.5)
+        super().require_inside(np.where(in_image, np.clip(line, self.first_line, self.last_line), line), sample)
+        self._require_attitude(line)
+
+    def _require_attitude(self, line: Array) -> None:
+        """Refuse lines of no attitude; a hundredth of a pixel is rounding."""
+        if isinstance(self.attitude, QuaternionPolynomial):
+            return
+        beyond = (line < self.first_line - 0.51) | (line > self.last_line + 0.51)
+        if beyond.any():
+            t = self._line_time(line[beyond][:1])
+            raise self._attitude_fault(f"line {line[beyond][0]:.2f}", f"{t[0]:.6f} s", t)
 
     # --- constants of the equation -----------------------------------------------------------
 
@@ -130,32 +193,32 @@ class PushbroomSensor(PixelRange):
         Raises
         ------
         OutOfTimeRange
-            A line outside the image for which ephemeris or attitudes, held for 0.2 s, do not suffice.
+            The ephemeris or the attitudes do not cover a line.
         """
         line = np.atleast_1d(np.asarray(line, float))
         t = self._line_time(line)
-        orbit, source = self.metadata.ephemeris, self.metadata.attitude
-        self._require_covered("sensor.ephemeris_span", line, t, orbit.time_s, TIME_PRINT_S)
-        if not isinstance(source, QuaternionPolynomial):
-            self._require_covered("sensor.attitude_span", line, t, source.time_s, HOLD_S)
+        orbit = self.metadata.ephemeris
+        self._require_ephemeris(line, t)
+        self._require_attitude(line)
         state = ephemeris.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
         p, v = np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
         angles, mount = self._attitude(t, p, v)
         return LineStates(polynomials.normalised(line, self.n_lines), p, v, angles, mount)
 
-    def _require_covered(self, code: str, line: Array, t: Array, time_s: Array, hold_s: float) -> None:
-        """Refuse times more than ``hold_s`` beyond a list; half a line, the border of a pixel, is free."""
-        gap = np.maximum(time_s[0] - t, t - time_s[-1])
-        beyond = gap > hold_s + 0.51 * abs(self.metadata.timing.line_period_s)
+    def _require_ephemeris(self, line: Array, t: Array) -> None:
+        """Refuse times beyond the state vectors; half a line, the border of a pixel, is free."""
+        listed = self.metadata.ephemeris.time_s
+        gap = np.maximum(listed[0] - t, t - listed[-1])
+        beyond = gap > TIME_PRINT_S + 0.51 * abs(self.metadata.timing.line_period_s)
         if beyond.any():
             raise OutOfTimeRange(problem(
-                code, file=self.file, place=f"line {line[beyond][0]:.2f}", value=f"{t[beyond][0]:.6f} s",
-                first=time_s[0], last=time_s[-1], gap=gap[beyond][0], hold=hold_s,
+                "sensor.ephemeris_span", file=self.file, place=f"line {line[beyond][0]:.2f}",
+                value=f"{t[beyond][0]:.6f} s", first=listed[0], last=listed[-1],
             ))  # fmt: skip
 
     def _attitude(self, t: Array, p: Array, v: Array) -> tuple[Array, Array]:
         """Angles (N, 3) and mounting (N, 3, 3) of the observation equation."""
-        source = self.metadata.attitude
+        source = self.attitude
         if isinstance(source, AngleAttitude):
             angles = attitude.linear(source.time_s, source.angles_rad, t)
             return np.ascontiguousarray(angles), np.broadcast_to(np.eye(3), (len(t), 3, 3))
@@ -169,7 +232,7 @@ class PushbroomSensor(PixelRange):
 
     def centre_position(self) -> Array:
         """Position at the central line, ECEF m (3,)."""
-        return np.asarray(self.states((self.n_lines - 1) / 2.0).position_m[0])
+        return np.asarray(self.states((self.first_line + self.last_line) / 2.0).position_m[0])
 
     def look_angles(self, sample: npt.ArrayLike) -> tuple[Array, Array]:
         """Look angles psi_x (along), psi_y (across), rad, of N samples."""
@@ -254,6 +317,8 @@ class PushbroomSensor(PixelRange):
         ------
         OutOfImage
             A pixel lies outside the image.
+        OutOfTimeRange
+            The attitudes do not cover a line.
         InputError
             A ray misses the surface, or the DEM does not cover it.
         """
@@ -277,7 +342,7 @@ class PushbroomSensor(PixelRange):
     def centre_m(self) -> Array:
         """Ground point of the image centre at height 0, ECEF m (3,)."""
         middle = 0.5 * (self.first_sample + self.last_sample)
-        return np.asarray(self.locate((self.n_lines - 1) / 2, middle, height_m=0.0)[0])
+        return np.asarray(self.locate((self.first_line + self.last_line) / 2, middle, height_m=0.0)[0])
 
     def footprint(self) -> Array:
         """Corners at height 0 in image order (clockwise): (4, 2) longitude, latitude in degrees."""

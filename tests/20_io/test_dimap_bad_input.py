@@ -169,7 +169,7 @@ def test_unreadable_file(dim1: Path, refused: Refused, monkeypatch: pytest.Monke
         (b"<Dimap_Document>\n<A>\0</A></Dimap_Document>", "xml.malformed", ""),
         ("<?xml version='1.0' encoding='UTF-8'?><A>ı</A>".encode("iso-8859-9"), "xml.malformed", ""),
         (b"<A>" * 300 + b"</A>" * 300, "xml.malformed", "depth"),
-        (b"<PHR_Dimap_Document/>", "dimap.other_format", "PHR_DIMAP"),
+        (b"<PHR_Dimap_Document/>", "xml.missing_element", ""),
         (b"<isd/>", "dimap.other_format", "DigitalGlobe"),
         (b"<VRTDataset/>", "dimap.other_format", "GDAL"),
         (b"<svg xmlns='http://www.w3.org/2000/svg'/>", "dimap.other_format", "root element svg"),

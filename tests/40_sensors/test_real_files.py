@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from factors import ellipsoid
-from fg_orient.errors import InputError
 from fg_orient.io.dimap import read_dimap
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.eop import fit_eop, metadata_eop
@@ -125,17 +124,6 @@ def test_pleiades_equals_the_vendor_rpc(real_data: Path) -> None:
     assert np.abs(sample + 1 - rpc_sample).max() <= 0.01
     observed = np.array([[float(r["line"]), float(r["col"])] for r in rows])
     assert abs(np.mean(rpc_sample - observed[:, 1])) == pytest.approx(16.3, abs=0.2)  # the known vendor bias
-
-
-def test_attitudes_of_hrs_are_held_with_a_note(real_data: Path) -> None:
-    s = sensor(real_data / "asp", "spot5_hrs1_segment.xml")
-    assert any("held" in note for note in s.notes)
-    with pytest.raises(InputError, match=r"samples with look angles from -0\.5 to 299\.5"):
-        s.locate(100.0, 300.0, height_m=0.0)
-    corners = [p for p in s.metadata.frame_points if p.sample == 0.0]
-    ground = s.locate([p.line for p in corners], [0.0] * len(corners), height_m=0.0)
-    missed = horizontal_m(ground, np.array([p.lon_deg for p in corners]), np.array([p.lat_deg for p in corners]))
-    assert missed.max() <= 0.15
 
 
 def test_eop_polynomials_and_their_residuals(real_data: Path) -> None:

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from factors import attitude
 from fg_orient import initial
 from fg_orient.errors import InputError, OutOfImage, OutOfTimeRange
 from fg_orient.sensors import projection
 from fg_orient.sensors.correction import Correction
-from fg_orient.sensors.metadata import LineTiming, LookAnglePolynomial, PushbroomMetadata
-from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.sensors.metadata import LineTiming, LookAnglePolynomial, PushbroomMetadata, QuaternionList
+from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S, PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
 
@@ -33,43 +34,104 @@ def test_ephemeris_is_never_extrapolated(metadata: PushbroomMetadata) -> None:
         PushbroomSensor(shifted(metadata, 150.0))
 
 
-def test_attitudes_are_held_for_a_fifth_of_a_second_only(metadata: PushbroomMetadata) -> None:
-    last_line_s = metadata.timing.reference_time_s + metadata.timing.line_period_s * (
-        metadata.n_lines - 1 - metadata.timing.reference_line
+def open_end(metadata: PushbroomMetadata, seconds: float) -> PushbroomMetadata:
+    """The image ends so long after its attitudes (negative seconds: starts before them)."""
+    timing, listed = metadata.timing, metadata.attitude.time_s
+    ends = timing.reference_time_s + timing.line_period_s * (
+        np.array([0, metadata.n_lines - 1]) - timing.reference_line
     )
-    to_end = metadata.attitude.time_s[-1] - last_line_s
-    assert PushbroomSensor(shifted(metadata, to_end - 0.01)).notes == metadata.notes
-    held = PushbroomSensor(shifted(metadata, to_end + 0.15))
-    assert "the last one is held" in held.notes[-1]
-    held.locate([0.0, 11999.0], [0.0, 11999.0], height_m=0.0)
-    with pytest.raises(OutOfTimeRange, match=r"at most 0\.2 s are held"):
-        PushbroomSensor(shifted(metadata, to_end + 0.25))
+    return shifted(metadata, listed[-1] - ends[1] + seconds if seconds > 0.0 else listed[0] - ends[0] + seconds)
 
 
-def test_attitudes_that_start_late_are_noted_as_such(metadata: PushbroomMetadata) -> None:
-    timing = metadata.timing
-    first_line_s = timing.reference_time_s - timing.line_period_s * timing.reference_line
-    to_start = metadata.attitude.time_s[0] - first_line_s
-    late = PushbroomSensor(shifted(metadata, to_start - 0.055))
-    assert late.notes[-1] == "attitudes start 0.055 s after the image does: the first one is held"
+def test_lines_without_attitude_are_refused_one_by_one(metadata: PushbroomMetadata) -> None:
+    """0.15 s are 199.5 lines of 0.7521 ms: the centres of 200 lines lie beyond the list."""
+    period = metadata.timing.line_period_s
+    assert PushbroomSensor(open_end(metadata, 1e-9)).notes == metadata.notes
+    sensor = PushbroomSensor(open_end(metadata, 0.15))
+    refused = int(np.ceil(0.15 / period))
+    assert (sensor.first_line, sensor.last_line) == (0.0, 11999.0 - refused)
+    assert sensor.notes[-1] == f"the attitudes do not cover lines {12000 - refused} to 11999: they are refused"
+    last = sensor.last_line
+    assert np.isfinite(sensor.locate([0.0, last + 0.5], [0.0, 11999.0], height_m=0.0)).all()
+    for call in (lambda n: sensor.locate(n, 5.0), sensor.states, lambda n: sensor.rays(n, 5.0)):
+        with pytest.raises(OutOfTimeRange, match=rf"attitudes cover .*lines 0 to {last:.0f}.*--extrapolate-attitude"):
+            call(last + 1.0)
+    with pytest.raises(OutOfImage):
+        sensor.locate(12000.0, 5.0)
+    assert sensor.is_inside(np.array([last, last + 1.0]), np.zeros(2)).tolist() == [True, False]
+    assert sensor.corners()[0].tolist() == [0.0, 0.0, last, last]
 
 
-def test_attitudes_are_not_held_for_lines_far_outside(metadata: PushbroomMetadata) -> None:
-    """0.2 s and half a line beyond the list, for rays as for the image; the projection stays inside."""
-    timing, last = metadata.timing, metadata.attitude.time_s[-1]
-    sensor = PushbroomSensor(metadata)
-    line = timing.reference_line + (last - timing.reference_time_s) / timing.line_period_s
-    hold = 0.2 / timing.line_period_s
-    assert np.isfinite(sensor.rays(line + hold, 5.0)[1]).all()
-    for call in (sensor.states, lambda number: sensor.rays(number, 5.0)):
-        with pytest.raises(OutOfTimeRange, match=r"attitudes cover .* at most 0\.2 s are held"):
-            call(line + hold + 1.0)
-    to_end = last - (timing.reference_time_s + timing.line_period_s * (metadata.n_lines - 1 - timing.reference_line))
-    held = PushbroomSensor(shifted(metadata, to_end + 0.2 - 1e-9))  # the border of the last line is still inside
-    inside = held.locate([11999.5, 11000.0], [5.0, 5.0], height_m=0.0)
-    beyond = inside[0] + 5.0 * (inside[0] - inside[1])
-    found, _ = held.project(beyond[None])
-    assert found[0] == pytest.approx(11999.5 + 5.0 * 499.75 * 2.0, abs=60.0)  # linear to 1 %
+def test_lines_before_the_attitudes(metadata: PushbroomMetadata) -> None:
+    sensor = PushbroomSensor(open_end(metadata, -0.055))
+    refused = int(np.ceil(0.055 / metadata.timing.line_period_s))
+    assert (sensor.first_line, sensor.last_line) == (float(refused), 11999.0)
+    assert sensor.notes[-1] == f"the attitudes do not cover lines 0 to {refused - 1}: they are refused"
+
+
+def test_a_projection_beyond_the_attitudes_goes_on_straight(metadata: PushbroomMetadata) -> None:
+    sensor = PushbroomSensor(open_end(metadata, 0.15))
+    last = sensor.last_line
+    inside = sensor.locate([last, last - 1000.0], [5.0, 5.0], height_m=0.0)
+    beyond = inside[0] + 0.5 * (inside[0] - inside[1])
+    found, _ = sensor.project(beyond[None])
+    assert found[0] == pytest.approx(last + 500.0, abs=5.0)  # linear to 1 %
+    back = sensor.project(sensor.locate([last + 0.5, 100.0], [0.0, 9000.0], height_m=500.0))
+    assert np.abs(np.array(back) - [[last + 0.5, 100.0], [0.0, 9000.0]]).max() <= 1e-6
+
+
+def test_no_line_with_attitude(metadata: PushbroomMetadata) -> None:
+    with pytest.raises(OutOfTimeRange, match="attitudes cover"):
+        PushbroomSensor(open_end(metadata, 12.0))
+
+
+@pytest.mark.parametrize("seconds", [-0.1, float("nan"), MAX_EXTRAPOLATION_S + 1e-9])
+def test_extrapolation_that_is_none(metadata: PushbroomMetadata, seconds: float) -> None:
+    with pytest.raises(InputError, match="0 to 5 s only"):
+        PushbroomSensor(metadata, extrapolate_attitude_s=seconds)
+
+
+@pytest.mark.parametrize(("end_s", "state"), [(0.15, -1), (-0.15, 0)])
+def test_extrapolation_holds_the_last_rate(metadata: PushbroomMetadata, end_s: float, state: int) -> None:
+    """Angles beyond the list: the last sample plus its rate; inside the list nothing changes, bit by bit."""
+    held = PushbroomSensor(open_end(metadata, end_s), extrapolate_attitude_s=0.2)
+    assert (held.first_line, held.last_line) == (0.0, 11999.0)
+    assert "extrapolated with the last rate by 0.150 s" in held.notes[-1]
+    source, k = held.metadata.attitude, (-1 if end_s > 0 else 0)
+    neighbour = k - 1 if k else 1
+    rate = (source.angles_rad[k] - source.angles_rad[neighbour]) / (source.time_s[k] - source.time_s[neighbour])
+    line = 11999.0 if k else 0.0
+    expected = source.angles_rad[k] + rate * end_s
+    # times of the day have 1e-11 s, rates are below 1e-4 rad/s
+    np.testing.assert_allclose(held.states(line).angles_rad[0], expected, rtol=0, atol=1e-14)
+    middle = np.array([500.0, 6000.0])
+    plain = PushbroomSensor(open_end(metadata, end_s))
+    assert np.array_equal(held.states(middle).angles_rad, plain.states(middle).angles_rad)
+
+
+def test_extrapolation_stops_at_its_seconds(metadata: PushbroomMetadata) -> None:
+    part = PushbroomSensor(open_end(metadata, 0.15), extrapolate_attitude_s=0.1)
+    refused = int(np.ceil(0.05 / metadata.timing.line_period_s))
+    assert part.last_line == 11999.0 - refused
+    assert len(part.notes) == len(metadata.notes) + 2
+    with pytest.raises(OutOfTimeRange):
+        part.states(part.last_line + 1.0)
+
+
+def test_extrapolated_quaternions_keep_their_rate(metadata: PushbroomMetadata) -> None:
+    """A rotation of constant rate about one axis: what is held is that rate, to the cube of its angle."""
+    image = open_end(metadata, 0.15)
+    listed = metadata.attitude.time_s
+    half = 5e-4 * (listed - listed[0])  # 1e-3 rad/s
+    q = np.stack([np.cos(half), 0.6 * np.sin(half), 0.8 * np.sin(half), np.zeros(len(half))], axis=1)
+    times, samples = attitude.extended(listed, q, 0.0, 0.15)
+    assert times[-1] == listed[-1] + 0.15
+    found = attitude.quaternion_linear(times, samples, times[-1:])[0]
+    half = 5e-4 * (times[-1] - listed[0])
+    # chord against arc: the turn of 7.5e-5 rad cubed, and rounding
+    np.testing.assert_allclose(found, [np.cos(half), 0.6 * np.sin(half), 0.8 * np.sin(half), 0.0], rtol=0, atol=2e-12)
+    sensor = PushbroomSensor(replace(image, attitude=QuaternionList(listed, q)), extrapolate_attitude_s=0.2)
+    assert isinstance(sensor.attitude, QuaternionList) and len(sensor.attitude.time_s) == len(listed) + 1
 
 
 def test_a_projection_that_does_not_end_is_nan(metadata: PushbroomMetadata, monkeypatch: pytest.MonkeyPatch) -> None:

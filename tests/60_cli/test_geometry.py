@@ -203,7 +203,7 @@ def test_parallel_rays_have_no_intersection(run: Any, twin_source: Path) -> None
 
 # --- the file's own frame points -----------------------------------------------------------------
 
-FRAME = ["file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "note"]
+FRAME = ["file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "height_from", "note"]
 
 
 def test_frame_of_the_twin(run: Any, twin_source: Path) -> None:

@@ -274,7 +274,7 @@ def test_missing_project_file(tmp_path):
 def test_bad_metadata_is_reported_with_the_other_faults(folder, monkeypatch):
     import fg_orient.io.sensor
 
-    def refuse(path):
+    def refuse(path, **options):
         raise InputError.of("xml.missing_file", file=path, base="x")
 
     monkeypatch.setattr(fg_orient.io.sensor, "read_sensor", refuse)

@@ -77,7 +77,7 @@ def install_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every metadata file be read as a stand-in sensor."""
     import fg_orient.io.sensor
 
-    monkeypatch.setattr(fg_orient.io.sensor, "read_sensor", lambda path: StandInSensor())
+    monkeypatch.setattr(fg_orient.io.sensor, "read_sensor", lambda path, **options: StandInSensor())
 
 
 class ProjectFolder:

@@ -92,7 +92,7 @@ class PushbroomModel:
 
     def _central_frame(self) -> tuple[Array, float]:
         """Orbital frame at the image centre (columns across, along, radial) and the speed along it, m/s."""
-        state = self.sensor.states((self.sensor.n_lines - 1) / 2.0)
+        state = self.sensor.states((self.sensor.first_line + self.sensor.last_line) / 2.0)
         frame = orbital_frames(state.position_m, state.velocity_m_s)[0]
         return frame, float(state.velocity_m_s[0] @ frame[:, 1])
 
