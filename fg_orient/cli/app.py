@@ -24,6 +24,7 @@ from fg_orient.cli import (
     reproduce,
     rpc,
     simulate,
+    viewing,
 )
 from fg_orient.cli.common import INTERRUPTED, emit_errors, note
 from fg_orient.errors import InputError
@@ -42,6 +43,7 @@ app.command("accuracy")(accuracy.accuracy)
 app.command("locate")(geometry.locate)
 app.command("project")(geometry.project)
 app.command("intersect")(geometry.intersect)
+app.command("footprint")(viewing.footprint)
 app.add_typer(simulate.app, name="simulate")
 app.add_typer(rpc.app, name="rpc")
 app.add_typer(rectify.app, name="rectify")

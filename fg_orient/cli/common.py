@@ -7,11 +7,15 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fg_orient.errors import FgOrientError, Problem
+
+if TYPE_CHECKING:
+    from fg_orient.sensors.pushbroom import PushbroomSensor
+    from fg_orient.sensors.rpc_sensor import RpcSensor
 
 #: Widest table for people.
 WIDTH = 80
@@ -19,6 +23,9 @@ INTERRUPTED = 130
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error of the program itself.")]
+ModelOf = Annotated[
+    str, typer.Option("--model", metavar="auto|rigorous|rpc", help="Which model, of files that hold both.")
+]
 Extrapolate = Annotated[
     float,
     typer.Option(
@@ -141,6 +148,13 @@ def progress_bar(first: str, silent: bool) -> Iterator[Callable[[int, int, str],
 def number(value: object, digits: int = 3) -> str:
     """Write a number for people; a dash where there is none."""
     return "-" if not isinstance(value, (int, float)) or value != value else f"{value:.{digits}f}"
+
+
+def read_image(path: Path, model: str, extrapolate_s: float) -> PushbroomSensor | RpcSensor:
+    """Read a sensor as the options ``--model`` and ``--extrapolate-attitude`` say."""
+    from fg_orient.io.sensor import read_sensor
+
+    return read_sensor(path, model=model, extrapolate_attitude_s=extrapolate_s)
 
 
 def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str, Any]], overwrite: bool) -> None:

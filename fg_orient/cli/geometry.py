@@ -7,7 +7,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table, write_records
+from fg_orient.cli.common import (
+    Debug,
+    Extrapolate,
+    Json,
+    ModelOf,
+    Overwrite,
+    emit,
+    note,
+    number,
+    outcome,
+    read_image,
+    say,
+    table,
+    write_records,
+)  # fmt: skip
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,9 +40,9 @@ HEIGHT_RANGE_M = (-12e3, 100e3)
 #: Rays of one point with metadata orientation miss each other by tens of metres.
 MAX_MISS_M = 500.0
 GROUND = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m")
-FRAME = (*GROUND, "file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m")
+FRAME = (*GROUND, "file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "height_from")
 #: Columns of the frame points for people: the others do not fit into 80 characters.
-SHOWN_FRAME = ("id", "lon_deg", "lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m")
+SHOWN_FRAME = ("id", "height_m", "misfit_m", "misfit_east_m", "misfit_north_m")
 PIXEL = ("id", "line", "sample", "inside")
 
 ImageFile = Annotated[
@@ -48,6 +62,8 @@ def locate(
     ] = None,
     frame: Annotated[bool, typer.Option("--frame", help="Locate the file's own frame points and compare.")] = False,
     points: Points = None,
+    model: ModelOf = "auto",
+    extrapolate_attitude: Extrapolate = 0.0,
     out: Out = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -62,9 +78,8 @@ def locate(
         if height is not None and dem is not None:
             raise InputError.of("cli.two_heights", file=image, place="--height, --dem")
         from fg_orient.ground import frame_records
-        from fg_orient.io.sensor import read_sensor
 
-        sensor = read_sensor(image)
+        sensor = read_image(image, model, extrapolate_attitude)
         surface = _dem(dem)
         if frame:
             records = frame_records(sensor, height, surface)
@@ -127,6 +142,8 @@ def project(
     lat: Annotated[float | None, typer.Option("--lat", help="Latitude, degrees North (WGS84).")] = None,
     height: Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")] = None,
     points: Points = None,
+    model: ModelOf = "auto",
+    extrapolate_attitude: Extrapolate = 0.0,
     out: Out = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -142,7 +159,6 @@ def project(
 
         from fg_orient.geodesy import geodetic_to_ecef
         from fg_orient.ground import pixel_records
-        from fg_orient.io.sensor import read_sensor
 
         if points is not None:
             ids, columns = _columns(points, ("lon_deg", "lat_deg", "height_m"))
@@ -150,7 +166,7 @@ def project(
             raise InputError.of("cli.no_ground", file=image, place="--lon, --lat, --height")
         else:
             ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
-        sensor = read_sensor(image)
+        sensor = read_image(image, model, extrapolate_attitude)
         _publish(sensor, pixel_records(sensor, ids, geodetic_to_ecef(*columns)), PIXEL, out, overwrite, as_json)
 
 
@@ -162,6 +178,8 @@ def intersect(
     pixel: Annotated[
         list[str] | None, typer.Option("--pixel", metavar="LINE,SAMPLE", help="Pixel, one per image, in their order.")
     ] = None,
+    model: ModelOf = "auto",
+    extrapolate_attitude: Extrapolate = 0.0,
     out: Out = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -179,10 +197,10 @@ def intersect(
             from fg_orient.io.project import read_project
 
             _exclude({"PROJECT.toml": sources[0]}, {"--pixel": pixel or None})
-            block = read_project(sources[0])
+            block = read_project(sources[0], extrapolate_attitude_s=extrapolate_attitude or None)
             images, observations, ids = block.images, block.observations, block.points.ids
         else:
-            images, observations = _pixels_of(sources, pixel or [])
+            images, observations = _pixels_of(sources, pixel or [], model, extrapolate_attitude)
             ids = ("1",)
         records = intersection_records(images, observations, ids)
         notes = [text for record in records if (text := _doubt(record))]
@@ -208,19 +226,20 @@ def _doubt(record: dict[str, Any]) -> str | None:
     )
 
 
-def _pixels_of(sources: list[Path], pixels: list[str]) -> tuple[tuple[Image, ...], ImagePoints]:
+def _pixels_of(
+    sources: list[Path], pixels: list[str], model: str, extrapolate_s: float
+) -> tuple[tuple[Image, ...], ImagePoints]:
     """Images and image points of one ground point, given on the command line."""
     import numpy as np
 
     from fg_orient.block import Image, ImagePoints
-    from fg_orient.io.sensor import read_sensor
 
     if len(sources) < 2:
         raise InputError.of("cli.one_image", file=sources[0], place="IMAGE", value=f"{len(sources)} file")
     if len(pixels) != len(sources):
         raise InputError.of("cli.pixel_count", place="--pixel", pixels=len(pixels), images=len(sources))
     values = np.array([_pixel(text) for text in pixels])
-    images = tuple(Image(str(k + 1), read_sensor(path)) for k, path in enumerate(sources))
+    images = tuple(Image(str(k + 1), read_image(path, model, extrapolate_s)) for k, path in enumerate(sources))
     for k, image in enumerate(images):
         image.sensor.require_inside(values[k : k + 1, 0], values[k : k + 1, 1])
     n = len(images)
@@ -269,7 +288,8 @@ def _publish(
         where = None if out is None else str(out)
         emit({"points": records, "image": Path(sensor.file).name, "notes": list(sensor.notes), "out": where})
         return
-    for text in sensor.notes:
+    framed = {r["note"] for r in records if r.get("note")} if columns is FRAME else set()
+    for text in (*sensor.notes, *sorted(framed - set(sensor.notes))):
         note(f"note: {text}")
     shown = SHOWN_FRAME if columns is FRAME else tuple(name for name in columns if name not in ("x_m", "y_m", "z_m"))
     table("", shown, [_for_people(record, shown) for record in records])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 from fg_orient.errors import InputError
 
@@ -11,12 +11,11 @@ if TYPE_CHECKING:
     from fg_orient.sensors.pushbroom import PushbroomSensor
     from fg_orient.sensors.rpc_sensor import RpcSensor
 
-Model = Literal["auto", "rigorous", "rpc"]
 MODELS: Final = ("auto", "rigorous", "rpc")
 
 
 def read_sensor(
-    path: str | Path, *, model: Model = "auto", extrapolate_attitude_s: float = 0.0
+    path: str | Path, *, model: str = "auto", extrapolate_attitude_s: float = 0.0
 ) -> PushbroomSensor | RpcSensor:
     """Read a metadata file of any supported format and bind it to its sensor model.
 

@@ -1,0 +1,128 @@
+"""Command ``footprint``: where images look, at which angles, and how pairs of them converge."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fg_orient.cli.common import (
+    Debug,
+    Extrapolate,
+    Json,
+    ModelOf,
+    Overwrite,
+    emit,
+    note,
+    number,
+    outcome,
+    read_image,
+    say,
+    table,
+)  # fmt: skip
+from fg_orient.errors import InputError
+
+if TYPE_CHECKING:
+    from fg_orient.block import Image
+    from fg_orient.viewing import View
+
+Sources = Annotated[
+    list[Path], typer.Argument(metavar="IMAGE ... | PROJECT.toml", help="Metadata files, or one project file.")
+]
+
+
+def footprint(
+    sources: Sources,
+    height: Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")] = None,
+    dem: Annotated[Path | None, typer.Option("--dem", help="DEM, any raster GDAL reads.")] = None,
+    result: Annotated[
+        Path | None, typer.Option("--result", metavar="DIR", help="Result folder of adjust: adjusted orientation.")
+    ] = None,
+    model: ModelOf = "auto",
+    extrapolate_attitude: Extrapolate = 0.0,
+    out: Annotated[Path | None, typer.Option("--out", help="Write the footprints into this GeoJSON file.")] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Footprints, ground sampling distance, incidence; convergence and base to height of pairs.
+
+    On the ground at --height or on --dem.
+    """
+    with outcome(as_json, debug):
+        from fg_orient.viewing import feature_collection, viewing_records
+
+        views = _views(_images(sources, model, extrapolate_attitude), height, dem, result)
+        records = viewing_records(views)
+        if out is not None:
+            _write(out, feature_collection(views, records["images"]), overwrite)
+        notes = [f"image {view.image.id}: {text}" for view in views for text in view.image.sensor.notes]
+        if as_json:
+            emit({**records, "notes": notes, "out": None if out is None else str(out)})
+        else:
+            for text in notes:
+                note(f"note: {text}")
+            _show(records)
+            if out is not None:
+                say(f"written: {out}")
+
+
+def _images(sources: list[Path], model: str, extrapolate_s: float) -> tuple[Image, ...]:
+    """Images of a project, or of metadata files, numbered."""
+    from fg_orient.block import Image
+
+    if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
+        from fg_orient.io.project import read_project
+
+        return read_project(sources[0], extrapolate_attitude_s=extrapolate_s or None).images
+    return tuple(Image(str(k), read_image(path, model, extrapolate_s)) for k, path in enumerate(sources, start=1))
+
+
+def _views(images: tuple[Image, ...], height: float | None, dem: Path | None, result: Path | None) -> list[View]:
+    """Images with their ground and their orientation."""
+    from fg_orient.viewing import View
+
+    if (height is None) == (dem is None):
+        code = "cli.no_height" if height is None else "cli.two_heights"
+        raise InputError.of(code, file=images[0].sensor.file, place="--height, --dem")
+    surface = None
+    if dem is not None:
+        from fg_orient.sensors.surface import RasterDem
+
+        surface = RasterDem(dem)
+    out = []
+    for image in images:
+        correction: Any = None
+        if result is not None:
+            from fg_orient.raster.adjusted import read_correction
+
+            correction = read_correction(result, image.sensor)  # type: ignore[arg-type]
+        out.append(View(image, height or 0.0, surface, correction))
+    return out
+
+
+def _write(out: Path, collection: dict[str, Any], overwrite: bool) -> None:
+    from fg_orient.io.atomic import write_text
+    from fg_orient.run.json import dumps
+
+    if out.exists() and not overwrite:
+        raise InputError.of("output.exists", file=out, place="--out")
+    write_text(out, dumps(collection, indent=1) + "\n")
+
+
+def _show(records: dict[str, list[dict[str, Any]]]) -> None:
+    columns = ("image", "GSD line", "GSD sample", "incidence", "azimuth", "height", "km2")
+    table("degrees, m, at the centres of the images", columns, [
+        [r["image"], *(number(r[key], digits) for key, digits in (
+            ("gsd_line_m", 3), ("gsd_sample_m", 3), ("incidence_deg", 2), ("azimuth_deg", 1), ("height_m", 0),
+            ("area_km2", 1)))]
+        for r in records["images"]
+    ])  # fmt: skip
+    pairs = records["pairs"]
+    if pairs:
+        table("at the middle of the common ground", ("pair", "overlap", "convergence", "B/H", "asymmetry"), [
+            [" - ".join(r["images"]), number(r["overlap"], 2), number(r["convergence_deg"], 2),
+             number(r["base_to_height"]), number(r["asymmetry_deg"], 2)]
+            for r in pairs
+        ])  # fmt: skip
