@@ -19,9 +19,9 @@ from typing import Final
 
 import numpy as np
 
-from factors import frame, pushbroom, rfm_equation
+from factors import frame, frame_measured, pushbroom, rfm_equation
 from factors._contract import Array, Equation
-from factors.batch_frame import frame_rows
+from factors.batch_frame import frame_rows, measured_frame_rows
 from factors.batch_pushbroom import pushbroom_rows
 from factors.batch_rows import Index, rational_rows
 
@@ -93,6 +93,7 @@ _BATCHES: Final[dict[str, tuple[Callable[..., int], Callable[[Array], Columns]]]
     pushbroom.LOOK_ANGLE_COLLINEARITY.name: (pushbroom_rows, _pushbroom_columns),
     rfm_equation.RATIONAL_FUNCTION.name: (rational_rows, _plain_columns),
     frame.FRAME_BROWN_IDEAL_TO_MEASURED.name: (frame_rows, _plain_columns),
+    frame_measured.FRAME_BROWN_MEASURED_TO_IDEAL.name: (measured_frame_rows, _plain_columns),
 }
 
 

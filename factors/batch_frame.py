@@ -1,4 +1,4 @@
-"""Rows of the frame equation over arrays; conventions: ``factors.batch_rows``.
+"""Rows of the two frame equations over arrays; conventions: ``factors.batch_rows``.
 
 What all rays of an image share (rotation with its Jacobian, projection centre, interior orientation) is computed when
 the image is first met in the range and kept in a table, so that of a record only the pixel and its weights are read.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import frame
+from factors import frame, frame_measured
 from factors._contract import Array
 from factors.batch_rows import Index, threaded
 from factors.frame_camera import CAMERA_SIZE, direction, pixel, row_of
@@ -22,7 +22,7 @@ def frame_rows(
     """Frame collinearity of members lo to hi; see :func:`factors.batch_pushbroom.pushbroom_rows`."""
     c, bad = setup.shape[1], -1
     table, known = np.empty((len(wide), CAMERA_SIZE)), np.zeros(len(wide), np.bool_)
-    column, sigma, d = setup[0].astype(np.int64), setup[1].copy(), np.empty((2, frame.N_UNKNOWNS + 3))
+    column, sigma, d = setup[0].astype(np.int64), setup[1].copy(), np.zeros((2, frame.N_UNKNOWNS + 3))
     for m in range(lo, hi):
         a = members[m]
         i, k, p = image[a], row[a], point[a]
@@ -41,8 +41,41 @@ def frame_rows(
                 d_image[a, 0, j] = d[0, column[j]] * sigma[j]
                 d_image[a, 1, j] = d[1, column[j]] * sigma[j]
             for j in range(3):
-                d_ground[a, 0, j] = d[0, frame.N_UNKNOWNS + j]
-                d_ground[a, 1, j] = d[1, frame.N_UNKNOWNS + j]
+                d_ground[a, 0, j] = d[0, frame.GROUND + j]
+                d_ground[a, 1, j] = d[1, frame.GROUND + j]
+        if zero != 0.0 and bad < 0:
+            bad = a
+    return bad
+
+
+@threaded
+def measured_frame_rows(
+    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
+    n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
+) -> int:  # fmt: skip
+    """Frame collinearity with corrected observations of members lo to hi; see :func:`frame_rows`."""
+    c, bad = setup.shape[1], -1
+    table, known = np.empty((len(wide), frame_measured.CAMERA_SIZE)), np.zeros(len(wide), np.bool_)
+    column, sigma, d = setup[0].astype(np.int64), setup[1].copy(), np.zeros((2, frame.N_UNKNOWNS + 3))
+    for m in range(lo, hi):
+        a = members[m]
+        i, k, p = image[a], row[a], point[a]
+        if not known[i]:
+            known[i] = True
+            table[i] = frame_measured.camera(records[k], setup, wide[i, :c])
+        cam, o_line, o_sample = table[i], records[k, 0], records[k, 1]
+        ray = direction(cam, ground[p, 0], ground[p, 1], ground[p, 2])
+        line, sample = frame_measured.difference(cam, o_line, o_sample, ray[0], ray[1])
+        value[a, 0], value[a, 1] = records[k, 2] * line, records[k, 3] * sample
+        zero = 0.0 * (value[a, 0] + value[a, 1])
+        if want:
+            zero += frame_measured.derivatives(cam, ray, o_line, o_sample, records[k, 2], records[k, 3], d)
+            for j in range(c):
+                d_image[a, 0, j] = d[0, column[j]] * sigma[j]
+                d_image[a, 1, j] = d[1, column[j]] * sigma[j]
+            for j in range(3):
+                d_ground[a, 0, j] = d[0, frame.GROUND + j]
+                d_ground[a, 1, j] = d[1, frame.GROUND + j]
         if zero != 0.0 and bad < 0:
             bad = a
     return bad

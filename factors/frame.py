@@ -29,8 +29,11 @@ from factors.frame_camera import (
 #: point and distortion 16:24 as in ``factors.frame_camera``.
 RECORD_SIZE: Final = 24
 #: Setup: codes of the unknowns and their prior sigmas: 0-2 rotation about the camera's X, Y, Z (rad), 3-5 projection
-#: centre (m), 6 focal length, 7 and 8 sample and line of the principal point (px), 9-13 k1 k2 k3 p1 p2.
-N_UNKNOWNS: Final = 14
+#: centre (m), 6 focal length, 7 and 8 sample and line of the principal point (px), 9-13 k1 k2 k3 p1 p2; 14 the aspect
+#: of ``factors.frame_measured``, 15-29 what only a platform feels (``factors.platform``). No pixel here feels 14-29.
+N_UNKNOWNS: Final = 30
+#: Column of the ground point behind those of the unknowns.
+GROUND: Final = N_UNKNOWNS
 
 
 @compiled
@@ -64,7 +67,7 @@ def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
 
 
 @compiled
-def _row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, out: Array, row: int) -> float:
+def sight_row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, out: Array, row: int) -> float:
     """Write the derivatives of one pixel coordinate; 0 if they are finite.
 
     ``own`` is the coordinate of the direction (x, y, 1/Z) that the pixel coordinate follows, ``u`` and ``v`` are the
@@ -84,7 +87,7 @@ def _row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, 
     out[row, 1] = w0 * c[21] + w1 * c[24] + w2 * c[27]
     out[row, 2] = w0 * c[22] + w1 * c[25] + w2 * c[28]
     out[row, 3], out[row, 4], out[row, 5] = -g0, -g1, -g2
-    out[row, 14], out[row, 15], out[row, 16] = g0, g1, g2
+    out[row, GROUND], out[row, GROUND + 1], out[row, GROUND + 2] = g0, g1, g2
     r = x * x + y * y
     k1 = s * own * r
     out[row, 9], out[row, 10], out[row, 11] = k1, k1 * r, k1 * r * r
@@ -93,15 +96,16 @@ def _row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, 
 
 @compiled
 def derivatives(c: Any, ray: Any, a_line: float, a_sample: float, out: Array) -> float:
-    """Write the whitened derivatives of the residual into ``out`` (2, 17); 0 if they are finite.
+    """Write the whitened derivatives of the residual into ``out`` (2, 33); 0 if they are finite.
 
     ``c`` is the camera, an array or a tuple; ``ray`` what :func:`factors.frame_camera.direction` gives; ``a_line`` and
-    ``a_sample`` are the weights, 1/px. Columns: the 14 unknowns in physical units, then the ground point.
+    ``a_sample`` are the weights, 1/px. Columns: the 30 unknowns in physical units, then the ground point;
+    columns 14 to 29 are left as they are.
     """
     x, y, _ = ray
     mx, my = brown_ideal_to_measured(c, x, y)
     a, b, d = brown_derivatives(c, x, y)
-    zero = _row(c, y, ray, b, d, -a_line, out, 0) + _row(c, x, ray, a, b, -a_sample, out, 1)
+    zero = sight_row(c, y, ray, b, d, -a_line, out, 0) + sight_row(c, x, ray, a, b, -a_sample, out, 1)
     r, xy = x * x + y * y, 2.0 * x * y
     out[0, 6], out[0, 7], out[0, 8] = -a_line * my, 0.0, -a_line
     out[1, 6], out[1, 7], out[1, 8] = -a_sample * mx, -a_sample, 0.0
@@ -117,7 +121,7 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
 
     Returns False if the sizes do not fit or a value is not finite.
     """
-    k, record, d = setup.shape[1], records[row], np.empty((2, N_UNKNOWNS + 3))
+    k, record, d = setup.shape[1], records[row], np.zeros((2, N_UNKNOWNS + 3))
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
     c = camera(record, setup, x)
@@ -131,7 +135,7 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
             for j in range(k):
                 out[i, 1 + j] = d[i, int(setup[0, j])] * setup[1, j]
             for j in range(3):
-                out[i, 1 + k + j] = d[i, N_UNKNOWNS + j]
+                out[i, 1 + k + j] = d[i, GROUND + j]
     return bool(zero == 0.0)
 
 
@@ -158,7 +162,7 @@ def example(rng: np.random.Generator) -> Example:
         [rng.uniform(-1e3, 1e3, 2), 1.0 / rng.uniform(0.2, 2.0, 2), start.ravel(), centre, interior]
     )
     sigma = np.repeat([rng.choice([1e-5, 1e-3, 0.1]), 0.3, 3.0, 2.0, 1e-2, 1e-4], [3, 3, 1, 2, 3, 2])
-    codes = np.sort(rng.permutation(N_UNKNOWNS)[: rng.integers(1, N_UNKNOWNS + 1)])
+    codes = np.sort(rng.permutation(14)[: rng.integers(1, 15)])
     setup = np.ascontiguousarray(np.stack([codes.astype(float), sigma[codes]]))
     return Example(record, setup, (rng.normal(size=len(codes)), ground + rng.normal(scale=1.0, size=3)))
 

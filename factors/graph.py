@@ -8,6 +8,7 @@ The only module of ``factors`` that imports gtsam.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,13 +16,17 @@ import gtsam
 import numpy as np
 
 from factors._contract import Array, Equation, check_blocks
+from factors.split import Split
 
 ErrorFunction = Callable[[Any, Any, Any], Array]
 
 
+Unknown = int | Array | Split
+
+
 def factor(
     equation: Equation,
-    unknowns: Sequence[int | Array],
+    unknowns: Sequence[Unknown],
     sizes: Sequence[int],
     record: Array,
     setup: Array,
@@ -36,7 +41,7 @@ def factor(
     ----------
     equation : Equation
         Its kernel gives the whitened residual and Jacobians.
-    unknowns : one GTSAM key (int), or a constant vector, per argument of the equation
+    unknowns : one GTSAM key (int), a constant vector or a :class:`Split`, per argument of the equation
         A constant argument (a fixed control point) is no unknown of the factor.
     sizes : size of each argument, in order
         Keys of arguments marked ``is_point`` are read as ``Point3``, others as vectors.
@@ -53,10 +58,15 @@ def factor(
         At creation if nothing is unknown; at evaluation if the kernel returns arrays of wrong
         number, shape or type, or values that are not finite.
     """
-    keys = [int(u) for u in unknowns if not isinstance(u, np.ndarray)]
+    parts = [u.keys if isinstance(u, Split) else (int(u),) for u in unknowns if not isinstance(u, np.ndarray)]
+    keys = list(itertools.chain(*parts))
     if not keys:
         raise ValueError(f"equation {equation.name!r}, {label}: no unknown, nothing to adjust")
-    if equation.fill and [a.is_point for a in equation.arguments] == [False, True] and len(keys) == 2:
+    if (
+        equation.fill
+        and [a.is_point for a in equation.arguments] == [False, True]
+        and not (any(not isinstance(u, int) for u in unknowns))
+    ):
         one = np.ascontiguousarray(record[None])
         make = image_point_factors(equation, sizes[0], one, setup, lambda _: label, n_residuals=n_residuals, loss=loss)
         return make(keys[0], keys[1], 0)
@@ -120,9 +130,18 @@ def _require_size(name: str, label: str, x: Array, size: int) -> None:
         raise ValueError(f"equation {name!r}, {label}: {size} unknowns expected, the values hold {x.size}")
 
 
+def _value(u: Unknown, values: Any, is_point: bool, size: int) -> Any:
+    """Value of one argument."""
+    if isinstance(u, np.ndarray):
+        return u
+    if isinstance(u, Split):
+        return u.gathered(values, size)
+    return values.atPoint3(u) if is_point else values.atVector(u)
+
+
 def _general(
     equation: Equation,
-    unknowns: Sequence[int | Array],
+    unknowns: Sequence[Unknown],
     sizes: Sequence[int],
     record: Array,
     setup: Array,
@@ -135,8 +154,8 @@ def _general(
 
     def error(_this: Any, values: Any, jacobians: Any) -> Array:
         x: list[Any] = [
-            u if isinstance(u, np.ndarray) else values.atPoint3(u) if argument.is_point else values.atVector(u)
-            for u, argument in zip(unknowns, equation.arguments, strict=True)
+            _value(u, values, argument.is_point, size)
+            for u, argument, size in zip(unknowns, equation.arguments, widths, strict=True)
         ]
         for vector, size in zip(x, widths, strict=True):
             _require_size(name, label, vector, size)
@@ -144,8 +163,12 @@ def _general(
         blocks = kernel(record, setup, *x, want)
         check_blocks(name, label, blocks if want else blocks[:1], widths if want else (), m)
         if want:
-            for slot, k in enumerate(free):
-                jacobians[slot] = blocks[1 + k]
+            slot = 0
+            for k in free:
+                u = unknowns[k]
+                for block in u.scattered(blocks[1 + k]) if isinstance(u, Split) else (blocks[1 + k],):
+                    jacobians[slot] = block
+                    slot += 1
         value: Array = blocks[0]
         return value
 

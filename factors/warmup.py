@@ -24,6 +24,7 @@ from factors import (
     ephemeris,
     frame,
     frame_camera,
+    frame_measured,
     pushbroom,
     rfm,
     rfm_equation,
@@ -71,14 +72,19 @@ def _compile_rational_function() -> None:
 
 
 def _compile_frame() -> None:
-    e = frame.example(np.random.default_rng(0))
-    x, point = e.unknowns
-    for want in (False, True):
-        frame.kernel(e.record, e.setup, x, point, want)
-    frame.fill(e.record[None].copy(), 0, e.setup, x, point, np.empty((2, len(x) + 4)), True)
+    for module in (frame_measured, frame):
+        e = module.example(np.random.default_rng(0))
+        x, point = e.unknowns
+        for want in (False, True):
+            module.kernel(e.record, e.setup, x, point, want)
+        module.fill(e.record[None].copy(), 0, e.setup, x, point, np.empty((2, len(x) + 4)), True)
     camera = frame.camera(e.record, e.setup, x)
     frame_camera.project(camera, point[None].copy())
     frame_camera.ideal_directions(camera, np.zeros(1), np.zeros(1))
+    own = frame_measured.example(np.random.default_rng(0))
+    of_measured = frame_measured.camera(own.record, own.setup, own.unknowns[0])
+    frame_measured.corrected(of_measured, np.zeros(1), np.zeros(1))
+    frame_measured.pixels(of_measured, np.zeros(1), np.zeros(1))
 
 
 def _compile_batches() -> None:
@@ -88,6 +94,7 @@ def _compile_batches() -> None:
     for equation, example in (
         (pushbroom.LOOK_ANGLE_COLLINEARITY, pushbroom.example(rng)),
         (rfm_equation.RATIONAL_FUNCTION, rfm_equation.example(rng)),
+        (frame_measured.FRAME_BROWN_MEASURED_TO_IDEAL, frame_measured.example(rng)),
         (frame.FRAME_BROWN_IDEAL_TO_MEASURED, frame.example(rng)),
     ):
         rows, columns = batch.batch(equation, example.setup)

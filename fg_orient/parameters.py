@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -81,6 +82,8 @@ class ImageParameters:
         Physical unit of each unknown.
     words : tuple of str
         Each unknown in words: "position X (constant, m)".
+    shared : tuple of str
+        Id under which images share each unknown, "" for the image's own; () if all are its own.
     """
 
     codes: tuple[int, ...]
@@ -88,9 +91,26 @@ class ImageParameters:
     names: tuple[str, ...]
     units: tuple[str, ...]
     words: tuple[str, ...]
+    shared: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.codes)
+
+    @cached_property
+    def own(self) -> npt.NDArray[np.bool_]:
+        """Unknowns (k,) that no other image shares."""
+        return np.array([not name for name in self.shared or ("",) * len(self)], dtype=bool)
+
+    def take(self, which: npt.NDArray[np.bool_]) -> ImageParameters:
+        """Some of the unknowns (k,)."""
+        at = np.flatnonzero(which).tolist()
+
+        def of(values: tuple[Any, ...]) -> tuple[Any, ...]:
+            return tuple(values[j] for j in at) if values else ()
+
+        return ImageParameters(
+            of(self.codes), self.sigma[at], of(self.names), of(self.units), of(self.words), of(self.shared)
+        )
 
     @cached_property
     def setup(self) -> Array:

@@ -94,8 +94,11 @@ def assemble(problem: Problem, state: State, *, jacobian: bool = True) -> tuple[
     columns = Columns.of(problem)
     parts = [_image_rows(problem, state, columns, jacobian), _control_rows(problem, state, columns, jacobian)]
     if problem.block.options.priors:
-        k = problem.n_image_unknowns
-        parts.append((problem.image_vector(state), np.eye(k if jacobian else 0, len(columns))))
+        prior = problem.image_vector(state)
+        own = np.zeros((len(prior) if jacobian else 0, len(columns)))
+        if jacobian:
+            own[np.arange(len(prior)), np.arange(len(prior)) if problem.ties is None else problem.ties.place] = 1.0
+        parts.append((prior, own))
     parts += [_extra_rows(problem, extra, state, columns, jacobian) for extra in problem.block.extra]
     return np.concatenate([r for r, _ in parts]), np.vstack([j for _, j in parts])
 
@@ -265,6 +268,8 @@ class DenseBackend:
     def linearise(self, state: State) -> DenseSystem:
         """Linearise at a state."""
         residual, design = assemble(self.problem, state)
+        if self.problem.ties is not None:
+            design = self.problem.ties.columns(design)
         least = self.problem.least_damping
         if self.robust is None:
             return DenseSystem(residual, design, self.solver, least=least)
@@ -296,4 +301,5 @@ class DenseBackend:
 
     def retract(self, state: State, step: DenseStep) -> State:
         """State after a step."""
-        return self.columns.moved(state, step.data)
+        ties = self.problem.ties
+        return self.columns.moved(state, step.data if ties is None else ties.widened(step.data))

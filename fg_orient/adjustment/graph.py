@@ -8,6 +8,7 @@ complement as an ordering) and retracts; the loop is ours (``fg_orient.adjustmen
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.graph import factor, image_point_factors
+from factors.split import Split
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.models.contract import groups
 from fg_orient.adjustment.problem import Problem, State
@@ -38,6 +40,40 @@ def image_key(k: int) -> int:
 def point_key(j: int) -> int:
     """GTSAM key of a ground point."""
     return int(gtsam.symbol("p", j))
+
+
+def shared_key(g: int) -> int:
+    """GTSAM key of what images have in common under the g-th id."""
+    return int(gtsam.symbol("c", g))
+
+
+def vector_keys(problem: Problem) -> list[tuple[int, slice]]:
+    """GTSAM vectors of the images, with their parts of ``Problem.image_vector``; none of length zero."""
+    first, m = problem.first if problem.ties is None else problem.ties.part, problem.n_images
+    keys = [image_key(k) if k < m else shared_key(k - m) for k in range(len(first) - 1)]
+    parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(first)]
+    return [(key, part) for key, part in zip(keys, parts, strict=True) if part.stop > part.start]
+
+
+def image_unknown(problem: Problem, k: int) -> int | Split | Array:
+    """What a factor takes as the vector of an image: its key, several where it shares unknowns, or an empty vector."""
+    ties, size = problem.ties, len(problem.parameters[k])
+    if not size:
+        return np.zeros(0)
+    of = (
+        np.arange(problem.first[k], problem.first[k + 1]) if ties is None else ties.of[slice(*problem.first[k : k + 2])]
+    )
+    found = []
+    for key, part in vector_keys(problem):
+        columns = np.flatnonzero((of >= part.start) & (of < part.stop))
+        if len(columns):
+            found.append((key, columns, of[columns] - part.start, part.stop - part.start))
+    if len(found) == 1 and found[0][3] == size:
+        return found[0][0]
+    return Split(
+        tuple(key for key, _, _, _ in found), tuple(columns for _, columns, _, _ in found),
+        tuple(places for _, _, places, _ in found), tuple(n for _, _, _, n in found),
+    )  # fmt: skip
 
 
 def build_graph(problem: Problem, image_loss: Any = None, control_loss: Any = None) -> gtsam.NonlinearFactorGraph:
@@ -66,32 +102,33 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss:
             equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n]), loss=loss
         )
         makers |= dict.fromkeys(images, make)
-    image_keys = [image_key(i) for i in range(problem.n_images)]
+    image_keys = [image_unknown(problem, i) for i in range(problem.n_images)]
     key, last = 0, -1
     for n, row in enumerate(rows):
         i, j = int(o.image[row]), int(o.point[row])
-        if problem.active[j]:
-            if j != last:
-                key, last = point_key(j), j
-            graph.add(makers[i](image_keys[i], key, n))
-        else:
-            constant = np.ascontiguousarray(problem.start.ground[j])
+        if j != last:
+            key, last = point_key(j), j
+        own = image_keys[i]
+        if problem.active[j] and isinstance(own, int):
+            graph.add(makers[i](own, key, n))
+        elif problem.active[j] or not isinstance(own, np.ndarray):
+            point = key if problem.active[j] else np.ascontiguousarray(problem.start.ground[j])
             setup = models[i].parameters.setup
             graph.add(factor(
-                models[i].equation, (image_keys[i], constant), (setup.shape[1], 3), records[n], setup,
+                models[i].equation, (own, point), (setup.shape[1], 3), records[n], setup,
                 label=problem.label(row), loss=loss,
             ))  # fmt: skip
 
 
 def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFactor:
     """Factor of an observation given by the user."""
-    unknowns: list[int | Array] = []
+    unknowns: list[int | Array | Split] = []
     arguments = problem.extra_arguments(extra)
     for argument in arguments:
         if argument.constant is not None:
             unknowns.append(argument.constant)
         else:
-            unknowns.append(image_key(argument.index) if argument.is_image else point_key(argument.index))
+            unknowns.append(image_unknown(problem, argument.index) if argument.is_image else point_key(argument.index))
     return factor(
         extra.equation, unknowns, [a.size for a in arguments], extra.record, extra.setup,
         label=extra.label, n_residuals=extra.n_residuals,
@@ -106,9 +143,9 @@ def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) 
             noise = gtsam.noiseModel.Robust.Create(loss, noise)
         graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, 9:], noise)
     if problem.block.options.priors:
-        for i, parameters in enumerate(problem.parameters):
-            k = len(parameters)
-            graph.addPriorVector(image_key(i), np.zeros(k), gtsam.noiseModel.Unit.Create(k))
+        for key, part in vector_keys(problem):
+            k = part.stop - part.start
+            graph.addPriorVector(key, np.zeros(k), gtsam.noiseModel.Unit.Create(k))
 
 
 @dataclass
@@ -188,11 +225,12 @@ class GraphBackend:
         self.ordering = gtsam.Ordering()
         for j in self._points:
             self.ordering.push_back(point_key(j))
-        for i in range(problem.n_images):
-            self.ordering.push_back(image_key(i))
+        self._vectors = vector_keys(problem)
+        for key, _ in self._vectors:
+            self.ordering.push_back(key)
         self.zero = gtsam.VectorValues()
-        for i in range(problem.n_images):
-            self.zero.insert(image_key(i), np.zeros(len(problem.parameters[i])))
+        for key, part in self._vectors:
+            self.zero.insert(key, np.zeros(part.stop - part.start))
         for j in self._points:
             self.zero.insert(point_key(j), np.zeros(3))
 
@@ -214,15 +252,16 @@ class GraphBackend:
     def values(self, state: State) -> gtsam.Values:
         """GTSAM values of a state."""
         values = gtsam.Values()
-        for i in range(self.problem.n_images):
-            values.insert(image_key(i), self.problem.unknowns(state, i))
+        vector = self.problem.image_vector(state)
+        for key, part in self._vectors:
+            values.insert(key, vector[part])
         for j in self._points:
             values.insertPoint3(point_key(j), state.ground[j])
         return values
 
     def state(self, values: gtsam.Values) -> State:
         """Arrays of GTSAM values."""
-        image = np.concatenate([values.atVector(image_key(i)) for i in range(self.problem.n_images)])
+        image = np.concatenate([values.atVector(key) for key, _ in self._vectors])
         ground = self.problem.start.ground.copy()
         for j in self._points:
             ground[j] = values.atPoint3(point_key(j))
@@ -250,10 +289,10 @@ class GraphBackend:
         """Identity times the root of the damping, for every unknown."""
         graph = gtsam.GaussianFactorGraph()
         root, point = np.sqrt(damping), gtsam.noiseModel.Unit.Create(3)
-        for i, parameters in enumerate(self.problem.parameters):
-            k = len(parameters)
+        for key, part in self._vectors:
+            k = part.stop - part.start
             image = gtsam.noiseModel.Unit.Create(k)
-            graph.add(gtsam.JacobianFactor(image_key(i), root * np.eye(k), np.zeros(k), image))
+            graph.add(gtsam.JacobianFactor(key, root * np.eye(k), np.zeros(k), image))
         for j in self._points:
             graph.add(gtsam.JacobianFactor(point_key(j), root * np.eye(3), np.zeros(3), point))
         return graph

@@ -21,6 +21,7 @@ from factors._contract import evaluate
 from fg_orient import geodesy, initial
 from fg_orient.adjustment.models.contract import ImageModel, groups, image_models
 from fg_orient.adjustment.rows import residuals
+from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.block import Block, ExtraObservation, ImagePoints
 from fg_orient.errors import InputError
 from fg_orient.names import Role
@@ -106,24 +107,39 @@ class Problem:
         """First of each image's unknowns among those of all images, and their number (M + 1,)."""
         return np.concatenate([[0], np.cumsum([len(p) for p in self.parameters])]).astype(np.intp)
 
+    @cached_property
+    def ties(self) -> Ties | None:
+        """Unknowns that images have in common; None if there are none."""
+        return ties_of(self.parameters, [image.id for image in self.block.images])
+
     @property
     def n_image_unknowns(self) -> int:
-        """Unknowns of all images."""
+        """Unknowns of all images, each image's counted for itself."""
         return int(self.first[-1])
+
+    @property
+    def n_free_unknowns(self) -> int:
+        """Unknowns of all images, those that they have in common counted once."""
+        return self.n_image_unknowns if self.ties is None else len(self.ties)
 
     def unknowns(self, state: State, k: int) -> Array:
         """The unknowns of an image (its own number of them), prior sigmas."""
         return np.ascontiguousarray(state.image[k, : len(self.parameters[k])])
 
     def image_vector(self, state: State) -> Array:
-        """Unknowns of all images, one after the other."""
-        return np.asarray(state.image[self._exists])
+        """Unknowns of all images, one after the other; if they have some in common, as ``ties`` numbers them."""
+        wide = np.asarray(state.image[self._exists])
+        return wide if self.ties is None else wide[self.ties.place]
 
     def image_matrix(self, vector: Array) -> Array:
-        """Make the matrix ``State.image`` of unknowns of all images, one after the other."""
+        """Make the matrix ``State.image`` of what :meth:`image_vector` gives."""
         out = np.zeros(self._exists.shape)
-        out[self._exists] = vector
+        out[self._exists] = vector if self.ties is None else vector[self.ties.of]
         return out
+
+    def prior_squares(self, state: State) -> float:
+        """Sum of the squares of the image unknowns, those in common once."""
+        return float(np.sum((state.image if self.ties is None else self.image_vector(state)) ** 2))
 
     @cached_property
     def _exists(self) -> npt.NDArray[np.bool_]:
@@ -140,12 +156,12 @@ class Problem:
     @property
     def n_unknowns(self) -> int:
         """Image unknowns and three per unknown ground point."""
-        return self.n_image_unknowns + 3 * int(self.active.sum())
+        return self.n_free_unknowns + 3 * int(self.active.sum())
 
     @property
     def n_observations(self) -> int:
         """Equations: two per image point, three per observed control point, one per prior, and the extra ones."""
-        priors = self.n_image_unknowns if self.block.options.priors else 0
+        priors = self.n_free_unknowns if self.block.options.priors else 0
         extra = sum(e.n_residuals for e in self.block.extra)
         return 2 * len(self.observations) + 3 * int(self.observed.sum()) + priors + extra
 
@@ -235,17 +251,21 @@ def compile_problem(block: Block) -> Problem:
     Raises
     ------
     InputError
-        No control point (unless priors hold the datum or nothing need), an image whose sensor has no model, images in
-        different coordinate systems, nothing to adjust, points that cannot be intersected.
+        No control point (unless priors or an image without unknowns of its own hold the datum, or nothing need), an
+        image whose sensor has no model, images in different coordinate systems, nothing to adjust, points that cannot
+        be intersected.
     """
     options = block.options
     control_rows = block.points.where(Role.CONTROL)
     seen = np.unique(block.observations.point)
-    if not np.isin(control_rows, seen).any() and options.datum == "control":
-        raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control_rows)} measured")
     if options.datum == "priors" and not options.priors:
         raise InputError.of("adjust.relative_priors", file=block.name, place="priors", value="false")
     models = image_models(block.images, options)
+    held = any(not model.parameters.own.any() for model in models)
+    if not np.isin(control_rows, seen).any() and options.datum == "control" and not held:
+        raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control_rows)} measured")
+    if not any(len(model.parameters) for model in models):
+        raise InputError.of("frame.nothing_unknown", file=block.images[0].sensor.file, place="sigma")
     observations = participating(block)
     if not len(observations):
         raise InputError.of("block.no_rays", file=block.name, place="image points", value=0)

@@ -212,7 +212,9 @@ class SchurSystem:
             0, len(s.block_row), s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column,
             s.n_basis, s.n_components, b.gradients, wide,
         )  # fmt: skip
-        return s.narrowed(wide) + self._backend.prior * self._backend.problem.image_vector(self.state)
+        problem, own = self._backend.problem, s.narrowed(wide)
+        free = own if problem.ties is None else problem.ties.summed(own)
+        return free + self._backend.prior * problem.image_vector(self.state)
 
     def solve(self, damping: float) -> SchurStep:
         """Eliminate the points, solve for the images, substitute back.
@@ -344,7 +346,7 @@ class SchurBackend:
         automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
         self.workers = Workers(automatic if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
-        self.reduced = ReducedSystems(self.structure, problem.first, reduced)
+        self.reduced = ReducedSystems(self.structure, problem.first, reduced, problem.ties)
         self.buffers = Buffers(self.structure, problem.control_records)
         self.robust: Robust | None = None
         self.last_damping = 0.0
@@ -368,7 +370,7 @@ class SchurBackend:
         if self.robust is None:
             return self.half_rest(state) + 0.5 * sum(float(np.vdot(v, v)) for v in self._values(state))
         _, _, cost = self.robust.weigh(*self.squares(state))
-        return cost + 0.5 * self.prior * float(np.sum(state.image**2))
+        return cost + 0.5 * self.prior * self.problem.prior_squares(state)
 
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``; image points in the order of the structure."""
@@ -438,4 +440,4 @@ class SchurBackend:
     def half_rest(self, state: State, records: Array | None = None) -> float:
         """Half the weighted sum of squares of control points and priors."""
         control = self._control_residuals(state, self.problem.control_records if records is None else records)
-        return 0.5 * float(np.sum(control**2) + self.prior * np.sum(state.image**2))
+        return 0.5 * float(np.sum(control**2) + self.prior * self.problem.prior_squares(state))

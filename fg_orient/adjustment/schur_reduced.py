@@ -22,6 +22,8 @@ from factors.batch_matrix import fill_diagonal, fill_lower
 if TYPE_CHECKING:
     import gtsam
 
+    from fg_orient.adjustment.ties import Ties
+
 Array = npt.NDArray[np.float64]
 Bounds = npt.NDArray[np.intp]
 Index = npt.NDArray[np.int64]
@@ -174,6 +176,52 @@ class LapackReduced:
         return self._condition
 
 
+class TiedReduced:
+    """Cholesky factor of ``T^T S T`` for images with unknowns in common; parameters as for :class:`LapackReduced`."""
+
+    def __init__(self, pattern: Pattern, first: Bounds, blocks: Array, diagonal: float, ties: Ties) -> None:
+        self._first, self._ties, n = first, ties, int(first[-1])
+        whole = np.zeros((n, n))
+        for b, (i, j) in enumerate(zip(pattern.block_row.tolist(), pattern.block_column.tolist(), strict=True)):
+            at = (slice(first[i], first[i + 1]), slice(first[j], first[j + 1]))
+            whole[at] = blocks[b, : pattern.size[i], : pattern.size[j]]
+            if i != j:
+                whole[at[::-1]] = whole[at].T
+        s = np.asarray(ties.matrix.T @ np.asarray(whole @ ties.matrix))
+        s = 0.5 * (s + s.T) + diagonal * np.eye(len(s))
+        d = np.diag(s)
+        if not (d > 0.0).all():
+            raise Singular("an unknown of an image is in no observation")
+        self._scale = 1.0 / np.sqrt(d)
+        s *= np.outer(self._scale, self._scale)
+        self._norm = float(np.abs(s).sum(axis=0).max())
+        self._factor, info = lapack.dpotrf(s, lower=1)
+        if info != 0:
+            raise Singular("the reduced camera system is not positive definite")
+        self._inverse: Array | None = None
+
+    def solve(self, gradient: Array) -> Array:
+        """See :class:`Reduced`; gradient and solution are those of the free unknowns."""
+        return self._solved(-gradient * self._scale) * self._scale
+
+    def _solved(self, right: Array) -> Array:
+        return np.asarray(lapack.dpotrs(self._factor, right, lower=1)[0])
+
+    def condition(self) -> float:
+        """See :meth:`LapackReduced.condition`."""
+        return self._norm * inverse_norm(self._solved, len(self._scale))
+
+    def covariance(self, images: tuple[int, ...]) -> Array:
+        """See :class:`Reduced`; of the images' own vectors, so that what they share stands in each."""
+        if self._inverse is None:
+            if not self.condition() < CONDITION_LIMIT:
+                raise Singular(f"the condition of the scaled reduced system is above {CONDITION_LIMIT:.0e}")
+            half = np.tril(lapack.dpotri(self._factor, lower=1)[0])
+            self._inverse = (half + np.tril(half, -1).T) * np.outer(self._scale, self._scale)
+        at = self._ties.of[np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])]
+        return np.asarray(self._inverse[np.ix_(at, at)])
+
+
 def inverse_norm(solve: Callable[[Array], Array], n: int) -> float:
     """Estimate the 1-norm of the inverse of a symmetric matrix from solutions with it (Hager 1984, algorithm 1)."""
     x, estimate = np.full(n, 1.0 / n), 0.0
@@ -302,10 +350,15 @@ class ReducedSystems:
     first : (M + 1,) int array
     kind : str
         "dense": LAPACK on the full matrix; "banded": on its band; "graph": GTSAM on its blocks; "auto": by size.
+    ties : Ties, optional
+        Unknowns that images have in common link all of them: the matrix is then full.
     """
 
-    def __init__(self, pattern: Pattern, first: Bounds, kind: str = "auto") -> None:
-        self.pattern, self._first = pattern, first
+    def __init__(self, pattern: Pattern, first: Bounds, kind: str = "auto", ties: Ties | None = None) -> None:
+        self.pattern, self._first, self._ties, self._ordering = pattern, first, ties, None
+        if ties is not None:
+            self.kind = "dense"
+            return
         self._order = narrowest(pattern, first)
         self.kind = _suitable(pattern, int(first[-1]), self._order.band) if kind == "auto" else kind
         self._ordering = elimination_order(pattern) if self.kind == "graph" else None
@@ -318,6 +371,8 @@ class ReducedSystems:
         Singular
             It is not positive definite.
         """
+        if self._ties is not None:
+            return TiedReduced(self.pattern, self._first, blocks, diagonal, self._ties)
         if self._ordering is not None:
             return GraphReduced(self.pattern, self._first, blocks, diagonal, self._ordering)
         order = self._order if self.kind == "banded" else None

@@ -229,7 +229,7 @@ def _groups(problem: Problem, image: Small) -> tuple[Group, ...]:
             inside = np.zeros(problem.n_images, dtype=bool)
             inside[images] = True
             members = np.flatnonzero(inside[image]).astype(np.int32)
-        out.append(Group(rows, columns, np.array(images, np.int64), members, int(columns.basis.max()) + 1))
+        out.append(Group(rows, columns, np.array(images, np.int64), members, int(columns.basis.max(initial=0)) + 1))
     return tuple(out)
 
 

@@ -11,6 +11,10 @@ FRAME: Final = {
         "the camera has no unknown, so its image cannot be adjusted",
         "name some with their prior sigmas, small ones to hold it",
     ),
+    "frame.shared": (
+        "images that share the unknown under {id!r} disagree",
+        "give all of them the same prior sigma and the same start value",
+    ),
     "frame.no_direction": (
         "the distortion of the camera cannot be inverted at this pixel",
         "check k1, k2, k3, p1, p2: the polynomial folds inside the image",

@@ -119,6 +119,8 @@ class DenseCofactors:
         if reciprocal * CONDITION_LIMIT < 1.0:
             raise Indeterminate(f"the condition of the scaled Jacobian is above {CONDITION_LIMIT:.0e}")
         half = solve_triangular(r, np.eye(len(r)), check_finite=False) / length[:, None]
+        if problem.ties is not None:
+            half = problem.ties.widened(half)
         self._q: Array = half @ half.T
 
     def image(self, k: int) -> Array:
@@ -187,7 +189,9 @@ class GraphCofactors:
         """See :class:`Cofactors`."""
         from fg_orient.adjustment.graph import image_key
 
-        if k not in self._images:
+        if k not in self._images and self._problem.ties is not None:
+            self._images[k] = self.joint((k,), ())
+        elif k not in self._images:
             part = slice(self._problem.first[k], self._problem.first[k + 1])
             found = self._marginals.marginalCovariance(image_key(k)) if self._all is None else self._all[part, part]
             self._images[k] = np.asarray(found)
@@ -237,10 +241,32 @@ class GraphCofactors:
         if self._all is not None and len(points) <= 1:
             return self._with_point(self._all, images, points)
         keys = [image_key(k) for k in images] + [point_key(j) for j in points if self._problem.active[j]]
+        if self._problem.ties is not None:
+            return self._tied(images, keys[len(images) :])
+        return self._marginal(keys)
+
+    def _marginal(self, keys: list[int]) -> Array:
         if len(keys) == 1:
             return np.asarray(self._marginals.marginalCovariance(keys[0]))
         found = self._marginals.jointMarginalCovariance(keys)
         return np.block([[np.asarray(found.at(a, b)) for b in keys] for a in keys])
+
+    def _tied(self, images: tuple[int, ...], points: list[int]) -> Array:
+        """Joint cofactors of images that have unknowns in common, and of the points of these keys."""
+        from fg_orient.adjustment.graph import vector_keys
+
+        problem, ties = self._problem, self._problem.ties
+        assert ties is not None
+        wide = [ties.of[problem.first[k] : problem.first[k + 1]] for k in images]
+        needed = np.concatenate([np.zeros(0, np.intp), *wide])
+        keys, place, n = [], np.full(len(ties), -1), 0
+        for key, part in vector_keys(problem):
+            if ((needed >= part.start) & (needed < part.stop)).any():
+                keys.append(key)
+                place[part] = n + np.arange(part.stop - part.start)
+                n += part.stop - part.start
+        at = np.concatenate([place[needed], n + np.arange(3 * len(points))]).astype(np.intp)
+        return self._marginal(keys + points)[np.ix_(at, at)]
 
     def _with_point(self, q_images: Array, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
         """Joint cofactors of images and at most one point, by back-substitution."""

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid, frame, frame_camera
+from factors import ellipsoid, frame, frame_camera, frame_measured
 from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.sensors.correction import HeightSurface
@@ -27,8 +27,13 @@ Array = npt.NDArray[np.float64]
 #: Unknowns of a frame image in the order of their codes (``factors.frame``).
 UNKNOWNS: Final = (
     "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "principal_sample",
-    "principal_line", "k1", "k2", "k3", "p1", "p2",
+    "principal_line", "k1", "k2", "k3", "p1", "p2", "aspect",
 )  # fmt: skip
+#: Of these, the interior orientation: what images of one camera may have in common.
+INTERIOR: Final = UNKNOWNS[6:]
+#: The two distortion equations, by the direction in which the polynomial leads.
+IDEAL_TO_MEASURED: Final = "brown_ideal_to_measured"
+MEASURED_TO_IDEAL: Final = "brown_measured_to_ideal"
 #: Camera axes from photogrammetric ones (X right, Y up, view along -Z; BAL): rotation = HALF_TURN @ theirs.
 HALF_TURN: Final = np.diag([1.0, -1.0, -1.0])
 #: A matrix is a rotation if its columns are orthonormal to this: 9 digits of a file, rounded.
@@ -49,15 +54,27 @@ class FrameCamera:
     principal_px : (2,) array
         Line and sample of the principal point.
     distortion : (5,) array
-        k1, k2, k3, p1, p2 of Brown's polynomial from ideal to measured directions (OpenCV, COLMAP, BAL).
+        k1, k2, k3, p1, p2 of Brown's polynomial.
+    model : str
+        Direction of the polynomial: "brown_ideal_to_measured" (OpenCV, COLMAP, BAL, Metashape) or
+        "brown_measured_to_ideal" (Ayhan, DBAT).
+    unit_px : float, optional
+        Measured to ideal: the polynomial's unit of length, 1 mm in pixels for coefficients in mm; default: the focal
+        length as given.
+    aspect : float
+        Measured to ideal: samples are stretched by 1 + aspect.
     sigma : mapping
         Unknowns of the adjustment by name (:data:`UNKNOWNS`) with their prior sigmas (rad, m, px; k and p have
         no unit). What is not named is held.
+    shared : mapping
+        Unknowns that this image has in common with others, by name, and with whom: all images that give a name the
+        same id have one unknown ({"focal": "camera 1"}). Their start values and sigmas must agree.
 
     Raises
     ------
     InputError
-        A value is not finite, the matrix is no rotation, the focal length or a sigma not above zero, or a name wrong.
+        A value is not finite, the matrix is no rotation, the focal length, unit or a sigma not above zero, a name
+        or the model wrong, an aspect where the model has none.
     """
 
     rotation: Array
@@ -66,6 +83,10 @@ class FrameCamera:
     principal_px: Array = field(default_factory=lambda: np.zeros(2))
     distortion: Array = field(default_factory=lambda: np.zeros(5))
     sigma: Mapping[str, float] = field(default_factory=dict)
+    model: str = IDEAL_TO_MEASURED
+    unit_px: float | None = None
+    aspect: float = 0.0
+    shared: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, shape in (("rotation", (3, 3)), ("centre_m", (3,)), ("principal_px", (2,)), ("distortion", (5,))):
@@ -79,22 +100,95 @@ class FrameCamera:
             raise InputError.of("frame.camera", place="rotation", value=f"{away:.1e}", expected="an orthonormal matrix")
         if not (np.isfinite(self.focal_px) and self.focal_px > 0.0):
             raise InputError.of("frame.camera", place="focal_px", value=self.focal_px, expected="pixels above zero")
+        if self.model not in (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL):
+            known = f"{IDEAL_TO_MEASURED} or {MEASURED_TO_IDEAL}"
+            raise InputError.of("frame.camera", place="model", value=self.model, expected=known)
+        if self.unit_px is None:
+            object.__setattr__(self, "unit_px", float(self.focal_px))
+        if not (self.unit_px and np.isfinite(self.unit_px) and self.unit_px > 0.0):
+            raise InputError.of("frame.camera", place="unit_px", value=self.unit_px, expected="pixels above zero")
+        if not np.isfinite(self.aspect) or (self.aspect != 0.0 and self.model == IDEAL_TO_MEASURED):
+            raise InputError.of("frame.camera", place="aspect", value=self.aspect, expected=f"0 for {self.model}")
+        self._require_unknowns()
+
+    def _require_unknowns(self) -> None:
+        known = UNKNOWNS if self.model == MEASURED_TO_IDEAL else UNKNOWNS[:-1]
         for name, sigma in self.sigma.items():
-            if name not in UNKNOWNS or not (np.isfinite(sigma) and sigma > 0.0):
-                raise InputError.of("frame.unknown", place=name, value=sigma, known=", ".join(UNKNOWNS))
+            if name not in known or not (np.isfinite(sigma) and sigma > 0.0):
+                raise InputError.of("frame.unknown", place=name, value=sigma, known=", ".join(known))
+        for name, with_whom in self.shared.items():
+            if name not in self.sigma or not with_whom:
+                raise InputError.of("frame.unknown", place=f"shared {name}", value=with_whom,
+                                    known=", ".join(self.sigma))  # fmt: skip
 
     @cached_property
     def record(self) -> Array:
-        """Columns 4 to 24 of the record of ``factors.frame``, local origin 0: (20,)."""
+        """Columns from 4 of the record of ``factors.frame`` (20,) or ``factors.frame_measured`` (22,), origin 0."""
         principal = self.principal_px[::-1]
-        return np.concatenate([self.rotation.ravel(), self.centre_m, [self.focal_px], principal, self.distortion])
+        own = [self.aspect, self.unit_px] if self.corrects_measured else []
+        return np.concatenate([self.rotation.ravel(), self.centre_m, [self.focal_px], principal, self.distortion, own])
+
+    @property
+    def corrects_measured(self) -> bool:
+        """Whether the polynomial leads from measured to ideal coordinates."""
+        return self.model == MEASURED_TO_IDEAL
 
     def corrected(self, correction: npt.ArrayLike | None = None) -> Array:
-        """Camera (29,) of ``factors.frame_camera`` with corrections (14,) in physical units."""
+        """Camera of ``factors.frame_camera`` (29,), of ``factors.frame_measured`` (31,) if the polynomial corrects.
+
+        ``correction`` (30,): in physical units, in the order of the codes of ``factors.frame``.
+        """
         codes = np.stack([np.arange(frame.N_UNKNOWNS, dtype=float), np.ones(frame.N_UNKNOWNS)])
         x = np.zeros(frame.N_UNKNOWNS) if correction is None else np.array(correction, dtype=float)
-        out: Array = frame.camera(np.concatenate([np.zeros(4), self.record]), codes, x)
+        make = frame_measured.camera if self.corrects_measured else frame.camera
+        out: Array = make(np.concatenate([np.zeros(4), self.record]), codes, x)
         return out
+
+    def ideal_directions(self, camera: Array, line: Array, sample: Array) -> Array:
+        """X/Z, Y/Z (N, 2) of pixels, by what :meth:`corrected` gives; nan where the distortion cannot be inverted."""
+        found = frame_measured.corrected if self.corrects_measured else frame_camera.ideal_directions
+        return np.asarray(found(camera, line, sample))
+
+    def pixels(self, camera: Array, ground_m: Array) -> Array:
+        """Line, sample (px) and inverse depth (1/m) of ground points (N, 3): (N, 3); nan where nothing is measured."""
+        if not self.corrects_measured:
+            return np.asarray(frame_camera.project(camera, ground_m))
+        plain = camera[:29].copy()
+        plain[12], plain[13:15], plain[15:20] = 1.0, 0.0, 0.0
+        line, sample, inverse = frame_camera.project(plain, ground_m).T
+        # the ideal point as a pixel of the polynomial's own camera, whose measured direction Newton finds
+        plain[12], plain[15:20] = camera[30] / camera[12], camera[15:20]
+        x, y = frame_camera.ideal_directions(plain, line, sample).T
+        return np.column_stack([frame_measured.pixels(camera, x, y), inverse])
+
+
+def rotation_of_opk(omega_rad: float, phi_rad: float, kappa_rad: float) -> Array:
+    """Rotation (3, 3) of a :class:`FrameCamera` from photogrammetric angles.
+
+    ``R3(kappa) R2(phi) R1(omega)`` leads from ground axes to photogrammetric camera axes, each turn being that of the
+    axes (Kraus 2007; DBAT); :data:`HALF_TURN` goes on from there.
+    """
+    (so, co), (sp, cp), (sk, ck) = ((np.sin(a), np.cos(a)) for a in (omega_rad, phi_rad, kappa_rad))
+    r1 = np.array([[1.0, 0.0, 0.0], [0.0, co, so], [0.0, -so, co]])
+    r2 = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
+    r3 = np.array([[ck, sk, 0.0], [-sk, ck, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(HALF_TURN @ r3 @ r2 @ r1)
+
+
+def opk_of_rotation(rotation: Array) -> tuple[Array, Array]:
+    """Omega, phi, kappa (3,) rad of a rotation, and their derivatives (3, 3) by turns about the camera's axes.
+
+    Phi lies in [-pi/2, pi/2]; at its ends omega and kappa are one angle and the derivatives have no value.
+    """
+    r = HALF_TURN @ rotation
+    angles = np.array([np.arctan2(-r[2, 1], r[2, 2]), np.arcsin(np.clip(r[2, 0], -1.0, 1.0)),
+                       np.arctan2(-r[1, 0], r[0, 0])])  # fmt: skip
+    (sp, cp), (sk, ck) = ((np.sin(a), np.cos(a)) for a in angles[1:])
+    # a change of omega turns the axes about the first ground axis, phi about the second of those, kappa about the third
+    turns = -np.array([[cp * ck, sk, 0.0], [-cp * sk, ck, 0.0], [sp, 0.0, 1.0]])
+    with np.errstate(divide="ignore"):
+        derivatives = np.linalg.inv(turns) @ HALF_TURN if cp > 1e-9 else np.full((3, 3), np.nan)
+    return angles, derivatives
 
 
 class FrameSensor(PixelRange):
@@ -129,12 +223,12 @@ class FrameSensor(PixelRange):
         return self._file
 
     def records(self, line: npt.ArrayLike, sample: npt.ArrayLike, origin_m: Array | None = None) -> Array:
-        """Constants of the frame equation for N image points, unwhitened: (N, 24).
+        """Constants of the camera's frame equation for N image points, unwhitened: (N, 24) or (N, 26).
 
         ``origin_m`` (3,): local origin of the ground unknowns (default 0).
         """
         line, sample = same_length(line, sample)
-        out = np.ones((len(line), frame.RECORD_SIZE))
+        out = np.ones((len(line), 4 + len(self.camera.record)))
         out[:, 0], out[:, 1], out[:, 4:] = line, sample, self.camera.record
         if origin_m is not None:
             out[:, 13:16] -= origin_m
@@ -154,7 +248,7 @@ class FrameSensor(PixelRange):
         """
         line, sample = same_length(line, sample)
         camera = self.camera.corrected(correction)
-        ideal = frame_camera.ideal_directions(camera, line, sample)
+        ideal = self.camera.ideal_directions(camera, line, sample)
         bad = np.flatnonzero(np.isnan(ideal).any(axis=1))
         if len(bad):
             place = f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}"
@@ -193,7 +287,7 @@ class FrameSensor(PixelRange):
     def project(self, ground_m: npt.ArrayLike, correction: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Line and sample of N ground points (N, 3) m; nan for points that are not in front of the camera."""
         ground = np.atleast_2d(np.ascontiguousarray(ground_m, dtype=float))
-        line, sample, inverse = frame_camera.project(self.camera.corrected(correction), ground).T
+        line, sample, inverse = self.camera.pixels(self.camera.corrected(correction), ground).T
         seen = inverse > 0.0
         return np.where(seen, line, np.nan), np.where(seen, sample, np.nan)
 

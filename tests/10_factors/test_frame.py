@@ -43,7 +43,7 @@ def test_residual_equals_the_printed_formulas() -> None:
         (observed, weight), start, interior = e.record[:4].reshape(2, 2), e.record[4:13].reshape(3, 3), e.record[13:24]
         d = np.zeros(frame.N_UNKNOWNS)
         d[e.setup[0].astype(int)] = e.setup[1] * e.unknowns[0]
-        centre, (f, cx, cy, k1, k2, k3, p1, p2) = interior[:3] + d[3:6], interior[3:] + d[6:]
+        centre, (f, cx, cy, k1, k2, k3, p1, p2) = interior[:3] + d[3:6], interior[3:] + d[6:14]
         q = Rotation.from_rotvec(d[:3]).apply(start @ (e.unknowns[1] - centre))
         x, y = q[:2] / q[2]
         r2 = x**2 + y**2

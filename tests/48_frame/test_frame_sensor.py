@@ -125,5 +125,9 @@ def test_what_cannot_be_asked_is_refused() -> None:
         compile_problem(replace(block, images=(Image("aerial", aerial()), *block.images[1:])))
     assert code(mixed) == "frame.mixed"
     with pytest.raises(InputError) as held:
-        image_models([Image("a", aerial(sigma={}))], Options())
+        images = tuple(
+            replace(i, sensor=FrameSensor(replace(i.sensor.camera, sigma={}), 10, 10, georeferenced=False))
+            for i in block.images
+        )
+        compile_problem(replace(block, images=images))
     assert code(held) == "frame.nothing_unknown"

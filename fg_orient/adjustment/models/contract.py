@@ -83,6 +83,10 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
             raise InputError.of("adjust.no_model", place=f"image {image.id}", value=kind, known=", ".join(MODELS))
         module, name = MODELS[kind]
         found.append(getattr(import_module(module), name)(image.sensor, options))
+    if any(not model.parameters.own.all() for model in found):
+        from fg_orient.adjustment.models.frame import require_common_start
+
+        require_common_start({i.id: i.sensor.camera for i in images if hasattr(i.sensor, "camera")})
     every = {known for model in found for known in model.parameters.names}
     wrong = [unknown for unknown in options.image_unknowns if unknown not in every]
     if wrong:

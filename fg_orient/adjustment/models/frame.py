@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -9,20 +10,21 @@ import numpy.typing as npt
 
 from factors._contract import Equation
 from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, N_UNKNOWNS
+from factors.frame_measured import FRAME_BROWN_MEASURED_TO_IDEAL
 from fg_orient.block import ImagePoints, Options
 from fg_orient.errors import InputError
 from fg_orient.parameters import ImageParameters, require_unknowns
-from fg_orient.sensors.frame import UNKNOWNS, FrameCamera, FrameSensor
+from fg_orient.sensors.frame import INTERIOR, UNKNOWNS, FrameCamera, FrameSensor
 
 Array = npt.NDArray[np.float64]
 
-_UNITS: Final = ("rad",) * 3 + ("m",) * 3 + ("px",) * 3 + ("",) * 5
+_UNITS: Final = ("rad",) * 3 + ("m",) * 3 + ("px",) * 3 + ("",) * 6
 _WORDS: Final = (
     "rotation about the camera's X (rad)", "rotation about the camera's Y (rad)",
     "rotation about the camera's Z (rad)", "projection centre X (m)", "projection centre Y (m)",
     "projection centre Z (m)", "focal length (px)", "sample of the principal point (px)",
     "line of the principal point (px)", "radial distortion k1", "radial distortion k2", "radial distortion k3",
-    "decentring distortion p1", "decentring distortion p2",
+    "decentring distortion p1", "decentring distortion p2", "aspect",
 )  # fmt: skip
 
 
@@ -31,7 +33,28 @@ def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageP
     codes = tuple(k for k, name in enumerate(UNKNOWNS) if name in camera.sigma and (not only or name in only))
     sigma = np.array([camera.sigma[UNKNOWNS[k]] for k in codes])
     names = tuple(UNKNOWNS[k] for k in codes)
-    return ImageParameters(codes, sigma, names, tuple(_UNITS[k] for k in codes), tuple(_WORDS[k] for k in codes))
+    shared = tuple(camera.shared.get(name, "") for name in names) if camera.shared else ()
+    return ImageParameters(
+        codes, sigma, names, tuple(_UNITS[k] for k in codes), tuple(_WORDS[k] for k in codes), shared
+    )
+
+
+def require_common_start(cameras: Mapping[str, FrameCamera]) -> None:
+    """Refuse cameras (by image id) that share an unknown but begin with different values of it.
+
+    Raises
+    ------
+    InputError
+        Names the first image that differs from those before it.
+    """
+    known: dict[tuple[str, str], float] = {}
+    for image, camera in cameras.items():
+        at, unit = camera.corrected(), float(camera.unit_px or 0.0) if camera.corrects_measured else 0.0
+        values = dict(zip(INTERIOR, [*at[12:20], camera.aspect], strict=True))
+        for name, with_whom in camera.shared.items():
+            for part, value in ((name, values.get(name, 0.0)), ("unit", unit), ("model", camera.corrects_measured)):
+                if known.setdefault((with_whom, part), float(value)) != value:
+                    raise InputError.of("frame.shared", place=f"image {image}, {part}", value=value, id=with_whom)
 
 
 class FrameImageModel:
@@ -41,22 +64,23 @@ class FrameImageModel:
     ----------
     sensor : FrameSensor
     options : Options
-        The unknowns and their prior sigmas are those of the camera; ``image_unknowns`` may leave some out.
+        The unknowns and their prior sigmas are those of the camera; ``image_unknowns`` may leave some out. A camera
+        without any is held: its images are the datum.
 
     Raises
     ------
     InputError
-        The camera names no unknown, or ``image_unknowns`` leaves none.
+        ``image_unknowns`` leaves none of the camera's unknowns.
     """
 
-    equation: Equation = FRAME_BROWN_IDEAL_TO_MEASURED
-
     def __init__(self, sensor: FrameSensor, options: Options) -> None:
-        if not sensor.camera.sigma:
-            raise InputError.of("frame.nothing_unknown", file=sensor.file, place="sigma")
         self.sensor = sensor
+        self.equation: Equation = (
+            FRAME_BROWN_MEASURED_TO_IDEAL if sensor.camera.corrects_measured else FRAME_BROWN_IDEAL_TO_MEASURED
+        )
         self.parameters = camera_parameters(sensor.camera, options.image_unknowns)
-        require_unknowns(options, self.parameters.codes, sensor.file, sensor.camera.sigma)
+        if sensor.camera.sigma:
+            require_unknowns(options, self.parameters.codes, sensor.file, sensor.camera.sigma)
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whiten with the pixel sigmas."""
@@ -65,7 +89,7 @@ class FrameImageModel:
         return out
 
     def correction(self, x: Array) -> Array:
-        """Corrections (14,) in physical units, in the order of :data:`fg_orient.sensors.frame.UNKNOWNS`."""
+        """Corrections (30,) in physical units, in the order of the codes of ``factors.frame``."""
         out = np.zeros(N_UNKNOWNS)
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out

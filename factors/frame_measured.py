@@ -1,0 +1,153 @@
+"""Collinearity of a frame image with Brown's distortion from measured to ideal coordinates: the observation equation.
+
+    r = A (corrected observed pixel - pixel of the ground point without distortion)
+
+The polynomial of ``factors.frame_camera`` corrects what was measured, as in photogrammetric calibrations (Brown 1971;
+Ayhan 1996; DBAT: Börlin, Grussenmeyer 2016, "backward" models), where OpenCV, COLMAP and BAL distort what is computed
+(``factors.frame``). The two are each other's inverse; no finite polynomial is both. Its argument is
+
+    x = (sample - sample_0) (1 + aspect) / unit,    y = (line - line_0) / unit
+
+with a fixed unit (px), so that coefficients do not change with the focal length: of 1 mm for calibrations in mm.
+A is given for the corrected image: a sigma of 1 px is one there.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from factors import frame
+from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors.frame import GROUND, N_UNKNOWNS, sight_row
+from factors.frame_camera import brown_derivatives, brown_ideal_to_measured, direction
+
+#: Record: 0:24 as in ``factors.frame``, aspect 24, unit 25 (px).
+RECORD_SIZE: Final = 26
+#: The camera of ``factors.frame_camera``, aspect 29, unit 30.
+CAMERA_SIZE: Final = 31
+ASPECT: Final = 14
+
+
+@compiled
+def camera(record: Any, setup: Any, x: Any) -> Any:
+    """Camera (31,) of unknowns (k,) in prior sigmas."""
+    out = np.empty(CAMERA_SIZE, x.dtype)
+    out[:29] = frame.camera(record, setup, x)
+    out[29], out[30] = record[24], record[25]
+    for j in range(setup.shape[1]):
+        if int(setup[0, j]) == ASPECT:
+            out[29] += setup[1, j] * x[j]
+    return out
+
+
+@compiled
+def measured(c: Any, line: float, sample: float) -> Any:
+    """Arguments x, y of the polynomial, from a pixel."""
+    return (sample - c[13]) * (1.0 + c[29]) / c[30], (line - c[14]) / c[30]
+
+
+@compiled
+def difference(c: Any, line: float, sample: float, u: Any, v: Any) -> Any:
+    """Corrected pixel minus that of the ideal direction (u, v): line, sample (px)."""
+    x, y = measured(c, line, sample)
+    cx, cy = brown_ideal_to_measured(c, x, y)
+    return c[30] * cy - c[12] * v, c[30] * cx - c[12] * u
+
+
+@compiled
+def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
+    """Whitened residual (2,); accepts complex unknowns."""
+    c = camera(record, setup, x)
+    u, v, _ = direction(c, ground[0], ground[1], ground[2])
+    line, sample = difference(c, record[0], record[1], u, v)
+    return np.array([record[2] * line, record[3] * sample])
+
+
+@compiled
+def derivatives(c: Any, ray: Any, line: float, sample: float, a_line: float, a_sample: float, out: Array) -> float:
+    """Write the whitened derivatives of the residual into ``out`` (2, 33), as ``factors.frame.derivatives``."""
+    x, y = measured(c, line, sample)
+    a, b, d = brown_derivatives(c, x, y)
+    zero = sight_row(c, ray[1], ray, 0.0, 1.0, -a_line, out, 0) + sight_row(c, ray[0], ray, 1.0, 0.0, -a_sample, out, 1)
+    r, xy, stretch = x * x + y * y, 2.0 * x * y, 1.0 + c[29]
+    out[0, 6], out[0, 7], out[0, 8] = -a_line * ray[1], -a_line * b * stretch, -a_line * d
+    out[1, 6], out[1, 7], out[1, 8] = -a_sample * ray[0], -a_sample * a * stretch, -a_sample * b
+    s_line, s_sample = a_line * c[30], a_sample * c[30]
+    for k in range(3):
+        power = r ** (k + 1)
+        out[0, 9 + k], out[1, 9 + k] = s_line * y * power, s_sample * x * power
+    out[0, 12], out[0, 13] = s_line * (r + 2.0 * y * y), s_line * xy
+    out[1, 12], out[1, 13] = s_sample * xy, s_sample * (r + 2.0 * x * x)
+    wide = (sample - c[13]) / c[30]
+    out[0, ASPECT], out[1, ASPECT] = s_line * b * wide, s_sample * a * wide
+    return float(zero + 0.0 * (a + b + d + r * r * r))
+
+
+@compiled
+def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
+    """Write residual, image and ground Jacobian of one row into ``out``; see :func:`factors.frame.fill`."""
+    k, record, d = setup.shape[1], records[row], np.zeros((2, N_UNKNOWNS + 3))
+    if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
+        return False
+    c = camera(record, setup, x)
+    ray = direction(c, ground[0], ground[1], ground[2])
+    line, sample = difference(c, record[0], record[1], ray[0], ray[1])
+    out[0, 0], out[1, 0] = record[2] * line, record[3] * sample
+    zero = 0.0 * (out[0, 0] + out[1, 0])
+    if want:
+        zero += derivatives(c, ray, record[0], record[1], record[2], record[3], d)
+        for i in range(2):
+            for j in range(k):
+                out[i, 1 + j] = d[i, int(setup[0, j])] * setup[1, j]
+            for j in range(3):
+                out[i, 1 + k + j] = d[i, GROUND + j]
+    return bool(zero == 0.0)
+
+
+@compiled
+def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
+    k = setup.shape[1]
+    out = np.full((2, k + 4), np.nan)  # stays nan if sizes do not fit: never uninitialised memory
+    fill(record.reshape((1, -1)), 0, setup, x, ground, out, want)
+    if not want:
+        return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))
+    return out[:, 0].copy(), out[:, 1 : k + 1].copy(), out[:, k + 1 :].copy()
+
+
+@compiled
+def corrected(c: Array, line: Array, sample: Array) -> Array:
+    """Ideal directions X/Z, Y/Z of N pixels: (N, 2)."""
+    out = np.empty((len(line), 2))
+    for i in range(len(line)):
+        x, y = measured(c, line[i], sample[i])
+        x, y = brown_ideal_to_measured(c, x, y)
+        out[i, 0], out[i, 1] = x * c[30] / c[12], y * c[30] / c[12]
+    return out
+
+
+@compiled
+def pixels(c: Array, x: Array, y: Array) -> Array:
+    """Line and sample (N, 2) px of coordinates x, y of the polynomial."""
+    out = np.empty((len(x), 2))
+    for i in range(len(x)):
+        out[i, 0], out[i, 1] = c[14] + c[30] * y[i], c[13] + c[30] * x[i] / (1.0 + c[29])
+    return out
+
+
+def example(rng: np.random.Generator) -> Example:
+    """Build an observation of a wide-angle camera with an aspect, in a unit that is not its focal length."""
+    e = frame.example(rng)
+    record = np.concatenate([e.record, [rng.normal(scale=1e-3), e.record[16] * rng.uniform(0.5, 2.0)]])
+    codes = np.append(e.setup[0], float(ASPECT))
+    setup = np.ascontiguousarray(np.stack([codes, np.append(e.setup[1], 1e-3)]))
+    return Example(record, setup, (np.append(e.unknowns[0], rng.normal()), e.unknowns[1]))
+
+
+FRAME_BROWN_MEASURED_TO_IDEAL = register(Equation(
+    "frame_brown_measured_to_ideal", kernel, residual,
+    (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)), example,
+    "Brown 1971; Ayhan 1996; Börlin, Grussenmeyer 2016 (DBAT, backward models)", fill,
+))  # fmt: skip

@@ -1,0 +1,49 @@
+"""An argument of an equation whose elements stand in several vectors of unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import Array
+
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Split:
+    """A vector argument whose elements stand in several GTSAM vectors: an image's own and what images have in common.
+
+    Parameters
+    ----------
+    keys : tuple of int
+    columns : tuple of (k,) int arrays
+        Where the argument has the elements ``places`` of each vector.
+    places : tuple of (k,) int arrays
+    sizes : tuple of int
+        Lengths of the vectors.
+    """
+
+    keys: tuple[int, ...]
+    columns: tuple[Index, ...]
+    places: tuple[Index, ...]
+    sizes: tuple[int, ...]
+
+    def gathered(self, values: Any, size: int) -> Array:
+        """The argument (size,)."""
+        out = np.empty(size)
+        for key, columns, places in zip(self.keys, self.columns, self.places, strict=True):
+            out[columns] = values.atVector(key)[places]
+        return out
+
+    def scattered(self, block: Array) -> list[Array]:
+        """Jacobians with respect to the vectors."""
+        out = []
+        for columns, places, size in zip(self.columns, self.places, self.sizes, strict=True):
+            part = np.zeros((len(block), size))
+            part[:, places] = block[:, columns]
+            out.append(part)
+        return out

@@ -1,0 +1,112 @@
+"""Unknowns that several images have in common: one camera's interior orientation, the drift of one strip.
+
+Each image keeps a vector of its own (the *wide* unknowns x, one image after the other), so that equations, rows and
+cofactors know nothing of ties. What is solved for are the *free* unknowns z, each image's own ones in order, then
+those of each id: ``x = T z`` with a 0-1 matrix T. Hence J becomes J T, the reduced camera system S becomes
+T^T S T, and cofactors of x are ``T Q T^T``: block-invariant self-calibration without a further equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from fg_orient.errors import InputError
+from fg_orient.parameters import ImageParameters
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Ties:
+    """T, and what stands where.
+
+    Parameters
+    ----------
+    of : (w,) int array
+        Free unknown of each wide one.
+    part : (M + G + 1,) int array
+        First free unknown of each image's own ones, then of each of the G ids; their number.
+    ids : tuple of str
+        The G ids.
+    """
+
+    of: Index
+    part: Index
+    ids: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return int(self.part[-1])
+
+    @cached_property
+    def place(self) -> Index:
+        """First wide unknown (z,) of each free one."""
+        out = np.empty(len(self), np.intp)
+        out[self.of[::-1]] = np.arange(len(self.of))[::-1]
+        return out
+
+    @cached_property
+    def matrix(self) -> sparse.csr_array:
+        """T (w, z)."""
+        ones = np.ones(len(self.of))
+        return sparse.csr_array((ones, (np.arange(len(self.of)), self.of)), shape=(len(self.of), len(self)))
+
+    @cached_property
+    def own(self) -> npt.NDArray[np.bool_]:
+        """Wide unknowns (w,) that one image has for itself."""
+        return np.asarray(self.of < self.part[len(self.part) - 1 - len(self.ids)])
+
+    def summed(self, wide: Array) -> Array:
+        """``T^T x`` of a gradient (w,)."""
+        return np.bincount(self.of, weights=wide, minlength=len(self)).astype(np.float64, copy=False)
+
+    def columns(self, wide: Array) -> Array:
+        """``J T`` of rows (n, w + p); the p columns behind those of the images stay."""
+        w = len(self.of)
+        return np.hstack([np.asarray(wide[:, :w] @ self.matrix), wide[:, w:]])
+
+    def widened(self, free: Array) -> Array:
+        """``T z`` of a vector or columns (z + p, ...); the p rows behind stay."""
+        return np.concatenate([free[self.of], free[len(self) :]])
+
+
+def ties_of(parameters: Sequence[ImageParameters], names: Sequence[str]) -> Ties | None:
+    """Ties of images; None if each has its unknowns for itself.
+
+    Parameters
+    ----------
+    parameters : sequence of ImageParameters
+    names : sequence of str
+        Ids of the images, for messages.
+
+    Raises
+    ------
+    InputError
+        The same shared unknown has different prior sigmas.
+    """
+    own = [p.own for p in parameters]
+    if all(mask.all() for mask in own):
+        return None
+    counts = [int(mask.sum()) for mask in own]
+    known: dict[tuple[str, int], float] = {}
+    first = np.concatenate([[0], np.cumsum(counts)])
+    of = [first[k] + np.cumsum(mask) - 1 for k, mask in enumerate(own)]
+    for p, name in zip(parameters, names, strict=True):
+        for j in np.flatnonzero(~p.own):
+            key, sigma = (p.shared[j], p.codes[j]), float(p.sigma[j])
+            if known.setdefault(key, sigma) != sigma:
+                raise InputError.of("frame.shared", place=f"image {name}, {p.names[j]}", value=sigma, id=p.shared[j])
+    keys = sorted(known)
+    number = {key: int(first[-1]) + n for n, key in enumerate(keys)}
+    for k, p in enumerate(parameters):
+        for j in np.flatnonzero(~p.own):
+            of[k][j] = number[p.shared[j], p.codes[j]]
+    ids, sizes = np.unique([key[0] for key in keys], return_counts=True)
+    part = np.concatenate([first, first[-1] + np.cumsum(sizes)])
+    return Ties(np.concatenate(of).astype(np.intp), part.astype(np.intp), tuple(ids.tolist()))
