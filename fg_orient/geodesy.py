@@ -277,6 +277,49 @@ def vertical_reference(crs: str) -> tuple[str, str]:
     return (names[0] if names else ""), (units[0] if units else "")
 
 
+def with_vertical(crs: str, vertical: str) -> tuple[str, str]:
+    """Horizontal part of a CRS, and its compound with a vertical CRS ("": its own), as WKT.
+
+    Raises
+    ------
+    InputError
+        A CRS is unknown, or ``vertical`` is no vertical CRS.
+    """
+    proj = _pyproj()
+    try:
+        found = proj.CRS.from_user_input(crs)
+        flat = found.sub_crs_list[0] if found.is_compound else found.to_2d()
+        if not vertical:
+            return str(flat.to_wkt()), str(found.to_wkt())
+        heights = proj.CRS.from_user_input(vertical)
+    except proj.exceptions.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="crs", value=vertical or crs) from None
+    if not heights.is_vertical or heights.is_compound:
+        raise InputError.of("geodesy.not_vertical", place="vertical crs", value=f"{vertical}, {heights.name}")
+    both = proj.crs.CompoundCRS(f"{flat.name} + {heights.name}", [flat, heights])
+    return str(flat.to_wkt()), str(both.to_wkt())
+
+
+def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+    """Height of the zero level of a compound CRS above the WGS84 ellipsoid at N points, m (N,).
+
+    ``x`` and ``y`` (N,) are easting and northing, or longitude and latitude, in units of the CRS.
+
+    Raises
+    ------
+    InputError
+        The grid of the geoid is missing, or does not cover a point.
+    """
+    source = _pyproj().CRS.from_user_input(crs)
+    flat = np.stack([np.asarray(x, float), np.asarray(y, float)], axis=1)
+    given = np.column_stack([flat, np.zeros(len(flat))])
+    kind: Kind = "projected" if source.sub_crs_list[0].is_projected else "geographic"
+    lonlat = _longitude_latitude(source.name, source, kind, given, None)
+    xyz = np.stack(_operations(source.name, source, lonlat).transformers[0].transform(*given.T), axis=1)
+    _require_finite(source.name, xyz, given, None)
+    return ecef_to_geodetic(xyz)[2]
+
+
 def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
     """Rotations (N, 3, 3) that turn an ECEF vector into East, North, Up at N places.
 

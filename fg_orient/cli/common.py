@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.errors import FgOrientError, Problem
+from fg_orient.errors import FgOrientError, InputError, Problem
 
 if TYPE_CHECKING:
     from fg_orient.sensors.pushbroom import PushbroomSensor
     from fg_orient.sensors.rpc_sensor import RpcSensor
+    from fg_orient.sensors.surface import RasterDem
 
 #: Widest table for people.
 WIDTH = 80
@@ -25,6 +26,14 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on sta
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error of the program itself.")]
 ModelOf = Annotated[
     str, typer.Option("--model", metavar="auto|rigorous|rpc", help="Which model, of files that hold both.")
+]
+VerticalCrs = Annotated[
+    str,
+    typer.Option(
+        "--dem-vertical-crs",
+        metavar="EPSG:N",
+        help="What heights of a DEM refer to that does not say it, EPSG:5773: EGM96.",
+    ),
 ]
 Extrapolate = Annotated[
     float,
@@ -157,6 +166,17 @@ def read_image(path: Path, model: str, extrapolate_s: float) -> PushbroomSensor 
     return read_sensor(path, model=model, extrapolate_attitude_s=extrapolate_s)
 
 
+def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:
+    """Read a DEM as the options ``--dem`` and ``--dem-vertical-crs`` say."""
+    if path is None:
+        if vertical_crs:
+            raise InputError.of("dem.missing", place="--dem", value="none given")
+        return None
+    from fg_orient.sensors.surface import RasterDem
+
+    return RasterDem(path, vertical_crs=vertical_crs)
+
+
 def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str, Any]], overwrite: bool) -> None:
     """Write records as CSV, numbers to their last digit, whole or not at all.
 
@@ -168,7 +188,6 @@ def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str
     import csv
     import io
 
-    from fg_orient.errors import InputError
     from fg_orient.io.atomic import write_text
 
     if path.exists() and not overwrite:

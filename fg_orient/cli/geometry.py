@@ -13,10 +13,12 @@ from fg_orient.cli.common import (
     Json,
     ModelOf,
     Overwrite,
+    VerticalCrs,
     emit,
     note,
     number,
     outcome,
+    read_dem,
     read_image,
     say,
     table,
@@ -58,8 +60,9 @@ def locate(
     sample: Annotated[float | None, typer.Option("--sample", help="Sample, pixels; 0 = centre of the first.")] = None,
     height: Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")] = None,
     dem: Annotated[
-        Path | None, typer.Option("--dem", help="DEM of ellipsoidal heights, any raster GDAL reads.")
+        Path | None, typer.Option("--dem", help="DEM, any raster GDAL reads; ellipsoidal unless it says otherwise.")
     ] = None,
+    dem_vertical_crs: VerticalCrs = "",
     frame: Annotated[bool, typer.Option("--frame", help="Locate the file's own frame points and compare.")] = False,
     points: Points = None,
     model: ModelOf = "auto",
@@ -80,7 +83,7 @@ def locate(
         from fg_orient.ground import frame_records
 
         sensor = read_image(image, model, extrapolate_attitude)
-        surface = _dem(dem)
+        surface = read_dem(dem, dem_vertical_crs)
         if frame:
             records = frame_records(sensor, height, surface)
         else:
@@ -95,14 +98,6 @@ def _exclude(*ways: dict[str, object]) -> None:
     if len(names) > 1:
         options = ", ".join(" with ".join(way) for way in ways)
         raise InputError.of("cli.two_ways", place=", ".join(names), options=options)
-
-
-def _dem(path: Path | None) -> RasterDem | None:
-    if path is None:
-        return None
-    from fg_orient.sensors.surface import RasterDem
-
-    return RasterDem(path)
 
 
 def _located(

@@ -13,10 +13,12 @@ from fg_orient.cli.common import (
     Json,
     ModelOf,
     Overwrite,
+    VerticalCrs,
     emit,
     note,
     number,
     outcome,
+    read_dem,
     read_image,
     say,
     table,
@@ -25,6 +27,7 @@ from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
     from fg_orient.block import Image
+    from fg_orient.sensors.surface import RasterDem
     from fg_orient.viewing import View
 
 Sources = Annotated[
@@ -35,7 +38,10 @@ Sources = Annotated[
 def footprint(
     sources: Sources,
     height: Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")] = None,
-    dem: Annotated[Path | None, typer.Option("--dem", help="DEM, any raster GDAL reads.")] = None,
+    dem: Annotated[
+        Path | None, typer.Option("--dem", help="DEM, any raster GDAL reads; ellipsoidal unless it says otherwise.")
+    ] = None,
+    dem_vertical_crs: VerticalCrs = "",
     result: Annotated[
         Path | None, typer.Option("--result", metavar="DIR", help="Result folder of adjust: adjusted orientation.")
     ] = None,
@@ -53,7 +59,11 @@ def footprint(
     with outcome(as_json, debug):
         from fg_orient.viewing import feature_collection, viewing_records
 
-        views = _views(_images(sources, model, extrapolate_attitude), height, dem, result)
+        images = _images(sources, model, extrapolate_attitude)
+        if (height is None) == (dem is None):
+            code = "cli.no_height" if height is None else "cli.two_heights"
+            raise InputError.of(code, file=sources[0], place="--height, --dem")
+        views = _views(images, height, read_dem(dem, dem_vertical_crs), result)
         records = viewing_records(views)
         if out is not None:
             _write(out, feature_collection(views, records["images"]), overwrite)
@@ -79,18 +89,12 @@ def _images(sources: list[Path], model: str, extrapolate_s: float) -> tuple[Imag
     return tuple(Image(str(k), read_image(path, model, extrapolate_s)) for k, path in enumerate(sources, start=1))
 
 
-def _views(images: tuple[Image, ...], height: float | None, dem: Path | None, result: Path | None) -> list[View]:
+def _views(
+    images: tuple[Image, ...], height: float | None, surface: RasterDem | None, result: Path | None
+) -> list[View]:
     """Images with their ground and their orientation."""
     from fg_orient.viewing import View
 
-    if (height is None) == (dem is None):
-        code = "cli.no_height" if height is None else "cli.two_heights"
-        raise InputError.of(code, file=images[0].sensor.file, place="--height, --dem")
-    surface = None
-    if dem is not None:
-        from fg_orient.sensors.surface import RasterDem
-
-        surface = RasterDem(dem)
     out = []
     for image in images:
         correction: Any = None

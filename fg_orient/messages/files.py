@@ -138,8 +138,12 @@ DEM: Final = {
     "dem.missing": ("the DEM file does not exist", "check the path"),
     "dem.no_crs": ("the DEM has no coordinate reference system", "assign one, for instance with gdal_edit -a_srs"),
     "dem.vertical_crs": (
-        "the DEM's heights refer to a vertical CRS, not to the ellipsoid",
-        "convert them to ellipsoidal heights, for instance with gdalwarp -t_srs EPSG:4979",
+        "the DEM states another vertical CRS than the one given",
+        "leave the option out, or mend the file",
+    ),
+    "dem.geoid": (
+        "the DEM's heights cannot be brought to the ellipsoid: {reason}",
+        "put the grid into PROJ's folder (projsync, PROJ_DATA), or convert the DEM to ellipsoidal heights",
     ),
     "dem.vertical_unit": ("the DEM's heights are not in metres", "convert them to metres"),
     "dem.unreadable": ("the DEM cannot be read", "give a raster that GDAL reads"),
@@ -166,6 +170,7 @@ GEODESY: Final = {
         "the axes of the CRS are not {unit}s to the east and north and metres up",
         "convert the coordinates first, for instance to EPSG:4979",
     ),
+    "geodesy.not_vertical": ("not a vertical CRS", "give one such as EPSG:5773 (EGM96) or EPSG:3855 (EGM2008)"),
     "geodesy.no_operation": (
         "PROJ has no exact operation to WGS84; it needs {grids}",
         "install the grid (projsync), or give ellipsoidal heights and no vertical CRS",

@@ -3,9 +3,9 @@
 A ray meets a DEM where it first comes down to it (docs/equations.md 5). Iterating height ->
 ellipsoid -> DEM height would settle behind a ridge as readily as on it, so every ray is marched
 from the highest DEM value down, from one line between cell centres to the next, as a bilinear
-surface has its edges there; the first change of sign is bisected.
-Heights of the raster are used as they are (ellipsoidal); a vertical CRS in the file, or
-another unit than the metre, is refused until geoid grids are supported.
+surface has its edges there; the first change of sign, at an edge or at the peak of a cell, is bisected.
+Heights of a raster without vertical CRS are ellipsoidal. With one they are brought to the ellipsoid once,
+by PROJ and its geoid grids; a missing grid is refused, as is another unit than the metre.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ Array = npt.NDArray[np.float64]
 TOLERANCE_M = 1e-4
 #: The march starts and ends this far above and below all DEM values (10 times the tolerance).
 MARGIN_M = 1e-3
+#: Knots of the undulation in a DEM: the widest step, cells, and what may be lost between them.
+KNOT_STEP, UNDULATION_M = 32, 1e-3
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 
 
@@ -35,14 +37,18 @@ class RasterDem:
     Parameters
     ----------
     path : path of any raster that rasterio reads, geographic or projected CRS, heights in m.
+    vertical_crs : str, optional
+        What the heights refer to, such as ``EPSG:5773`` (EGM96), if the file does not say it. Without any they
+        are ellipsoidal.
 
     Raises
     ------
     InputError
-        The file cannot be read, has no CRS, or its heights refer to a vertical CRS or are not in metres.
+        The file cannot be read or has no CRS, its heights are not in metres, the geoid's grid is missing, or
+        the file names another vertical CRS.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, vertical_crs: str = "") -> None:
         try:
             import rasterio
         except ImportError as error:
@@ -60,17 +66,51 @@ class RasterDem:
         except rasterio.RasterioIOError as error:
             raise InputError.of("dem.unreadable", file=path, value=error) from error
         self.path = str(path)
-        self._require_ellipsoidal(unit)
+        self._to_ellipsoid(unit, vertical_crs)
 
-    def _require_ellipsoidal(self, unit: str) -> None:
-        from fg_orient.geodesy import vertical_reference
+    def _to_ellipsoid(self, unit: str, given: str) -> None:
+        """Add the undulation of the vertical CRS, if there is one; keep the horizontal CRS."""
+        from fg_orient.geodesy import vertical_reference, with_vertical
 
-        vertical, axis_unit = vertical_reference(self._crs)
-        if vertical:
-            raise InputError.of("dem.vertical_crs", file=self.path, value=vertical)
+        stated, axis_unit = vertical_reference(self._crs)
         wrong = [u for u in (axis_unit, unit) if u.strip().lower() not in METRES]
         if wrong:
             raise InputError.of("dem.vertical_unit", file=self.path, value=wrong[0])
+        if not (stated or given):
+            return
+        self._crs, both = with_vertical(self._crs, given)
+        if stated and given and vertical_reference(both)[0] != stated:
+            raise InputError.of("dem.vertical_crs", file=self.path, value=f"{stated}, not {given}")
+        self._heights += self._undulations(both)
+
+    def _undulations(self, crs: str) -> Array:
+        """Undulation at the centres of all cells (rows, columns): exact at knots, bilinear between them.
+
+        The step of the knots is halved until the middles between them are met within ``UNDULATION_M``.
+        """
+        from fg_orient.geodesy import undulation_m
+
+        t, shape = ~self._pixel_from_crs, self._heights.shape
+
+        def exact(row: Array, column: Array) -> Array:
+            r, c = (a.ravel() + 0.5 for a in np.meshgrid(row, column, indexing="ij"))
+            try:
+                found = undulation_m(crs, t.a * c + t.b * r + t.c, t.d * c + t.e * r + t.f)
+            except InputError as error:
+                raise InputError.of("dem.geoid", file=self.path, reason=error.problems[0].message,
+                                    value=error.problems[0].value) from None  # fmt: skip
+            return found.reshape(len(row), len(column))
+
+        step = KNOT_STEP
+        while True:
+            knots = [_knots(n, step) for n in shape]
+            values = exact(*knots)
+            if step == 1:
+                return values
+            middles = [0.5 * (k[:-1] + k[1:]) if len(k) > 1 else k for k in knots]
+            if np.abs(_bilinear(knots, values, middles) - exact(*middles)).max() <= UNDULATION_M:
+                return _bilinear(knots, values, [np.arange(float(n)) for n in shape])
+            step //= 2
 
     @property
     def heights_m(self) -> Array:
@@ -117,6 +157,17 @@ class RasterDem:
         top = z[r, c] * (1 - fc) + z[r, c1] * fc
         bottom = z[r1, c] * (1 - fc) + z[r1, c1] * fc
         return np.asarray(np.where(inside, top * (1 - fr) + bottom * fr, np.nan))
+
+
+def _knots(n: int, step: int) -> Array:
+    """Indices 0, step, ... and n - 1."""
+    return np.unique(np.append(np.arange(0.0, n, step), n - 1.0))
+
+
+def _bilinear(knots: list[Array], values: Array, at: list[Array]) -> Array:
+    """Values on the grid ``at`` from those on the grid of ``knots``."""
+    rows = np.stack([np.interp(at[1], knots[1], row) for row in values])
+    return np.stack([np.interp(at[0], knots[0], column) for column in rows.T], axis=1)
 
 
 def _lon_lat(p: Array, u: Array, level_m: Array) -> tuple[Array, Array, Array]:
@@ -205,19 +256,40 @@ def _bracket(p: Array, u: Array, dem: HeightSurface) -> tuple[Array, Array]:
     lines = _GridLines(*(_cells(p, u, level, dem) for level in (top, bottom)))
     above, below = np.full(len(p), np.nan), np.full(len(p), np.nan)
     going, last, t = np.arange(len(p)), np.full(len(p), top), np.zeros(len(p))  # nothing rises to the top
+    depth = _depth(p, u, last, dem)[1]
     while len(going):
-        ahead = lines.after(going)
-        # along a ray the surface of one cell is a parabola: its middle is looked at, too
-        for part in (0.5, 1.0):
-            level = top + (bottom - top) * (t[going] + part * (ahead - t[going]))
-            depth = _depth(p[going], u[going], level, dem)[1]
-            hit, free = depth >= 0.0, depth < 0.0  # neither: nodata
-            above[going[hit]], below[going[hit]] = last[going[hit]], level[hit]
-            last[going] = level
-            going, ahead = going[free], ahead[free]
-        t[going] = ahead
-        going = going[ahead < 1.0]
+        # along a ray the surface of one cell is a parabola: three depths give its peak, too
+        start, ahead = t[going], lines.after(going)
+        level = top + (bottom - top) * (start + np.array([[0.5], [1.0]]) * (ahead - start))
+        middle, end = (_depth(p[going], u[going], h, dem)[1] for h in level)
+        peak = _peak(depth[going], middle, end)
+        risen = np.flatnonzero(np.isfinite(peak) & (middle < 0.0))
+        peak_level = last[going] + peak * (level[1] - last[going])
+        up = _depth(p[going[risen]], u[going[risen]], peak_level[risen], dem)[1] >= 0.0
+        for rays, low in ((middle >= 0.0, level[0]), (_at(risen[up], len(going)), peak_level)):
+            above[going[rays]], below[going[rays]] = last[going[rays]], low[rays]
+        free = (middle < 0.0) & np.isnan(below[going])
+        hit = free & (end >= 0.0)
+        above[going[hit]], below[going[hit]] = level[0][hit], level[1][hit]
+        last[going], t[going], depth[going] = level[1], ahead, end
+        going = going[free & (end < 0.0) & (ahead < 1.0)]  # neither hit nor free: nodata
     return above, below
+
+
+def _peak(start: Array, middle: Array, end: Array) -> Array:
+    """Place (0 to 1) of the highest point of parabolas through three values, nan unless it is inside and reaches 0."""
+    curve, slope = 2.0 * (start - 2.0 * middle + end), 4.0 * middle - 3.0 * start - end
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = -0.5 * slope / curve
+        # within a centimetre of 0 the surface itself is asked
+        return np.where((curve < 0.0) & (x > 0.0) & (x < 1.0) & (start + 0.5 * slope * x > -0.01), x, np.nan)
+
+
+def _at(places: npt.NDArray[np.intp], n: int) -> npt.NDArray[np.bool_]:
+    """Mask (n,) of places."""
+    mask = np.zeros(n, bool)
+    mask[places] = True
+    return mask
 
 
 def _cells(p: Array, u: Array, level_m: float, dem: HeightSurface) -> Array:
