@@ -23,7 +23,8 @@ def read_sensor(
     ----------
     path : str or Path
         ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, ``DIM_*.XML`` of a Pléiades or
-        SPOT 6/7 sensor product, a PHR_DIMAP; or a file with RPC (see :func:`fg_orient.io.rpc.read_rpc`).
+        SPOT 6/7 sensor product, a PHR_DIMAP; or a file with RPC (see :func:`fg_orient.io.rpc.read_rpc`); or a sensor
+        description (TOML, :mod:`fg_orient.io.sensor_file`), whose states are never extrapolated.
     model : {"auto", "rigorous", "rpc"}
         Which model of the file; ``"auto"``: the rigorous one if the file holds it.
     extrapolate_attitude_s : float
@@ -42,6 +43,11 @@ def read_sensor(
     """
     if model not in MODELS:
         raise InputError.of("sensor.model", file=path, place="model", value=model, known=", ".join(MODELS))
+    if Path(path).suffix.lower() == ".toml":
+        from fg_orient.io.sensor_file import read_sensor_file
+        from fg_orient.sensors.general import GeneralPushbroom
+
+        return GeneralPushbroom(read_sensor_file(path))
     from fg_orient.io.rpc import read_rpc, rpc_format
 
     form = rpc_format(path)

@@ -12,6 +12,7 @@ from typing import Final
 
 from fg_orient.messages.closerange import CLOSERANGE
 from fg_orient.messages.dense import CLASSICAL, COMPARE, LINEAR, PUBLISHED, REPRODUCE
+from fg_orient.messages.earth import EARTH
 from fg_orient.messages.files import DEM, DIMAP, GEODESY, OBSERVATIONS, POINTS, PROJECT, SENSOR, TABLE, XML
 from fg_orient.messages.frame import FRAME
 from fg_orient.messages.parallel import PARALLEL
@@ -51,4 +52,5 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **PARALLEL,
     **CLOSERANGE,
     **STATISTICS,
+    **EARTH,
 }

@@ -27,6 +27,7 @@ Array = npt.NDArray[np.float64]
 #: Class of the sensor, by name so that no sensor is loaded in vain: module and class of its model.
 MODELS: Final[dict[str, tuple[str, str]]] = {
     "PushbroomSensor": ("fg_orient.adjustment.models.pushbroom", "PushbroomModel"),
+    "GeneralPushbroom": ("fg_orient.adjustment.models.pushbroom", "PushbroomModel"),
     "RpcSensor": ("fg_orient.adjustment.models.rpc", "RpcImageModel"),
     "FrameSensor": ("fg_orient.adjustment.models.frame", "FrameImageModel"),
 }

@@ -1,0 +1,181 @@
+"""From inertial axes to the Earth: IAU 2006/2000A through pyerfa (the one module that imports it), IERS C04 values.
+
+``x_ITRS = W(t) Rz(ERA(t)) C(t) x_GCRS`` (IERS Conventions 2010, chapter 5). Precession, nutation and polar motion are
+taken at both ends of the image and are linear between them; the rotation angle is exact. Tides of less than a day in
+UT1 and polar motion are not added: 0.1 ms and 1 mas, up to 5 cm on the ground.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Final, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import ephemeris
+from factors.light import EARTH_RATE_RAD_S
+from fg_orient.errors import InputError
+
+Array = npt.NDArray[np.float64]
+InertialFrame = Literal["GCRS", "EME2000"]
+
+DAY_S: Final = 86_400.0
+_MJD: Final = 2_400_000.5
+_UNIX_MJD: Final = 40_587
+#: Mean angular rate by the definition of UT1 (IERS Conventions 2010, eq. 5.15), revolutions per day.
+_TURNS_PER_DAY: Final = 1.00273781191135448
+#: What is neglected at most without a C04 file: UT1 - UTC by its definition, polar motion as seen since 1962.
+MOST_UT1_S: Final = 0.9
+MOST_POLE_RAD: Final = np.radians(0.6 / 3600.0)
+_EARTH_RADIUS_M: Final = 6_378_137.0
+
+
+class EarthTurn(Protocol):
+    """Orientation of the Earth in the inertial axes of an orbit."""
+
+    def matrices(self, time_s: Array) -> Array:
+        """Rotations (N, 3, 3), Earth-fixed from inertial axes, at N times (s since 0 h UTC of the image's day)."""
+        ...
+
+    def rate_rad_s(self, time_s: float) -> float:
+        """Rate of the rotation about the pole, rad/s."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class EarthOrientation:
+    """Daily values of an IERS series, 0 h UTC.
+
+    Parameters
+    ----------
+    file : str
+    mjd : (n,) array
+        Days, in steps of one.
+    pole_rad : (n, 2) array
+        Coordinates x, y of the pole.
+    ut1_utc_s : (n,) array
+    offset_rad : (n, 2) array
+        Celestial pole offsets dX, dY against IAU 2006/2000A.
+    notes : tuple of str
+    """
+
+    file: str
+    mjd: Array
+    pole_rad: Array
+    ut1_utc_s: Array
+    offset_rad: Array
+    notes: tuple[str, ...] = ()
+
+    def at(self, mjd: float) -> tuple[Array, float, Array]:
+        """Pole (2,), UT1 - UTC (s) and offsets (2,) at one time: a cubic through the four nearest days.
+
+        Raises
+        ------
+        InputError
+            The series does not cover the time.
+        """
+        if not self.mjd[0] <= mjd <= self.mjd[-1]:
+            raise InputError.of(
+                "earth.span", file=self.file, place="MJD", value=f"{mjd:.5f}", first=self.mjd[0], last=self.mjd[-1]
+            )
+        first = int(np.clip(np.searchsorted(self.mjd, mjd) - 2, 0, max(len(self.mjd) - 4, 0)))
+        near = slice(first, first + 4)
+        ut1_tai = self.ut1_utc_s[near] - [_tai_utc(day) for day in self.mjd[near]]  # without leap seconds
+        daily = np.column_stack([self.pole_rad[near], ut1_tai, self.offset_rad[near]])
+        found = ephemeris.lagrange(self.mjd[near], np.ascontiguousarray(daily), np.array([mjd]))[0]
+        return found[:2], float(found[2]) + _tai_utc(mjd), found[3:]
+
+
+class EarthRotation:
+    """Orientation of the Earth during an image.
+
+    Parameters
+    ----------
+    epoch : datetime64[D]
+        Times are seconds since 0 h UTC of this day.
+    span_s : tuple of 2 floats
+        First and last time that will be asked for.
+    frame : str
+        Inertial axes: "GCRS", or "EME2000" (mean equator and equinox of J2000).
+    orientation : EarthOrientation, optional
+        None: UT1 = UTC, no polar motion.
+
+    Raises
+    ------
+    InputError
+        ``orientation`` does not cover the span.
+    """
+
+    def __init__(
+        self, epoch: np.datetime64, span_s: tuple[float, float], frame: InertialFrame = "GCRS",
+        orientation: EarthOrientation | None = None,
+    ) -> None:  # fmt: skip
+        self._day = float(_UNIX_MJD + epoch.astype("datetime64[D]").astype(int))
+        self.orientation = orientation
+        self._ends = np.array([span_s[0], max(span_s[1], span_s[0] + 1.0)])
+        if orientation is not None and self._day + self._ends[1] / DAY_S > orientation.mjd[-1]:
+            self._ends = np.array([span_s[0] - 1.0, span_s[0]])
+        nodes = [self._slow(float(t), frame) for t in self._ends]
+        self._celestial, self._polar = (np.array([node[k] for node in nodes]) for k in (0, 1))
+        self._ut1_utc_s = np.array([node[2] for node in nodes])
+
+    def _slow(self, time_s: float, frame: InertialFrame) -> tuple[Array, Array, float]:
+        """Celestial matrix, polar motion and UT1 - UTC at one time."""
+        import erfa
+
+        day, part = self._day, time_s / DAY_S
+        pole, ut1_utc_s, offset = np.zeros(2), 0.0, np.zeros(2)
+        if self.orientation is not None:
+            pole, ut1_utc_s, offset = self.orientation.at(day + part)
+        tt = (_MJD + day, part + (_tai_utc(day + part) + 32.184) / DAY_S)
+        x, y, s = erfa.xys06a(*tt)
+        celestial = erfa.c2ixys(x + offset[0], y + offset[1], s)
+        if frame == "EME2000":
+            celestial = celestial @ erfa.bp06(*tt)[0].T  # GCRS from mean axes of J2000: the frame bias
+        return celestial, erfa.pom00(pole[0], pole[1], erfa.sp00(*tt)), ut1_utc_s
+
+    def _part(self, time_s: Array) -> Array:
+        return np.asarray((time_s - self._ends[0]) / (self._ends[1] - self._ends[0]))
+
+    def matrices(self, time_s: Array) -> Array:
+        """Rotations (N, 3, 3), Earth-fixed from inertial axes."""
+        import erfa
+
+        time_s = np.atleast_1d(np.asarray(time_s, float))
+        f = self._part(time_s)
+        ut1 = time_s + self._ut1_utc_s[0] + f * np.diff(self._ut1_utc_s)
+        angle = erfa.era00(_MJD + self._day, ut1 / DAY_S)
+        turn = np.zeros((len(f), 3, 3))
+        turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
+        turn[:, 0, 1], turn[:, 1, 0], turn[:, 2, 2] = np.sin(angle), -np.sin(angle), 1.0
+        f = f[:, None, None]
+        celestial, polar = ((1.0 - f) * ends[0] + f * ends[1] for ends in (self._celestial, self._polar))
+        return np.asarray(polar @ turn @ celestial)
+
+    def rate_rad_s(self, time_s: float) -> float:
+        """Rate of the rotation, rad/s; its change with time is below 1e-15."""
+        ut1_rate = 1.0 + float(np.diff(self._ut1_utc_s)[0] / np.diff(self._ends)[0])
+        return 2.0 * np.pi * _TURNS_PER_DAY / DAY_S * ut1_rate
+
+
+def neglected(position_m: Array) -> str:
+    """Say what a missing C04 file may cost on the ground below a position (3,) m."""
+    cosine = float(np.hypot(position_m[0], position_m[1]) / np.linalg.norm(position_m))
+    turn = MOST_UT1_S * EARTH_RATE_RAD_S * _EARTH_RADIUS_M * cosine
+    pole = MOST_POLE_RAD * _EARTH_RADIUS_M
+    return (
+        f"no Earth orientation file: UT1 = UTC and no polar motion; neglected are at most {turn:.0f} m east-west "
+        f"(UT1 - UTC up to {MOST_UT1_S} s) and {pole:.0f} m (pole up to 0.6 arc seconds)"
+    )
+
+
+def _tai_utc(mjd: float) -> float:
+    """TAI - UTC (s) at a UTC day; pyerfa's table, which is right until the next leap second is announced."""
+    import erfa
+
+    year, month, day, part = erfa.jd2cal(_MJD, mjd)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", erfa.ErfaWarning)  # years after the table was issued
+        return float(erfa.dat(year, month, day, part))
