@@ -16,12 +16,11 @@ from factors import ellipsoid
 from fg_orient import initial
 from fg_orient.errors import InputError
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
-from fg_orient.sensors.rpc_sensor import RpcSensor
 
 if TYPE_CHECKING:
     from fg_orient.block import Image, ImagePoints
     from fg_orient.sensors.correction import HeightSurface
-    from fg_orient.sensors.pushbroom import PushbroomSensor
+    from fg_orient.sensors.metadata import FramePoint
 
 Array = npt.NDArray[np.float64]
 Records = list[dict[str, Any]]
@@ -50,9 +49,7 @@ def ground_records(ids: Sequence[str], line: Array, sample: Array, ecef_m: Array
     ]  # fmt: skip
 
 
-def frame_records(
-    sensor: PushbroomSensor | RpcSensor, height_m: float | None = None, dem: HeightSurface | None = None
-) -> Records:
+def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface | None = None) -> Records:
     """Locate the file's own frame points and compare them with the coordinates it states.
 
     Points are located at the height of the file, unless a height or a DEM is given. Where the file states
@@ -61,7 +58,7 @@ def frame_records(
 
     Parameters
     ----------
-    sensor : PushbroomSensor or RpcSensor
+    sensor : PushbroomSensor, RpcSensor or OrientedSensor
     height_m : float, optional
         Ellipsoidal height for all points.
     dem : HeightSurface, optional
@@ -79,18 +76,19 @@ def frame_records(
     InputError
         The file has no frame points.
     """
-    if isinstance(sensor, RpcSensor) or not sensor.metadata.frame_points:
+    metadata = getattr(sensor, "metadata", None)
+    if metadata is None or not metadata.frame_points:
         raise InputError.of("cli.no_frame", file=sensor.file, place="--frame")
-    points = sensor.metadata.frame_points
+    points = metadata.frame_points
     line, sample = (np.array([getattr(p, axis) for p in points]) for axis in ("line", "sample"))
     lon, lat = (np.array([getattr(p, axis) for p in points]) for axis in ("lon_deg", "lat_deg"))
-    heights, sources = _frame_heights(sensor, (line, sample), (lon, lat), height_m)
+    heights, sources = _frame_heights(sensor, points, (line, sample), (lon, lat), height_m)
     if dem is not None:
         sources = ["dem"] * len(points)
     ecef = sensor.locate(line, sample, dem=dem) if dem else sensor.locate(line, sample, height_m=heights)
     records = ground_records([p.id for p in points], line, sample, ecef)
     east, north = _horizontal(ecef, lon, lat, np.array([r["height_m"] for r in records])).T
-    note = sensor.metadata.frame_note or None
+    note = metadata.frame_note or None
     for k, record in enumerate(records):
         record |= {
             "file_lon_deg": float(lon[k]), "file_lat_deg": float(lat[k]),
@@ -108,10 +106,11 @@ def _horizontal(ecef_m: Array, lon_deg: Array, lat_deg: Array, height_m: Array) 
 
 
 def _frame_heights(
-    sensor: PushbroomSensor, pixel: tuple[Array, Array], place: tuple[Array, Array], height_m: float | None
-) -> tuple[Array, list[str]]:
+    sensor: Any, points: Sequence[FramePoint], pixel: tuple[Array, Array], place: tuple[Array, Array],
+    height_m: float | None,
+) -> tuple[Array, list[str]]:  # fmt: skip
     """Heights (n,) of the frame points, and where each is from; those that nobody gives are solved."""
-    stated = [p.height_m for p in sensor.metadata.frame_points]
+    stated = [p.height_m for p in points]
     if height_m is not None:
         return np.full(len(stated), height_m), ["given"] * len(stated)
     h = np.array([0.0 if value is None else value for value in stated])
@@ -131,7 +130,7 @@ def _frame_heights(
     return h, sources
 
 
-def pixel_records(sensor: PushbroomSensor | RpcSensor, ids: Sequence[str], ecef_m: Array) -> Records:
+def pixel_records(sensor: Any, ids: Sequence[str], ecef_m: Array) -> Records:
     """Project ground points (n, 3) ECEF m: id, line, sample and ``inside``.
 
     Outside the image line and sample are the linear continuation from its border; nan where the

@@ -29,7 +29,7 @@ GRID: Final = 9
 
 
 class View:
-    """One image, its correction, and where its ground is.
+    """One image and where its ground is; with adjusted orientation its sensor is an ``OrientedSensor``.
 
     Parameters
     ----------
@@ -37,32 +37,26 @@ class View:
     height_m : float
         Ellipsoidal height of the ground, unless a DEM is given.
     dem : HeightSurface, optional
-    correction : optional
-        As the sensor's methods take it: adjusted orientation.
     """
 
-    def __init__(
-        self, image: Image, height_m: float = 0.0, dem: HeightSurface | None = None, correction: Any = None
-    ) -> None:
+    def __init__(self, image: Image, height_m: float = 0.0, dem: HeightSurface | None = None) -> None:
         self.image = image
         self.sensor: Any = image.sensor
-        self._height, self._dem, self._correction = height_m, dem, correction
+        self._height, self._dem = height_m, dem
 
     def ground(self, line: Array, sample: Array) -> Array:
         """Ground points (n, 3) ECEF m of n pixels."""
         how: dict[str, Any] = {"height_m": self._height} if self._dem is None else {"dem": self._dem}
-        if self._correction is not None:
-            how["compensation" if hasattr(self.sensor, "model") else "correction"] = self._correction
         return np.asarray(self.sensor.locate(line, sample, **how))
 
     def pixels(self, ground_m: Array) -> tuple[Array, Array]:
         """Line and sample of ground points."""
-        line, sample = self.sensor.project(ground_m, self._correction)
+        line, sample = self.sensor.project(ground_m)
         return line, sample
 
     def to_image(self, line: Array, sample: Array, ground_m: Array) -> Array:
         """Unit vectors (n, 3) East, North, Up from ground points towards the sensor, through their pixels."""
-        _, direction = self.sensor.rays(line, sample, self._correction)
+        _, direction = self.sensor.rays(line, sample)
         lon, lat = _degrees(ground_m)
         return np.asarray(-np.einsum("nij,nj->ni", enu_from_ecef(lon, lat), direction))
 

@@ -14,8 +14,6 @@ import typer
 from fg_orient.errors import FgOrientError, InputError, Problem
 
 if TYPE_CHECKING:
-    from fg_orient.sensors.pushbroom import PushbroomSensor
-    from fg_orient.sensors.rpc_sensor import RpcSensor
     from fg_orient.sensors.surface import RasterDem
 
 #: Widest table for people.
@@ -26,6 +24,9 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on sta
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error of the program itself.")]
 ModelOf = Annotated[
     str, typer.Option("--model", metavar="auto|rigorous|rpc", help="Which model, of files that hold both.")
+]
+Result = Annotated[
+    Path | None, typer.Option("--result", metavar="DIR", help="Result folder of adjust: its orientation of the image.")
 ]
 VerticalCrs = Annotated[
     str,
@@ -159,11 +160,20 @@ def number(value: object, digits: int = 3) -> str:
     return "-" if not isinstance(value, (int, float)) or value != value else f"{value:.{digits}f}"
 
 
-def read_image(path: Path, model: str, extrapolate_s: float) -> PushbroomSensor | RpcSensor:
-    """Read a sensor as the options ``--model`` and ``--extrapolate-attitude`` say."""
+def read_image(path: Path, model: str, extrapolate_s: float, result: Path | None = None, image_id: str = "") -> Any:
+    """Read a sensor as the options ``--model``, ``--extrapolate-attitude`` and ``--result`` say."""
     from fg_orient.io.sensor import read_sensor
 
-    return read_sensor(path, model=model, extrapolate_attitude_s=extrapolate_s)
+    sensor = read_sensor(path, model=model, extrapolate_attitude_s=extrapolate_s)
+    return sensor if result is None else with_result(sensor, result, image_id)
+
+
+def with_result(sensor: Any, result: Path, image_id: str = "") -> Any:
+    """Sensor with the orientation of a result folder."""
+    from fg_orient.raster.adjusted import read_correction
+    from fg_orient.sensors.oriented import OrientedSensor
+
+    return OrientedSensor(sensor, read_correction(result, sensor, image_id))
 
 
 def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:

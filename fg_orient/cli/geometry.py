@@ -1,4 +1,4 @@
-"""Commands ``locate``, ``project`` and ``intersect``: geometry with the metadata orientation."""
+"""Commands ``locate``, ``project`` and ``intersect``: geometry with the metadata's or an adjusted orientation."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from fg_orient.cli.common import (
     Json,
     ModelOf,
     Overwrite,
+    Result,
     VerticalCrs,
     emit,
     note,
@@ -22,6 +23,7 @@ from fg_orient.cli.common import (
     read_image,
     say,
     table,
+    with_result,
     write_records,
 )  # fmt: skip
 from fg_orient.errors import InputError
@@ -31,8 +33,6 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from fg_orient.block import Image, ImagePoints
-    from fg_orient.sensors.pushbroom import PushbroomSensor
-    from fg_orient.sensors.rpc_sensor import RpcSensor
     from fg_orient.sensors.surface import RasterDem
 
     Array = npt.NDArray[np.float64]
@@ -67,6 +67,7 @@ def locate(
     points: Points = None,
     model: ModelOf = "auto",
     extrapolate_attitude: Extrapolate = 0.0,
+    result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -82,7 +83,7 @@ def locate(
             raise InputError.of("cli.two_heights", file=image, place="--height, --dem")
         from fg_orient.ground import frame_records
 
-        sensor = read_image(image, model, extrapolate_attitude)
+        sensor = read_image(image, model, extrapolate_attitude, result)
         surface = read_dem(dem, dem_vertical_crs)
         if frame:
             records = frame_records(sensor, height, surface)
@@ -101,7 +102,7 @@ def _exclude(*ways: dict[str, object]) -> None:
 
 
 def _located(
-    sensor: PushbroomSensor | RpcSensor, image: Path, points: Path | None, pixel: tuple[float | None, float | None],
+    sensor: Any, image: Path, points: Path | None, pixel: tuple[float | None, float | None],
     height: float | None, dem: RasterDem | None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Records of one pixel or of a CSV file of pixels."""
@@ -139,6 +140,7 @@ def project(
     points: Points = None,
     model: ModelOf = "auto",
     extrapolate_attitude: Extrapolate = 0.0,
+    result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -161,7 +163,7 @@ def project(
             raise InputError.of("cli.no_ground", file=image, place="--lon, --lat, --height")
         else:
             ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
-        sensor = read_image(image, model, extrapolate_attitude)
+        sensor = read_image(image, model, extrapolate_attitude, result)
         _publish(sensor, pixel_records(sensor, ids, geodetic_to_ecef(*columns)), PIXEL, out, overwrite, as_json)
 
 
@@ -175,17 +177,19 @@ def intersect(
     ] = None,
     model: ModelOf = "auto",
     extrapolate_attitude: Extrapolate = 0.0,
+    result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Stereo: the ground point where rays of several images meet, with the metadata orientation.
+    """Stereo: the ground point where rays of several images meet.
 
     A project file gives all its points that are measured twice or more; their coordinates in the
     file are not used.
     """
     with outcome(as_json, debug):
+        from fg_orient.block import Image
         from fg_orient.ground import intersection_records
 
         if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
@@ -194,8 +198,10 @@ def intersect(
             _exclude({"PROJECT.toml": sources[0]}, {"--pixel": pixel or None})
             block = read_project(sources[0], extrapolate_attitude_s=extrapolate_attitude or None)
             images, observations, ids = block.images, block.observations, block.points.ids
+            if result is not None:
+                images = tuple(Image(image.id, with_result(image.sensor, result, image.id)) for image in images)
         else:
-            images, observations = _pixels_of(sources, pixel or [], model, extrapolate_attitude)
+            images, observations = _pixels_of(sources, pixel or [], model, extrapolate_attitude, result)
             ids = ("1",)
         records = intersection_records(images, observations, ids)
         notes = [text for record in records if (text := _doubt(record))]
@@ -222,7 +228,7 @@ def _doubt(record: dict[str, Any]) -> str | None:
 
 
 def _pixels_of(
-    sources: list[Path], pixels: list[str], model: str, extrapolate_s: float
+    sources: list[Path], pixels: list[str], model: str, extrapolate_s: float, result: Path | None
 ) -> tuple[tuple[Image, ...], ImagePoints]:
     """Images and image points of one ground point, given on the command line."""
     import numpy as np
@@ -234,7 +240,7 @@ def _pixels_of(
     if len(pixels) != len(sources):
         raise InputError.of("cli.pixel_count", place="--pixel", pixels=len(pixels), images=len(sources))
     values = np.array([_pixel(text) for text in pixels])
-    images = tuple(Image(str(k + 1), read_image(path, model, extrapolate_s)) for k, path in enumerate(sources))
+    images = tuple(Image(str(k + 1), read_image(path, model, extrapolate_s, result)) for k, path in enumerate(sources))
     for k, image in enumerate(images):
         image.sensor.require_inside(values[k : k + 1, 0], values[k : k + 1, 1])
     n = len(images)
@@ -273,7 +279,7 @@ def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[li
 
 
 def _publish(
-    sensor: PushbroomSensor | RpcSensor, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None,
+    sensor: Any, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None,
     overwrite: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Write the CSV file if asked; print JSON or a table."""

@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.cli.common import (
+    Debug,
+    Extrapolate,
+    Json,
+    Overwrite,
+    Result,
+    emit,
+    note,
+    number,
+    outcome,
+    read_image,
+    say,
+    table,
+)
 from fg_orient.errors import InputError
 from fg_orient.names import EXIT_CODE, Status
 
@@ -212,6 +225,8 @@ def fit(
         int | None, typer.Option(metavar="K", help="POINTS: parts of the cross-validation; default 10.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the folds or of the independent points.")] = 1,
+    extrapolate_attitude: Extrapolate = 0.0,
+    result: Result = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write the RPC.")] = None,
     to: To = None,
     overwrite: Overwrite = False,
@@ -236,12 +251,14 @@ def fit(
         given = {name: value for name, value in of_points.items() if value is not None}
         common = {"degree": degree, "denominators": denominators, "seed": seed}
         if source.suffix.lower() == ".csv":
-            _refuse(source, {"--heights": heights, "--grid": grid}, "control points")
+            of_sensor = {"--heights": heights, "--grid": grid, "--result": result}
+            _refuse(source, of_sensor, "control points")
             model, record = _fit_points(source, common | given, out)
         else:
             names = {"selection": "--select", "normalise": "--no-normalise"}
             _refuse(source, {names.get(name, f"--{name}"): value for name, value in given.items()}, "a sensor")
-            model, record = _fit_image(source, heights, grid, common)
+            sensor = read_image(source, "auto", extrapolate_attitude, result)
+            model, record = _fit_image(sensor, source, heights, grid, common)
         record |= {"file": str(source), "out": None}
         if out is not None:
             from fg_orient.rpc.files import write_as
@@ -268,16 +285,16 @@ def _fit_points(source: Path, options: dict[str, Any], out: Path | None) -> tupl
 
 
 def _fit_image(
-    source: Path, heights: tuple[float, float] | None, grid: tuple[int, int, int] | None, options: dict[str, Any]
-) -> tuple[RpcModel, dict[str, Any]]:
-    from fg_orient.io.sensor import read_sensor
+    sensor: Any, source: Path, heights: tuple[float, float] | None, grid: tuple[int, int, int] | None,
+    options: dict[str, Any],
+) -> tuple[RpcModel, dict[str, Any]]:  # fmt: skip
     from fg_orient.rfm.virtual_grid import SHAPE
     from fg_orient.rpc.fitting import fit_image
 
     if heights is None:
         raise InputError.of("rpc.no_heights", file=source, place="--heights")
     shape = SHAPE if grid is None else grid
-    return fit_image(read_sensor(source), heights, shape=shape, file=str(source), **options)
+    return fit_image(sensor, heights, shape=shape, file=str(source), **options)
 
 
 # --- results -------------------------------------------------------------------------------------

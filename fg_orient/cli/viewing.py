@@ -13,6 +13,7 @@ from fg_orient.cli.common import (
     Json,
     ModelOf,
     Overwrite,
+    Result,
     VerticalCrs,
     emit,
     note,
@@ -22,13 +23,12 @@ from fg_orient.cli.common import (
     read_image,
     say,
     table,
+    with_result,
 )  # fmt: skip
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
     from fg_orient.block import Image
-    from fg_orient.sensors.surface import RasterDem
-    from fg_orient.viewing import View
 
 Sources = Annotated[
     list[Path], typer.Argument(metavar="IMAGE ... | PROJECT.toml", help="Metadata files, or one project file.")
@@ -42,9 +42,7 @@ def footprint(
         Path | None, typer.Option("--dem", help="DEM, any raster GDAL reads; ellipsoidal unless it says otherwise.")
     ] = None,
     dem_vertical_crs: VerticalCrs = "",
-    result: Annotated[
-        Path | None, typer.Option("--result", metavar="DIR", help="Result folder of adjust: adjusted orientation.")
-    ] = None,
+    result: Result = None,
     model: ModelOf = "auto",
     extrapolate_attitude: Extrapolate = 0.0,
     out: Annotated[Path | None, typer.Option("--out", help="Write the footprints into this GeoJSON file.")] = None,
@@ -57,13 +55,14 @@ def footprint(
     On the ground at --height or on --dem.
     """
     with outcome(as_json, debug):
-        from fg_orient.viewing import feature_collection, viewing_records
+        from fg_orient.viewing import View, feature_collection, viewing_records
 
-        images = _images(sources, model, extrapolate_attitude)
+        images = _images(sources, model, extrapolate_attitude, result)
         if (height is None) == (dem is None):
             code = "cli.no_height" if height is None else "cli.two_heights"
             raise InputError.of(code, file=sources[0], place="--height, --dem")
-        views = _views(images, height, read_dem(dem, dem_vertical_crs), result)
+        surface = read_dem(dem, dem_vertical_crs)
+        views = [View(image, height or 0.0, surface) for image in images]
         records = viewing_records(views)
         if out is not None:
             _write(out, feature_collection(views, records["images"]), overwrite)
@@ -78,32 +77,19 @@ def footprint(
                 say(f"written: {out}")
 
 
-def _images(sources: list[Path], model: str, extrapolate_s: float) -> tuple[Image, ...]:
+def _images(sources: list[Path], model: str, extrapolate_s: float, result: Path | None) -> tuple[Image, ...]:
     """Images of a project, or of metadata files, numbered."""
     from fg_orient.block import Image
 
     if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
         from fg_orient.io.project import read_project
 
-        return read_project(sources[0], extrapolate_attitude_s=extrapolate_s or None).images
-    return tuple(Image(str(k), read_image(path, model, extrapolate_s)) for k, path in enumerate(sources, start=1))
-
-
-def _views(
-    images: tuple[Image, ...], height: float | None, surface: RasterDem | None, result: Path | None
-) -> list[View]:
-    """Images with their ground and their orientation."""
-    from fg_orient.viewing import View
-
-    out = []
-    for image in images:
-        correction: Any = None
-        if result is not None:
-            from fg_orient.raster.adjusted import read_correction
-
-            correction = read_correction(result, image.sensor)  # type: ignore[arg-type]
-        out.append(View(image, height or 0.0, surface, correction))
-    return out
+        images = read_project(sources[0], extrapolate_attitude_s=extrapolate_s or None).images
+        if result is None:
+            return images
+        return tuple(Image(image.id, with_result(image.sensor, result, image.id)) for image in images)
+    sensors = [read_image(path, model, extrapolate_s, result) for path in sources]
+    return tuple(Image(str(k), sensor) for k, sensor in enumerate(sensors, start=1))
 
 
 def _write(out: Path, collection: dict[str, Any], overwrite: bool) -> None:

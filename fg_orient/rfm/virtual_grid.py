@@ -138,8 +138,8 @@ def fit_sensor(
     low, high = heights_m
     if min(shape) < LEAST or not (np.isfinite([low, high]).all() and high > low):
         raise InputError.of("rfm.grid", place="virtual grid", value=f"{shape}, heights {heights_m}", least=LEAST)
-    last = sensor.n_lines - 1.0, getattr(sensor, "last_sample", sensor.n_samples - 1.0)
-    first = 0.0, getattr(sensor, "first_sample", 0.0)
+    last = getattr(sensor, "last_line", sensor.n_lines - 1.0), getattr(sensor, "last_sample", sensor.n_samples - 1.0)
+    first = getattr(sensor, "first_line", 0.0), getattr(sensor, "first_sample", 0.0)
     axes = [_nodes(a, b, n) for a, b, n in zip((*first, low), (*last, high), shape, strict=True)]
     grid = _located(sensor, *(axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")))
     rng = np.random.default_rng(seed)
