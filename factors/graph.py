@@ -34,6 +34,7 @@ def factor(
     label: str,
     n_residuals: int = 2,
     loss: Any = None,
+    hard: bool = False,
 ) -> gtsam.CustomFactor:
     """Wrap one observation of an equation into a GTSAM factor.
 
@@ -51,6 +52,8 @@ def factor(
         "image ..., point ...": named in every message.
     loss : gtsam.noiseModel.mEstimator, optional
         Robust loss on the whitened norm.
+    hard : bool
+        The residual must vanish: sigma 0. GTSAM then eliminates by QR.
 
     Raises
     ------
@@ -71,7 +74,8 @@ def factor(
         make = image_point_factors(equation, sizes[0], one, setup, lambda _: label, n_residuals=n_residuals, loss=loss)
         return make(keys[0], keys[1], 0)
     function = _general(equation, unknowns, sizes, record, setup, label, n_residuals)
-    return gtsam.CustomFactor(_noise(n_residuals, loss), keys, function)
+    noise = gtsam.noiseModel.Constrained.All(n_residuals) if hard else _noise(n_residuals, loss)
+    return gtsam.CustomFactor(noise, keys, function)
 
 
 def _noise(n_residuals: int, loss: Any) -> Any:

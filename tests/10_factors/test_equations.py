@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import factors.circles
+import factors.constraints
 import factors.control
 import factors.coplanarity
 import factors.dlt
+import factors.extended_collinearity
 import factors.frame
 import factors.line_scanner
 import factors.plane
