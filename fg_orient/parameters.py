@@ -9,10 +9,11 @@ Source of the sets: Terlemezoğlu 2019, Table 4.2 (sets 1-19: Topan & Maktav 201
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,16 @@ N_EOP = 27
 N_LOOK = 12
 #: Degrees of tau in words.
 DEGREES = ("constant", "linear in time", "quadratic in time")
+
+#: Short names of terms, and in words what the degree is one of.
+_TERMS: Final = (
+    (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_(?P<degree>[012])"), "degree {} in time"),
+    (re.compile(r"(?P<component>psi_[xy])_s(?P<degree>[0-5])"), "degree {} of the look angles"),
+    (re.compile(r"(?P<component>line|sample)_(?P<degree>0)"), "degree {} of the RPC compensation"),
+    (re.compile(r"(?P<component>line|sample)_l(?P<degree>1)"), "degree {} in line of the RPC compensation"),
+    (re.compile(r"(?P<component>line|sample)_s(?P<degree>1)"), "degree {} in sample of the RPC compensation"),
+    (re.compile(r"(?P<component>rotation|centre|principal)_(x|y|z|sample|line)(?P<degree>)"), ""),
+)
 
 _KINDS = {"PU": POSITION, "V": VELOCITY, "A": ATTITUDE}
 #: Number, name, kinds and degrees of each set; PU = position, V = velocity, A = attitude.
@@ -64,6 +75,35 @@ def eop_codes(number: int) -> tuple[int, ...]:
     """Codes of the coefficients in a set, by component, then degree."""
     _, kinds, degrees = EOP_SETS[number]
     return tuple(3 * c + k for kind in kinds for c in _KINDS[kind] for k in degrees)
+
+
+@dataclass(frozen=True)
+class Term:
+    """What a short name says of an unknown that belongs together with others: coefficient or coordinate.
+
+    Parameters
+    ----------
+    component : str
+        "roll", "psi_x", "line", "centre".
+    degree : int or None
+        None for a coordinate.
+    kind : str
+        Of the degree, in words: "degree 1 in time". Degrees of different variables are of different kinds; "" without.
+    """
+
+    component: str
+    degree: int | None
+    kind: str
+
+
+def term_of(name: str) -> Term | None:
+    """Component, degree and kind of an unknown by its short name; None for one that stands alone (``k1``)."""
+    for pattern, kind in _TERMS:
+        found = pattern.fullmatch(name)
+        if found:
+            digit = found["degree"]
+            return Term(found["component"], int(digit) if digit else None, kind.format(digit))
+    return None
 
 
 @dataclass(frozen=True, eq=False)

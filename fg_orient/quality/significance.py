@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +24,7 @@ from scipy.special import fdtrc, stdtr
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.errors import NoSolutionError
+from fg_orient.parameters import term_of
 from fg_orient.quality.covariance import Cofactors
 
 Array = npt.NDArray[np.float64]
@@ -68,7 +70,7 @@ class GroupTest:
     Parameters
     ----------
     group : str
-        "roll", "linear terms", "roll_1 of all images".
+        "roll, all terms", "all terms of degree 1 in time", "roll_1 of all images".
     dimension : int
     statistic : float
         F.
@@ -93,7 +95,7 @@ class Significance:
     level : float
     coefficients : tuple of CoefficientTest
     groups : tuple of GroupTest
-        Each coefficient over all images (of several), each component, each degree.
+        Each coefficient over all images (of several), each component, each degree of one kind (``parameters.Term``).
     """
 
     redundancy: int
@@ -140,7 +142,7 @@ def significance(
     f = problem.redundancy
     if f <= 0:
         raise NoSolutionError.of("statistics.no_redundancy", place=problem.block.name, value=f)
-    x = problem.image_vector(state)
+    x = problem.image_columns(state)
     q = np.concatenate([np.diag(cofactors.image(k)) for k in range(problem.n_images)])
     t = np.abs(x) / (sigma0 * np.sqrt(q))
     p = 2.0 * stdtr(f, -t)
@@ -151,7 +153,7 @@ def significance(
     coefficients = tuple(
         CoefficientTest(*where[j], float(x[j] * scale[j]), float(sigma0 * np.sqrt(q[j]) * scale[j]), float(t[j]),
                         float(p[j]), float(adjusted[j]), float(min(q[j], 1.0)) if priors else None)
-        for j in range(len(x))
+        for j in places_of(problem, lambda _: True).tolist()
     )  # fmt: skip
     groups = tuple(
         group_test(problem, state, cofactors, sigma0, name, index) for name, index in _groups(problem).items()
@@ -162,12 +164,12 @@ def significance(
 def group_test(
     problem: Problem, state: State, cofactors: Cofactors, sigma0: float, name: str, index: Index
 ) -> GroupTest:
-    """F test of the unknowns at these places in ``problem.image_vector``."""
+    """F test of the unknowns at these places in ``problem.image_columns``."""
     images = tuple(np.unique(np.searchsorted(problem.first, index, side="right") - 1).tolist())
     places = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
     mine = np.searchsorted(places, index)
     q = cofactors.joint(images, ())[np.ix_(mine, mine)]
-    x, d, f = problem.image_vector(state)[index], len(index), problem.redundancy
+    x, d, f = problem.image_columns(state)[index], len(index), problem.redundancy
     # scaled to correlations: unknowns of very different size are tested together
     length = np.sqrt(np.diag(q))
     statistic = float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length)) / (d * sigma0**2)
@@ -175,9 +177,10 @@ def group_test(
 
 
 def places_of(problem: Problem, wanted: Callable[[str], bool]) -> Index:
-    """Places in ``problem.image_vector`` of the unknowns whose name is wanted."""
+    """Places in ``problem.image_columns`` of the unknowns whose name is wanted, shared ones with their first image."""
     names = [name for parameters in problem.parameters for name in parameters.names]
-    return np.array([j for j, name in enumerate(names) if wanted(name)], np.intp)
+    places = range(len(names)) if problem.ties is None else np.sort(problem.ties.place).tolist()
+    return np.array([j for j in places if wanted(names[j])], np.intp)
 
 
 def _groups(problem: Problem) -> dict[str, Index]:
@@ -186,15 +189,11 @@ def _groups(problem: Problem) -> dict[str, Index]:
     found: dict[str, Index] = {}
     if problem.n_images > 1:
         found |= {f"{n} of all images": places_of(problem, lambda name, n=n: name == n) for n in names}  # type: ignore[misc]
-    for part, text in ((0, "{}, all terms"), (-1, "all terms of degree {}")):
-        ends = dict.fromkeys(n.rpartition("_")[part] for n in names)
-        found |= {
-            text.format(end.removeprefix("s") if part else end): places_of(
-                problem,
-                lambda name, end=end, part=part: name.rpartition("_")[part] == end,  # type: ignore[misc]
-            )
-            for end in ends
-        }
+    terms = {name: term for name in names if (term := term_of(name)) is not None}
+    for words, of in (("{}, all terms", attrgetter("component")), ("all terms of {}", attrgetter("kind"))):
+        for value in filter(None, dict.fromkeys(map(of, terms.values()))):
+            mine = {name for name, term in terms.items() if of(term) == value}
+            found[words.format(value)] = places_of(problem, mine.__contains__)
     return {name: index for name, index in found.items() if len(index) > 1}
 
 

@@ -17,11 +17,14 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.block import Block, Coordinates
 from fg_orient.cross_validation import cross_validate, folds_of
 from fg_orient.names import Role
+from fg_orient.parameters import Term, term_of
 from fg_orient.quality.significance import group_test, holm, places_of
 from fg_orient.reduction import closest_eop_set, criteria, reduce_unknowns
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.command import in_process
+from tests.support.planted_errors import planted
 
+RPC = {"rpc_compensation": "affine", "backend": "schur"}
 LINEAR = {"eop_set": 10, "priors": False, "backend": "dense"}
 
 
@@ -68,11 +71,43 @@ def test_f_of_a_coefficient_is_what_its_removal_costs(twin: Block, backend: str)
 def test_groups_are_coefficients_components_and_degrees(twin: Block) -> None:
     found = fg.adjust(twin, eop_set=9).significance()
     names = {g.group: g for g in found.groups}
-    assert names["roll, all terms"].dimension == names["all terms of degree 2"].dimension == 6
+    assert names["roll, all terms"].dimension == names["all terms of degree 2 in time"].dimension == 6
     assert names["pitch_1 of all images"].dimension == 2
-    assert names["all terms of degree 0"].probability < 1e-10 < 0.05 < names["all terms of degree 2"].probability
+    assert (
+        names["all terms of degree 0 in time"].probability
+        < 1e-10
+        < 0.05
+        < names["all terms of degree 2 in time"].probability
+    )
     assert [c.name for c in found.coefficients if found.significant(c)] == ["roll_0", "pitch_0"] * 2
     json.dumps(found.as_dict())
+
+
+def test_degrees_of_different_polynomials_are_groups_of_their_own(twin: Block) -> None:
+    """psi_x_s0 is of degree 0 in the detector, x_0 of degree 0 in time; F of each from full matrices."""
+    solution = fg.adjust(twin, eop_set=15, look_polynomial=1)
+    groups = {g.group: g for g in solution.significance().groups}
+    _, design = assemble(solution.problem, solution.state)
+    q, x = np.linalg.inv(design.T @ design), solution.problem.image_vector(solution.state)
+    names = [name for p in solution.problem.parameters for name in p.names]
+    for degree in (0, 1):
+        for end, kind in ((f"_{degree}", "in time"), (f"_s{degree}", "of the look angles")):
+            at = [k for k, name in enumerate(names) if name.endswith(end)]
+            found = groups[f"all terms of degree {degree} {kind}"]
+            statistic = x[at] @ np.linalg.solve(q[np.ix_(at, at)], x[at]) / len(at) / solution.sigma0**2
+            assert found.dimension == len(at) == (12 if kind == "in time" else 4)
+            assert found.statistic == pytest.approx(statistic, rel=1e-5)
+
+
+def test_terms_of_an_rpc_compensation_are_named_in_words() -> None:
+    groups = {g.group: g.dimension for g in fg.adjust(planted().block, **RPC).significance().groups}
+    assert {name: n for name, n in groups.items() if "all images" not in name} == {
+        "line, all terms": 6, "sample, all terms": 6, "all terms of degree 0 of the RPC compensation": 4,
+        "all terms of degree 1 in line of the RPC compensation": 4,
+        "all terms of degree 1 in sample of the RPC compensation": 4,
+    }  # fmt: skip
+    assert {term_of(name) for name in ("k1", "focal", "line_2", "x_0_s1")} == {None}
+    assert term_of("centre_x") == Term("centre", None, "")
 
 
 def test_holm_is_the_step_down_rule() -> None:
