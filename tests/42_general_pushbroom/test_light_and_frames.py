@@ -1,0 +1,134 @@
+"""Effects on light and orbital frames against computations of another kind."""
+
+from __future__ import annotations
+
+import erfa
+import numpy as np
+import pytest
+
+from factors import kepler, light
+from fg_orient.errors import InputError
+from fg_orient.sensors.earth_rotation import EarthOrientation, EarthRotation, neglected
+
+RADIUS = 7.2e6
+
+
+def orbit(n: int = 24) -> tuple[np.ndarray, np.ndarray]:
+    """A whole turn on an orbit of 98.7 degrees: ascending and descending; velocity partly radial."""
+    w, i, node = np.linspace(0.1, 2.0 * np.pi, n, endpoint=False), np.radians(98.7), 1.1
+    m = np.array([[np.cos(node), -np.sin(node) * np.cos(i)], [np.sin(node), np.cos(node) * np.cos(i)], [0, np.sin(i)]])
+    p = RADIUS * (m @ np.array([np.cos(w), np.sin(w)])).T
+    return p, 7400.0 * (m @ np.array([-np.sin(w), np.cos(w)])).T + 8.0 * p / RADIUS
+
+
+def test_kepler_angles_give_the_frame_of_position_and_velocity() -> None:
+    p, v = orbit()
+    angles = kepler.kepler_angles(p, v)
+    assert np.abs(kepler.frames_from_kepler(angles) - kepler.frames_from_state(p, v)).max() < 1e-13
+    assert np.degrees(angles[:, 0]) == pytest.approx(98.7, abs=1e-10)
+    frame = kepler.frames_from_state(p, v)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+    assert frame[:, :, 2] == pytest.approx(p / RADIUS)
+    assert (np.einsum("ni,ni->n", frame[:, :, 0], v) > 7000.0).all()
+
+
+def test_attitude_is_the_product_of_elementary_turns() -> None:
+    roll, pitch, yaw = 0.3, -0.2, 0.5
+    x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+    y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+    z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    assert kepler.attitude_matrices(np.array([[roll, pitch, yaw]]))[0] == pytest.approx(x @ y @ z, abs=1e-15)
+
+
+def test_aberration_against_the_relativistic_formula() -> None:
+    """The angle to the velocity: cos a' = (cos a + b)/(1 + b cos a); 3e-10 rad are 0.2 mm on the ground."""
+    rng = np.random.default_rng(4)
+    seen, v = light.unit(rng.normal(size=(50, 3))), 7500.0 * light.unit(rng.normal(size=(50, 3)))
+    true, beta = light.without_aberration(seen, v), 7500.0 / light.C_M_S
+    cosine = np.einsum("ni,ni->n", true, v) / 7500.0
+    expected = np.arccos((cosine + beta) / (1.0 + beta * cosine))
+    got = np.arccos(np.einsum("ni,ni->n", seen, v) / 7500.0)
+    assert np.abs(got - expected).max() < 4e-10
+    assert np.arccos(np.clip(np.einsum("ni,ni->n", seen, true), -1, 1)).max() > 2e-5
+    assert np.abs(np.cross(light.C_M_S * true + v, seen)).max() < 1e-4  # c u + v lies along what is seen
+
+
+def test_light_time_is_the_earth_at_emission() -> None:
+    """Iterated in inertial axes: the Earth turned back by the travel time of the light that arrives now."""
+    p, ground = np.array([7.0e6, 3.0e5, 1.0e6]), np.array([6.3e6, 2.5e5, 9.0e5])
+    distance = np.linalg.norm(ground - p)
+    for _ in range(5):
+        angle = light.EARTH_RATE_RAD_S * distance / light.C_M_S
+        c, s = np.cos(angle), np.sin(angle)
+        then = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ ground  # eastwards turn undone
+        distance = np.linalg.norm(then - p)
+    shift = light.earth_turn(then[None], np.array([distance]))[0]
+    assert np.linalg.norm(then + shift - ground) < 1e-9
+    assert 1.0 < np.linalg.norm(shift) < 1.5
+
+
+@pytest.mark.parametrize(("zenith_deg", "bound_m"), [(0.0, 1e-6), (15.0, 0.01), (30.0, 0.02), (45.0, 0.06)])
+def test_refraction_against_a_traced_ray(zenith_deg: float, bound_m: float) -> None:
+    """Snell's law through 4000 spherical shells of the standard atmosphere, n r sin z constant; 1 % of the shift."""
+    h = np.linspace(0.0, 80_000.0, 8001)
+    t = np.where(h < 11_000.0, 288.15 - 0.0065 * h, 216.65)
+    pressure = np.where(h < 11_000.0, 101_325.0 * (t / 288.15) ** 5.25588,
+                        22_632.0 * np.exp(-(h - 11_000.0) / 6341.6))  # fmt: skip
+    n = 1.0 + light.REFRACTIVITY * pressure / 101_325.0 * 288.15 / t
+    r = 6_371_000.0 + h
+    z = np.radians(zenith_deg)  # at the ground
+    sine = n[0] * r[0] * np.sin(z) / (n * r)
+    angle = np.trapezoid(sine / np.sqrt(1.0 - sine**2) / r, r)  # at the centre, ground to 80 km
+    top = r[-1] * np.array([np.sin(angle), np.cos(angle)])
+    out = angle + np.arcsin(r[0] * n[0] * np.sin(z) / (n[-1] * r[-1]))  # direction of the ray in space
+    u = -np.array([np.sin(out), np.cos(out)])
+    # where the straight sight meets the ground, and where the bent one does: (0, r0)
+    b, c = u @ top, top @ top - r[0] ** 2
+    straight = top + (-b - np.sqrt(b * b - c)) * u
+    expected = np.arctan2(straight[0], straight[1]) * r[0]
+    direction = np.array([[u[0], 0.0, u[1]]])
+    up = np.array([[straight[0], 0.0, straight[1]]]) / r[0]
+    shift = light.refraction_shift(direction, up, np.zeros(1))[0]
+    assert -shift[0] == pytest.approx(expected, abs=bound_m)
+    assert zenith_deg == 0.0 or abs(expected) > 0.5
+
+
+def series(days: int = 6) -> EarthOrientation:
+    """Days around the leap second of 1 January 2017 (MJD 57754)."""
+    mjd = 57751.0 + np.arange(days)
+    ut1 = -0.40 - 0.001 * np.arange(days) + np.where(mjd >= 57754.0, 1.0, 0.0)
+    pole = np.radians(np.column_stack([0.1 + 0.001 * np.arange(days), 0.3 - 0.002 * np.arange(days)]) / 3600.0)
+    return EarthOrientation("C04", mjd, pole, ut1, np.radians(np.full((days, 2), 2e-4) / 3600.0))
+
+
+def test_earth_rotation_is_that_of_the_standard_routine() -> None:
+    """Between the two ends of a minute, against the whole chain at that time; linear nutation costs nothing."""
+    s = series()
+    rotation = EarthRotation(np.datetime64("2016-12-30"), (40_000.0, 40_060.0), "GCRS", s)
+    t = 40_023.4
+    pole, dut, offset = s.at(57752.0 + t / 86400.0)
+    tt = 57752.0 + (t + 36.0 + 32.184) / 86400.0
+    x, y, cio = erfa.xys06a(2400000.5, tt)
+    whole = erfa.c2tcio(
+        erfa.c2ixys(x + offset[0], y + offset[1], cio), erfa.era00(2400000.5 + 57752.0, (t + dut) / 86400.0),
+        erfa.pom00(*pole, erfa.sp00(2400000.5, tt)),
+    )  # fmt: skip
+    assert np.abs(rotation.matrices(np.array([t]))[0] - whole).max() < 2e-14
+
+
+def test_a_leap_second_does_not_bend_ut1() -> None:
+    s = series()
+    before, after = s.at(57753.9999)[1], s.at(57754.0001)[1]
+    assert after - before == pytest.approx(1.0, abs=1e-5)
+    assert before == pytest.approx(-0.4029999, abs=1e-7)
+
+
+def test_outside_the_series_is_refused_and_its_end_is_not() -> None:
+    with pytest.raises(InputError, match=r"57751 \.\. 57756"):
+        EarthRotation(np.datetime64("2017-01-05"), (0.0, 10.0), "GCRS", series())
+    EarthRotation(np.datetime64("2017-01-01"), (86_390.0, 86_400.0), "GCRS", series())
+
+
+def test_what_is_neglected_is_said_in_metres() -> None:
+    assert "419 m" in neglected(np.array([7e6, 0.0, 0.0])) and "19 m" in neglected(np.array([7e6, 0.0, 0.0]))
+    assert " 0 m east-west" in neglected(np.array([0.0, 0.0, 7e6]))
