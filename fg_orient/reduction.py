@@ -27,6 +27,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.problem import Problem
 from fg_orient.block import Block
 from fg_orient.cross_validation import CrossValidation, Folds, cross_validate, folds_of
+from fg_orient.distributions import sidak
 from fg_orient.errors import InputError, NoSolutionError, RankDeficientError
 from fg_orient.orient import adjust
 from fg_orient.parameters import EOP_SETS, N_EOP, eop_codes, parameter_name
@@ -225,10 +226,7 @@ class _Runs:
         self._done += 1
         given = {**self._options, **({"image_unknowns": unknowns} if unknowns else {})}
         solution = adjust(self._block, **given)
-        if solution.weights is not None:
-            raise NoSolutionError.of("covariance.weighted", place=solution.block.options.loss)
-        if solution.cofactors is None:
-            raise NoSolutionError.of("covariance.withheld", value="; ".join(solution.withheld))
+        solution.required_cofactors(unweighted=True)
         if solution.redundancy <= 0:
             raise NoSolutionError.of("statistics.no_redundancy", place=self._block.name, value=solution.redundancy)
         return solution
@@ -253,14 +251,11 @@ class _Runs:
 
 def coefficient_test(solution: Solution, name: str) -> GroupTest:
     """F test of a coefficient over all images that have it."""
-    assert solution.cofactors is not None  # refused before
     index = places_of(solution.problem, lambda known: known == name)
-    return group_test(solution.problem, solution.state, solution.cofactors, solution.sigma0, name, index)
-
-
-def _each(level: float, count: int) -> float:
-    """Level of each of so many tests (Sidak)."""
-    return float(-np.expm1(np.log1p(-level) / count))
+    return group_test(
+        solution.problem, solution.state, solution.required_cofactors(), solution.sigma0, name, index,
+        freedom=solution.unknown_freedom,
+    )  # fmt: skip
 
 
 def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) -> list[tuple[Step, Solution]]:
@@ -269,7 +264,7 @@ def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) 
     while len(steps[-1][0].unknowns) > 1:
         last = steps[-1][0]
         worst = last.tests[0]
-        if worst.probability <= _each(level, len(last.unknowns)):
+        if worst.probability <= sidak(level, len(last.unknowns)):
             break
         rest = tuple(name for name in last.unknowns if name != worst.group)
         try:
@@ -299,7 +294,7 @@ def _forward(run: _Runs, every: tuple[str, ...], level: float) -> list[tuple[Ste
         if not trials:
             return steps
         p, _, name, test, solution = min(trials, key=lambda t: t[:3])
-        if steps and p > _each(level, len(trials)):
+        if steps and p > sidak(level, len(trials)):
             return steps
         taken = tuple(n for n in every if n in (*chosen, name))
         steps.append((run.step(solution, taken, name, test), solution))
@@ -329,8 +324,7 @@ def _observed(problem: Problem, solution: Solution) -> tuple[float, int, float]:
 
 def _determined(solution: Solution) -> float:
     """Image unknowns, each counted as far as the observations determine it."""
-    problem, q = solution.problem, solution.cofactors
-    assert q is not None  # refused before
+    problem, q = solution.problem, solution.required_cofactors()
     if not problem.block.options.priors:
-        return float(problem.n_image_unknowns)
+        return float(problem.n_free_unknowns)
     return sum(float(np.sum(1.0 - np.diag(q.image(k)))) for k in range(problem.n_images))

@@ -126,9 +126,13 @@ class Problem:
         """The unknowns of an image (its own number of them), prior sigmas."""
         return np.ascontiguousarray(state.image[k, : len(self.parameters[k])])
 
+    def image_columns(self, state: State) -> Array:
+        """Unknowns of all images, one after the other, as ``first`` counts them."""
+        return np.asarray(state.image[self._exists])
+
     def image_vector(self, state: State) -> Array:
         """Unknowns of all images, one after the other; if they have some in common, as ``ties`` numbers them."""
-        wide = np.asarray(state.image[self._exists])
+        wide = self.image_columns(state)
         return wide if self.ties is None else wide[self.ties.place]
 
     def image_matrix(self, vector: Array) -> Array:

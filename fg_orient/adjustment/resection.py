@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
-from fg_orient.adjustment.robust_scale import chi_square_median
+from fg_orient.distributions import chi_square_median
 from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.errors import InputError, problem
 
@@ -98,8 +98,11 @@ def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[S
     Raises
     ------
     InputError
-        An image has too few control points, and too few that other images locate; names all of them.
+        An image has too few control points, and too few that other images locate; names all of them. Images have
+        unknowns in common.
     """
+    if compiled.ties is not None:
+        raise InputError.of("frame.shared_not", place="robust_start", value=method, id=", ".join(compiled.ties.ids))
     image = compiled.start.image
     for _ in range(ROUNDS):
         found = _Pass(compiled, image, method, seed)

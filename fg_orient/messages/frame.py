@@ -15,6 +15,10 @@ FRAME: Final = {
         "images that share the unknown under {id!r} disagree",
         "give all of them the same prior sigma and the same start value",
     ),
+    "frame.shared_not": (
+        "images have unknowns in common ({id}), which this cannot do",
+        "leave it out, or let each image have its unknowns for itself",
+    ),
     "frame.no_direction": (
         "the distortion of the camera cannot be inverted at this pixel",
         "check k1, k2, k3, p1, p2: the polynomial folds inside the image",

@@ -33,7 +33,7 @@ def solve_in_parts(
     Raises
     ------
     InputError
-        Another backend than the Schur complement is asked for; more parts than points; dask is missing, the
+        Another backend than the Schur complement is asked for; images have unknowns in common; more parts than points; dask is missing, the
         scheduler does not answer, or workers do not see the work folder.
     NoSolutionError
         The equations become singular or not finite on the way; workers die again and again.
@@ -41,6 +41,8 @@ def solve_in_parts(
     options = problem.block.options
     if options.backend not in ("auto", "schur"):
         raise InputError.of("parallel.backend", place="parts", value=options.backend)
+    if problem.ties is not None:
+        raise InputError.of("frame.shared_not", place="parts", value="parts", id=", ".join(problem.ties.ids))
     judged = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
     with opened(execution) as pool, work_folder(execution, pool) as folder:
         parts = execution.parts or default_parts(problem)

@@ -69,11 +69,13 @@ def null_space(problem: Problem, state: State) -> Array:
 
     Columns are orthonormal in the image unknowns. Own observations are not looked at.
     """
-    rows, u = Rows.of(problem, state), problem.n_image_unknowns
+    rows, u, ties = Rows.of(problem, state), problem.n_free_unknowns, problem.ties
     with one_blas_thread():
         rest = eliminated(problem, rows)
+        rest = rest if ties is None else ties.columns(rest)
         _, s, vt = np.linalg.svd(np.vstack([rest, np.zeros((max(0, u - len(rest)), u))]), full_matrices=False)
     motions = np.asarray(vt[s <= UNOBSERVABLE].T)
+    motions = motions if ties is None else ties.widened(motions)
     ground = followed_by_ground(problem, rows, motions)[problem.active]
     return np.vstack([motions, ground.reshape(3 * len(ground), motions.shape[1])])
 

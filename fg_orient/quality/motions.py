@@ -176,7 +176,8 @@ def _motions(problem: Problem, rows: Rows, part: _Part) -> _Motions:
         own, u = part.rows[image == k], len(problem.parameters[k])
         if not len(own):
             continue
-        a = rows.image[own, :, :u].reshape(-1, u)
+        # a camera that several images have in common stays as it is
+        a = np.where(problem.parameters[k].own, rows.image[own, :, :u], 0.0).reshape(-1, u)
         b = np.einsum("nij,njd->nid", rows.ground[own], shift[point[own]]).reshape(-1, 7)
         x = -np.linalg.lstsq(a, b, rcond=None)[0]
         moves[problem.first[k] : problem.first[k + 1]] = x

@@ -94,7 +94,7 @@ class ImageObservability:
 
 
 def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservability:
-    """Judge one image.
+    """Judge one image by the unknowns that no other image shares: of the others it says no last word.
 
     Parameters
     ----------
@@ -105,14 +105,20 @@ def analyse(image: str, jacobian: Array, model: ImageModel) -> ImageObservabilit
     model : ImageModel
         Names the unknowns and the directions that physics hides.
     """
-    k = len(model.parameters)
+    own = model.parameters.own
+    parameters, jacobian = model.parameters.take(own), jacobian[:, own]
+    k = len(parameters)
+    if not k:
+        none = np.zeros((0, 0))
+        return ImageObservability(image, np.zeros(0), 0, 0, none, (), summary=f"image {image}: held")
     short = np.asarray(np.linalg.qr(jacobian, mode="r")) if len(jacobian) > k else jacobian
     full = np.vstack([short, np.zeros((max(0, k - len(short)), k))])
     _, s, vt = np.linalg.svd(full, full_matrices=False)
     dead, weak = s <= UNOBSERVABLE, (s > UNOBSERVABLE) & (s < DETERMINED)
     null = vt[dead].T
-    texts = _name_directions(null, model.parameters, model.silent_directions()) if dead.any() else []
-    held = _name_by_unknowns(vt[weak], model.parameters.words)
+    candidates = [(text, direction[own]) for text, direction in model.silent_directions()]
+    texts = _name_directions(null, parameters, candidates) if dead.any() else []
+    held = _name_by_unknowns(vt[weak], parameters.words)
     condition, raw = (None, None) if dead.any() else (float(s[0] / s[-1]), _raw_condition(full, model))
     return ImageObservability(
         image, s, int(dead.sum()), int(weak.sum()), null, tuple(f"image {image}: {t}" for t in texts), held, condition,
@@ -155,8 +161,8 @@ def _raw_condition(triangle: Array, model: ImageModel) -> float:
     As a product of two norms, ``|R D| |D^-1 R^-1|``: the inverse is taken in prior sigmas, where it is accurate, so
     conditions far beyond 1 / eps are right, too.
     """
-    factors, _ = model.per_line()
-    unit = model.parameters.sigma * np.where(np.isfinite(factors), factors, 1.0)
+    factors, own = model.per_line()[0], model.parameters.own
+    unit = (model.parameters.sigma * np.where(np.isfinite(factors), factors, 1.0))[own]
     return float(np.linalg.norm(triangle / unit, 2) * np.linalg.norm(unit[:, None] * np.linalg.inv(triangle), 2))
 
 
@@ -191,7 +197,7 @@ class BlockObservability:
 
     Parameters
     ----------
-    singular_values : (u,) array, descending; u unknowns of all images; empty for a block that is too large
+    singular_values : (u,) array, descending; u unknowns of all images, shared ones once; empty for a block that is too large
     sentences : tuple of str
         One per unobservable direction: motions of the block by name, others by their largest components.
     weak : int
@@ -290,7 +296,7 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
         False: no singular values, only the motions of its parts, at a cost linear in the observations.
     """
     structure = structure or analyse_structure(problem)
-    rows, u = Rows.of(problem, problem.start), problem.n_image_unknowns
+    rows, u = Rows.of(problem, problem.start), problem.n_free_unknowns
     own = bool(problem.block.extra) and problem.n_unknowns <= MAX_UNKNOWNS
     rest = None if not whole else eliminated_with_own(problem) if own else eliminated(problem, rows)
     parts = [np.flatnonzero(structure.part == p) for p in range(structure.n_parts)]
@@ -298,7 +304,8 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
     datum = tuple(t for m in motions for t in _motion_sentences(m, problem, alone=structure.n_parts == 1))
     if rest is None:
         return BlockObservability(np.zeros(0), (), 0, datum, motions, structure)
-    full = np.vstack([rest, np.zeros((max(0, u - len(rest)), u))])
+    free = rest if problem.ties is None else problem.ties.columns(rest)
+    full = np.vstack([free, np.zeros((max(0, u - len(free)), u))])
     _, s, vt = np.linalg.svd(full, full_matrices=False)
     dead = s <= UNOBSERVABLE
     sentences, unexplained = _dead_sentences(problem, vt[dead].T, motions, structure)
@@ -316,19 +323,26 @@ def _dead_sentences(
         inside = m.unobservable
         told += [t for t, yes in zip(texts, inside, strict=True) if yes]
         if inside.any() and rest.shape[1]:
-            moved, s, _ = np.linalg.svd(rest @ (rest.T @ _unit(m.moves[:, inside])), full_matrices=False)
+            moves = m.moves[:, inside] if problem.ties is None else m.moves[problem.ties.place][:, inside]
+            moved, s, _ = np.linalg.svd(rest @ (rest.T @ _unit(moves)), full_matrices=False)
             known = moved[:, s > UNOBSERVABLE]
             u, s, _ = np.linalg.svd(rest - known @ (known.T @ rest), full_matrices=False)
             rest = u[:, s > 0.5]
     told = told[: null.shape[1]]
-    names = [
-        (image.id, word)
-        for image, parameters in zip(problem.block.images, problem.parameters, strict=True)
-        for word in parameters.words
-    ]
     left = null.shape[1] - len(told)
+    names = _names(problem)
     told += [_block_sentence(rest[:, k], names) for k in range(min(left, rest.shape[1]))]
     return tuple(told), left
+
+
+def _names(problem: Problem) -> list[tuple[str, str]]:
+    """Image, or id under which images share it, and words of each unknown."""
+    wide = [
+        (p.shared[j] if p.shared and p.shared[j] else image.id, p.words[j])
+        for image, p in zip(problem.block.images, problem.parameters, strict=True)
+        for j in range(len(p))
+    ]
+    return wide if problem.ties is None else [wide[j] for j in problem.ties.place]
 
 
 def _unit(columns: Array) -> Array:

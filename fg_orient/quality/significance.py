@@ -23,6 +23,7 @@ import numpy.typing as npt
 from scipy.special import fdtrc, stdtr
 
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.distributions import holm
 from fg_orient.errors import NoSolutionError
 from fg_orient.parameters import term_of
 from fg_orient.quality.covariance import Cofactors
@@ -195,12 +196,3 @@ def _groups(problem: Problem) -> dict[str, Index]:
             mine = {name for name, term in terms.items() if of(term) == value}
             found[words.format(value)] = places_of(problem, mine.__contains__)
     return {name: index for name, index in found.items() if len(index) > 1}
-
-
-def holm(p: Array) -> Array:
-    """Probabilities adjusted for as many tests, so that ``adjusted <= alpha`` bounds any false alarm (Holm 1979)."""
-    order = np.argsort(p)
-    raised = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    out = np.empty(len(p))
-    out[order] = np.minimum(raised, 1.0)
-    return out

@@ -96,8 +96,12 @@ def named(ids: list[str] | tuple[str, ...]) -> str:
 
 
 def _needs(problem: Problem) -> tuple[Index, Index]:
-    """Observations that each image (M,) and each ground point (N,) still needs besides priors and its own control."""
-    images = np.diff(problem.first) * (0 if problem.block.options.priors else 1)
+    """Observations that each image (M,) and each ground point (N,) still needs besides priors and its own control.
+
+    Unknowns that images share are left to the singular values: what is found here is a lower bound.
+    """
+    own = np.array([int(p.own.sum()) for p in problem.parameters])
+    images = own * (0 if problem.block.options.priors else 1)
     return images.astype(np.intp), np.where(problem.active & ~problem.observed, 3, 0).astype(np.intp)
 
 

@@ -140,7 +140,7 @@ def roma(folder: Path, *, calibrate: bool = True, aspect: float = 0.0) -> Block:
             sigma = {name: s for name, s in sigma.items() if name != "centre_y"}
         pose = (rotation_of_opk(*np.radians(angles)), np.array([x, y, z]))
         cameras.append(camera(form, 24.3581, (18.1143, 12.0), (2.174e-4, -1.518e-7), pose, sigma, aspect))
-    options = Options(priors=False, datum="control", optimizer="levenberg-marquardt", max_iterations=50)
+    options = Options(priors=False, datum="control", optimizer="gauss-newton", max_iterations=20, backend="schur")
     return block(cameras, form, marks, {}, 1.0, options)
 
 
