@@ -159,7 +159,9 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     list of dict
         Beside the keys of :func:`ground_records` (line and sample in the first image):
         ``miss_m``, the largest distance between the feet of the point on two of its rays, which
-        is the shortest distance of two rays; ``convergence_deg``; ``pixels``, all image points.
+        is the shortest distance of two rays; ``convergence_deg``; ``sigma_east_m``, ``sigma_north_m``,
+        ``sigma_up_m`` and ``covariance_enu_m2`` by the sigmas of the image points, the orientation held as
+        free of error; ``pixels``, all image points.
 
     Raises
     ------
@@ -173,6 +175,7 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     centre, direction = initial.all_rays(images, observations)
     _, convergence = initial.nearest_points(centre, direction, observations.point, len(ids))
     along = np.einsum("ni,ni->n", ground[observations.point] - centre, direction)
+    covariance = initial.intersection_covariances(images, observations, ground)
     feet = centre + along[:, None] * direction
     used = [int(j) for j in np.flatnonzero(count >= 2)]
     rows = [np.flatnonzero(observations.point == j) for j in used]
@@ -180,7 +183,12 @@ def intersection_records(images: tuple[Image, ...], observations: ImagePoints, i
     records = ground_records([ids[j] for j in used], observations.line[first], observations.sample[first], ground[used])
     for record, j, seen in zip(records, used, rows, strict=True):
         apart = feet[seen][:, None] - feet[seen][None]
+        axes = enu_from_ecef(record["lon_deg"], record["lat_deg"])[0]
+        enu = axes @ covariance[j] @ axes.T
+        sigma = np.sqrt(np.diag(enu))
         record |= {
+            "sigma_east_m": float(sigma[0]), "sigma_north_m": float(sigma[1]), "sigma_up_m": float(sigma[2]),
+            "covariance_enu_m2": enu.tolist(),
             "miss_m": float(np.linalg.norm(apart, axis=-1).max()), "convergence_deg": float(convergence[j]),
             "pixels": [{"image": images[observations.image[r]].id, "line": float(observations.line[r]),
                         "sample": float(observations.sample[r])} for r in seen],

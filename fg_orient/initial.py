@@ -74,6 +74,61 @@ def nearest_points(
     return out, spread
 
 
+def intersection_covariances(
+    images: tuple[Image, ...], observations: ImagePoints, ground_m: Array, corrections: Sequence[Any] | None = None
+) -> Array:
+    """Covariances (n_points, 3, 3) ECEF m^2 that the sigmas of the image points give :func:`nearest_points`.
+
+    With P = I - u u^T and D the shift of a ray at the ground by a pixel (over half a pixel to either side)::
+
+        C = N^-1 (sum P D S D^T P) N^-1,   N = sum P
+
+    The orientation is taken as free of error. nan for points of fewer than two rays.
+    """
+    shift = np.zeros((len(observations), 3, 2))
+    normal = np.zeros((len(observations), 3, 3))
+    for k, image in enumerate(images):
+        rows = np.flatnonzero(observations.image == k)
+        if not len(rows):
+            continue
+        correction = None if corrections is None else corrections[k]
+        line, sample, ground = observations.line[rows], observations.sample[rows], ground_m[observations.point[rows]]
+        direction = image.sensor.rays(line, sample, correction)[1]
+        normal[rows] = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+        shift[rows] = _pixel_shifts(image.sensor, (line, sample), ground, correction)
+    noise = shift * np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)[:, None]
+    spread = normal @ noise
+    n, middle = (np.zeros((len(ground_m), 3, 3)) for _ in range(2))
+    np.add.at(n, observations.point, normal)
+    np.add.at(middle, observations.point, spread @ np.swapaxes(spread, 1, 2))
+    out = np.full((len(ground_m), 3, 3), np.nan)
+    good = np.flatnonzero(np.bincount(observations.point, minlength=len(ground_m)) >= 2)
+    inverse = np.linalg.inv(n[good])
+    out[good] = inverse @ middle[good] @ inverse
+    return out
+
+
+def _pixel_shifts(sensor: Any, pixel: tuple[Array, Array], ground_m: Array, correction: Any) -> Array:
+    """Shift (n, 3, 2) m of rays at ground points by a line and by a sample; differences stay inside the image."""
+    limits = ((sensor.first_line, sensor.last_line), (sensor.first_sample, sensor.last_sample))
+    out = np.zeros((len(ground_m), 3, 2))
+    for k, (first, last) in enumerate(limits):
+        low, high = (np.clip(pixel[k] + step, first - 0.5, last + 0.5) for step in (-0.5, 0.5))
+        feet = []
+        for values in (low, high):
+            at = (values, pixel[1]) if k == 0 else (pixel[0], values)
+            centre, direction = sensor.rays(*at, correction)
+            feet.append(_foot(centre, direction, ground_m))
+        out[:, :, k] = (feet[1] - feet[0]) / (high - low)[:, None]
+    return out
+
+
+def _foot(centre_m: Array, direction: Array, ground_m: Array) -> Array:
+    """Points (n, 3) of rays nearest to ground points."""
+    along = np.einsum("ni,ni->n", ground_m - centre_m, direction)
+    return np.asarray(centre_m + along[:, None] * direction)
+
+
 def _largest_angles_deg(direction: Array, point: npt.NDArray[np.intp], count: npt.NDArray[np.intp]) -> Array:
     """Largest angle between any two rays of each point; points with the same number of rays at once."""
     out = np.zeros(len(count))

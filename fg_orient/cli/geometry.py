@@ -45,6 +45,7 @@ GROUND = ("id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m"
 FRAME = (*GROUND, "file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "height_from")
 #: Columns of the frame points for people: the others do not fit into 80 characters.
 SHOWN_FRAME = ("id", "height_m", "misfit_m", "misfit_east_m", "misfit_north_m")
+SIGMAS = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 PIXEL = ("id", "line", "sample", "inside")
 
 ImageFile = Annotated[
@@ -186,7 +187,8 @@ def intersect(
     """Stereo: the ground point where rays of several images meet.
 
     A project file gives all its points that are measured twice or more; their coordinates in the
-    file are not used.
+    file are not used. Sigmas of a point are those that its image points give it (--pixel: 1 pixel each), the
+    orientation held as free of error.
     """
     with outcome(as_json, debug):
         from fg_orient.block import Image
@@ -208,12 +210,12 @@ def intersect(
         for text in notes:
             note(f"warning: {text}")
         if out is not None:
-            write_records(out, (*GROUND, "miss_m"), records, overwrite)
+            write_records(out, (*GROUND, "miss_m", *SIGMAS), records, overwrite)
         if as_json:
             named = {"images": [image.id for image in images], "notes": notes}
             emit({"points": records, **named, "out": None if out is None else str(out)})
         else:
-            columns = ("id", "lon_deg", "lat_deg", "height_m", "miss_m")
+            columns = ("id", "lon_deg", "lat_deg", "height_m", "miss_m", "sigma_up_m")
             table("", columns, [_for_people(r, columns) for r in records])
 
 

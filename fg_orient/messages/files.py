@@ -145,6 +145,11 @@ DEM: Final = {
         "the DEM's heights cannot be brought to the ellipsoid: {reason}",
         "put the grid into PROJ's folder (projsync, PROJ_DATA), or convert the DEM to ellipsoidal heights",
     ),
+    "dem_control.sigma": ("the sigma of heights from a DEM is no positive number", "give metres, such as 3"),
+    "dem_control.no_point": (
+        "no point to be observed lies over the DEM",
+        "use a DEM that covers the block, and a block with tie points",
+    ),
     "dem.vertical_unit": ("the DEM's heights are not in metres", "convert them to metres"),
     "dem.unreadable": ("the DEM cannot be read", "give a raster that GDAL reads"),
     "dem.not_covered": (

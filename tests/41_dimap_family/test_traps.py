@@ -1,0 +1,236 @@
+"""The traps of the real files: what a reader of the DIMAP family can get wrong, each with the size of the error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fg_orient.cli.common import Extrapolate
+from fg_orient.errors import InputError, OutOfImage, OutOfTimeRange
+from fg_orient.ground import frame_records
+from fg_orient.io.dimap import read_dimap
+from fg_orient.io.sensor import read_sensor
+from fg_orient.sensors.metadata import AngleAttitude, FramePoint, LookAnglePolynomial, PushbroomMetadata
+from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S, PushbroomSensor
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+
+HRS = "asp/spot5_hrs1_segment.xml"
+PHR = "shareloc/PHRDIMAP_P1BP--2018122638935449CP.XML"
+
+
+def worst_frame_m(metadata: PushbroomMetadata) -> float:
+    """Largest misfit of the frame points."""
+    return max(r["misfit_m"] for r in frame_records(PushbroomSensor(metadata)))
+
+
+@pytest.fixture(scope="module")
+def twin() -> PushbroomMetadata:
+    return zonguldak_block(ZonguldakOptions(seed=1))[0].images[0].sensor.metadata
+
+
+# --- SPOT 5: lines, signs ------------------------------------------------------------------------
+
+
+@pytest.mark.real_data
+def test_the_central_line_is_that_of_the_file(real_data: Path) -> None:
+    """SCENE_CENTER_LINE 6001 of 12000: NROWS / 2 would be one line, 5 m, off."""
+    m = read_dimap(real_data / "geocosicorr3d/SPOT5.DIM")
+    assert (m.timing.reference_line, m.n_lines) == (6000.0, 12000)
+    half = replace(m, timing=replace(m.timing, reference_line=m.n_lines / 2 - 1))
+    assert worst_frame_m(m) <= 0.15
+    assert 4.0 < worst_frame_m(half) < 6.0
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    "signs", [(1, 1, 1), (-1, -1, -1), (1, -1, 1), (-1, 1, 1), (1, 1, -1), (-1, 1, -1), (1, -1, -1)]
+)
+def test_other_signs_of_the_attitude_are_far_off(real_data: Path, signs: tuple[int, int, int]) -> None:
+    """Factors on the records: any other triple misses the frame points by 61 m to 1.5 km."""
+    m = read_dimap(real_data / "geocosicorr3d/SPOT5.DIM")
+    assert isinstance(m.attitude, AngleAttitude)
+    if signs == (1, 1, 1):
+        assert worst_frame_m(m) <= 0.15
+    else:
+        turned = AngleAttitude(m.attitude.time_s, m.attitude.angles_rad * signs)
+        assert worst_frame_m(replace(m, attitude=turned)) > 50.0
+
+
+# --- HRS: look angles and attitudes that do not cover the image ----------------------------------
+
+
+@pytest.mark.real_data
+def test_hrs_lines_without_attitude_are_refused(real_data: Path) -> None:
+    """The 22 first and the 235 last lines; none of the others."""
+    sensor = read_sensor(real_data / HRS)
+    assert (sensor.first_line, sensor.last_line, sensor.n_lines) == (22.0, 95932.0, 96168)
+    refused = 0
+    for line in (*range(40), *range(95900, 96168)):
+        try:
+            sensor.locate(float(line), 5.0, height_m=0.0)
+        except OutOfTimeRange as error:
+            refused += 1
+            assert line < 22 or line > 95932
+            (found,) = error.problems
+            assert "45063.206912 .. 45135.331747 s" in found.message and "--extrapolate-attitude" in found.remedy
+    assert refused == 22 + 235
+    assert sensor.notes[-2:] == (
+        "the attitudes do not cover lines 0 to 21: they are refused",
+        "the attitudes do not cover lines 95933 to 96167: they are refused",
+    )
+
+
+@pytest.mark.real_data
+def test_hrs_corners_with_extrapolated_attitude(real_data: Path) -> None:
+    """Both corners of column 1 within 0.15 m; measured 0.027 and 0.037 m, 2.6 m if the last angles are held."""
+    sensor = read_sensor(real_data / HRS, extrapolate_attitude_s=0.2)
+    corners = [r for r in frame_records(sensor) if r["sample"] == 0.0]
+    assert [r["line"] for r in corners] == [0.0, 96167.0]
+    assert max(r["misfit_m"] for r in corners) <= 0.15
+    assert [note.rsplit(" by ", 1)[1] for note in sensor.notes[-2:]] == ["0.016 s", "0.176 s"]
+
+
+@pytest.mark.real_data
+def test_hrs_columns_beyond_the_look_angles_are_refused(real_data: Path) -> None:
+    sensor = read_sensor(real_data / HRS)
+    sensor.locate(100.0, 299.0, height_m=0.0)
+    with pytest.raises(OutOfImage, match=r"sample 300: pixel outside .* samples from -0\.5 to 299\.5"):
+        sensor.locate(100.0, 300.0, height_m=0.0)
+
+
+def test_the_option_ends_where_the_sensor_does() -> None:
+    assert Extrapolate.__metadata__[0].max == MAX_EXTRAPOLATION_S
+
+
+# --- SPOT 6: lists that end with the image -------------------------------------------------------
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("height_m", [0.0, 5000.0])
+def test_spot6_first_and_last_lines_round_trip(real_data: Path, height_m: float) -> None:
+    """Ephemeris and quaternions start and end with the image: its border, half a line on, is located all the same."""
+    sensor = read_sensor(real_data / "geocosicorr3d/SPOT6.XML")
+    assert sensor.notes == ()
+    last = sensor.n_lines - 1.0
+    line, sample = (
+        a.ravel() for a in np.meshgrid([-0.5, 0.0, 1.0, last - 1, last, last + 0.5], np.linspace(0, 25668, 9))
+    )
+    ground = sensor.locate(line, sample, height_m=height_m)
+    back = sensor.project(ground)
+    assert np.abs(np.array(back) - [line, sample]).max() <= 1e-6
+    # neighbouring lines lie 1.6 m apart on the ground, at the ends as in the middle
+    steps = np.linalg.norm(np.diff(sensor.locate([0.0, 1.0, last - 1, last], [9.0] * 4), axis=0), axis=1)[[0, 2]]
+    assert np.abs(steps - 1.585).max() < 0.01
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("height_m", [0.0, 2500.0, 5000.0])
+@pytest.mark.parametrize("name", [PHR, HRS])
+def test_round_trip_over_the_usable_image(real_data: Path, name: str, height_m: float) -> None:
+    """The other files stand in 40_sensors; here those that it does not read."""
+    sensor = read_sensor(real_data / name)
+    axes = np.linspace(sensor.first_line, sensor.last_line, 21), np.linspace(sensor.first_sample, sensor.last_sample, 9)
+    line, sample = (a.ravel() for a in np.meshgrid(*axes))
+    back = sensor.project(sensor.locate(line, sample, height_m=height_m))
+    assert np.abs(np.array(back) - [line, sample]).max() <= 1e-6
+
+
+# --- elements with and without unit, elements that are missing -----------------------------------
+
+
+@pytest.mark.real_data
+def test_a_missing_ylos_1_is_a_constant(real_data: Path) -> None:
+    """PHR files have XLOS_0, XLOS_1, YLOS_0 and no YLOS_1."""
+    look = read_dimap(real_data / "geoetrim-pleiades/DIM_PHR1A_derived_img1.XML").look
+    assert isinstance(look, LookAnglePolynomial)
+    assert (len(look.tan_psi_y), len(look.tan_psi_x)) == (2, 1)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(("name", "period_s"), [
+    ("geocosicorr3d/SPOT5.DIM", 7.5199643612e-4), ("geocosicorr3d/SPOT6.XML", 229.110269e-6), (PHR, 7.35e-5),
+])  # fmt: skip
+def test_three_units_of_line_periods(real_data: Path, name: str, period_s: float) -> None:
+    """Seconds without attribute (SPOT 5), microseconds by attribute (SPOT 6), ms without (PHR_DIMAP)."""
+    assert read_dimap(real_data / name).timing.line_period_s == pytest.approx(period_s, rel=1e-15)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", [
+    "micmac-spot7-rpc/RPC_1A.xml",
+    "micmac-pneo-pair/RPC_PNEO3_202309051055014_PAN_SEN_PWOI_000129104_1_1_F_1.XML",
+])  # fmt: skip
+def test_a_rigorous_model_that_is_not_there(real_data: Path, name: str) -> None:
+    """SPOT 7 and Pléiades Neo: their RPC work, asking for the rigorous model names them."""
+    assert np.isfinite(read_sensor(real_data / name, model="rpc").centre_m).all()
+    with pytest.raises(InputError, match=r"holds an RPC, no rigorous model .*--model rpc"):
+        read_sensor(real_data / name, model="rigorous")
+    with pytest.raises(InputError, match="holds RPC, not the rigorous model"):
+        read_dimap(real_data / name)
+
+
+# --- frame points without heights ----------------------------------------------------------------
+
+
+def without_heights(metadata: PushbroomMetadata, heights_m: list[float]) -> PushbroomMetadata:
+    """Frame points on a terrain whose heights are not told."""
+    sensor = PushbroomSensor(metadata)
+    line, sample = sensor.corners()
+    records = sensor.locate(line, sample, height_m=np.array(heights_m))
+    from fg_orient.geodesy import ecef_to_geodetic
+
+    lon, lat, _ = ecef_to_geodetic(records)
+    points = tuple(
+        FramePoint(f"corner {k + 1}", *map(float, row), None)
+        for k, row in enumerate(zip(line, sample, lon, lat, strict=True))
+    )
+    return replace(metadata, frame_points=points, frame_note="")
+
+
+def test_heights_of_frame_points_are_solved(twin: PushbroomMetadata) -> None:
+    """A height for each; what is left of a point moved across its ray is what it was moved by."""
+    heights = [120.0, 2300.0, -40.0, 850.0]
+    metadata = without_heights(twin, heights)
+    found = frame_records(PushbroomSensor(metadata))
+    assert [r["height_from"] for r in found] == ["solved"] * 4
+    # steps end below 0.1 mm of height
+    assert [r["height_m"] for r in found] == pytest.approx(heights, abs=1e-3)
+    assert max(r["misfit_m"] for r in found) < 1e-3
+    given = frame_records(PushbroomSensor(metadata), 500.0)
+    assert {r["height_from"] for r in given} == {"given"}
+    assert min(r["misfit_m"] for r in given) > 100.0
+
+
+def test_the_solved_height_is_the_best_one(twin: PushbroomMetadata) -> None:
+    """Against a search over heights: no other one comes nearer to a point that no height meets."""
+    metadata = without_heights(twin, [300.0] * 4)
+    moved = tuple(replace(p, lat_deg=p.lat_deg + 1e-4) for p in metadata.frame_points)
+    sensor = PushbroomSensor(replace(metadata, frame_points=moved))
+    for r in frame_records(sensor):
+        around = [frame_records(sensor, r["height_m"] + d) for d in (-5.0, -0.5, 0.5, 5.0)]
+        others = [next(o["misfit_m"] for o in rows if o["id"] == r["id"]) for rows in around]
+        assert 1.0 < r["misfit_m"] < min(others)
+
+
+def test_a_vertical_ray_decides_no_height(twin: PushbroomMetadata) -> None:
+    """Looking straight down no height moves the point sideways: it is taken to 0, and the record says so."""
+    down = replace(twin, look=LookAnglePolynomial(6000.0, np.array([0.0]), np.array([0.0, 1e-7])))
+    metadata = without_heights(down, [700.0] * 4)
+    found = frame_records(PushbroomSensor(metadata))
+    assert [(r["height_from"], abs(r["height_m"]) < 1e-6) for r in found] == [("none", True)] * 4
+
+
+@pytest.mark.real_data
+def test_real_frame_points_without_heights(real_data: Path) -> None:
+    """SPOT 6: one terrain height, 836.49 m, and 4 mm left; PHR 1B: corners within 2 cm, the centre 6.7 m."""
+    spot6 = frame_records(read_sensor(real_data / "geocosicorr3d/SPOT6.XML"))
+    assert len(spot6) == 5
+    assert [r["height_m"] for r in spot6] == pytest.approx([836.49] * 5, abs=0.01)
+    assert max(r["misfit_m"] for r in spot6) <= 0.01
+    phr = frame_records(read_sensor(real_data / PHR))
+    assert max(r["misfit_m"] for r in phr if r["id"] != "centre") <= 0.03
+    # the file's terrain: 464 to 597 m above the geoid, which is 43 to 52 m above the ellipsoid here
+    assert all(464.0 < r["height_m"] < 650.0 for r in phr)

@@ -1,0 +1,165 @@
+"""Footprints, sampling, angles, base to height: against plane geometry and files that state them; GeoJSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lxml import etree
+
+from fg_orient.block import Image
+from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
+from fg_orient.io.sensor import read_sensor
+from fg_orient.sensors.frame import FrameCamera, FrameSensor
+from fg_orient.sensors.oriented import OrientedSensor
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient.viewing import SIDE, View, _area_m2, _geometry, feature_collection, footprint, image_record, pair_record
+
+LON, LAT, HEIGHT = 31.0, 41.0, 2000.0
+
+
+def camera(east_m: float, tilt_deg: float, name: str = "a") -> Image:
+    """Frame image 2 km above (LON, LAT), moved to the East and tilted to look East; 4000 x 4000 pixels, f = 8000."""
+    axes = enu_from_ecef(LON, LAT)[0]
+    t = np.radians(tilt_deg)
+    across = np.array([np.cos(t), 0.0, np.sin(t)])
+    ahead = np.array([0.0, -1.0, 0.0])
+    inwards = np.cross(across, ahead)
+    rotation = np.stack([across, ahead, inwards]) @ axes
+    centre = geodetic_to_ecef(LON, LAT, HEIGHT)[0] + east_m * axes[0]
+    cam = FrameCamera(
+        rotation=rotation, centre_m=centre, focal_px=8000.0, principal_px=np.full(2, 1999.5), distortion=np.zeros(5)
+    )
+    return Image(name, FrameSensor(cam, 4000, 4000))
+
+
+def test_a_vertical_photo() -> None:
+    """Scale 1 : 4 000 000 / pixel: 0.25 m sampling, 1 km wide, no incidence at the centre."""
+    record = image_record(View(camera(0.0, 0.0)))
+    # the ground bends by 8 cm below a plane of 1 km
+    assert record["gsd_line_m"] == pytest.approx(0.25, abs=1e-6)
+    assert record["gsd_sample_m"] == pytest.approx(0.25, abs=1e-6)
+    assert record["incidence_deg"] == pytest.approx(0.0, abs=1e-3)
+    corner = np.degrees(np.arctan(np.hypot(1999.5, 1999.5) / 8000.0))
+    assert record["incidence_range_deg"][1] == pytest.approx(corner, abs=0.01)  # and the Earth: 0.006 degrees
+    assert record["area_km2"] == pytest.approx(1.0, rel=2e-4)
+    assert (record["lon_deg"], record["lat_deg"]) == pytest.approx((LON, LAT), abs=1e-6)
+
+
+def test_two_photos_in_one_vertical_plane() -> None:
+    """Base 800 m, height 2000 m: B/H = 0.4, convergence 2 atan(0.2); the ellipsoid bends by 0.004 degrees."""
+    tilt = float(np.degrees(np.arctan(400.0 / 2000.0)))
+    left, right = View(camera(-400.0, tilt, "a")), View(camera(400.0, -tilt, "b"))
+    record = pair_record(left, right)
+    assert record["images"] == ["a", "b"]
+    assert record["base_to_height"] == pytest.approx(0.4, abs=5e-4)
+    assert record["convergence_deg"] == pytest.approx(2 * tilt, abs=0.01)
+    # the point chosen is that of a grid of 9 x 9, at most 60 m from the middle: 1.7 degrees
+    assert record["asymmetry_deg"] == pytest.approx(0.0, abs=1.8)
+    assert record["bisector_elevation_deg"] == pytest.approx(90.0, abs=2.5)
+    assert 0.8 < record["overlap"] <= 1.0
+    # a camera to the East is seen in the East; it leans by its tilt
+    east = image_record(right)
+    assert east["azimuth_deg"] == pytest.approx(90.0, abs=0.1)
+    assert east["incidence_deg"] == pytest.approx(tilt, abs=0.01)
+
+
+def test_no_common_ground() -> None:
+    record = pair_record(View(camera(0.0, 0.0)), View(camera(50e3, 0.0, "b")))
+    assert (record["overlap"], record["base_to_height"], record["lon_deg"]) == (0.0, None, None)
+
+
+def test_area_is_that_of_the_ellipsoid() -> None:
+    """A cap of parallels: the zone between two latitudes by numerical integration."""
+    lat = np.radians(np.linspace(40.0, 42.0, 20001))
+    e2 = 0.0066943799901413165
+    m = 6378137.0 * (1 - e2) / (1 - e2 * np.sin(lat) ** 2) ** 1.5
+    r = 6378137.0 * np.cos(lat) / np.sqrt(1 - e2 * np.sin(lat) ** 2)
+    expected = np.trapezoid(m * r, lat) * np.radians(3.0)
+    ring = np.array([[30.0, 40.0], [33.0, 40.0], [33.0, 42.0], [30.0, 42.0]])
+    assert _area_m2(ring) == pytest.approx(expected, rel=1e-8)
+
+
+def test_adjusted_orientation_moves_the_footprint() -> None:
+    block, truth = zonguldak_block(ZonguldakOptions(seed=1))
+    image = block.images[0]
+    plain = View(image, 300.0)
+    turned = View(Image(image.id, OrientedSensor(image.sensor, truth.corrections[0])), 300.0)
+    apart = (footprint(plain) - footprint(turned)) * [83e3, 111e3]
+    assert 5.0 < np.linalg.norm(apart, axis=1).max() < 200.0
+    assert turned.sensor.notes[-1] == "the adjusted orientation is used"
+    assert image_record(turned)["incidence_deg"] == pytest.approx(image_record(plain)["incidence_deg"], abs=0.01)
+
+
+def shoelace(ring: list[list[float]]) -> float:
+    x, y = np.array(ring).T
+    return float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+
+
+def test_geojson_of_a_twin_image() -> None:
+    block, _ = zonguldak_block(ZonguldakOptions(seed=1))
+    views = [View(image, 300.0) for image in block.images]
+    records = [image_record(view) for view in views]
+    collection = json.loads(json.dumps(feature_collection(views, records)))
+    assert (collection["type"], [f["id"] for f in collection["features"]]) == ("FeatureCollection", ["left", "right"])
+    for feature, view in zip(collection["features"], views, strict=True):
+        (ring,) = feature["geometry"]["coordinates"]
+        assert ring[0] == ring[-1] and len(ring) == 4 * (SIDE - 1) + 1
+        assert shoelace(ring) > 0.0  # counter-clockwise, RFC 7946
+        assert sorted(map(tuple, ring[:-1])) == sorted(map(tuple, footprint(view).tolist()))
+        assert feature["properties"]["image"] == feature["id"]
+
+
+def test_a_footprint_across_the_180th_meridian() -> None:
+    """Cut at 180 into two polygons on both sides; their areas add up."""
+    ring = np.array([[179.0, -10.0], [180.5, -10.0], [182.0, -9.0], [180.0, -8.0], [179.0, -8.5]])
+    for turn in (0.0, -360.0, 720.0):
+        geometry = _geometry(ring + np.array([turn, 0.0]))
+        assert geometry["type"] == "MultiPolygon"
+        (west,), (east,) = geometry["coordinates"]
+        assert max(x for x, _ in west) == 180.0 and min(x for x, _ in west) == 179.0
+        assert min(x for x, _ in east) == -180.0 and max(x for x, _ in east) == -178.0
+        assert shoelace(west) + shoelace(east) == pytest.approx(shoelace([*ring.tolist(), ring[0].tolist()]), rel=1e-12)
+    assert _geometry(ring - np.array([10.0, 0.0]))["type"] == "Polygon"
+
+
+# --- real files ----------------------------------------------------------------------------------
+
+
+@pytest.mark.real_data
+def test_incidence_angles_that_files_state(real_data: Path) -> None:
+    """SPOT 6 at nine places within 0.02 degrees (the producer's Earth is not ours), PHR 1B within 0.005."""
+    path = real_data / "geocosicorr3d/SPOT6.XML"
+    view = View(Image("a", read_sensor(path)), 836.5)
+    nodes = etree.parse(path).findall(".//Located_Geometric_Values")
+    assert len(nodes) == 9
+    for node in nodes:
+        assert incidence(view, float(node.findtext("ROW")) - 1, float(node.findtext("COL")) - 1) == pytest.approx(
+            float(node.findtext(".//INCIDENCE_ANGLE")), abs=0.02
+        )
+    path = real_data / "shareloc/PHRDIMAP_P1BP--2018122638935449CP.XML"
+    view = View(Image("a", read_sensor(path)), 518.0)
+    node = etree.parse(path).findall(".//Data_Strip/Geometric_Header_List/Located_Geometric_Header")[1]
+    timing = view.sensor.metadata.timing
+    seconds = 10 * 3600 + 48 * 60 + float(node.findtext("UTC_TIME")[17:-1])
+    line = (seconds - timing.reference_time_s) / timing.line_period_s
+    assert incidence(view, line, 19999.5) == pytest.approx(float(node.findtext(".//GLOBAL_INCIDENCE")), abs=0.005)
+
+
+def incidence(view: View, line: float, sample: float) -> float:
+    at = np.array([line]), np.array([sample])
+    return float(np.degrees(np.arccos(view.to_image(*at, view.ground(*at))[0, 2])))
+
+
+@pytest.mark.real_data
+def test_a_pair_by_rigorous_models_and_by_rpc(real_data: Path) -> None:
+    """An RPC has no projection centre: angles and B/H come out as those of the rigorous model all the same."""
+    path = real_data / "shareloc/PHRDIMAP_P1BP--2018122638935449CP.XML"
+    both = [View(Image(kind, read_sensor(path, model=kind)), 550.0) for kind in ("rigorous", "rpc")]
+    one, two = (image_record(view) for view in both)
+    for key in ("incidence_deg", "azimuth_deg", "gsd_line_m", "gsd_sample_m"):
+        assert two[key] == pytest.approx(one[key], abs=2e-3)
+    same = pair_record(*both)
+    assert same["convergence_deg"] < 2e-3 and same["overlap"] > 0.9
