@@ -7,6 +7,7 @@
     plumb line        s (X - x_0, Y - x_1)                                   eq. 113
     circle            that of the plane through its centre; s (|p - c| - a)  eqs. 115, 116
     horizontal circle s (Z - x_2,  |(X, Y) - (x_0, x_1)| - x_3)              eq. 117
+    observed element  s (x_j - value)                                        eqs. 81-89
 
 Equation numbers: Ayhan 1996. Residuals are metres times s (``parallel``: radians times s), so with s = 1/sigma they are
 whitened. Spheres and spheroids: ``factors.surfaces``. The first vector of a figure's frame is normal to its plane, or
@@ -123,6 +124,21 @@ def kernel_line(record: Array, setup: Array, x: Array, p: Array, want: bool) -> 
     return value, out, ground
 
 
+def residual_element(record: Any, setup: Any, x: Any) -> Any:
+    """Residual (1,) of an element of x observed: record s, value, number of the element."""
+    return np.array([record[0] * (x[int(record[2])] - record[1])])
+
+
+def kernel_element(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
+    """Residual (1,), Jacobian (1, k)."""
+    value = residual_element(record, setup, x)
+    if not want:
+        return value, np.empty((0, 0))
+    out = np.zeros((1, len(x)))
+    out[0, int(record[2])] = record[0]
+    return value, out
+
+
 def _random_points(rng: np.random.Generator, n: int) -> list[Array]:
     return [rng.normal(size=3) for _ in range(n)]
 
@@ -150,4 +166,9 @@ PLANE = register(Equation(
 LINE = register(Equation(
     "constraint_line", kernel_line, residual_line, (Argument("line", "m, 1"), _POINT),
     lambda rng: Example(_frame(rng), _NONE, (rng.normal(scale=0.2, size=4), rng.normal(size=3))), "Ayhan 1996, eq. 113",
+))  # fmt: skip
+OBSERVED_ELEMENT = register(Equation(
+    "observed_element", kernel_element, residual_element, (Argument("x", "any"),),
+    lambda rng: Example(np.append(rng.uniform(0.5, 2.0, 2), rng.integers(0, 4)), _NONE, (rng.normal(size=4),)),
+    "Ayhan 1996, eqs. 81-89",
 ))  # fmt: skip

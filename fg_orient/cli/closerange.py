@@ -1,4 +1,4 @@
-"""Commands ``closerange dlt``, ``resect``, ``intersect`` and ``surface``: photos of close range and surfaces."""
+"""Commands ``closerange dlt``, ``resect``, ``intersect``, ``bundle``, ``surface``: close range."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
 from fg_orient.errors import InputError
 
-app = typer.Typer(help="Close range: DLT, resection, intersection, surfaces of the second degree.")
+app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
 
 Control = Annotated[
     Path,
@@ -45,9 +45,8 @@ def dlt(
     with outcome(as_json, debug):
         from fg_orient.closerange.job import run_dlt
 
-        names = [word.strip() for word in distortion.split(",") if word.strip()]
-        record = run_dlt(points, distortion=names, sigma=_positive("--sigma", sigma), iterate=not direct, out=out,
-                         overwrite=overwrite, command=_command())  # fmt: skip
+        record = run_dlt(points, distortion=_words(distortion), sigma=_positive("--sigma", sigma), iterate=not direct,
+                         out=out, overwrite=overwrite, command=_command())  # fmt: skip
         _finish(record, as_json, _show_photos)
 
 
@@ -92,6 +91,45 @@ def intersect(
         _finish(record, as_json, _show_points)
 
 
+@app.command("bundle")
+def bundle(
+    points: Annotated[
+        Path,
+        typer.Argument(metavar="POINTS", show_default=False, help="CSV: id,photo,x,y; sigma_x and sigma_y if wanted."),
+    ],
+    photos: Photos,
+    control: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted."),
+    ] = None,
+    constraints: Annotated[Path | None, typer.Option(metavar="TOML", help="[[constraints]] between points.")] = None,
+    unknown: Annotated[
+        str, typer.Option(metavar="NAMES", help="Unknown camera parameters of each photo: c,x0,y0,k1,k2,k3,p1,p2, ...")
+    ] = "",
+    shared: Annotated[str, typer.Option(metavar="NAMES", help="Unknown ones that all photos share.")] = "",
+    sigma: Sigma = 1.0,
+    sigma_control: Annotated[
+        float, typer.Option(metavar="M", help="Of control points without a sigma of their own, m; 0: exact.")
+    ] = 0.0,
+    backend: Annotated[Literal["dense", "graph"], typer.Option(help="Correlates, or a GTSAM graph.")] = "dense",
+    out: Out = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Adjust photos and points together: self-calibration, control points, constraints."""
+    with outcome(as_json, debug):
+        from fg_orient.closerange.bundle_job import run_bundle
+
+        if not 0.0 <= sigma_control < float("inf"):
+            raise InputError.of("closerange.sigma", place="--sigma-control", value=sigma_control)
+        record = run_bundle(points, photos, control=control, constraints=constraints,
+                            sigma=_positive("--sigma", sigma), sigma_control_m=sigma_control, unknown=_words(unknown),
+                            shared=_words(shared), backend=backend, out=out, overwrite=overwrite,
+                            command=_command())  # fmt: skip
+        _finish(record, as_json, _show_bundle)
+
+
 @app.command("surface")
 def surface(
     points: Annotated[
@@ -125,6 +163,11 @@ def surface(
 
 def _command() -> list[str]:
     return ["fg-orient", *sys.argv[1:]]
+
+
+def _words(text: str) -> list[str]:
+    """Names of a list with commas."""
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def _positive(place: str, value: float) -> float:
@@ -178,13 +221,32 @@ def _show_photos(record: dict[str, Any]) -> None:
         _warn(photo)
 
 
+def _show_bundle(record: dict[str, Any]) -> None:
+    say(f"{len(record['photos'])} photos, {len(record['points'])} points, {record['unknowns']} unknowns, redundancy "
+        f"{record['redundancy']}, m0 {_m0(record)}")  # fmt: skip
+    parts = [(p["photo"], p["parameters"]) for p in record["photos"]]
+    parts += [(c["camera"], c["parameters"]) for c in record["cameras"]]
+    parts += [(f["figure"], f["numbers"]) for f in record["figures"]]
+    rows = [(name, n["name"], f"{n['value']:.8g}", _short(n["sigma"])) for name, numbers in parts for n in numbers]
+    for p in record["photos"]:
+        centre = zip("XYZ", p["exterior"]["centre_m"], p["exterior"]["sigma_centre_m"], strict=True)
+        rows += [(p["photo"], f"centre {axis}, m", f"{v:.4f}", _short(s)) for axis, v, s in centre]
+    table("", ("of", "", "value", "sigma"), rows)
+    _point_table(record)
+    _warn(record)
+
+
 def _show_points(record: dict[str, Any]) -> None:
     say(f"{len(record['points'])} points, redundancy {record['redundancy']}, m0 {_m0(record)}")
+    _point_table(record)
+    _warn(record)
+
+
+def _point_table(record: dict[str, Any]) -> None:
     names = ("x_m", "y_m", "z_m")
     rows = [(p["id"], *(number(p[n], 4) for n in names), *(_short(p[f"sigma_{n}"]) for n in names), p["rays"])
             for p in record["points"]]  # fmt: skip
     table("", ("id", "X", "Y", "Z", "sX", "sY", "sZ", "rays"), rows)
-    _warn(record)
 
 
 def _show_surface(record: dict[str, Any]) -> None:

@@ -80,7 +80,7 @@ def run_dlt(
         return _dlt_record(found) | _photo_points(table, rows, found.photo)
 
     photos = _each_photo(table, sigma, one)
-    return _end({"kind": "dlt", "photos": photos}, path, table, out, overwrite, command, texts)
+    return finished({"kind": "dlt", "photos": photos}, path, table, out, overwrite, command, texts)
 
 
 def _dlt_record(found: DltFit) -> Record:
@@ -97,7 +97,7 @@ def _dlt_record(found: DltFit) -> Record:
             "principal": r.principal.tolist(), "sigma_principal": [s["x0"], s["y0"]], "cx": r.cx, "sigma_cx": s["cx"],
             "cy": r.cy, "sigma_cy": s["cy"], "skew_rad": r.skew, "sigma_skew_rad": s["skew"], "y_axis": r.y_axis,
         },
-        "exterior": _exterior(r.rotation, r.centre_m, [s["turn_x"], s["turn_y"], s["turn_z"]],
+        "exterior": exterior_record(r.rotation, r.centre_m, [s["turn_x"], s["turn_y"], s["turn_z"]],
                               [s["X0"], s["Y0"], s["Z0"]]),
     }  # fmt: skip
 
@@ -117,20 +117,20 @@ def run_resect(
     cameras = interiors(read_photos(camera))
 
     def one(name: str, rows: Array, weights: Array) -> Record:
-        interior, used = _of_name(cameras, name, camera), rows[~table.check[rows]]
+        interior, used = of_name(cameras, name, camera), rows[~table.check[rows]]
         found = resect(interior, table.ground[used], table.image[used], sigma=weights[~table.check[rows]], name=name)
         texts.append(photo_text(found.photo, interior, found.rotation))
         return _resection_record(found) | _photo_points(table, rows, found.photo)
 
     photos = _each_photo(table, sigma, one)
-    return _end({"kind": "resection", "photos": photos}, path, table, out, overwrite, command, texts)
+    return finished({"kind": "resection", "photos": photos}, path, table, out, overwrite, command, texts)
 
 
 def _resection_record(found: Resection) -> Record:
     sd = found.sigma
     turns, centre = ([None] * 3, [None] * 3) if sd is None else (sd[:3].tolist(), sd[3:].tolist())
     return {"photo": found.photo.name, **_fit_facts(found),
-            "exterior": _exterior(found.rotation, found.centre_m, turns, centre)}  # fmt: skip
+            "exterior": exterior_record(found.rotation, found.centre_m, turns, centre)}  # fmt: skip
 
 
 def run_intersect(
@@ -148,19 +148,19 @@ def run_intersect(
     known = oriented_photos(read_photos(photos))
     names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys(table.ids))
     which, of = [names.index(name) for name in table.photos], [ids.index(name) for name in table.ids]
-    weights = _weights(table, sigma)
+    weights = weights_of(table, sigma)
     with one_blas_thread():
-        found = intersect_photos([_of_name(known, n, photos) for n in names], which, of, table.image, sigma=weights,
+        found = intersect_photos([of_name(known, n, photos) for n in names], which, of, table.image, sigma=weights,
                                  ids=ids)  # fmt: skip
     rms, sd = [np.linalg.norm(found.residuals[np.array(of) == k]) for k in range(len(ids))], found.sigma_m
     points = [
-        {"id": name, **_xyz(found.points_m[k]), **_xyz(None if sd is None else sd[k], "sigma_"),
+        {"id": name, **xyz(found.points_m[k]), **xyz(None if sd is None else sd[k], "sigma_"),
          "rays": of.count(k), "misfit": float(rms[k] / np.sqrt(of.count(k)))}
         for k, name in enumerate(ids)
     ]  # fmt: skip
     record = {"kind": "intersection", "m0": found.m0, "redundancy": found.redundancy, "iterations": found.iterations,
               "points": points, "warnings": [] if found.m0 is not None else [NO_REDUNDANCY]}  # fmt: skip
-    return _end(record, path, table, out, overwrite, command)
+    return finished(record, path, table, out, overwrite, command)
 
 
 def run_surface(
@@ -189,13 +189,13 @@ def run_surface(
             for k, (name, value) in enumerate(zip(found.names, found.values.tolist(), strict=True))
         ],
         "points": [
-            {"id": name, **_xyz(table.ground[k]), **_xyz(found.deviations_m[k], "deviation_"),
+            {"id": name, **xyz(table.ground[k]), **xyz(found.deviations_m[k], "deviation_"),
              "distance_m": float(found.distances_m[k])}
             for k, name in enumerate(table.ids)
         ],
         "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
     }  # fmt: skip
-    return _end(record, path, table, out, overwrite, command)
+    return finished(record, path, table, out, overwrite, command)
 
 
 # --- what they share -------------------------------------------------------------------------------
@@ -207,14 +207,14 @@ def _begin(path: Path, read: Callable[[Path], Observed], out: Path | None, overw
     return read(path)
 
 
-def _weights(table: Observed, sigma: float) -> Array:
+def weights_of(table: Observed, sigma: float) -> Array:
     """Sigmas (n, 2) of the image coordinates: the table's, or one for all."""
     return np.full((len(table), 2), sigma) if table.sigma is None else table.sigma
 
 
 def _each_photo(table: Observed, sigma: float, one: Callable[[str, Any, Array], Record]) -> list[Record]:
     """Records of the photos in the order of the table; faults name the photo."""
-    weights, out = _weights(table, sigma), []
+    weights, out = weights_of(table, sigma), []
     with one_blas_thread():
         for name in dict.fromkeys(table.photos):
             rows = np.flatnonzero(np.array(table.photos, dtype=object) == name)
@@ -232,7 +232,7 @@ def _in_photo(error: InputError, name: str) -> InputError:
     return InputError(*(replace(p, place=f"photo {name}, {p.place}".rstrip(", ")) for p in error.problems))
 
 
-def _of_name(known: Mapping[str, T], name: str, path: Path) -> T:
+def of_name(known: Mapping[str, T], name: str, path: Path) -> T:
     """A photo of a file; the only one if the table names none."""
     if not name and len(known) == 1:
         return next(iter(known.values()))
@@ -249,7 +249,8 @@ def _fit_facts(found: DltFit | Resection) -> Record:
     }  # fmt: skip
 
 
-def _exterior(rotation: Array, centre: Array, turns: Sequence[Any], sigma: Sequence[Any]) -> Record:
+def exterior_record(rotation: Array, centre: Array, turns: Sequence[Any], sigma: Sequence[Any]) -> Record:
+    """Orientation of a photo with standard deviations and aerial angles."""
     omega, phi, kappa = (float(np.degrees(angle)) for angle in aerial_from_rotation(rotation))
     return {
         "centre_m": centre.tolist(), "sigma_centre_m": list(sigma), "rotation": rotation.tolist(),
@@ -270,12 +271,13 @@ def _photo_points(table: Observed, rows: Array, photo: Photo) -> Record:
     return {"rms": plain_rms(residual[~check]), "check_rms": plain_rms(residual[check]), "points": points}
 
 
-def _xyz(values: Array | None, prefix: str = "") -> Record:
+def xyz(values: Array | None, prefix: str = "") -> Record:
+    """Three numbers by the names of the columns."""
     numbers: Sequence[Any] = [None] * 3 if values is None else values.tolist()
     return {f"{prefix}{name}": value for name, value in zip(GROUND, numbers, strict=True)}
 
 
-def _end(
+def finished(
     record: Record, path: Path, table: Observed, out: Path | None, overwrite: bool, command: Sequence[str],
     photos: Sequence[str] = (),
 ) -> Record:  # fmt: skip

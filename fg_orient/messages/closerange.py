@@ -72,5 +72,19 @@ CLOSERANGE: Final = {
         "give rotation, centre_m and focal, or matrix and origin_m: closerange dlt and resect write them",
     ),
     "closerange.no_photo": ("the file has no such photo", "photos in it: {known}"),
+    "closerange.constraint": ("this constraint is not possible", "give {expected}"),
+    "closerange.dependent": (
+        "this hard constraint follows from the others, or contradicts them",
+        "leave it out, or give it a sigma",
+    ),
+    "closerange.member": ("the constraint names a point or photo that is not there", "known: {known}"),
+    "closerange.backend": (
+        "not a backend of close range: hard constraints and correlates have no form in others", "known: {known}"
+    ),
+    "closerange.bundle": ("this part of the bundle is not possible", "give {expected}"),
+    "closerange.no_place": (
+        "the point is seen in one photo only and has no coordinates",
+        "measure it in a second photo, give its coordinates, or leave it out",
+    ),
     "closerange.prior_text": ("not an observed parameter", "write it as name=value:sigma, for instance b=0.845:0.001"),
 }

@@ -1,6 +1,6 @@
 """Ayhan (1996): surfaces of revolution by close-range photogrammetry, from its own printed measurements.
 
-Verdicts as in ``ipbuker1994``. Here raw data are printed: comparator coordinates of 15 points, refined ones of 49,
+Verdicts as in ``found``. Here raw data are printed: comparator coordinates of 15 points, refined ones of 49,
 geodetic coordinates. What follows from them is recomputed; where the thesis' program computed in single precision, or
 with other parameters, the spread that this explains is stated beside the number.
 """
@@ -17,22 +17,21 @@ from fg_orient.cells import CellKey
 from fg_orient.errors import FgOrientError
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.published.tables import PublishedCell, PublishedTables
-from fg_orient.reproduce import ayhan1996_photos, ayhan1996_surfaces
-from fg_orient.reproduce.found import Found
-from fg_orient.reproduce.ipbuker1994 import judge
+from fg_orient.reproduce import ayhan1996_bundle, ayhan1996_photos, ayhan1996_surfaces
+from fg_orient.reproduce.found import Found, judge
 from fg_orient.reproduce.sources import Source
 from fg_orient.reproduce.verdict import Verdict
 
 Values = Mapping[CellKey, float]
 
 TABLES: Final = (
-    "1", "2", "3", "4", "ek1.comparator", "ek1.cameras", "ek1.refined", "ek1.points", "ek2.dlt", "ek2.control",
-    "ek2.points", *map(str, range(5, 21)), "ek3.surfaces", "ek3.points", "text",
+    "1", "2", "3", "4", "ek1.comparator", "ek1.cameras", "ek1.bundle", "ek1.refined", "ek1.points", "ek2.dlt",
+    "ek2.control", "ek2.points", *map(str, range(5, 21)), "ek3.surfaces", "ek3.points", "text",
 )  # fmt: skip
 MEASURED: Final = "a measurement or a setting: nothing to compute"
 #: Why cells of a table that nothing computes cannot be reproduced.
 REASONS: Final = {
-    "ek1.cameras": "taken as printed: the input of refinement and intersection",
+    "ek1.bundle": "an observed value, or a number that depends on weights and steps that are not printed",
     "ek1.refined": "taken as printed: comparator coordinates of this point are not in the thesis",
     "ek1.points": "taken as printed: geodetic, or adjusted in the bundle as a control point",
     "ek2.dlt": "standard deviations and lens terms of 16 parameters that were held by weights not printed",
@@ -43,7 +42,7 @@ REASONS: Final = {
     **{str(k): "the points of the case are not printed (a lost figure)" for k in range(13, 21)},
 }
 _COMPUTERS: Final[tuple[Mapping[str, Callable[[Values], dict[CellKey, Found]]], ...]] = (
-    ayhan1996_surfaces.COMPUTERS, ayhan1996_photos.COMPUTERS,
+    ayhan1996_surfaces.COMPUTERS, ayhan1996_photos.COMPUTERS, ayhan1996_bundle.COMPUTERS,
 )  # fmt: skip
 
 
@@ -89,9 +88,7 @@ def _computed(values: Values, table: str) -> tuple[dict[CellKey, Found], str]:
 
 
 def _judged(cell: PublishedCell, found: Found | None, failure: str) -> Verdict:
-    if found is not None:
-        return judge(cell, found)
-    return Verdict("not_reproducible", failure or REASONS.get(cell.key.table, MEASURED))
+    return judge(cell, found, failure or REASONS.get(cell.key.table, MEASURED))
 
 
 SOURCE: Final = Source(
@@ -109,7 +106,9 @@ SOURCE: Final = Source(
     {
         "equal": "all printed digits",
         "rounding": "one unit of the last digit, or inside the stated spread",
+        "pattern": "the bundle: inside a printed mean error, or 5 % of it, under weights inferred from the listing",
         "not_reproducible": "a measurement, or its measurements are not printed",
     },
     "are one unit of the last digit off or inside a stated spread",
+    "agree with the bundle under weights inferred from the listing itself",
 )

@@ -1,4 +1,13 @@
-"""What is known about a published number from elsewhere: a value, perhaps with a spread, and a sentence."""
+"""What is known about a published number from elsewhere: a value, perhaps with a spread, and a sentence.
+
+The verdicts of :func:`judge`:
+
+- ``equal``: the printed digits.
+- ``rounding``: one unit of the last digit away (not where printed numbers are only added or multiplied), or inside
+  the stated spread.
+- ``order``: a size that is only expected to be of the order of another; the ratio is given.
+- ``differs``: neither, with a sentence; ``not_reproducible`` with the reason.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from fg_orient.errors import InputError
-from fg_orient.reproduce.verdict import Kind
+from fg_orient.published.tables import PublishedCell
+from fg_orient.reproduce.verdict import ORDER, Kind, Verdict, last_digit
 
 
 @dataclass(frozen=True)
@@ -50,3 +60,56 @@ def attempt(call: Callable[..., float], *printed: float) -> float:
         return call(*printed)
     except InputError:
         return math.nan
+
+
+def judge(cell: PublishedCell, found: Found | None, unknown: str) -> Verdict:
+    """Compare a printed number with what is known about it; see the module docstring.
+
+    Parameters
+    ----------
+    cell : PublishedCell
+    found : Found or None
+    unknown : str
+        Why nothing is known about it.
+    """
+    if not cell.text:
+        return Verdict("not_reproducible", "a statement in words" if cell.printed else "nothing is printed")
+    if found is None:
+        return Verdict("not_reproducible", unknown)
+    if found.kind is not None:
+        return Verdict(found.kind, found.remark, found.value, found.low, found.high)
+    if found.is_order:
+        kind, words = _order(cell, found)
+    elif found.has_spread:
+        kind, words = _spread(cell, found)
+    else:
+        kind, words = _digits(cell, found)
+    reason = f"{words}: {found.remark}" if found.remark else words
+    return Verdict(kind, reason, found.value, found.low, found.high)
+
+
+def _order(cell: PublishedCell, found: Found) -> tuple[Kind, str]:
+    """Compare the sizes."""
+    if cell.value == 0.0:
+        return "differs", f"published 0, reproduced {found.value:.2g}"
+    ratio = found.value / cell.value
+    return ("order" if 1.0 / ORDER <= ratio <= ORDER else "differs"), f"reproduced / published = {ratio:.2g}"
+
+
+def _spread(cell: PublishedCell, found: Found) -> tuple[Kind, str]:
+    """Compare with the stated spread, widened by the rounding of the print."""
+    half = 0.5 * last_digit(cell.text)
+    if found.low - half <= cell.value <= found.high + half:
+        return "rounding", "inside the spread"
+    return "differs", "outside the spread"
+
+
+def _digits(cell: PublishedCell, found: Found) -> tuple[Kind, str]:
+    """Compare with the printed digits; the slack is the decimal print of a double."""
+    off, unit = abs(found.value - cell.value), last_digit(cell.text)
+    slack = 1e-9 * abs(cell.value)
+    if off <= 0.5 * unit + slack:
+        return "equal", "all printed digits"
+    if off <= unit + slack and not found.is_exact:
+        return "rounding", "one unit of the last digit"
+    return "differs", f"published {cell.text}, reproduced {found.value:.7g}"

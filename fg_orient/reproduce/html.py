@@ -67,7 +67,7 @@ def verdict(found: Reproduction) -> dict[str, str]:
     text = (
         f"{counts['equal']} agree to the printed digits (counts and definitions among them), {counts['order']} within "
         f"a factor of ten, {counts['rounding']} {found.source.counted}"
-        + (f", {counts['pattern']} lie on the same side of the limit" if counts["pattern"] else "")
+        + (f", {counts['pattern']} {found.source.patterned}" if counts["pattern"] else "")
         + f". {counts['differs']} differ; {counts['not_reproducible']} cannot be reproduced, each for the reason "
         "beside it."
     )

@@ -1,13 +1,7 @@
 """İpbüker (1994): arithmetic of its tables, simulations of its precisions, orbit and sensor figures.
 
 Control points, residuals, coefficients and outlines are not in the thesis. What can be recomputed: numbers that follow
-from others beside them, laws and spreads that need no data, physics. The verdicts:
-
-- ``equal``: the printed digits.
-- ``rounding``: one unit of the last digit away (not where printed numbers are only added or multiplied), or inside
-  the stated spread.
-- ``order``: a size that is only expected to be of the order of another; the ratio is given.
-- ``differs``: neither, with a sentence; ``not_reproducible`` with the reason.
+from others beside them, laws and spreads that need no data, physics. The verdicts: ``found``.
 """
 
 from __future__ import annotations
@@ -20,11 +14,11 @@ import numpy as np
 
 from fg_orient.cells import CellKey
 from fg_orient.linear.threads import one_blas_thread
-from fg_orient.published.tables import PublishedCell, PublishedTables
+from fg_orient.published.tables import PublishedTables
 from fg_orient.reproduce import ipbuker1994_islands, ipbuker1994_orbits, ipbuker1994_points
-from fg_orient.reproduce.found import Found
+from fg_orient.reproduce.found import Found, judge
 from fg_orient.reproduce.sources import Source
-from fg_orient.reproduce.verdict import ORDER, Kind, Verdict, last_digit
+from fg_orient.reproduce.verdict import Verdict
 
 Values = Mapping[CellKey, float]
 TABLES: Final = ("3.1", "3.2", "3.3", "3.5", "text", "s4.2.2", "5.1", "s6.2", "6.1", "7.1", "s7.2", "7.2", "7.3", "7.4",
@@ -70,55 +64,14 @@ def verdicts(
         compute = _COMPUTERS.get(table)
         with one_blas_thread(), np.errstate(all="ignore"):  # a copy may hold any number: nan then differs
             found = compute(values) if compute is not None else {}
-            out |= {cell.key: judge(cell, found.get(cell.key)) for cell in printed.cells if cell.key.table == table}
+            out |= {
+                cell.key: judge(cell, found.get(cell.key), REASONS.get(table, FACT))
+                for cell in printed.cells
+                if cell.key.table == table
+            }
         if progress is not None:
             progress(done, len(wanted))
     return out
-
-
-def judge(cell: PublishedCell, found: Found | None) -> Verdict:
-    """Compare a printed number with what is known about it; see the module docstring."""
-    if not cell.text:
-        return Verdict("not_reproducible", "a statement in words" if cell.printed else "nothing is printed")
-    if found is None:
-        return Verdict("not_reproducible", REASONS.get(cell.key.table, FACT))
-    if found.kind is not None:
-        return Verdict(found.kind, found.remark, found.value, found.low, found.high)
-    if found.is_order:
-        kind, words = _order(cell, found)
-    elif found.has_spread:
-        kind, words = _spread(cell, found)
-    else:
-        kind, words = _digits(cell, found)
-    reason = f"{words}: {found.remark}" if found.remark else words
-    return Verdict(kind, reason, found.value, found.low, found.high)
-
-
-def _order(cell: PublishedCell, found: Found) -> tuple[Kind, str]:
-    """Compare the sizes."""
-    if cell.value == 0.0:
-        return "differs", f"published 0, reproduced {found.value:.2g}"
-    ratio = found.value / cell.value
-    return ("order" if 1.0 / ORDER <= ratio <= ORDER else "differs"), f"reproduced / published = {ratio:.2g}"
-
-
-def _spread(cell: PublishedCell, found: Found) -> tuple[Kind, str]:
-    """Compare with the stated spread, widened by the rounding of the print."""
-    half = 0.5 * last_digit(cell.text)
-    if found.low - half <= cell.value <= found.high + half:
-        return "rounding", "inside the spread"
-    return "differs", "outside the spread"
-
-
-def _digits(cell: PublishedCell, found: Found) -> tuple[Kind, str]:
-    """Compare with the printed digits; the slack is the decimal print of a double."""
-    off, unit = abs(found.value - cell.value), last_digit(cell.text)
-    slack = 1e-9 * abs(cell.value)
-    if off <= 0.5 * unit + slack:
-        return "equal", "all printed digits"
-    if off <= unit + slack and not found.is_exact:
-        return "rounding", "one unit of the last digit"
-    return "differs", f"published {cell.text}, reproduced {found.value:.7g}"
 
 
 SOURCE: Final = Source(

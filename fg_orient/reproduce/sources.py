@@ -70,6 +70,8 @@ class Source:
         Meaning of a verdict where it is not that of runs on the twin.
     counted : str
         How the numbers of the verdict ``rounding`` are summed up.
+    patterned : str
+        The same of ``pattern``.
     """
 
     name: str
@@ -82,3 +84,4 @@ class Source:
     about: str = ON_TWIN
     meanings: Mapping[str, str] = field(default_factory=dict)
     counted: str = "are rounding noise inside the spread of the runs"
+    patterned: str = "lie on the same side of the limit"

@@ -13,8 +13,8 @@ import pytest
 from fg_orient.published import tables as published
 from fg_orient.published.tables import PublishedCell, load
 from fg_orient.rectification.synthetic import digitised_sheets
-from fg_orient.reproduce.found import Found
-from fg_orient.reproduce.ipbuker1994 import TABLES, judge
+from fg_orient.reproduce.found import Found, judge
+from fg_orient.reproduce.ipbuker1994 import TABLES
 from fg_orient.reproduce.ipbuker1994_points import _scatter
 from fg_orient.reproduce.reproduction import Reproduction, Row, reproduce
 from tests.support.command import in_process as run
@@ -143,7 +143,7 @@ def test_absurd_numbers_in_a_copy_differ_and_break_nothing(value: str, tmp_path:
 @pytest.mark.parametrize(("printed", "kind"), [(0.0, "differs"), (2.0, "order"), (0.05, "differs")])
 def test_sizes_are_compared_with_any_printed_number(printed: float, kind: str, rows: Rows) -> None:
     cell = PublishedCell(key("7.2", "x", "area_rms"), printed, repr(printed), repr(printed))
-    assert judge(cell, Found(1.0, is_order=True)).kind == kind
+    assert judge(cell, Found(1.0, is_order=True), "").kind == kind
 
 
 def test_command_writes_a_report_without_a_twin(tmp_path: Path) -> None:

@@ -1,0 +1,342 @@
+"""Bundle adjustment of close range: self-calibration, observed unknowns, constraints; dense or as a graph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import NotFiniteError
+from factors.extended_collinearity import NAMES
+from fg_orient.adjustment.loop import OPTIMIZERS, LoopResult
+from fg_orient.adjustment.network import DenseNetwork, Network, Rows, dependent
+from fg_orient.adjustment.network_graph import GraphNetwork
+from fg_orient.closerange.bundle_network import Built, build
+from fg_orient.closerange.constraints import Constraint
+from fg_orient.closerange.fitting import RANK_LIMIT, UNDETERMINED, as_points, unit_weight
+from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.linear.system import MAX_UNKNOWNS
+from fg_orient.linear.threads import one_blas_thread
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Residual = Literal["image", "condition"]
+
+BACKENDS: Final[dict[str, Callable[[Network], Any]]] = {"dense": DenseNetwork, "graph": GraphNetwork}
+MAX_ITERATIONS: Final = 100
+#: Steps to rounding: metres, radians, and steps of camera parameters.
+TOLERANCE: Final = 1e-12
+#: Elements of a direction that are named, by the largest.
+NAMED: Final = 0.3
+
+
+@dataclass(frozen=True)
+class BundlePhoto:
+    """A photo and what is known of it.
+
+    Parameters
+    ----------
+    name : str
+    interior : Interior
+        Start values.
+    rotation : (3, 3) array
+        Start: camera axes from ground axes.
+    centre_m : (3,) array
+        Start.
+    unknown : tuple of str
+        Camera parameters of this photo alone (photo-variant): c, x0, y0, the names of ``factors.image_corrections``
+        and a1 to a21 of ``factors.additional_parameters``.
+    camera : str
+        Photos of one camera have its ``shared`` unknowns in common.
+    shared : tuple of str
+        Unknown parameters of the camera (block-invariant), start values of its first photo.
+    observed : mapping
+        Observed camera parameters, value and sigma, by name; of shared ones once per camera.
+    sigma_centre_m : (3,) array, optional
+        The centre is observed, as given.
+    sigma_turn_rad : (3,) array, optional
+        The attitude is observed, as given: turns about the camera's axes X right, Y down, Z along the view.
+    held : bool
+        Rotation and centre are exact.
+    """
+
+    name: str
+    interior: Interior
+    rotation: Array
+    centre_m: Array
+    unknown: tuple[str, ...] = ()
+    camera: str = ""
+    shared: tuple[str, ...] = ()
+    observed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sigma_centre_m: Array | None = None
+    sigma_turn_rad: Array | None = None
+    held: bool = False
+
+    def __post_init__(self) -> None:
+        names = (*self.unknown, *self.shared)
+        for name in names:
+            if name not in NAMES or names.count(name) > 1:
+                raise self.fault(f"unknown {name}", name, f"different ones of {', '.join(NAMES)}")
+        for name, (value, sigma) in self.observed.items():
+            if name not in names or not (np.isfinite(value) and 0.0 < sigma < float("inf")):
+                raise self.fault(f"observed {name}", f"{value} +- {sigma}", "value and sigma of unknown parameters")
+        for place in ("sigma_centre_m", "sigma_turn_rad"):
+            given = getattr(self, place)
+            if given is not None:
+                spread = np.broadcast_to(np.asarray(given, float), (3,))
+                if not (np.isfinite(spread).all() and (spread > 0.0).all()):
+                    raise self.fault(place, spread.tolist(), "numbers above 0")
+                object.__setattr__(self, place, spread)
+
+    def fault(self, place: str, value: object, expected: str) -> InputError:
+        """What is wrong with the photo."""
+        return InputError.of("closerange.bundle", place=f"photo {self.name}, {place}", value=value,
+                             expected=expected)  # type: ignore[return-value]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """A photo or figure after the adjustment: values and standard deviations by name.
+
+    Parameters
+    ----------
+    name : str
+    names : tuple of str
+    values : (k,) array
+    cofactors : (k,) array
+        Times m0 squared: variances.
+    sigma : (k,) array or None
+        None without redundancy.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    values: Array
+    cofactors: Array
+    sigma: Array | None
+
+    def __getitem__(self, name: str) -> tuple[float, float | None]:
+        """Value and standard deviation of one number."""
+        k = self.names.index(name)
+        return float(self.values[k]), None if self.sigma is None else float(self.sigma[k])
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Result of :func:`adjust_bundle`.
+
+    Parameters
+    ----------
+    photos : tuple of Adjustment
+        Camera parameters by name, then ``turn_x, turn_y, turn_z`` (rad, about the camera's axes, from the start) and
+        ``X0, Y0, Z0`` (m).
+    cameras : tuple of Adjustment
+        Parameters that photos of a camera share.
+    interiors, rotations, centres_m
+        Of the photos. An interior has what :class:`Interior` can hold: not a1 to a21.
+    ids : tuple of str
+        Of the points.
+    points_m, sigma_m : (n, 3) arrays
+        ``sigma_m`` is None without redundancy, 0 of a held point.
+    figures : tuple of Adjustment
+    residuals : (m, 2) array
+        Ideal minus computed image coordinates, in the order of the observations, in their unit (times metres for
+        residuals of conditions).
+    state : (u,) array
+    labels : tuple of str
+        Of the unknowns.
+    cofactors : (u,) array
+        Diagonal, for the sigmas given.
+    m0 : float or None
+    redundancy, iterations : int
+    backend : str
+    """
+
+    photos: tuple[Adjustment, ...]
+    cameras: tuple[Adjustment, ...]
+    interiors: tuple[Interior, ...]
+    rotations: tuple[Array, ...]
+    centres_m: tuple[Array, ...]
+    ids: tuple[str, ...]
+    points_m: Array
+    sigma_m: Array | None
+    figures: tuple[Adjustment, ...]
+    residuals: Array
+    state: Array
+    labels: tuple[str, ...]
+    cofactors: Array
+    m0: float | None
+    redundancy: int
+    iterations: int
+    backend: str
+
+    def oriented(self) -> list[Photo]:
+        """Photos for intersection.
+
+        Raises
+        ------
+        InputError
+            A photo has parameters a1 to a21.
+        """
+        for photo in (*self.photos, *self.cameras):
+            beyond = [name for name in photo.names if name in NAMES[10:]]
+            if beyond:
+                raise InputError.of("closerange.bundle", place=photo.name, value=", ".join(beyond),
+                                    expected="corrections that a photo file can hold: k1 to affinity_b")  # fmt: skip
+        parts = zip(self.photos, self.interiors, self.rotations, self.centres_m, strict=True)
+        return [Photo.of(photo.name, interior, turn, centre) for photo, interior, turn, centre in parts]
+
+
+def adjust_bundle(
+    photos: Sequence[BundlePhoto], ids: Sequence[str], start_m: npt.ArrayLike, photo: npt.ArrayLike,
+    point: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0,
+    control: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]] | None = None, constraints: Sequence[Constraint] = (),
+    residual: Residual = "image", backend: str = "dense", optimizer: str = "levenberg-marquardt",
+) -> Bundle:  # fmt: skip
+    """Adjust photos and points together.
+
+    Parameters
+    ----------
+    photos : sequence of BundlePhoto
+    ids : sequence of str
+        Of the points.
+    start_m : (n, 3) array
+        Start coordinates.
+    photo, point : (m,) int arrays
+        Photo and point of each observation, from 0.
+    image : (m, 2) array
+        Measured x, y.
+    sigma : float or array that fits (m, 2)
+        Of the corrected image coordinates; of the conditions (image unit times m) with ``residual="condition"``.
+    control : mapping, optional
+        Observed points: coordinates and sigmas, m; sigma 0: held.
+    constraints : sequence of Constraint
+    residual : "image" or "condition"
+        Least squares of the image residuals, or of the conditions F = e R3 (Ayhan 1996, eq. 77), whose weights do
+        not depend on the depth.
+    backend : "dense" or "graph"
+        Normal equations bordered by hard constraints, with correlates; or a GTSAM graph, hard constraints as factors
+        of sigma 0.
+    optimizer : str
+        "levenberg-marquardt" or "gauss-newton".
+
+    Returns
+    -------
+    Bundle
+
+    Raises
+    ------
+    InputError
+        Sizes or values that do not fit; unknowns that nothing determines (without a prior of their own their
+        standard deviation exceeds 1000 times that of their observations), named with their direction; hard
+        constraints that depend on each other; more than 2000 unknowns.
+    NoSolutionError
+        The iteration does not converge, or a point lies behind a photo.
+    """
+    if backend not in BACKENDS:
+        raise InputError.of("closerange.backend", place="backend", value=backend, known=", ".join(BACKENDS))
+    measured = as_points(image, 2, "image", InputError.of)
+    given = np.broadcast_to(np.asarray(sigma, float), measured.shape)
+    if not (np.isfinite(given).all() and (given > 0.0).all()):
+        raise InputError.of("closerange.sigma", place="sigma", value=float(np.nanmin(given)))
+    which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
+    with one_blas_thread():
+        built = build(photos, tuple(ids), as_points(start_m, 3, "points", InputError.of), which, of, measured, given,
+                      control or {}, constraints, residual == "condition")  # fmt: skip
+        network = built.network
+        if network.n_unknowns > MAX_UNKNOWNS:
+            raise InputError.of("linear.too_large", place="bundle", value=network.n_unknowns, limit=MAX_UNKNOWNS)
+        engine = BACKENDS[backend](network)
+        found = _solved(built, engine, optimizer)
+        return _result(built, engine, found, which, of, given)
+
+
+def _solved(built: Built, engine: Any, optimizer: str) -> LoopResult[Array]:
+    """Run the loop; the start and the end must determine all unknowns."""
+    network = built.network
+    try:
+        rows = network.rows(network.start)
+        label = dependent(network, rows)
+        if label:
+            raise InputError.of("closerange.dependent", place=label)
+        require_determined(built, rows)
+        found: LoopResult[Array] = OPTIMIZERS[optimizer](engine, network.start, MAX_ITERATIONS, tolerance=TOLERANCE)
+        if not found.converged:
+            raise NoSolutionError.of("closerange.not_converged", place="bundle", reason=found.reason)
+        require_determined(built, network.rows(found.state))
+    except (NotFiniteError, RuntimeError) as error:
+        raise NoSolutionError.of("closerange.not_converged", place="bundle", reason=error) from error
+    return found
+
+
+def require_determined(built: Built, rows: Rows) -> None:
+    """Refuse unknowns that the rows leave open.
+
+    Hard conditions leave a space of motions Z; the singular values of J Z, unknowns in units of the accuracy that
+    their observations give them, tell how far observations determine them. A figure's unit is that of its points.
+
+    Raises
+    ------
+    InputError
+        Names the unknowns and the direction.
+    """
+    unit = built.units(rows)
+    border = rows.border * unit
+    basis = np.eye(len(unit))
+    if len(border):
+        basis = np.linalg.svd(border / np.linalg.norm(border, axis=1, keepdims=True))[2][len(border) :].T
+    design = rows.design * unit @ basis
+    _, values, right = np.linalg.svd(design, full_matrices=len(design) < design.shape[1])
+    values = np.concatenate([values, np.zeros(design.shape[1] - len(values))])
+    if not len(values):
+        return
+    weak = basis @ right[-1]
+    free = np.array([not known for known in built.observed])
+    if values[-1] > RANK_LIMIT * values[0]:
+        deviation = np.sqrt(np.sum((basis @ right.T / values) ** 2, axis=1))
+        if not (deviation * free > UNDETERMINED).any():
+            return
+    share = np.abs(weak) / np.abs(weak).max()
+    names = [built.network.labels[k] for k in np.flatnonzero(share >= NAMED)]
+    top = int(np.argmax(share))
+    terms = (f"{weak[k] * unit[k] / (weak[top] * unit[top]):+.3g} {built.network.labels[k]}"
+             for k in np.argsort(-share)[:4])  # fmt: skip
+    shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    raise InputError.of("closerange.undetermined", place="bundle", names=shown, direction=" ".join(terms),
+                        limit=UNDETERMINED)  # fmt: skip
+
+
+def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, of: Index, sigma: Array) -> Bundle:
+    network, state = built.network, found.state
+    rows = network.rows(state, jacobian=False)
+    built.require_in_front(state, which, of)
+    m0 = unit_weight(float(rows.residual @ rows.residual), network.redundancy)
+    blocks = engine.cofactors(state)
+    cofactors = np.concatenate([block.diagonal() for block in blocks])
+    scaled = cofactors * built.steps**2
+    values = built.values(state)
+
+    def of_variables(name: str, numbers: Sequence[int], labels: Sequence[str] | None = None) -> Adjustment:
+        parts = [network.part(k) for k in numbers]
+        every = [n for k in numbers for n in network.variables[k].labels] if labels is None else labels
+        q = np.concatenate([np.zeros(0), *(scaled[p] for p in parts)])
+        return Adjustment(name, tuple(every), np.concatenate([np.zeros(0), *(values[p] for p in parts)]), q,
+                          None if m0 is None else m0 * np.sqrt(q))  # fmt: skip
+
+    points, spread = built.start.copy(), np.zeros_like(built.start)
+    for j, k in built.point_variables.items():
+        points[j], spread[j] = values[network.part(k)], scaled[network.part(k)]
+    interiors, rotations, centres = built.oriented(state)
+    return Bundle(
+        tuple(of_variables(p.name, ks) for p, ks in zip(built.photos, built.photo_variables, strict=True)),
+        tuple(of_variables(name, [k]) for name, k in built.camera_variables.items()),
+        tuple(interiors), tuple(rotations), tuple(centres), built.ids, points,
+        None if m0 is None else m0 * np.sqrt(spread),
+        tuple(of_variables(network.variables[k].name, [k]) for k in built.figure_variables),
+        rows.residual[: 2 * len(of)].reshape(-1, 2) * sigma, state, tuple(network.labels), cofactors, m0,
+        network.redundancy, len(found.log), engine.name,
+    )  # fmt: skip

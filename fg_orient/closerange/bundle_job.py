@@ -1,0 +1,196 @@
+"""What the command ``closerange bundle`` does: read tables, photos and constraints, adjust, give the record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.image_corrections import NAMES as CORRECTIONS
+from fg_orient.closerange.bundle import Adjustment, Bundle, BundlePhoto, adjust_bundle
+from fg_orient.closerange.constraints import Constraint
+from fg_orient.closerange.files import Observed, interiors, photo_text, read_ground_points, read_image_points
+from fg_orient.closerange.intersection import intersect_photos
+from fg_orient.closerange.job import (
+    CONTENTS,
+    NO_REDUNDANCY,
+    Record,
+    exterior_record,
+    finished,
+    of_name,
+    weights_of,
+    xyz,
+)
+from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.resection import resect
+from fg_orient.errors import InputError
+from fg_orient.io.constraints import ConstraintEntry, read_constraints
+from fg_orient.io.folder import require_free
+from fg_orient.io.photos import read_photos
+from fg_orient.linear.threads import one_blas_thread
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: Camera parameters that a photo file can hold.
+KNOWN = ("c", "x0", "y0", *CORRECTIONS)
+
+
+def run_bundle(
+    path: Path, photos: Path, *, control: Path | None = None, constraints: Path | None = None, sigma: float = 1.0,
+    sigma_control_m: float = 0.0, unknown: Sequence[str] = (), shared: Sequence[str] = (), backend: str = "dense",
+    out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
+) -> Record:  # fmt: skip
+    """Adjust the photos and points of a table.
+
+    Parameters
+    ----------
+    path : Path
+        Image points, see :func:`fg_orient.closerange.files.read_image_points`.
+    photos : Path
+        Photo file; a photo that is not oriented is resected from the control points in it.
+    control : Path, optional
+        Points with coordinates, see :func:`fg_orient.closerange.files.read_ground_points`.
+    constraints : Path, optional
+        See ``io.constraints``.
+    sigma, sigma_control_m : float
+        Of image coordinates and control points without a sigma of their own; 0: control points are exact.
+    unknown, shared : sequence of str
+        Unknown camera parameters of each photo, and those that all photos share.
+    backend : str
+        "dense" or "graph".
+    out, overwrite, command
+        Folder of the results; replace it; words of the command line, for the record.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        See :func:`fg_orient.closerange.bundle.adjust_bundle`.
+    """
+    if out is not None:
+        require_free(out, overwrite=overwrite, contents=CONTENTS)
+    table = read_image_points(path)
+    for name in (*unknown, *shared):
+        if name not in KNOWN:
+            raise InputError.of("closerange.bundle", place="--unknown, --shared", value=name,
+                                expected=", ".join(KNOWN))  # fmt: skip
+    known = _control(control, sigma_control_m)
+    names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys(table.ids))
+    which, of = (
+        np.array(v, np.intp) for v in ([names.index(n) for n in table.photos], [ids.index(i) for i in table.ids])
+    )
+    stated = [_constraint(entry) for entry in read_constraints(constraints)] if constraints else []
+    with one_blas_thread():
+        starts = _starts(photos, names, table, which, of, ids, known, weights_of(table, sigma))
+        given = [
+            BundlePhoto(n, i, r, c, tuple(unknown), "all", tuple(shared))
+            for n, (i, r, c) in zip(names, starts, strict=True)
+        ]
+        found = adjust_bundle(
+            given, ids, _points(starts, names, table, which, of, ids, known), which, of, table.image,
+            sigma=weights_of(table, sigma), control={i: known[i] for i in ids if i in known}, constraints=stated,
+            backend=backend,
+        )  # fmt: skip
+    texts = [photo_text(p, i, r) for p, i, r in zip(found.oriented(), found.interiors, found.rotations, strict=True)]
+    return finished(_record(found, table, known, which, of), path, table, out, overwrite, command, texts)
+
+
+def _constraint(entry: ConstraintEntry) -> Constraint:
+    """Constraint of a table."""
+    offset = np.eye(3) if entry.offset is None else np.array(entry.offset)
+    return Constraint(entry.kind, entry.members, entry.value_m, entry.sigma, entry.observed, entry.axis, offset)
+
+
+def _control(path: Path | None, sigma_m: float) -> dict[str, tuple[Array, Array]]:
+    """Coordinates and sigmas of the control points by id."""
+    if path is None:
+        return {}
+    table = read_ground_points(path)
+    sigma = np.full((len(table), 3), sigma_m) if table.sigma is None else table.sigma
+    return {name: (table.ground[k], sigma[k]) for k, name in enumerate(table.ids)}
+
+
+Start = tuple[Interior, Array, Array]
+
+
+def _starts(
+    path: Path, names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
+    known: Mapping[str, tuple[Array, Array]], sigma: Array,
+) -> list[Start]:  # fmt: skip
+    """Interior, rotation and centre of each photo: those of the file, else by resection from its control points."""
+    file = read_photos(path)
+    cameras, out = interiors(file), list[Start]()
+    for k, name in enumerate(names):
+        entry, interior = of_name(file.entries, name, path), of_name(cameras, name, path)
+        if entry.rotation is not None and entry.centre_m is not None:
+            out.append((interior, np.array(entry.rotation), np.array(entry.centre_m)))
+            continue
+        rows = [a for a in np.flatnonzero(which == k) if ids[of[a]] in known]
+        if len(rows) < 4:
+            raise InputError.of("closerange.not_oriented", file=path, place=name)
+        ground = np.array([known[ids[of[a]]][0] for a in rows])
+        found = resect(interior, ground, table.image[rows], sigma=sigma[rows], name=name)
+        out.append((interior, found.rotation, found.photo.origin_m))
+    return out
+
+
+def _points(
+    starts: Sequence[Start], names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
+    known: Mapping[str, tuple[Array, Array]],
+) -> Array:  # fmt: skip
+    """Start coordinates (n, 3): control points as given, others by intersection."""
+    out = np.array([known[i][0] if i in known else np.full(3, np.nan) for i in ids])
+    rays = np.bincount(of, minlength=len(ids))
+    for j in np.flatnonzero(np.isnan(out[:, 0])).tolist():
+        if rays[j] < 2:
+            raise InputError.of("closerange.no_place", place=f"point {ids[j]}")
+    free = np.isnan(out[:, 0])
+    rows = np.flatnonzero(free[of])
+    if len(rows):
+        number = np.cumsum(free) - 1
+        photos = [Photo.of(n, *start) for n, start in zip(names, starts, strict=True)]
+        found = intersect_photos(photos, which[rows], number[of[rows]], table.image[rows],
+                                 ids=[i for i, f in zip(ids, free, strict=True) if f])  # fmt: skip
+        out[free] = found.points_m
+    return out
+
+
+def _numbers(one: Adjustment, names: Sequence[str] | None = None) -> list[Record]:
+    """Values with standard deviations."""
+    return [{"name": n, "value": one[n][0], "sigma": one[n][1]} for n in (names or one.names)]
+
+
+def _record(
+    found: Bundle, table: Observed, known: Mapping[str, tuple[Array, Array]], which: Index, of: Index
+) -> Record:
+    """What ``closerange.json`` holds."""
+    photos = []
+    for k, (one, rotation, centre) in enumerate(zip(found.photos, found.rotations, found.centres_m, strict=True)):
+        sigma = [one[n][1] for n in ("X0", "Y0", "Z0")]
+        turns = [one[n][1] for n in ("turn_x", "turn_y", "turn_z")]
+        own = [n for n in one.names if n in KNOWN]
+        photos.append({
+            "photo": one.name, "parameters": _numbers(one, own) if own else [], "interior": None, "points": [],
+            "exterior": exterior_record(rotation, centre, turns, sigma),
+            "rms": np.sqrt(np.mean(found.residuals[which == k] ** 2, axis=0)).tolist(),
+        })  # fmt: skip
+    misfit = np.sqrt(np.bincount(of, np.sum(found.residuals**2, axis=1)) / np.bincount(of))
+    points = [
+        {"id": name, "role": "control" if name in known else "new", **xyz(found.points_m[k]),
+         **xyz(None if found.sigma_m is None else found.sigma_m[k], "sigma_"), "rays": int(np.sum(of == k)),
+         "misfit": float(misfit[k])}
+        for k, name in enumerate(found.ids)
+    ]  # fmt: skip
+    return {
+        "kind": "bundle", "backend": found.backend, "m0": found.m0, "redundancy": found.redundancy,
+        "iterations": found.iterations, "unknowns": len(found.labels), "photos": photos,
+        "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in found.cameras],
+        "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in found.figures], "points": points,
+        "residuals": [
+            {"photo": p, "id": i, "residual_x": float(r[0]), "residual_y": float(r[1])}
+            for p, i, r in zip(table.photos, table.ids, found.residuals, strict=True)
+        ],
+        "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
+    }  # fmt: skip

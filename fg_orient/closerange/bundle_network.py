@@ -1,0 +1,335 @@
+"""Photos, points and constraints of a bundle as variables and observations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.control import CONTROL_POINT
+from factors.extended_collinearity import EXTENDED_COLLINEARITY, NAMES, SIZE
+from factors.frame_camera import CAMERA_SIZE, turned
+from fg_orient.adjustment.network import Network, Observation, Rows, Variable
+from fg_orient.closerange.constraints import (
+    FIGURES,
+    OF_PHOTOS,
+    Constraint,
+    Figure,
+    figure_observations,
+    figure_of,
+    observed_element,
+    plain_observation,
+    variable_of,
+)
+from fg_orient.closerange.photo import Interior
+from fg_orient.errors import InputError, NoSolutionError
+
+if TYPE_CHECKING:
+    from fg_orient.closerange.bundle import BundlePhoto
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Control = Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]
+
+TURNS: Final = ("turn_x", "turn_y", "turn_z")
+CENTRE: Final = ("X0", "Y0", "Z0")
+POINT: Final = ("X", "Y", "Z")
+_NONE: Final = np.zeros((2, 0))
+
+
+@dataclass
+class Built:
+    """A bundle as a network, and how its unknowns are read. Coordinates in it are about ``origin``."""
+
+    photos: tuple[BundlePhoto, ...]
+    ids: tuple[str, ...]
+    start: Array
+    origin: Array
+    extent: float
+    variables: list[Variable] = field(default_factory=list)
+    observations: list[Observation] = field(default_factory=list)
+    steps_of: list[Array] = field(default_factory=list)
+    offset_of: list[Array] = field(default_factory=list)
+    own: list[int | Array] = field(default_factory=list)
+    shared: list[int | Array] = field(default_factory=list)
+    turns: list[int | Array] = field(default_factory=list)
+    centres: list[int | Array] = field(default_factory=list)
+    points: list[int | Array] = field(default_factory=list)
+    camera_variables: dict[str, int] = field(default_factory=dict)
+    point_variables: dict[int, int] = field(default_factory=dict)
+    figure_variables: list[int] = field(default_factory=list)
+    figures: list[tuple[Constraint, Figure]] = field(default_factory=list)
+
+    def add(self, variable: Variable, steps: Array, offset: Array) -> int:
+        """Add a variable: its number. Values are offset + steps times unknowns."""
+        self.variables.append(variable)
+        self.steps_of.append(steps)
+        self.offset_of.append(offset)
+        return len(self.variables) - 1
+
+    @cached_property
+    def network(self) -> Network:
+        """The network, once it is complete."""
+        return Network(tuple(self.variables), tuple(self.observations))
+
+    @property
+    def steps(self) -> Array:
+        """Units of the unknowns (u,)."""
+        return np.concatenate(self.steps_of)
+
+    def values(self, state: Array) -> Array:
+        """Values (u,) in the user's units and coordinates."""
+        return np.asarray(np.concatenate(self.offset_of) + self.steps * state)
+
+    @property
+    def photo_variables(self) -> list[list[int]]:
+        """Variables of each photo: own parameters, turns, centre."""
+        parts = zip(self.own, self.turns, self.centres, strict=True)
+        return [[k for k in part if not isinstance(k, np.ndarray)] for part in parts]
+
+    @property
+    def observed(self) -> Array:
+        """Whether an unknown has an observation of its own (u,)."""
+        out = np.zeros(self.network.n_unknowns, bool)
+        for o in self.observations:
+            if o.equation is not EXTENDED_COLLINEARITY and not o.hard and len(o.unknowns) == 1:
+                _, design = self.network.evaluated(o, self.network.start, jacobian=True)
+                out |= (design != 0.0).any(axis=0)
+        return out
+
+    def units(self, rows: Rows) -> Array:
+        """Accuracy (u,) that one observation of the images gives each unknown; of a figure that of its points."""
+        seen = rows.design[: 2 * self.n_images]
+        count = np.maximum(np.count_nonzero(seen, axis=0), 1)
+        length = np.linalg.norm(seen, axis=0) / np.sqrt(count)
+        out = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 0.0)
+        ground = np.concatenate([out[self.network.part(k)] for k in self.point_variables.values()] or [np.ones(1)])
+        typical = float(np.median(ground[ground > 0.0])) if (ground > 0.0).any() else 1.0
+        for k, (_, figure) in zip(self.figure_variables, self.figures, strict=True):
+            slopes = [name.startswith(("tilt", "slope")) for name in figure.names]
+            out[self.network.part(k)] = np.where(slopes, typical / self.extent, typical)
+        return np.where(out > 0.0, out, typical)
+
+    @property
+    def n_images(self) -> int:
+        """Image observations; they stand first."""
+        return sum(o.equation is EXTENDED_COLLINEARITY for o in self.observations)
+
+    def rotation(self, k: int, state: Array) -> Array:
+        """Rotation (3, 3) of a photo at a state."""
+        unknown, out = self.turns[k], np.empty(CAMERA_SIZE)
+        w = unknown if isinstance(unknown, np.ndarray) else state[self.network.part(unknown)]
+        turned(np.ascontiguousarray(w), np.ascontiguousarray(self.photos[k].rotation.ravel()), out)
+        return out[:9].reshape(3, 3)
+
+    def place(self, unknown: int | Array, state: Array) -> Array:
+        """Centre or point (3,) at a state, in the user's coordinates."""
+        x = unknown if isinstance(unknown, np.ndarray) else state[self.network.part(unknown)]
+        return np.asarray(x + self.origin)
+
+    def oriented(self, state: Array) -> tuple[list[Interior], list[Array], list[Array]]:
+        """Interiors, rotations, centres of the photos at a state."""
+        values, interiors = self.values(state), []
+        for photo, own, shared in zip(self.photos, self.own, self.shared, strict=True):
+            camera = _camera(photo.interior)
+            for unknown, names in ((shared, photo.shared), (own, photo.unknown)):
+                if not isinstance(unknown, np.ndarray):
+                    camera[[NAMES.index(n) for n in names]] = values[self.network.part(unknown)]
+            interiors.append(Interior(float(camera[0]), camera[1:3], camera[3:10], photo.interior.y_axis))
+        every = range(len(self.photos))
+        return interiors, [self.rotation(k, state) for k in every], [self.place(c, state) for c in self.centres]
+
+    def require_in_front(self, state: Array, which: Index, of: Index) -> None:
+        """Refuse points behind photos.
+
+        Raises
+        ------
+        NoSolutionError
+            Names the point.
+        """
+        for k in np.unique(which):
+            axis, centre = self.rotation(int(k), state)[2], self.place(self.centres[k], state)
+            for j in of[which == k]:
+                if axis @ (self.place(self.points[j], state) - centre) <= 0.0:
+                    where = f"point {self.ids[j]} in photo {self.photos[k].name}"
+                    raise NoSolutionError.of("closerange.behind", place=where)
+
+
+def _camera(interior: Interior) -> Array:
+    """Camera parameters (31,) of an interior orientation."""
+    out = np.zeros(SIZE)
+    out[0], out[1:3], out[3:10] = interior.focal, interior.principal, interior.corrections
+    return out
+
+
+def build(
+    photos: Sequence[BundlePhoto], ids: tuple[str, ...], start: Array, which: Index, of: Index, image: Array,
+    sigma: Array, control: Control, constraints: Sequence[Constraint], is_condition: bool,
+) -> Built:  # fmt: skip
+    """Make the network of a bundle; see :func:`fg_orient.closerange.bundle.adjust_bundle`."""
+    _require_sizes(photos, ids, start, which, of, image)
+    origin = start.mean(axis=0)
+    extent = float(np.linalg.norm(start - origin, axis=1).max()) or 1.0
+    built = Built(tuple(photos), ids, start.copy(), origin, extent)
+    reach = [float(np.abs(image[which == k] - p.interior.principal).max(initial=1e-9)) for k, p in enumerate(photos)]
+    extras: list[Observation] = []
+    for k, photo in enumerate(photos):
+        _add_photo(built, photo, reach[k], extras)
+    _add_points(built, control, extras)
+    for a in range(len(of)):
+        _add_image_point(built, int(which[a]), int(of[a]), image[a], sigma[a], reach, is_condition)
+    built.observations += extras
+    for constraint in constraints:
+        _add_constraint(built, constraint)
+    return built
+
+
+def _require_sizes(
+    photos: Sequence[BundlePhoto], ids: tuple[str, ...], start: Array, which: Index, of: Index, image: Array
+) -> None:
+    rows = (len(image),)
+    fits = which.shape == rows and of.shape == rows and len(ids) == len(start) and len(photos) > 0
+    if not fits or min(which.min(), of.min()) < 0 or which.max() >= len(photos) or of.max() >= len(ids):
+        raise InputError.of("closerange.bundle", place="photo, point", value=f"shapes {which.shape}, {of.shape}",
+                            expected="one photo and one point of those given for each image point")  # fmt: skip
+    for place, names in (("photos", [p.name for p in photos]), ("ids", list(ids))):
+        if len(set(names)) != len(names):
+            raise InputError.of("closerange.bundle", place=place, value="a name twice", expected="different names")
+
+
+def camera_steps(names: Sequence[str], reach: float) -> Array:
+    """Steps of camera parameters that move a point at the edge of the image by a thousandth of its distance or so."""
+    power = {"c": 0, "x0": 0, "y0": 0, "k1": 3, "k2": 5, "k3": 7, "p1": 2, "p2": 2, "affinity_a": 1, "affinity_b": 1}
+    brown = (1, 1, 2, 2, 3, 3, 4, 2, 2, 3, 3, 4, 2, 4, 4, 3, 5, 7, 0, 0, 0)
+    power |= {f"a{j + 1}": p for j, p in enumerate(brown)}
+    return np.array([1e-3 * reach ** (1 - power[name]) for name in names])
+
+
+def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Observation]) -> None:
+    start = _camera(photo.interior)
+    built.own.append(_camera_variable(built, f"photo {photo.name}", photo.unknown, start, reach, photo, extras))
+    key = photo.camera or photo.name
+    if photo.shared and key not in built.camera_variables:
+        made = _camera_variable(built, f"camera {key}", photo.shared, start, reach, photo, extras)
+        assert not isinstance(made, np.ndarray)
+        built.camera_variables[key] = made
+    common: int | Array = built.camera_variables[key] if photo.shared else np.zeros(0)
+    if not isinstance(common, np.ndarray) and built.variables[common].labels != photo.shared:
+        raise photo.fault(
+            "shared", ", ".join(photo.shared), f"those of the camera: {', '.join(built.variables[common].labels)}"
+        )
+    built.shared.append(common)
+    centre = photo.centre_m - built.origin
+    if photo.held:
+        built.turns.append(np.zeros(3))
+        built.centres.append(centre)
+        return
+    name = f"photo {photo.name}"
+    turn = built.add(Variable(name, np.zeros(3), TURNS), np.ones(3), np.zeros(3))
+    place = built.add(Variable(name, centre, CENTRE, True), np.ones(3), built.origin)
+    built.turns.append(turn)
+    built.centres.append(place)
+    if photo.sigma_centre_m is not None:
+        extras.append(_observed_place(place, centre, photo.sigma_centre_m, f"{name}: observed centre"))
+    if photo.sigma_turn_rad is not None:
+        extras += [observed_element(turn, j, 0.0, float(s), f"{name}: observed attitude")
+                   for j, s in enumerate(photo.sigma_turn_rad)]  # fmt: skip
+
+
+def _camera_variable(
+    built: Built, name: str, names: tuple[str, ...], start: Array, reach: float, photo: BundlePhoto,
+    extras: list[Observation],
+) -> int | Array:  # fmt: skip
+    """Variable of camera parameters with its observed ones; an empty array if there are none."""
+    if not names:
+        return np.zeros(0)
+    steps, offset = camera_steps(names, reach), start[[NAMES.index(n) for n in names]]
+    k = built.add(Variable(name, np.zeros(len(names)), names), steps, offset)
+    for j, n in enumerate(names):
+        if n in photo.observed:
+            value, sigma = photo.observed[n]
+            extras.append(
+                observed_element(k, j, (value - offset[j]) / steps[j], sigma / steps[j], f"{name}: observed {n}")
+            )
+    return k
+
+
+def _observed_place(k: int, at: Array, sigma: Array, label: str) -> Observation:
+    record = np.concatenate([np.diag(1.0 / sigma).ravel(), at])
+    return Observation(CONTROL_POINT, (k,), record, _NONE, 3, label)
+
+
+def _add_points(built: Built, control: Control, extras: list[Observation]) -> None:
+    unknown = [name for name in control if name not in built.ids]
+    if unknown:
+        raise InputError.of("closerange.member", place="control", value=unknown[0], known=", ".join(built.ids[:10]))
+    for j, name in enumerate(built.ids):
+        at, sigma = built.start[j], None
+        if name in control:
+            at, sigma = (np.broadcast_to(np.asarray(v, float), (3,)) for v in control[name])
+            if not (np.isfinite(at).all() and np.isfinite(sigma).all() and ((sigma > 0.0).all() or not sigma.any())):
+                raise InputError.of("closerange.sigma", place=f"control {name}", value=sigma.tolist())
+            built.start[j] = at if not sigma.any() else built.start[j]
+        if sigma is not None and not sigma.any():
+            built.points.append(at - built.origin)
+            continue
+        k = built.add(Variable(f"point {name}", built.start[j] - built.origin, POINT, True), np.ones(3), built.origin)
+        built.points.append(k)
+        built.point_variables[j] = k
+        if sigma is not None:
+            extras.append(_observed_place(k, at - built.origin, sigma, f"point {name}: control"))
+
+
+def _add_image_point(
+    built: Built, k: int, j: int, image: Array, sigma: Array, reach: Sequence[float], is_condition: bool
+) -> None:
+    photo = built.photos[k]
+    names = (*photo.unknown, *photo.shared)
+    shared = built.shared[k]
+    common = built.steps_of[shared] if not isinstance(shared, np.ndarray) else np.zeros(0)
+    steps = np.concatenate([camera_steps(photo.unknown, reach[k]), common])
+    start = _camera(photo.interior)
+    if len(common):  # all photos of a camera start from its first one
+        assert not isinstance(shared, np.ndarray)
+        start[[NAMES.index(n) for n in photo.shared]] = built.offset_of[shared]
+    setup = np.ascontiguousarray(np.array([[NAMES.index(n) for n in names], steps], float).reshape(2, len(names)))
+    record = np.concatenate([
+        image, [1.0 / sigma[0], 0.0, 1.0 / sigma[1], float(is_condition), photo.interior.sign, photo.interior.focal],
+        start, np.asarray(photo.rotation, float).ravel(),
+    ])  # fmt: skip
+    unknowns = (built.own[k], built.shared[k], built.turns[k], built.centres[k], built.points[j])
+    if all(isinstance(u, np.ndarray) for u in unknowns):
+        raise photo.fault(f"point {built.ids[j]}", "photo and point held", "a point or a photo that is unknown")
+    label = f"photo {photo.name}, point {built.ids[j]}"
+    built.observations.append(Observation(EXTENDED_COLLINEARITY, unknowns, record, setup, 2, label))
+
+
+def _add_constraint(built: Built, constraint: Constraint) -> None:
+    of_photos = constraint.kind in OF_PHOTOS
+    known = [p.name for p in built.photos] if of_photos else list(built.ids)
+    for name in constraint.members:
+        if name not in known:
+            raise InputError.of("closerange.member", place=constraint.label, value=name, known=", ".join(known[:10]))
+    members = [known.index(name) for name in constraint.members]
+    if constraint.kind in FIGURES:
+        figure = figure_of(constraint, built.start[members] - built.origin)
+        base = np.array([built.origin[POINT.index(n.upper())] if n in ("x", "y", "z") else 0.0 for n in figure.names])
+        variable = variable_of(constraint, figure)
+        offset = base + (figure.base - variable.start)
+        k = built.add(variable, np.ones(len(figure.names)), offset)
+        built.figure_variables.append(k)
+        built.figures.append((constraint, figure))
+        built.observations += figure_observations(constraint, figure, k, [built.points[j] for j in members])
+        return
+    if constraint.kind == "equal attitude":
+        unknowns, start = [built.turns[j] for j in members], [built.photos[j].rotation for j in members]
+    else:
+        unknowns = [(built.centres if of_photos else built.points)[j] for j in members]
+        start = [] if of_photos else [built.start[j] for j in members]
+    if all(isinstance(u, np.ndarray) for u in unknowns):
+        raise constraint.fault("members", "all held", "a point or a photo that is unknown")
+    built.observations.append(plain_observation(constraint, unknowns, start))

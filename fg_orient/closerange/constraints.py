@@ -1,0 +1,283 @@
+"""Constraints of a bundle: what a user states, and the observations and figures it becomes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import circles, constraints, surfaces
+from factors._contract import Equation
+from fg_orient.adjustment.network import Observation, Variable
+from fg_orient.closerange.surface_fit import fit_surface
+from fg_orient.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+#: Kinds with the fewest members; those of photos last.
+LEAST: Final = {
+    "distance": 2, "parallel": 4, "plane": 3, "line": 2, "plumb line": 1, "circle": 3, "horizontal circle": 3,
+    "sphere": 4, "spheroid": 5, "base": 2, "equal attitude": 2,
+}  # fmt: skip
+KINDS: Final = tuple(LEAST)
+OF_PHOTOS: Final = ("base", "equal attitude")
+#: Kinds that need a value, m, and those with a fixed number of members.
+MEASURED: Final = ("distance", "base")
+EXACT: Final = ("distance", "parallel", *OF_PHOTOS)
+AXES: Final = ("x", "y", "z")
+_NONE: Final = np.zeros((2, 0))
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """A relation between points or photos.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``KINDS``: "distance", "parallel" (two points on each of two lines), "plane", "line", "plumb line",
+        "circle", "horizontal circle", "sphere", "spheroid"; of photos "base" and "equal attitude".
+    members : tuple of str
+        Points, or photos.
+    value_m : float, optional
+        Distance or base.
+    sigma : float, optional
+        m; rad for "parallel" and "equal attitude". None: the constraint is hard and holds exactly.
+    observed : mapping
+        Observed numbers of the figure, value and sigma, m: ``radius`` of circles and spheres, ``a`` (across the axis)
+        and ``b`` of a spheroid.
+    axis : str
+        Of a spheroid: "x", "y" or "z".
+    offset : (3, 3) array
+        Of "equal attitude": the second camera's axes from the first one's; default: equal.
+
+    Raises
+    ------
+    InputError
+        A kind, number of members or value that is not possible.
+    """
+
+    kind: str
+    members: tuple[str, ...]
+    value_m: float | None = None
+    sigma: float | None = None
+    observed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    axis: str = "y"
+    offset: Array = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "members", tuple(self.members))
+        if self.kind not in LEAST:
+            raise self.fault("kind", self.kind, f"one of {', '.join(KINDS)}")
+        n, least = len(self.members), LEAST[self.kind]
+        if n < least or (self.kind in EXACT and n != least) or len(set(self.members)) != n:
+            raise self.fault("members", n, f"{least}{'' if self.kind in EXACT else ' or more'} different ones")
+        if (self.value_m is None) == (self.kind in MEASURED) or not (self.value_m is None or 0.0 < self.value_m < 1e9):
+            raise self.fault("value_m", self.value_m, "a length above 0 for a distance or base, none for others")
+        if self.sigma is not None and not 0.0 < self.sigma < float("inf"):
+            raise self.fault("sigma", self.sigma, "a number above 0, or none: the constraint is then hard")
+        known = FIGURES[self.kind].observable if self.kind in FIGURES else ()
+        for name, (value, sigma) in self.observed.items():
+            if name not in known or not (np.isfinite(value) and 0.0 < sigma < float("inf")):
+                raise self.fault(
+                    f"observed {name}", f"{value} +- {sigma}", f"value and sigma of {', '.join(known) or '-'}"
+                )
+        if self.axis not in AXES:
+            raise self.fault("axis", self.axis, "x, y or z")
+        turn = np.asarray(self.offset, float)
+        if turn.shape != (3, 3) or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0.0:
+            raise self.fault("offset", turn.tolist(), "a rotation matrix")
+
+    @property
+    def label(self) -> str:
+        """Words for messages."""
+        return f"{self.kind} of {', '.join(self.members)}"
+
+    def fault(self, place: str, value: object, expected: str) -> InputError:
+        """What is wrong with the constraint."""
+        text = f"{self.kind} of {len(self.members)}" if self.kind in LEAST else "constraint"
+        return InputError.of("closerange.constraint", place=f"{text}, {place}", value=value, expected=expected)  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure near its start: unknowns x are corrections to ``base``.
+
+    Parameters
+    ----------
+    equation : Equation
+    record : (d,) array
+        With s = 1.
+    setup : (2, k) array
+    names : tuple of str
+    base : (k,) array
+    n_residuals : int
+    scale : float
+        Factor of the record's s that makes a residual metres.
+    frame : (3, 3) array
+        Of planes, lines and circles: normal or direction, then two axes across it.
+    origin : (3,) array
+        Of the frame.
+    """
+
+    equation: Equation
+    record: Array
+    setup: Array
+    names: tuple[str, ...]
+    base: Array
+    n_residuals: int
+    scale: float = 1.0
+    frame: Array = field(default_factory=lambda: np.eye(3))
+    origin: Array = field(default_factory=lambda: np.zeros(3))
+
+    def scaled(self, factor: float) -> Array:
+        """Record with s times a factor."""
+        out = self.record.copy()
+        out[0] *= factor * self.scale
+        return out
+
+
+@dataclass(frozen=True)
+class _Kind:
+    start: Callable[[Array, Constraint], Figure]
+    observable: tuple[str, ...] = ()
+
+
+def _axes(points: Array, along: int) -> Array:
+    """Frame (3, 3) of points: direction of largest (0) or smallest (2) extent, then two across, right-handed."""
+    _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)
+    out = np.array([axes[along], axes[(along + 1) % 3], axes[(along + 2) % 3]])
+    out[2] *= np.sign(np.linalg.det(out))
+    return out
+
+
+def _plane(points: Array, _: Constraint) -> Figure:
+    origin, frame = points.mean(axis=0), _axes(points, 2)
+    return Figure(constraints.PLANE, np.concatenate([[1.0], origin, frame.ravel()]), _NONE,
+                  ("tilt_1", "tilt_2", "distance"), np.zeros(3), 1, frame=frame, origin=origin)  # fmt: skip
+
+
+def _line(points: Array, _: Constraint) -> Figure:
+    origin, frame = points.mean(axis=0), _axes(points, 0)
+    return Figure(constraints.LINE, np.concatenate([[1.0], origin, frame.ravel()]), _NONE,
+                  ("foot_1", "foot_2", "slope_1", "slope_2"), np.zeros(4), 2, frame=frame, origin=origin)  # fmt: skip
+
+
+def _plumb_line(points: Array, _: Constraint) -> Figure:
+    return Figure(circles.PLUMB_LINE, np.ones(1), _NONE, ("x", "y"), points.mean(axis=0)[:2], 2)
+
+
+def _flat_circle(plan: Array) -> tuple[Array, float]:
+    """Centre and radius of a circle in a plane (Kasa 1976)."""
+    middle = plan.mean(axis=0)
+    d = plan - middle
+    x = np.linalg.lstsq(np.column_stack([2.0 * d, np.ones(len(d))]), np.sum(d**2, axis=1), rcond=None)[0]
+    return middle + x[:2], float(np.sqrt(x[2] + x[0] ** 2 + x[1] ** 2))
+
+
+def _circle(points: Array, _: Constraint) -> Figure:
+    origin, frame = points.mean(axis=0), _axes(points, 2)
+    centre, radius = _flat_circle((points - origin) @ frame[1:].T)
+    base = np.concatenate([origin + centre @ frame[1:], [0.0, 0.0, radius]])
+    return Figure(circles.CIRCLE, np.concatenate([[1.0], frame.ravel()]), _NONE,
+                  ("x", "y", "z", "tilt_1", "tilt_2", "radius"), base, 2, frame=frame)  # fmt: skip
+
+
+def _horizontal_circle(points: Array, _: Constraint) -> Figure:
+    centre, radius = _flat_circle(points[:, :2])
+    base = np.array([*centre, points[:, 2].mean(), radius])
+    return Figure(circles.HORIZONTAL_CIRCLE, np.ones(1), _NONE, ("x", "y", "z", "radius"), base, 2)
+
+
+def _sphere(points: Array, c: Constraint) -> Figure:
+    priors = {"a": c.observed["radius"]} if "radius" in c.observed else None
+    found = fit_surface(points, "sphere", priors=priors).surface
+    radius = float(found.semi_axes[0])
+    return Figure(surfaces.SPHERE, np.ones(1), _NONE, ("x", "y", "z", "radius"), np.append(found.centre, radius), 1,
+                  0.5 / radius)  # fmt: skip
+
+
+def _spheroid(points: Array, c: Constraint) -> Figure:
+    found = fit_surface(points, "spheroid", axis=c.axis, priors=dict(c.observed)).surface
+    along = AXES.index(c.axis)
+    a, b = float(found.semi_axes[(along + 1) % 3]), float(found.semi_axes[along])
+    record = np.concatenate([[1.0], found.centre, np.eye(3).ravel(), found.semi_axes])
+    setup = np.array([[0.0, 1.0, 2.0, 9.0 + along, 6.0 + along], np.ones(5)])
+    # corrections to the record: the base is what they are added to
+    return Figure(surfaces.ELLIPSOID, record, setup, ("x", "y", "z", "a", "b"),
+                  np.array([*found.centre, a, b]), 1, 0.5 * min(a, b))  # fmt: skip
+
+
+FIGURES: Final[dict[str, _Kind]] = {
+    "plane": _Kind(_plane),
+    "line": _Kind(_line),
+    "plumb line": _Kind(_plumb_line),
+    "circle": _Kind(_circle, ("radius",)),
+    "horizontal circle": _Kind(_horizontal_circle, ("radius",)),
+    "sphere": _Kind(_sphere, ("radius",)),
+    "spheroid": _Kind(_spheroid, ("a", "b")),
+}
+
+
+def figure_of(constraint: Constraint, points: Array) -> Figure:
+    """Start of a figure from its points (n, 3).
+
+    Raises
+    ------
+    InputError
+        The points leave the figure open.
+    """
+    try:
+        with np.errstate(all="raise"):
+            return FIGURES[constraint.kind].start(points, constraint)
+    except FloatingPointError:
+        raise constraint.fault("members", "start coordinates", "points that determine the figure") from None
+
+
+def variable_of(constraint: Constraint, figure: Figure) -> Variable:
+    """Unknowns of a figure. Corrections for the spheroid, whose record holds its base; else values."""
+    start = np.zeros(len(figure.base)) if figure.equation is surfaces.ELLIPSOID else figure.base
+    return Variable(constraint.label, start, figure.names)
+
+
+def figure_observations(
+    constraint: Constraint, figure: Figure, k: int, points: Sequence[int | Array]
+) -> list[Observation]:
+    """Observations that points lie on figure number ``k``, and of the figure's own numbers."""
+    hard = constraint.sigma is None
+    record = figure.scaled(1.0 / (constraint.sigma or 1.0))
+    out = [
+        Observation(
+            figure.equation, (k, p), record, figure.setup, figure.n_residuals, f"{constraint.label}: {name}", hard
+        )
+        for p, name in zip(points, constraint.members, strict=True)
+    ]
+    shift = figure.base if figure.equation is surfaces.ELLIPSOID else np.zeros(len(figure.base))
+    for name, (value, sigma) in constraint.observed.items():
+        j = figure.names.index(name)
+        out.append(observed_element(k, j, value - shift[j], sigma, f"{constraint.label}: observed {name}"))
+    return out
+
+
+def observed_element(k: int, element: int, value: float, sigma: float, label: str) -> Observation:
+    """Observation of one element of variable number ``k``."""
+    record = np.array([1.0 / sigma, value, float(element)])
+    return Observation(constraints.OBSERVED_ELEMENT, (k,), record, _NONE, 1, label)
+
+
+def plain_observation(constraint: Constraint, unknowns: Sequence[int | Array], start: Sequence[Array]) -> Observation:
+    """Observation of a constraint without a figure; ``start``: places of its points, rotations of its photos."""
+    s, hard = 1.0 / (constraint.sigma or 1.0), constraint.sigma is None
+    if constraint.kind in MEASURED:
+        record = np.array([s, constraint.value_m or 0.0])
+        return Observation(constraints.DISTANCE, tuple(unknowns), record, _NONE, 1, constraint.label, hard)
+    if constraint.kind == "parallel":
+        along = start[1] - start[0]
+        across = _axes(np.array([-along, along]), 0)[1:]
+        record = np.concatenate([[s], across.ravel()])
+        return Observation(constraints.PARALLEL, tuple(unknowns), record, _NONE, 2, constraint.label, hard)
+    record = np.concatenate([[s], start[0].ravel(), start[1].ravel(), constraint.offset.ravel()])
+    return Observation(circles.EQUAL_ATTITUDE, tuple(unknowns), record, _NONE, 3, constraint.label, hard)
