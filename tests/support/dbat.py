@@ -151,8 +151,8 @@ def report(path: Path) -> tuple[dict[str, str], dict[str, dict[str, tuple[str, s
     where, name, value = "", "", ""
     for line in path.read_text().splitlines():
         text = line.strip()
-        if found := re.match(r"(Sigma0|Redundancy|Number of params):?\s+(\S+)", text):
-            figures[found[1]] = found[2]
+        if found := re.match(r"(Sigma0:|Redundancy|Number of params:)\s+(\S+)", text):
+            figures[found[1].rstrip(":")] = found[2]
         elif found := re.match(r"(Camera1|Photo (\d+))\b", text):
             where = found[2] or "camera"
             values.setdefault(where, {})

@@ -1,0 +1,161 @@
+"""Interior orientation of a frame camera apart from any image, direct georeferencing, distortion the other way round.
+
+The two polynomials of ``sensors.frame`` are not each other's inverse. :func:`converted` fits the one to the other
+and says by how many pixels they differ: there is no conversion without an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.errors import InputError
+from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL, FrameCamera
+
+Array = npt.NDArray[np.float64]
+
+#: Points of a conversion along each side of the image.
+GRID: Final = 41
+
+
+@dataclass(frozen=True, eq=False)
+class Interior:
+    """What all images of a camera have in common.
+
+    Parameters
+    ----------
+    n_lines, n_samples : int
+    focal_px : float
+    principal_px : (2,) array
+        Line and sample; (0, 0) is the centre of the first pixel.
+    distortion : (5,) array
+        k1, k2, k3, p1, p2; see :class:`fg_orient.sensors.frame.FrameCamera`.
+    model : str
+        Direction of the polynomial.
+    unit_px, aspect : float
+        See :class:`fg_orient.sensors.frame.FrameCamera`.
+    name : str
+    """
+
+    n_lines: int
+    n_samples: int
+    focal_px: float
+    principal_px: Array
+    distortion: Array = field(default_factory=lambda: np.zeros(5))
+    model: str = IDEAL_TO_MEASURED
+    unit_px: float | None = None
+    aspect: float = 0.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        self.camera(np.eye(3), np.zeros(3))  # refuses what is not possible
+
+    def camera(
+        self,
+        rotation: Array,
+        centre_m: Array,
+        sigma: Mapping[str, float] | None = None,
+        shared: Mapping[str, str] | None = None,
+    ) -> FrameCamera:
+        """Camera of an image that has this rotation and projection centre.
+
+        Raises
+        ------
+        InputError
+            A value is not possible; see :class:`fg_orient.sensors.frame.FrameCamera`.
+        """
+        return FrameCamera(
+            rotation, centre_m, self.focal_px, self.principal_px, self.distortion, sigma or {}, self.model,
+            self.unit_px, self.aspect, shared or {},
+        )  # fmt: skip
+
+    def ideal(self, line: Array, sample: Array) -> Array:
+        """Ideal directions X/Z, Y/Z (N, 2) of pixels; nan where the polynomial folds."""
+        own = self.camera(np.eye(3), np.zeros(3))
+        return own.ideal_directions(own.corrected(), line, sample)
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """A camera whose polynomial leads the other way, and its largest and root mean square difference in the image."""
+
+    interior: Interior
+    max_px: float
+    rms_px: float
+
+
+def converted(interior: Interior, model: str) -> Conversion:
+    """Polynomial in the other direction, fitted over the whole image by least squares.
+
+    Focal length and principal point stay; an aspect, which only one direction has, goes into the difference.
+
+    Parameters
+    ----------
+    interior : Interior
+    model : str
+        "brown_ideal_to_measured" or "brown_measured_to_ideal".
+
+    Raises
+    ------
+    InputError
+        No such model, or the polynomial folds inside the image.
+    """
+    if model not in (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL):
+        known = f"{IDEAL_TO_MEASURED} or {MEASURED_TO_IDEAL}"
+        raise InputError.of("frame.camera", place="model", value=model, expected=known)
+    if model == interior.model:
+        return Conversion(interior, 0.0, 0.0)
+    line, sample = (g.ravel() for g in np.meshgrid(
+        np.linspace(0.0, interior.n_lines - 1.0, GRID), np.linspace(0.0, interior.n_samples - 1.0, GRID)
+    ))  # fmt: skip
+    ideal = interior.ideal(line, sample)
+    if not np.isfinite(ideal).all():
+        n = int((~np.isfinite(ideal).all(axis=1)).sum())
+        raise InputError.of("frame.no_direction", place=interior.name, value=f"{n} of {len(ideal)} pixels")
+    measured = (np.column_stack([sample, line]) - interior.principal_px[::-1]) / interior.focal_px
+    argument, image = (ideal, measured) if model == IDEAL_TO_MEASURED else (measured, ideal)
+    design = np.concatenate([_columns(argument, 0), _columns(argument, 1)])
+    scale = np.linalg.norm(design, axis=0)
+    found = np.linalg.lstsq(design / scale, (image - argument).T.ravel(), rcond=None)[0] / scale
+    out = replace(interior, distortion=found, model=model, unit_px=interior.focal_px, aspect=0.0)
+    apart = np.linalg.norm(out.ideal(line, sample) - ideal, axis=1) * interior.focal_px
+    return Conversion(out, float(apart.max()), float(np.sqrt(np.mean(apart**2))))
+
+
+def _columns(xy: Array, axis: int) -> Array:
+    """Derivatives (N, 5) of the polynomial's x (axis 0) or y by its coefficients."""
+    own, r = xy[:, axis], np.sum(xy**2, axis=1)
+    along, across = r + 2.0 * own**2, 2.0 * xy[:, 0] * xy[:, 1]
+    p = (across, along) if axis == 0 else (along, across)
+    return np.column_stack([own * r, own * r**2, own * r**3, *p])
+
+
+def direct_orientation(
+    receiver_m: npt.ArrayLike, ground_from_body: npt.ArrayLike, lever_m: npt.ArrayLike, camera_from_body: npt.ArrayLike
+) -> tuple[Array, Array]:
+    """Rotation and projection centre of an image from a receiver and an inertial unit (Terlemezoğlu 2019, eq. 2.2).
+
+    Parameters
+    ----------
+    receiver_m : (3,) array
+        Position of the receiver, ground system.
+    ground_from_body : (3, 3) array
+        Attitude of the inertial unit.
+    lever_m : (3,) array
+        From the receiver to the projection centre, body axes.
+    camera_from_body : (3, 3) array
+        Boresight: camera axes (X right, Y down, Z along the view) from body axes.
+
+    Returns
+    -------
+    rotation : (3, 3) array
+        Camera axes from ground axes.
+    centre_m : (3,) array
+    """
+    attitude = np.asarray(ground_from_body, dtype=float)
+    rotation = np.asarray(camera_from_body, dtype=float) @ attitude.T
+    return rotation, np.asarray(receiver_m, dtype=float) + attitude @ np.asarray(lever_m, dtype=float)

@@ -1,0 +1,177 @@
+"""Cameras that images have in common: three backends, numpy, the free network, refusals, DBAT's published results."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.solve import Estimate, solve
+from fg_orient.block import Block
+from fg_orient.errors import InputError
+from fg_orient.names import Role
+from fg_orient.quality.covariance import Cofactors, cofactors_of
+from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
+from fg_orient.simulate.frames import SIGMA, pinhole_block
+from tests.support import dbat
+
+INTERIOR = {"focal": 5.0, "principal_sample": 3.0, "principal_line": 3.0, "k1": 1e-2}
+
+
+@lru_cache
+def shared(model: str = "", held: bool = True, priors: bool = False) -> Block:
+    """Four images of one camera; the first is held with the centre's X of the second, or nothing is."""
+    block, _ = pinhole_block(4, 25, views=3, seed=2)
+    images = []
+    for k, image in enumerate(block.images):
+        exterior = {n: s for n, s in SIGMA.items() if n[:3] in ("rot", "cen")}
+        if held:
+            exterior = {} if k == 0 else {n: s for n, s in exterior.items() if (k, n) != (1, "centre_x")}
+        own = image.sensor.camera
+        camera = replace(
+            own, sigma=exterior | INTERIOR, shared=dict.fromkeys(INTERIOR, "one"),
+            distortion=np.zeros(5), focal_px=block.images[0].sensor.camera.focal_px,
+            principal_px=np.zeros(2), **({"model": model, "unit_px": 900.0} if model else {}),
+        )  # fmt: skip
+        s = image.sensor
+        images.append(replace(image, sensor=FrameSensor(
+            camera, s.n_lines, s.n_samples, first_line=s.first_line, first_sample=s.first_sample, georeferenced=False,
+        )))  # fmt: skip
+    datum = "control" if held else "priors" if priors else "inner"
+    options = replace(block.options, priors=priors, datum=datum, optimizer="gauss-newton")
+    return replace(block, images=tuple(images), options=options)
+
+
+def solved(block: Block, backend: str) -> tuple[Problem, Estimate, Cofactors]:
+    problem = compile_problem(replace(block, options=replace(block.options, backend=backend)))
+    estimate = solve(problem)
+    assert estimate.converged
+    return problem, estimate, cofactors_of(problem, estimate)
+
+
+@pytest.mark.parametrize("model", ["", MEASURED_TO_IDEAL])
+def test_backends_agree_with_numpy(model: str) -> None:
+    found = {name: solved(shared(model), name) for name in ("graph", "schur", "dense")}
+    problem, estimate, _ = found["dense"]
+    assert problem.n_unknowns == 3 * 6 - 1 + 4 + 3 * int(problem.active.sum())
+    assert problem.ties is not None
+    wide = assemble(problem, estimate.state)[1]
+    w, z = problem.n_image_unknowns, len(problem.ties)
+    t = np.zeros((wide.shape[1], z + wide.shape[1] - w))
+    t[np.arange(w), problem.ties.of] = 1.0
+    t[w:, z:] = np.eye(wide.shape[1] - w)
+    design = wide @ t
+    residual = assemble(problem, estimate.state)[0]
+    assert np.linalg.norm(design.T @ residual) < 1e-6 * np.linalg.norm(design) * np.linalg.norm(residual)
+    q = t @ np.linalg.inv(design.T @ design) @ t.T
+    point = int(np.flatnonzero(problem.active)[3])
+    at = problem.first[2]
+    columns = np.concatenate([np.arange(at, problem.first[4]), w + 3 * 3 + np.arange(3)])
+    expected = q[np.ix_(columns, columns)]
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    for name, (_, other, cofactors) in found.items():
+        assert np.abs(other.state.image - estimate.state.image).max() < 1e-7, name
+        assert other.chi2 == pytest.approx(estimate.chi2, rel=1e-10)
+        focal = [other.state.image[k][list(p.names).index("focal")] for k, p in enumerate(problem.parameters)]
+        assert len(set(focal)) == 1
+        joint = cofactors.joint((2, 3), (point,))
+        assert np.abs((joint - expected) / scale).max() < 1e-5, name
+
+
+def test_priors_count_what_is_shared_once() -> None:
+    block = replace(shared(held=False, priors=True))
+    found = {name: solved(block, name) for name in ("graph", "schur", "dense")}
+    problem, estimate, _ = found["dense"]
+    assert problem.n_observations == 2 * len(problem.observations) + 4 * 6 + 4
+    r = problem.image_residuals(estimate.state)[0]
+    own = estimate.state.image.copy()
+    own[1:, 6:] = 0.0
+    assert estimate.chi2 == pytest.approx(float(np.sum(r**2) + np.sum(own**2)), rel=1e-12)
+    for other in (found["graph"], found["schur"]):
+        assert np.abs(other[1].state.image - estimate.state.image).max() < 1e-7
+
+
+def test_the_whole_job_names_no_defect_where_an_image_is_held() -> None:
+    solution = fg.adjust(shared())
+    assert solution.block_view is not None
+    assert not solution.block_view.datum
+    assert solution.observability[0].summary == "image 1: held"
+    assert solution.cofactors is not None
+
+
+def test_free_network_of_one_camera_has_seven_motions() -> None:
+    solution = fg.adjust(shared(held=False))
+    network = solution.cofactors.network  # type: ignore[union-attr]
+    assert network.datum_defect == 7
+    problem = network.problem
+    shared_places = np.flatnonzero(~np.concatenate([p.own for p in problem.parameters]))
+    assert np.abs(network.null_space[shared_places]).max() < 1e-6
+
+
+def test_disagreement_and_what_does_not_work_are_refused() -> None:
+    block = shared()
+    other = block.images[1].sensor
+    for changed in ({"focal_px": other.camera.focal_px + 1.0}, {"sigma": other.camera.sigma | {"focal": 1.0}}):
+        images = list(block.images)
+        images[1] = replace(images[1], sensor=FrameSensor(
+            replace(other.camera, **changed), other.n_lines, other.n_samples, georeferenced=False
+        ))  # fmt: skip
+        with pytest.raises(InputError) as caught:
+            fg.adjust(replace(block, images=tuple(images)))
+        assert caught.value.problems[0].code == "frame.shared"
+    with pytest.raises(InputError) as parted:
+        fg.adjust(shared(held=False, priors=True), parts=2, workers=1)
+    assert parted.value.problems[0].code == "frame.shared_not"
+
+
+def compare(block: Block, form: dbat.Format, folder: Path) -> tuple[int, float]:
+    """Number of printed values and deviations, and the largest difference in units of the last printed digit."""
+    problem, estimate, q = solved(block, "schur")
+    sigma0 = float(np.sqrt(estimate.chi2 / problem.redundancy))
+    figures, printed = dbat.report(folder / "result" / "report.txt")
+    assert (problem.n_unknowns, problem.redundancy) == (int(figures["Number of params"]), int(figures["Redundancy"]))
+    assert abs(sigma0 - float(figures["Sigma0"])) <= 0.5 * dbat.printed(figures["Sigma0"])
+    ours = {"camera": dbat.camera_values(problem, estimate.state, q, form)}
+    ours |= {str(k + 1): dbat.photo_values(problem, estimate.state, q, k) for k in range(problem.n_images)}
+    units = []
+    for where, values in printed.items():
+        for name in set(values) & set(ours[where]):
+            for found, text in zip(np.array(ours[where][name]) * [1.0, sigma0], values[name], strict=True):
+                if text:
+                    turn = 360.0 if name in ("Omega", "Phi", "Kappa") else np.inf
+                    apart = abs(found - float(text))
+                    units.append(min(apart, abs(apart - turn)) / dbat.printed(text))
+    return len(units), max(units)
+
+
+@pytest.mark.real_data
+def test_camcal_of_dbat(real_data: Path) -> None:
+    folder = real_data / "dbat" / "script" / "camcaldemo"
+    count, worst = compare(dbat.camcal(folder), dbat.Format(2272, 1704, 5.43764), folder)
+    assert count == 2 * (9 + 21 * 6)
+    assert worst < 1.0
+
+
+@pytest.mark.real_data
+def test_roma_of_dbat(real_data: Path) -> None:
+    folder = real_data / "dbat" / "script" / "romabundledemo"
+    count, worst = compare(dbat.roma(folder), dbat.Format(5616, 3744, 24.0), folder)
+    assert count >= 2 * (5 + 353)
+    assert worst < 1.0
+
+
+@pytest.mark.real_data
+@pytest.mark.slow
+def test_roma_with_a_fixed_camera(real_data: Path) -> None:
+    """dbat/dbatexports/roma-dbatreport.txt; its aspect is printed there."""
+    block = dbat.roma(real_data / "dbat" / "script" / "romabundledemo", calibrate=False, aspect=0.000998889)
+    problem = compile_problem(block)
+    assert (problem.n_unknowns, problem.redundancy) == (79316, 101806)
+    assert round(float(np.sqrt(solve(problem).chi2 / problem.redundancy)), 6) == 0.623075
+    assert not block.points.where(Role.CONTROL).size
