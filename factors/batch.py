@@ -25,8 +25,9 @@ from factors.batch_frame import frame_rows, measured_frame_rows
 from factors.batch_pushbroom import pushbroom_rows
 from factors.batch_rows import Index, rational_rows
 
-#: A basis value of the look polynomial has its degree plus this as its number.
+#: A basis value of the look polynomial has its degree plus this as its number, a curve its own plus that.
 _LOOK: Final = 10
+_CURVE: Final = 100
 
 
 @dataclass(frozen=True)
@@ -63,20 +64,28 @@ class Columns:
 
 
 def _pushbroom_columns(setup: Array) -> Columns:
-    """Components: the 9 EOP and the two look angles as far as present; basis: powers of tau and of the sample."""
+    """Components: the 9 EOP and the two look angles as far as present; basis: powers of tau, of the sample, curves."""
     codes, n_eop = setup[0].astype(np.int64), pushbroom.N_EOP
-    eop, look = codes < n_eop, codes - n_eop
+    eop, look, curve = codes < n_eop, codes - n_eop, codes - pushbroom.CURVE
     constants = np.where(eop, codes - codes % 3, n_eop + look % 2)
+    constants = np.where(curve >= 0, 3 * (curve // pushbroom.CURVES), constants)
     degree = np.where(eop, codes % 3, look // 2)
-    names, basis = np.unique(degree + _LOOK * (~eop & (degree > 0)), return_inverse=True)
+    degree = np.where(curve >= 0, _CURVE + curve % pushbroom.CURVES, degree + _LOOK * (~eop & (degree > 0)))
+    names, basis = np.unique(degree, return_inverse=True)
     present, component = np.unique(constants, return_inverse=True)
 
     def values(records: Array) -> Array:
-        tau, s = records[:, 18], records[:, 21]
-        return np.stack([s ** (name - _LOOK) if name > _LOOK else tau**name for name in names.tolist()], axis=1)
+        return np.stack([_value(records, name) for name in names.tolist()], axis=1)
 
     compact = np.stack([present.astype(np.float64), np.ones(len(present))])
     return Columns(compact, component.astype(np.int64), basis.astype(np.int64), setup[1].copy(), values)
+
+
+def _value(records: Array, name: int) -> Array:
+    """Basis value (n,) by its number."""
+    if name >= _CURVE:
+        return np.asarray(records[:, pushbroom.RECORD_SIZE + name - _CURVE])
+    return np.asarray(records[:, 21] ** (name - _LOOK) if name > _LOOK else records[:, 18] ** name)
 
 
 def _plain_columns(setup: Array) -> Columns:

@@ -33,8 +33,10 @@ from factors.sight import STORED, derivatives, sight, store
 #: 28:31 m (local) and the same minus P 31:34 m (ECEF axes).
 RECORD_SIZE = 34
 #: Setup: codes and prior sigmas of the unknowns. Code 3 component + degree for EOP (X Y Z VX VY VZ roll
-#: pitch yaw); 27 + 2 k for psi_x and 28 + 2 k for psi_y, coefficient of s^k.
+#: pitch yaw); 27 + 2 k for psi_x and 28 + 2 k for psi_y, coefficient of s^k; CURVE + CURVES component + k for the curve
+#: whose value at the observation stands behind the record, at RECORD_SIZE + k.
 N_EOP = 27
+CURVE, CURVES = 64, 32
 
 
 @compiled
@@ -43,18 +45,27 @@ def corrections(record: Any, setup: Any, x: Any) -> Any:
     d = np.zeros(11, x.dtype)
     for j in range(setup.shape[1]):
         code = int(setup[0, j])
-        slot = code // 3 if code < N_EOP else 9 + (code - N_EOP) % 2
-        d[slot] += x[j] * setup[1, j] * _basis(record, code)
+        d[_slot(code)] += x[j] * setup[1, j] * _basis(record, code)
     return d
 
 
 @inlined
+def _slot(code: int) -> int:
+    """Which of the 9 EOP and 2 look angles a coefficient adds to."""
+    if code < N_EOP:
+        return code // 3
+    return 9 + (code - N_EOP) % 2 if code < CURVE else (code - CURVE) // CURVES
+
+
+@inlined
 def _basis(record: Any, code: int) -> Any:
-    """Power of tau or of the sample that a coefficient belongs to."""
+    """Power of tau or of the sample, or value of the curve, that a coefficient belongs to."""
     if code < N_EOP:
         tau, degree = record[18], code % 3
         return 1.0 if degree == 0 else tau if degree == 1 else tau * tau
-    return record[21] ** ((code - N_EOP) // 2)
+    if code < CURVE:
+        return record[21] ** ((code - N_EOP) // 2)
+    return record[RECORD_SIZE + (code - CURVE) % CURVES]
 
 
 @compiled
@@ -90,7 +101,8 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
         store(d, i, n, value, derivatives(record, i, n, seen))
         for j in range(k):
             code = int(setup[0, j])
-            column = code // 3 if code < N_EOP else 12 + (code - N_EOP) % 2
+            column = _slot(code)
+            column = column if column < 9 else column + 3
             factor = _basis(record, code) * setup[1, j]
             out[0, 1 + j], out[1, 1 + j] = d[2 + column] * factor, d[16 + column] * factor
         for c in range(3):
@@ -113,7 +125,7 @@ def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> 
 
 
 def example(rng: np.random.Generator) -> Example:
-    """Build a SPOT-like observation; both kinds of files and both attitude forms occur."""
+    """Build a SPOT-like observation; both kinds of files and both attitude forms occur, and curves."""
     p = rng.normal(size=3)
     p *= 7.2e6 / np.linalg.norm(p)
     v = np.cross(p, rng.normal(size=3))
@@ -127,8 +139,10 @@ def example(rng: np.random.Generator) -> Example:
         np.zeros(3), 8.4e5 * ray,
     ])  # fmt: skip
     sigma = np.repeat([[10.0, 1.0, 0.1], [1e-2, 1e-3, 1e-4], [5e-5, 1e-5, 2e-6]], 3, axis=0).ravel()
-    setup = np.ascontiguousarray(np.stack([np.arange(N_EOP + 6.0), np.append(sigma, np.full(6, 1e-4))]))
-    return Example(record, setup, (rng.normal(size=N_EOP + 6), rng.normal(scale=100.0, size=3)))
+    codes = np.concatenate([np.arange(N_EOP + 6.0), [CURVE, CURVE + CURVES + 1.0, CURVE + 7.0 * CURVES]])
+    setup = np.ascontiguousarray(np.stack([codes, np.concatenate([sigma, np.full(6, 1e-4), [1.0, 1.0, 1e-5]])]))
+    unknowns = rng.normal(size=len(codes)), rng.normal(scale=100.0, size=3)
+    return Example(np.concatenate([record, rng.normal(size=2)]), setup, unknowns)
 
 
 LOOK_ANGLE_COLLINEARITY = register(Equation(

@@ -21,6 +21,7 @@ MultipleTesting = Literal["none", "bonferroni", "sidak", "holm", "benjamini_hoch
 #: Bounds of options, both ends included; the project file's schema takes them from here.
 EOP_SET_RANGE: Final = (1, 20)
 LOOK_DEGREE_RANGE: Final = (0, 5)
+CURVE_RANGE: Final = (2, 32)
 ITERATION_RANGE: Final = (1, 10_000)
 _THREE: Final = "three numbers above zero: the sigmas of c0, c1, c2"
 #: What each checked option must be, in words.
@@ -33,6 +34,9 @@ EXPECTED: Final = {
     "velocity_sigma_m_s": f"{_THREE} in m/s",
     "attitude_sigma_rad": f"{_THREE} in rad",
     "look_sigma_rad": "a number above zero in rad",
+    "curve_intervals": f"a number from {CURVE_RANGE[0]} to {CURVE_RANGE[1]}, or 0 for no curves",
+    "curve_position_sigma_m": "a number above zero in m",
+    "curve_attitude_sigma_rad": "a number above zero in rad",
     "rpc_compensation": " or ".join(f'"{word}"' for word in get_args(RpcCompensation)),
     "rpc_shift_sigma_px": "a number above zero in pixels",
     "rpc_linear_sigma_px": "a number above zero in pixels",
@@ -74,6 +78,11 @@ class Options:
         Prior sigmas of c0, c1, c2 of tau.
     look_sigma_rad : float
         Prior sigma of each coefficient of the look polynomial.
+    curve_intervals : int
+        For longer strips: beside their degree-2 coefficients, positions and attitudes of the set get smooth curves,
+        cubic splines over so many equal intervals of the image (``factors.splines``); 0 = none.
+    curve_position_sigma_m, curve_attitude_sigma_rad : float
+        Prior standard deviation of a curve, in the mean square over the image.
     rpc_compensation : str
         Image-space compensation of RPC images: "shift", "shift_drift" or "affine".
     rpc_shift_sigma_px, rpc_linear_sigma_px : float
@@ -150,6 +159,9 @@ class Options:
     velocity_sigma_m_s: tuple[float, float, float] = (1e-2, 1e-3, 1e-4)
     attitude_sigma_rad: tuple[float, float, float] = (50e-6, 10e-6, 2e-6)
     look_sigma_rad: float = 1e-4
+    curve_intervals: int = 0
+    curve_position_sigma_m: float = 1.0
+    curve_attitude_sigma_rad: float = 5e-6
     rpc_compensation: RpcCompensation = "shift"
     rpc_shift_sigma_px: float = 100.0
     rpc_linear_sigma_px: float = 10.0
@@ -191,6 +203,8 @@ def _allowed(name: str, value: Any) -> bool:
             return _whole(value, EOP_SET_RANGE)
         case "look_polynomial":
             return value is None or _whole(value, LOOK_DEGREE_RANGE)
+        case "curve_intervals":
+            return _whole(value, (0, 0)) or _whole(value, CURVE_RANGE)
         case "solver":
             return value is None or (isinstance(value, str) and bool(value))
         case "memory_limit_gb":
@@ -221,6 +235,8 @@ def _allowed(name: str, value: Any) -> bool:
             return isinstance(value, str) and value in get_args(RpcCompensation)
         case "datum":
             return isinstance(value, str) and value in get_args(Datum)
+        case "curve_position_sigma_m" | "curve_attitude_sigma_rad":
+            return _positive(value)
         case "look_sigma_rad" | "rpc_shift_sigma_px" | "rpc_linear_sigma_px":
             return _positive(value)
     return isinstance(value, tuple | list) and len(value) == 3 and all(_positive(v) for v in value)

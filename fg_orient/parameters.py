@@ -29,6 +29,8 @@ POSITION, VELOCITY, ATTITUDE = (0, 1, 2), (3, 4, 5), (6, 7, 8)
 N_EOP = 27
 #: Coefficients of a look polynomial of the highest degree, 5.
 N_LOOK = 12
+#: Codes of curves: CURVE + CURVES component + number (``factors.pushbroom``).
+CURVE, CURVES = 64, 32
 #: Degrees of tau in words.
 DEGREES = ("constant", "linear in time", "quadratic in time")
 
@@ -161,10 +163,18 @@ class ImageParameters:
 def chosen_codes(options: Options) -> tuple[int, ...]:
     """Codes of the unknowns of a pushbroom image: those named, else of EOP set and look polynomial."""
     if options.image_unknowns:
-        known = {parameter_name(code): code for code in range(N_EOP + N_LOOK)}
+        every = (*range(N_EOP + N_LOOK), *curve_codes(options, POSITION + ATTITUDE))
+        known = {parameter_name(code): code for code in every}
         return tuple(sorted(known[name] for name in options.image_unknowns if name in known))
     degree = options.look_polynomial
-    return eop_codes(options.eop_set) + tuple(range(N_EOP, N_EOP + (0 if degree is None else 2 * (degree + 1))))
+    eop = eop_codes(options.eop_set)
+    look = tuple(range(N_EOP, N_EOP + (0 if degree is None else 2 * (degree + 1))))
+    return eop + look + curve_codes(options, sorted({code // 3 for code in eop} - set(VELOCITY)))
+
+
+def curve_codes(options: Options, components: Iterable[int]) -> tuple[int, ...]:
+    """Codes of the curves of these components, by component, then number."""
+    return tuple(CURVE + CURVES * c + k for c in components for k in range(options.curve_intervals))
 
 
 def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known: Iterable[str]) -> None:
@@ -193,13 +203,22 @@ def orientation_parameters(options: Options, file: str = "") -> ImageParameters:
     codes = chosen_codes(options)
     require_unknowns(options, codes, file, (parameter_name(code) for code in range(N_EOP + N_LOOK)))
     table = np.repeat([options.position_sigma_m, options.velocity_sigma_m_s, options.attitude_sigma_rad], 3, axis=0)
-    sigma = np.concatenate([table.ravel(), np.full(N_LOOK, options.look_sigma_rad)])[list(codes)]
-    units = tuple(UNITS[code // 3] if code < N_EOP else "rad" for code in codes)
+    plain = np.concatenate([table.ravel(), np.full(N_LOOK, options.look_sigma_rad)])
+    curve = np.repeat([options.curve_position_sigma_m, np.nan, options.curve_attitude_sigma_rad], 3)
+    sigma = np.array([plain[c] if c < CURVE else curve[(c - CURVE) // CURVES] for c in codes])
+    units = tuple("rad" if N_EOP <= code < CURVE else UNITS[_component(code)] for code in codes)
     return ImageParameters(codes, sigma, tuple(map(parameter_name, codes)), units, tuple(map(parameter_words, codes)))
 
 
+def _component(code: int) -> int:
+    """Which of the nine EOP a coefficient or a curve belongs to."""
+    return code // 3 if code < N_EOP else (code - CURVE) // CURVES
+
+
 def parameter_name(code: int) -> str:
-    """Short name of one coefficient."""
+    """Short name of one coefficient: ``roll_1``, of a curve ``roll_c4``."""
+    if code >= CURVE:
+        return f"{COMPONENTS[_component(code)]}_c{(code - CURVE) % CURVES}"
     if code < N_EOP:
         return f"{COMPONENTS[code // 3]}_{code % 3}"
     return f"psi_{'xy'[(code - N_EOP) % 2]}_s{(code - N_EOP) // 2}"
@@ -207,13 +226,14 @@ def parameter_name(code: int) -> str:
 
 def parameter_words(code: int) -> str:
     """Name a coefficient in words: "velocity Y (constant, m/s)", "look angle psi_x_s1"."""
-    if code >= N_EOP:
+    if N_EOP <= code < CURVE:
         return f"look angle {parameter_name(code)}"
-    component, degree = code // 3, code % 3
+    component = _component(code)
     if component in POSITION:
         name = f"position {'XYZ'[component]}"
     elif component in VELOCITY:
         name = f"velocity {'XYZ'[component - 3]}"
     else:
         name = ("roll", "pitch", "yaw")[component - ATTITUDE[0]]
-    return f"{name} ({DEGREES[degree]}, {UNITS[component]})"
+    shape = DEGREES[code % 3] if code < N_EOP else f"curve {(code - CURVE) % CURVES}"
+    return f"{name} ({shape}, {UNITS[component]})"

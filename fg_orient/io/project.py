@@ -36,7 +36,8 @@ _TABLE_OF = {
     "position_sigma_m": "orientation", "velocity_sigma_m_s": "orientation", "attitude_sigma_rad": "orientation",
     "look_sigma_rad": "orientation", "small_angle": "orientation", "rpc_compensation": "orientation",
     "rpc_shift_sigma_px": "orientation", "rpc_linear_sigma_px": "orientation", "datum": "adjustment",
-    "image_unknowns": "orientation", "variance_components": "adjustment",
+    "curve_intervals": "orientation", "curve_position_sigma_m": "orientation",
+    "curve_attitude_sigma_rad": "orientation", "image_unknowns": "orientation", "variance_components": "adjustment",
     "backend": "adjustment", "solver": "adjustment",
     "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment",
     "loss": "adjustment", "gnc": "adjustment", "inlier_probability": "adjustment",
@@ -57,8 +58,8 @@ def read_project(path: str | Path, **overrides: object) -> Block:
     **overrides
         Options that replace those of the file: ``eop_set``, ``look_polynomial``,
         ``priors``, ``backend``, ``solver``, ``optimizer``, ``max_iterations``,
-        ``check_points``, ``points_seen_once``, ``small_angle``, ``image_unknowns``, ``variance_components``,
-        ``rpc_compensation``, ``datum``, ``memory_limit_gb``,
+        ``check_points``, ``points_seen_once``, ``small_angle``, ``image_unknowns``,
+        ``curve_intervals``, ``variance_components``, ``rpc_compensation``, ``datum``, ``memory_limit_gb``,
         ``loss``, ``gnc``, ``inlier_probability``, ``robust_start``, ``robust_scale``, ``snoop``,
         ``outlier_test``, ``outlier_level``, ``multiple_testing``, ``statistics``,
         ``extrapolate_attitude_s`` and the prior sigmas.

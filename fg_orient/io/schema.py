@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 from fg_orient.errors import Problem, problem
 from fg_orient.io.tables import did_you_mean
 from fg_orient.options import (
+    CURVE_RANGE,
     EXPECTED,
     ITERATION_RANGE,
     LOOK_DEGREE_RANGE,
@@ -74,6 +75,15 @@ class Orientation(_Table):
     velocity_sigma_m_s: Three = Field(default=Options.velocity_sigma_m_s, description=EXPECTED["velocity_sigma_m_s"])
     attitude_sigma_rad: Three = Field(default=Options.attitude_sigma_rad, description=EXPECTED["attitude_sigma_rad"])
     look_sigma_rad: Positive = Field(default=Options.look_sigma_rad, description=EXPECTED["look_sigma_rad"])
+    curve_intervals: Annotated[int, Field(strict=True, ge=0, le=CURVE_RANGE[1])] = Field(
+        default=Options.curve_intervals, description=EXPECTED["curve_intervals"]
+    )
+    curve_position_sigma_m: Positive = Field(
+        default=Options.curve_position_sigma_m, description=EXPECTED["curve_position_sigma_m"]
+    )
+    curve_attitude_sigma_rad: Positive = Field(
+        default=Options.curve_attitude_sigma_rad, description=EXPECTED["curve_attitude_sigma_rad"]
+    )
     rpc_compensation: RpcCompensation = Field(
         default=Options.rpc_compensation, description=EXPECTED["rpc_compensation"]
     )

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError
-from fg_orient.parameters import N_EOP, parameter_name
+from fg_orient.parameters import CURVE, CURVES, N_EOP, parameter_name
 from fg_orient.raster.models import Sensor
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.pushbroom import PushbroomSensor
@@ -46,7 +46,8 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
     """
     try:
         record = json.loads((folder / "result.json").read_text("utf-8"))
-        small_angle = bool(record["provenance"]["options"]["small_angle"])
+        options = record["provenance"]["options"]
+        small_angle, n_curves = bool(options["small_angle"]), int(options.get("curve_intervals", 0))
         files = _files(record)
         with (folder / "eop.csv").open(encoding="utf-8", newline="") as stream:
             rows = list(csv.DictReader(stream))
@@ -57,7 +58,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
         raise InputError.of("ortho.result", file=folder, known="-") from None
     name = _chosen(files, folder, Path(sensor.file), image)
     try:
-        return _correction(values[name], sensor, small_angle)
+        return _correction(values[name], sensor, small_angle, n_curves)
     except KeyError:
         raise InputError.of("ortho.other_sensor", file=folder, place=f"image {name}", value=sensor.file) from None
 
@@ -94,18 +95,22 @@ def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, ima
     return same[0]
 
 
-def _correction(values: dict[str, float], sensor: Sensor, small_angle: bool) -> Correction | Array:
+def _correction(values: dict[str, float], sensor: Sensor, small_angle: bool, n_curves: int) -> Correction | Array:
     """What ``sensor.project`` takes; KeyError for names of another kind of sensor."""
     if not isinstance(sensor, PushbroomSensor):
         out = np.zeros(len(COMPENSATION))
         _place(out, values, {name: k for k, name in enumerate(COMPENSATION)})
         return out
+    curve, names = np.zeros(9 * CURVES), {parameter_name(CURVE + k): k for k in range(9 * CURVES)}
+    _place(curve, {name: value for name, value in values.items() if name in names}, names)
+    values = {name: value for name, value in values.items() if name not in names}
     codes = {parameter_name(code): code for code in range(N_EOP + 2 * (LOOK_DEGREES + 1))}
     every = np.zeros(len(codes))
     _place(every, values, codes)
     used = max((codes[name] for name in values), default=0) + 1
     look = every[N_EOP : max(used + (used - N_EOP) % 2, N_EOP)]
-    return Correction(every[:N_EOP].reshape(9, 3), np.ascontiguousarray(look.reshape(-1, 2).T), small_angle)
+    look = np.ascontiguousarray(look.reshape(-1, 2).T)
+    return Correction(every[:N_EOP].reshape(9, 3), look, small_angle, curve.reshape(9, CURVES)[:, :n_curves])
 
 
 def _place(out: Any, values: dict[str, float], places: dict[str, int]) -> None:

@@ -85,6 +85,8 @@ def verdict(record: dict[str, Any]) -> dict[str, str]:
     if robust is not None:
         down, n = robust["n_image_points_below_half"], record["n_image_points"]
         fit = f"The loss {record['loss']} has turned down {down} of {n} image points; the fit of the rest is untested."
+    elif record.get("variance_components") is not None:
+        fit = "The standard deviations were estimated from these residuals, so the fit does not test the model."
     elif low is not None and sigma0 < low:
         fit = "The observations fit the model better than they should; see the warnings."
     return {"kind": "warn" if record["warnings"] else "good", "title": "Converged", "text": fit}
@@ -109,7 +111,7 @@ def corrections(result: Result) -> list[dict[str, Any]]:
         ending = words["parameter"][k].rpartition("_")[2]  # of a polynomial of samples: s and its degree
         images.setdefault(image, []).append({
             "name": _component(words["component"][k]),
-            "degree": f"s^{degree}" if ending.startswith("s") else _DEGREES[degree], "unit": unit,
+            "degree": {"s": f"s^{degree}", "c": f"curve {degree}"}.get(ending[0]) or _DEGREES[degree], "unit": unit,
             "value": None if value is None else value * factor, "sigma": None if sigma is None else sigma * factor,
             "prior": None if prior is None else prior * factor,
             "share": None if not prior or value is None else value / prior,

@@ -123,8 +123,8 @@ def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
         for j, parameter in enumerate(parameters.names):
             component, _, degree = parameter.rpartition("_")
             rows.append((
-                image.id, parameter, component, int(degree[-1]), parameters.units[j], values[j], sigmas[j], priors[j],
-                name, values[j] * change[j], sigmas[j] * change[j], line_units[j],
+                image.id, parameter, component, int(degree.lstrip("cls")), parameters.units[j], values[j], sigmas[j],
+                priors[j], name, values[j] * change[j], sigmas[j] * change[j], line_units[j],
             ))  # fmt: skip
     return rows
 

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from factors import polynomials
+from factors import polynomials, splines
 
 Array = npt.NDArray[np.float64]
 
@@ -47,15 +47,23 @@ class Correction:
         Coefficients of s^k added to psi_x and psi_y (rad).
     small_angle : bool
         Use the small-angle attitude matrix (faithful mode).
+    curve : (9, k) array
+        Amplitudes of the curves of ``factors.splines`` over k intervals, for the nine EOP.
     """
 
     eop: Array = field(default_factory=lambda: np.zeros((9, 3)))
     look: Array = field(default_factory=lambda: np.zeros((2, 0)))
     small_angle: bool = False
+    curve: Array = field(default_factory=lambda: np.zeros((9, 0)))
+
+    def curve_at(self, tau: Array) -> Array:
+        """What the curves add to the nine EOP (N, 9) at N line times tau."""
+        return np.asarray(splines.curves(tau, self.curve.shape[1]) @ self.curve.T)
 
     def eop_at(self, tau: Array) -> Array:
         """Corrections of the nine EOP (N, 9) at N line times tau."""
-        return polynomials.evaluate(self.eop, tau)
+        found = polynomials.evaluate(self.eop, tau)
+        return found + self.curve_at(tau) if self.curve.shape[1] else found
 
 
 class PixelModel(Protocol):

@@ -26,14 +26,19 @@ ROUNDING_PX = 1e-6
 def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
     """Setup (2, k) and unknowns (k,) of the equation for a correction in physical units."""
     codes = np.arange(pushbroom.N_EOP + correction.look.size, dtype=float)
-    setup = np.stack([codes, np.ones_like(codes)])
-    return np.ascontiguousarray(setup), np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
+    x = np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
+    if correction.curve.shape[1]:  # their sums stand behind the record: one "curve" of 1 for each EOP
+        codes = np.concatenate([codes, pushbroom.CURVE + (pushbroom.CURVES + 1.0) * np.arange(9)])
+        x = np.concatenate([x, np.ones(9)])
+    return np.ascontiguousarray(np.stack([codes, np.ones_like(codes)])), x
 
 
 def conditions(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """F_y, F_x (tangents) of N pixels and ground points: (N, 2)."""
     setup, x = physical_unknowns(correction)
     records = sensor.records(line, sample, ground_m, small_angle=correction.small_angle)
+    if correction.curve.shape[1]:
+        records = np.hstack([records, correction.curve_at(records[:, 18])])
     return pushbroom.conditions(records, setup, x, np.ascontiguousarray(ground_m))
 
 

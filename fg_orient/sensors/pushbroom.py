@@ -288,7 +288,7 @@ class PushbroomSensor(PixelRange):
         lines, s = same_length(line, sample)
         states = self.states(lines)
         psi_x, psi_y = self.look_angles(s)
-        delta = polynomials.evaluate(c.eop, states.tau)
+        delta = c.eop_at(states.tau)
         if c.look.shape[1]:
             bend = polynomials.evaluate(c.look, polynomials.normalised(s, self.n_samples))
             psi_x, psi_y = psi_x + bend[:, 0], psi_y + bend[:, 1]

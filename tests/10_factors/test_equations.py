@@ -119,13 +119,15 @@ def reference_conditions(record: np.ndarray, setup: np.ndarray, x: np.ndarray, g
     ld = np.longdouble
     r = record.astype(ld)
     correction = np.zeros(27, ld)
-    look = np.zeros(2, ld)
+    look, curve = np.zeros(2, ld), np.zeros(9, ld)
     for code, sigma, value in zip(setup[0].astype(int), setup[1].astype(ld), x.astype(ld), strict=True):
         if code < 27:
             correction[code] += sigma * value
+        elif code >= 64:
+            curve[(code - 64) // 32] += sigma * value * r[34 + (code - 64) % 32]
         else:
             look[(code - 27) % 2] += sigma * value * r[21] ** ((code - 27) // 2)
-    eop = r[0:9] + correction.reshape(9, 3) @ np.array([1.0, r[18], r[18] ** 2], ld)
+    eop = r[0:9] + correction.reshape(9, 3) @ np.array([1.0, r[18], r[18] ** 2], ld) + curve
     frame_state = eop if record[26] > 0.5 else r
     p, v = frame_state[0:3], frame_state[3:6]
     z = p / np.sqrt(p @ p)

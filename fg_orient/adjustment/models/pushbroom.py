@@ -7,12 +7,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors import splines
 from factors._contract import Equation
 from factors.polynomials import per_line_from_tau
 from factors.pushbroom import LOOK_ANGLE_COLLINEARITY
 from factors.rotations import orbital_frames
 from fg_orient.block import ImagePoints, Options
-from fg_orient.parameters import COMPONENTS, DEGREES, N_EOP, UNITS, VELOCITY, orientation_parameters
+from fg_orient.parameters import COMPONENTS, CURVE, CURVES, DEGREES, N_EOP, UNITS, VELOCITY, orientation_parameters
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.eop import fit_eop
 from fg_orient.sensors.projection import pixel_derivative
@@ -38,6 +39,7 @@ class PushbroomModel:
     def __init__(self, sensor: PushbroomSensor, options: Options) -> None:
         self.sensor, self.small_angle = sensor, options.small_angle
         self.parameters = orientation_parameters(options, sensor.file)
+        self.n_curves = options.curve_intervals if max(self.parameters.codes) >= CURVE else 0
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whiten with ``S^-1 J^-1``, J = dF/d(line, sample) of the metadata orientation."""
@@ -46,19 +48,23 @@ class PushbroomModel:
         j = pixel_derivative(self.sensor, line, sample, ground_m, Correction(small_angle=small))
         sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
         out[:, 22:26] = (np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
-        return out
+        return np.hstack([out, splines.curves(out[:, 18], self.n_curves)]) if self.n_curves else out
 
     def correction(self, x: Array) -> Correction:
-        """EOP corrections (9, 3) and look corrections (2, degree + 1) in physical units."""
-        eop, codes = np.zeros(N_EOP), self.parameters.codes
-        highest = max(codes) - N_EOP  # psi_x and psi_y in turn: a polynomial of both has an even number
+        """EOP corrections (9, 3), look corrections (2, degree + 1) and curves (9, k) in physical units."""
+        eop, codes, curve = np.zeros(N_EOP), self.parameters.codes, np.zeros((9, self.n_curves))
+        # psi_x and psi_y in turn: a polynomial of both has an even number
+        highest = max((code for code in codes if code < CURVE), default=0) - N_EOP
         look = np.zeros(2 * (highest // 2 + 1) if highest >= 0 else 0)
         for code, value in zip(codes, x * self.parameters.sigma, strict=True):
             if code < N_EOP:
                 eop[code] = value
-            else:
+            elif code < CURVE:
                 look[code - N_EOP] = value
-        return Correction(eop.reshape(9, 3), np.ascontiguousarray(look.reshape(-1, 2).T), small_angle=self.small_angle)
+            else:
+                curve[divmod(code - CURVE, CURVES)] = value
+        look = np.ascontiguousarray(look.reshape(-1, 2).T)
+        return Correction(eop.reshape(9, 3), look, self.small_angle, curve)
 
     def silent_directions(self) -> list[tuple[str, Array]]:
         """Velocity acts through V x P only (docs/equations.md 3).

@@ -1,0 +1,132 @@
+"""Smooth curves of position and attitude over a strip: the prior they stand for, and adjustments on every backend."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+import fg_orient as fg
+from factors import splines
+from fg_orient.block import Block
+from fg_orient.errors import InputError
+from fg_orient.options import CURVE_RANGE, Options
+from fg_orient.parameters import orientation_parameters
+from fg_orient.raster.adjusted import _correction
+from fg_orient.run.tables import eop_rows
+from fg_orient.sensors.correction import Correction
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+
+INTERVALS = 6
+
+
+@pytest.mark.parametrize("n", [2, 5, 32])
+def test_basis_is_that_of_scipy(n: int) -> None:
+    tau = np.linspace(-1.0, 1.0, 101)
+    knots = -1.0 + 2.0 / n * np.arange(-3, n + 4)
+    expected = BSpline(knots, np.eye(n + 3), 3)(tau)
+    assert np.abs(splines.basis(tau, n) - expected).max() < 1e-12
+    assert (
+        np.abs(splines.basis(np.array([-1.01, 1.01]), n) - BSpline(knots, np.eye(n + 3), 3)([-1.01, 1.01])).max()
+        < 1e-12
+    )
+
+
+def test_the_prior_is_that_of_penalised_splines() -> None:
+    """The same data fitted with free coefficients and the penalty |D c|^2 give the same curve, by another system."""
+    rng, n, sigma = np.random.default_rng(5), 9, 0.3
+    tau = np.sort(rng.uniform(-1.0, 1.0, 60))
+    y = np.sin(4.0 * tau) + 0.1 * rng.normal(size=60)
+    powers = tau[:, None] ** np.arange(3)
+    ours = np.hstack([powers, sigma * splines.curves(tau, n)])
+    prior = np.hstack([np.zeros((n, 3)), 0.1 * np.eye(n)])
+    x = np.linalg.lstsq(np.vstack([ours, prior]), np.append(y, np.zeros(n)), rcond=None)[0]
+    difference = np.diff(np.eye(n + 3), n=3, axis=0)
+    # a curve of x has the third differences c x, c the scale of the curves
+    scale = np.linalg.norm(
+        difference @ np.linalg.lstsq(splines.basis(tau, n), splines.curves(tau, n), rcond=None)[0], 2
+    )
+    b = np.vstack([splines.basis(tau, n), 0.1 / (sigma * scale) * difference])
+    c = np.linalg.lstsq(b, np.append(y, np.zeros(n)), rcond=None)[0]
+    assert np.abs(ours @ x - splines.basis(tau, n) @ c).max() < 1e-9
+    grid = splines.curves(np.linspace(-1.0, 1.0, 2001), n)
+    assert np.mean(np.sum(grid**2, axis=1)) == pytest.approx(1.0, rel=1e-2)
+
+
+def test_names_and_sigmas() -> None:
+    p = orientation_parameters(Options(eop_set=9, curve_intervals=3, curve_attitude_sigma_rad=7e-6))
+    assert p.names[9:] == tuple(f"{a}_c{k}" for a in ("roll", "pitch", "yaw") for k in range(3))
+    assert (p.sigma[9:] == 7e-6).all() and p.units[-1] == "rad" and p.words[9] == "roll (curve 0, rad)"
+    only = orientation_parameters(Options(image_unknowns=("roll_0", "x_c1"), curve_intervals=3))
+    assert only.names == ("roll_0", "x_c1") and only.units == ("rad", "m")
+    assert len(orientation_parameters(Options(eop_set=5, curve_intervals=3))) == 9  # velocities have none
+
+
+@pytest.mark.parametrize("value", [-1, 1, CURVE_RANGE[1] + 1, 2.5])
+def test_intervals_are_checked(value: object) -> None:
+    with pytest.raises(InputError, match="curve_intervals"):
+        Options(curve_intervals=value)  # type: ignore[arg-type]
+
+
+def wavy(block: Block) -> tuple[Block, list[Correction]]:
+    """The twin observed without noise by images whose attitude waves by some 1e-5 rad, three pixels."""
+    rng, o, known = np.random.default_rng(3), block.observations, block.points.known.ecef_m
+    o = o.take(np.isfinite(known[o.point]).all(axis=1))
+    line, sample, truth = o.line.copy(), o.sample.copy(), []
+    for k, image in enumerate(block.images):
+        curve = np.zeros((9, INTERVALS))
+        curve[6:9] = 1e-5 * rng.normal(size=(3, INTERVALS))
+        truth.append(Correction(curve=curve))
+        rows = o.image == k
+        line[rows], sample[rows] = image.sensor.project(known[o.point[rows]], truth[-1])
+    observed = replace(o, line=line, sample=sample)
+    return replace(block, observations=observed, withheld=replace(block.withheld, ids=())), truth
+
+
+@pytest.fixture(scope="module")
+def twin() -> tuple[Block, list[Correction]]:
+    return wavy(zonguldak_block(ZonguldakOptions(seed=1))[0])
+
+
+def with_options(block: Block, **changes: object) -> Block:
+    return replace(block, options=replace(block.options, eop_set=9, **changes))
+
+
+def test_rays_and_projection_agree_with_curves(twin: tuple[Block, list[Correction]]) -> None:
+    block, truth = twin
+    sensor = block.images[0].sensor
+    line, sample = np.linspace(0.0, sensor.n_lines - 1.0, 7), np.linspace(0.0, sensor.n_samples - 1.0, 7)
+    ground = sensor.locate(line, sample, height_m=300.0, correction=truth[0])
+    back = sensor.project(ground, truth[0])
+    assert max(np.abs(back[0] - line).max(), np.abs(back[1] - sample).max()) < 1e-6
+    assert np.linalg.norm(ground - sensor.locate(line, sample, height_m=300.0), axis=1).max() > 3.0
+
+
+def written(solution: fg.Solution) -> None:
+    """What the result folder holds gives the curves back."""
+    for image in solution.block.images:
+        values = {str(row[1]): float(str(row[5])) for row in eop_rows(solution) if row[0] == image.id}
+        back, expected = _correction(values, image.sensor, False, INTERVALS), solution.correction(image.id)
+        assert isinstance(back, Correction)
+        assert np.array_equal(back.curve, expected.curve) and np.array_equal(back.eop, expected.eop)
+
+
+def test_curves_take_up_what_degree_2_cannot(twin: tuple[Block, list[Correction]]) -> None:
+    """All three backends reach one solution; the curves are found where points are."""
+    block, truth = twin
+    plain = fg.adjust(with_options(block))
+    options = {"curve_intervals": INTERVALS, "curve_attitude_sigma_rad": 1e-4}
+    found = {b: fg.adjust(with_options(block, backend=b, **options)) for b in ("graph", "schur", "dense")}
+    assert plain.sigma0 > 0.2 and found["graph"].sigma0 < 0.1 * plain.sigma0
+    for name in ("schur", "dense"):
+        assert np.abs(found[name].state.image - found["graph"].state.image).max() < 1e-8
+        assert np.nanmax(np.abs(found[name].ground_m - found["graph"].ground_m)) < 1e-6
+    written(found["schur"])
+    o = block.observations
+    for k in range(len(block.images)):
+        tau = 2.0 * o.line[o.image == k] / (block.images[k].sensor.n_lines - 1.0) - 1.0
+        got = found["schur"].correction(block.images[k].id)
+        error = (got.eop_at(tau) - truth[k].eop_at(tau))[:, 6:8]
+        assert np.abs(error).max() < 0.1 * np.abs(truth[k].eop_at(tau)[:, 6:8]).max()
