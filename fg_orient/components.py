@@ -16,10 +16,23 @@ from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.names import Status
 from fg_orient.quality.observation_groups import DEFAULT_GROUPS, Groups, groups_of, require_groups, scaled
-from fg_orient.quality.variance_components import Method, Residuals, Round, components_of, one_round, require_method
+from fg_orient.quality.variance_components import (
+    Method,
+    Residuals,
+    Round,
+    VarianceComponents,
+    components_of,
+    one_round,
+    require_method,
+)
+from fg_orient.quality.verdict import NO_INTERVAL
 from fg_orient.solution import Solution
 
+BY_CONSTRUCTION: Final = (
+    "sigma0 is 1 by construction, since the sigmas were estimated from these residuals: it does not test the model"
+)
 #: Variances that change by less in a round stand: far below their standard deviations.
 STANDS: Final = 1e-5
 #: Rounds after which a component that does not stand is refused.
@@ -73,22 +86,30 @@ def adjust_with_components(
     state: _Rounds | None = None
     for rounds in range(1, MAX_ROUNDS + 1):
         solution = run(block if state is None else scaled(block, state.groups, np.sqrt(state.variance)), begin)
-        if solution.cofactors is None:
-            raise NoSolutionError.of("covariance.withheld", value="; ".join(solution.withheld))
+        cofactors = solution.required_cofactors()
         state = state or _Rounds(groups_of(solution.problem, groups))
-        residuals = Residuals(solution.problem, solution.state, solution.cofactors, state.groups)
+        residuals = Residuals(solution.problem, solution.state, cofactors, state.groups)
         judge = rounds > FIRST_ROUNDS
         found = one_round(residuals, method, keep=state.kept, judge=judge)
         if judge and state.stands(found):
             components = components_of(state.groups, found, state.variance, rounds, method)
-            return replace(
-                solution, components=components, warnings=(*solution.warnings, *components.sentences),
-                problem=replace(solution.problem, block=_with_groups(solution.block, groups)),
-            )  # fmt: skip
+            return _untested(solution, components, _with_groups(solution.block, groups))
         state.move(found)
         _refuse(block, state, found)
     worst = state.groups.names[state.worst] if state is not None else ""
     raise NoSolutionError.of("statistics.component_unsettled", place=f"{block.name}, group {worst}", value=MAX_ROUNDS)
+
+
+def _untested(solution: Solution, components: VarianceComponents, block: Block) -> Solution:
+    """The last solution with its components: sigma0 no longer tells anything of the model."""
+    reason = solution.reason
+    if solution.status is Status.CONVERGED:
+        reason = f"{reason}; {BY_CONSTRUCTION}"
+    return replace(
+        solution, components=components, reason=reason, sigma0_interval=NO_INTERVAL,
+        warnings=(*solution.warnings, BY_CONSTRUCTION, *components.sentences),
+        problem=replace(solution.problem, block=block),
+    )  # fmt: skip
 
 
 def _with_groups(block: Block, groups: tuple[str, ...]) -> Block:

@@ -23,6 +23,7 @@ from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Role, Status
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.covariance import Cofactors, NamedMatrix
+from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.observation_groups import DEFAULT_GROUPS
@@ -87,7 +88,7 @@ class Solution:
     residuals_px : (n, 2) array
         Line and sample residuals, adjusted minus observed, of ``problem.observations``.
     sigma0_interval : (float, float)
-        99.9 % interval of sigma0 if model and weights hold.
+        99.9 % interval of sigma0 if model and weights hold; nan under a loss and with variance components.
     observability : tuple of ImageObservability
     block_view : BlockObservability or None
         The whole block without its priors, where there are none or where they hold the datum.
@@ -201,13 +202,25 @@ class Solution:
         """
         from fg_orient.quality.joint import joint_cofactors
 
-        return joint_cofactors(self.judged, self.state, self._cofactors(), names)
+        return joint_cofactors(self.judged, self.state, self.required_cofactors(), names)
 
-    def _cofactors(self) -> Cofactors:
-        """Cofactors, or the reason why there are none."""
+    def required_cofactors(self, *, unweighted: bool = False) -> Cofactors:
+        """Cofactors; ``unweighted``: those of least squares.
+
+        Raises
+        ------
+        NoSolutionError
+            There are none, or they take the weights of a loss.
+        """
         if self.cofactors is None:
             raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
+        if unweighted:
+            self._require_unweighted()
         return self.cofactors
+
+    def _require_unweighted(self) -> None:
+        if self.weights is not None:
+            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
 
     def covariance(self, *names: str) -> NamedMatrix:
         """Joint covariance ``scale^2 Q`` of anything adjusted; see :meth:`cofactor_matrix`."""
@@ -220,6 +233,15 @@ class Solution:
         return self.problem if self.weights is None else weighted_problem(self.problem, self.weights)
 
     @cached_property
+    def unknown_freedom(self) -> UnknownFreedom | None:
+        """Degrees of freedom of tests of unknowns with estimated variance components; None without components."""
+        if self.components is None:
+            return None
+        return UnknownFreedom.of(
+            self.problem, self.state, self.required_cofactors(), self.components, self.residual_cofactors
+        )
+
+    @cached_property
     def residual_cofactors(self) -> ResidualCofactors:
         """Cofactors of all residuals (whitened, prior scale) and redundancy numbers; computed when first asked for.
 
@@ -228,7 +250,7 @@ class Solution:
         NoSolutionError
             The covariance could not be computed; the message says why.
         """
-        return residual_cofactors(self.judged, self.state, self._cofactors())
+        return residual_cofactors(self.judged, self.state, self.required_cofactors())
 
     def locate(
         self, image: str, line: float, sample: float, *, height_m: float | None = None,
@@ -283,7 +305,7 @@ class Solution:
         from fg_orient.quality.located_point import Orientation
 
         scale = self.scale if np.isfinite(self.scale) else 1.0  # without redundancy
-        return Orientation(self.problem, self.state, self._cofactors(), scale)
+        return Orientation(self.problem, self.state, self.required_cofactors(), scale)
 
     def reliability(self, *, alpha: float = ALPHA, power: float = POWER) -> BlockReliability:
         """Redundancy numbers, minimal detectable biases and their effects, of all observations.
@@ -309,8 +331,7 @@ class Solution:
         return self._reliability(ALPHA, POWER)
 
     def _reliability(self, alpha: float, power: float) -> BlockReliability:
-        if self.weights is not None:
-            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
+        self._require_unweighted()
         return reliability(self.problem, self.state, self.residual_cofactors, alpha=alpha, power=power)
 
     def outlier_tests(
@@ -332,14 +353,11 @@ class Solution:
         NoSolutionError
             The covariance could not be computed; the message says why.
         """
-        if self.cofactors is None:
-            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
-        if self.weights is not None:
-            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
-        options = self.block.options
+        cofactors, options = self.required_cofactors(unweighted=True), self.block.options
+        needed = kind != "points" or self.components is not None
         return outlier_tests(
-            self.problem, self.state, self.cofactors, self.chi2, kind=kind, components=self.components,
-            known=None if kind == "points" else self.residual_cofactors,
+            self.problem, self.state, cofactors, self.chi2, kind=kind, components=self.components,
+            known=self.residual_cofactors if needed else None,
             level=options.outlier_level if level is None else level,
             test=options.outlier_test if test is None else test,
             control=options.multiple_testing if control is None else control,
@@ -359,10 +377,11 @@ class Solution:
         InputError
             The level is not between 0 and 1.
         NoSolutionError
-            The weights of a loss changed the sum of squares.
+            The weights of a loss changed the sum of squares, or the sigmas were estimated from it.
         """
-        if self.weights is not None:
-            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
+        self._require_unweighted()
+        if self.components is not None:
+            raise NoSolutionError.of("statistics.components_global", place=self.block.name)
         return global_test(self.chi2, self.redundancy, level)
 
     def variance_components(
@@ -379,11 +398,10 @@ class Solution:
         NoSolutionError
             The covariance could not be computed, or was changed by the weights of a loss.
         """
-        if self.cofactors is None:
-            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
-        if self.weights is not None:
-            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
-        return variance_components(self.problem, self.state, self.cofactors, groups=groups, method=method)
+        cofactors = self.required_cofactors(unweighted=True)
+        return variance_components(
+            self.problem, self.state, cofactors, groups=groups, method=method, known=self.residual_cofactors
+        )
 
     def in_datum(self, *names: str) -> FreeNetwork:
         """S-transformation of a free network to the datum of images ("image:3") and points ("point:12").
@@ -408,13 +426,11 @@ class Solution:
         Raises
         ------
         NoSolutionError
-            The covariance could not be computed, or was changed by the weights of a loss; no redundancy.
+            The covariance could not be computed, or was changed by the weights of a loss; no redundancy; sigmas
+            estimated in a block that is too large for the degrees of freedom that they leave.
         """
-        if self.cofactors is None:
-            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
-        if self.weights is not None:
-            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
-        return significance(self.problem, self.state, self.cofactors, self.sigma0, level=level)
+        cofactors = self.required_cofactors(unweighted=True)
+        return significance(self.problem, self.state, cofactors, self.sigma0, level=level, freedom=self.unknown_freedom)
 
     def prediction_test(self) -> PredictionTest:
         """Hold the predicted accuracy against the check points; see ``fg_orient.quality.prediction_test``.
@@ -426,7 +442,7 @@ class Solution:
         """
         from fg_orient.quality.prediction_test import prediction_test
 
-        return prediction_test(self.problem, self.state, self._cofactors(), self.accuracy.check)
+        return prediction_test(self.problem, self.state, self.required_cofactors(), self.accuracy.check)
 
     def compare_dem(self, dem: HeightSurface | str | Path, *, role: str | None = None) -> DemComparison:
         """Compare adjusted heights (of one role: "control", "check", "tie") with a DEM of ellipsoidal heights.

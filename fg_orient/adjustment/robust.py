@@ -16,11 +16,11 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv
 
 from factors.losses import Curve, Loss, find, losses
 from fg_orient.adjustment.problem import Problem, State, whitened_records
 from fg_orient.block import ImagePoints, Options
+from fg_orient.distributions import chi_square_quantile
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -128,7 +128,7 @@ def scaled(loss: Loss, scale: tuple[float, float] = A_PRIORI) -> Robust:
 
 def inlier_limit(probability: float, dimension: int) -> float:
     """Whitened norm that a good observation keeps with this probability: root of the chi-square quantile."""
-    return float(np.sqrt(2.0 * gammaincinv(0.5 * dimension, probability)))
+    return float(np.sqrt(chi_square_quantile(dimension, probability)))
 
 
 def control_squares(problem: Problem, state: State) -> Array:

@@ -17,10 +17,10 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.distributions import chi_square_median
 
 Array = npt.NDArray[np.float64]
 
@@ -31,11 +31,6 @@ LEAST: Final = 10
 #: Residuals that vanish have no scale; a smaller one would turn everything down.
 LOWEST: Final = 0.01
 A_PRIORI: Final = 1.0
-
-
-def chi_square_median(dimension: npt.ArrayLike) -> Array:
-    """Median of chi-square with this many degrees of freedom."""
-    return np.asarray(2.0 * gammaincinv(0.5 * np.asarray(dimension, dtype=np.float64), 0.5))
 
 
 def robust_scale(problem: Problem, state: State) -> tuple[float, float]:

@@ -28,6 +28,15 @@ STATISTICS: Final = {
         "the variance component does not stand after {value} adjustments",
         "leave it out of the groups, or join it with another",
     ),
+    "statistics.components_global": (
+        "the global test is circular with estimated variance components: they make sigma0 1",
+        "test the model with the sigmas given, or by check points",
+    ),
+    "statistics.components_large": (
+        "estimated sigmas leave tests of unknowns degrees of freedom of their own, and with {value} observations the "
+        "block is too large to form them",
+        "fix the sigmas found in the input, and adjust without variance components",
+    ),
     "statistics.no_redundancy": (
         "there is no redundancy, so there is no unit weight to test unknowns with",
         "measure more points, or choose a smaller set of unknowns",

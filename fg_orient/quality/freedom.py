@@ -1,4 +1,4 @@
-"""Degrees of freedom of outlier tests with estimated variance components.
+"""Degrees of freedom of tests with estimated variance components.
 
 With components estimated from the residuals, the variance of a suspect's estimated error is a mixture of them::
 
@@ -13,14 +13,20 @@ whole block instead is too strict, that of the suspect's own group too lax (docs
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solve_triangular
 
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.errors import NoSolutionError
 from fg_orient.quality import hypotheses
+from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.prediction import Fit
+from fg_orient.quality.residuals import ResidualCofactors
 from fg_orient.quality.suspects import Suspects
 from fg_orient.quality.variance_components import Residuals, VarianceComponents
 
@@ -47,42 +53,116 @@ def freedoms(residuals: Residuals, found: Sequence[Suspects], components: Varian
     (n,) array
         Where the block is too large to form R, those of the suspect's own group.
     """
-    names = [c.group for c in components.components]
-    free = [names.index(c.group) for c in components.components if not c.held]
-    covariance = np.zeros((len(names) + 1, len(names) + 1))  # the last is what belongs to no group: known
-    covariance[np.ix_(free, free)] = components.covariance
-    r = residuals.projector()
-    out = []
+    covariance = _covariance(components)
+    r, groups = residuals.projector(), _groups(residuals)
+    select = np.eye(len(covariance))[groups]
+    out = [np.zeros(0)]
     for s in found:
-        for k in range(len(s.point)):
-            rows = residuals.rows_of(int(s.point[k]), int(s.row[k]), s.v.shape[1])
-            columns = residuals.turned(rows, s.columns[k])
-            share = _own(residuals, rows, columns) if r is None else _shares(residuals, r, rows, columns)
-            variance = float(share @ covariance @ share)
-            out.append(min(KNOWN, 2.0 / variance) if variance > 0.0 else KNOWN)
-    return np.array(out)
+        rows, columns = residuals.rows_of(s), residuals.columns_of(s)
+        share = _own(select, rows, columns) if r is None else _shares(select, r, rows, columns)
+        out.append(_satterthwaite(share, covariance))
+    return np.concatenate(out)
 
 
-def _shares(residuals: Residuals, r: Array, rows: Index, columns: Array) -> Array:
-    """Shares c of one suspect: what each group contributes to the variance of its error, last what belongs to none."""
-    effect = r[:, rows] @ columns
-    size, axes = np.linalg.eigh(columns.T @ effect[rows])
-    checked = size > 1e-6 * max(float(size[-1]), np.finfo(float).tiny)
-    weight = np.sum((effect @ (axes[:, checked] / np.sqrt(size[checked]))) ** 2, axis=1) / max(int(checked.sum()), 1)
-    return np.asarray(np.bincount(_positive(residuals), weight, len(residuals.groups.names) + 1))
+def _covariance(components: VarianceComponents) -> Array:
+    """C of all groups, zero for what is held, and at the end for what belongs to no group: known."""
+    names = [c.group for c in components.components]
+    free = [k for k, c in enumerate(components.components) if not c.held]
+    covariance = np.zeros((len(names) + 1, len(names) + 1))
+    covariance[np.ix_(free, free)] = components.covariance
+    return covariance
 
 
-def _own(residuals: Residuals, rows: Index, columns: Array) -> Array:
-    """The same where R is not known: only the groups of the suspect's own rows."""
-    weight = np.sum(columns**2, axis=1)
-    found = np.bincount(_positive(residuals)[rows], weight, len(residuals.groups.names) + 1)
-    return np.asarray(found / found.sum())
-
-
-def _positive(residuals: Residuals) -> Index:
+def _groups(residuals: Residuals) -> Index:
     """Groups of all rows, none being the last number."""
-    labels = residuals.labels
-    return np.where(labels < 0, len(residuals.groups.names), labels)
+    return np.where(residuals.labels < 0, len(residuals.groups.names), residuals.labels)
+
+
+def _satterthwaite(share: Array, covariance: Array) -> Array:
+    """Degrees of freedom (n,) of shares (n, g)."""
+    variance = np.einsum("ng,gh,nh->n", share, covariance, share)
+    return np.asarray(np.minimum(KNOWN, 2.0 / np.maximum(variance, 2.0 / KNOWN)))
+
+
+def _shares(select: Array, r: Array, rows: Index, columns: Array) -> Array:
+    """Shares c (n, g): what each group contributes to the variance of an error, last what belongs to none."""
+    effect = np.einsum("rnm,nmk->rnk", r[:, rows], columns)
+    own = effect[rows, np.arange(len(rows))[:, None]]
+    size, axes = np.linalg.eigh(np.swapaxes(columns, 1, 2) @ own)
+    checked = size > 1e-6 * np.maximum(size[:, -1:], np.finfo(float).tiny)
+    scaled = np.where(checked[:, None], axes / np.sqrt(np.where(checked, size, 1.0))[:, None], 0.0)
+    weight = np.sum(np.einsum("rnk,nka->rna", effect, scaled) ** 2, axis=2) / np.maximum(checked.sum(axis=1), 1)
+    return np.asarray(weight.T @ select)
+
+
+def _own(select: Array, rows: Index, columns: Array) -> Array:
+    """The same where R is not known: only the groups of the suspect's own rows."""
+    found = np.einsum("nm,nmg->ng", np.sum(columns**2, axis=2), select[rows])
+    return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownFreedom:
+    """Degrees of freedom of tests of image unknowns: their variance is a mixture of the components, too.
+
+    ``x = H l`` with ``H = N^-1 A^T``, whitened, so of unknowns with cofactors ``Q = L L^T`` together
+    ``c_j = tr(L^-1 H E_j H^T L^-T) / d``.
+
+    Parameters
+    ----------
+    effect : (u, n) array
+        H of the image unknowns, shared ones once.
+    select : (n, g) array
+        1 where a row belongs to a group.
+    covariance : (g, g) array
+    free : (w,) int array
+        Row of ``effect`` of each place in ``problem.image_columns``.
+    """
+
+    effect: Array
+    select: Array
+    covariance: Array
+    free: Index
+
+    @classmethod
+    def of(
+        cls, problem: Problem, state: State, cofactors: Cofactors, components: VarianceComponents,
+        known: ResidualCofactors,
+    ) -> UnknownFreedom:  # fmt: skip
+        """Take all that is needed of a solution with these components.
+
+        Raises
+        ------
+        NoSolutionError
+            The block is too large.
+        """
+        groups = groups_of(problem, problem.block.options.variance_components)
+        residuals = Residuals(problem, state, cofactors, groups, known)
+        if not residuals.small:
+            raise NoSolutionError.of(
+                "statistics.components_large", place=problem.block.name, value=len(residuals.labels)
+            )
+        q, r, length = residuals.factors
+        u = problem.n_free_unknowns
+        effect = solve_triangular(r, q.T)[:u] / length[:u, None]
+        select = np.eye(len(components.components) + 1)[_groups(residuals)]
+        free = np.arange(u) if problem.ties is None else problem.ties.of
+        return cls(effect, select, _covariance(components), free)
+
+    def each(self) -> Array:
+        """Degrees of freedom (w,) of every unknown alone, in the order of ``problem.image_columns``."""
+        share = self.effect**2 @ self.select
+        return _satterthwaite(share / share.sum(axis=1, keepdims=True), self.covariance)[self.free]
+
+    def together(self, index: Index) -> float:
+        """Degrees of freedom of the F test of unknowns at these places."""
+        basis = np.linalg.qr((self.effect[self.free[index]] / self._length[self.free[index], None]).T).Q
+        share = np.sum(basis**2, axis=1) @ self.select / basis.shape[1]
+        return float(_satterthwaite(share[None], self.covariance)[0])
+
+    @property
+    def _length(self) -> Array:
+        return np.asarray(np.linalg.norm(self.effect, axis=1))
 
 
 def least_freedom(components: VarianceComponents) -> float:

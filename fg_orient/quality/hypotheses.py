@@ -19,8 +19,9 @@ from typing import Final, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import betainc, betainccinv, betaincinv, chdtr, chdtrc, chdtri, gammaincinv
+from scipy.special import betainc, betainccinv, betaincinv, chdtr, chdtrc
 
+from fg_orient.distributions import chi_square_interval, chi_square_limit, holm, sidak
 from fg_orient.errors import InputError
 from fg_orient.options import MultipleTesting, OutlierTest
 
@@ -30,6 +31,8 @@ Index = npt.NDArray[np.intp]
 #: Name of the statistic for one degree of freedom, and for more.
 SYMBOLS: Final[dict[str, tuple[str, str]]] = {"baarda": ("w", "T"), "pope": ("tau", "T/m0^2"), "t": ("t", "F")}
 _TINY: Final = float(np.finfo(float).tiny)
+#: What is left of v^T v is known to this share of it: a suspect that takes all of it is infinitely unlikely no more.
+_ROUNDING: Final = float(np.finfo(float).eps)
 
 
 def require_names(test: str, control: str, level: float) -> None:
@@ -85,7 +88,8 @@ def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Arra
     elif test == "pope":
         value = t * redundancy / np.maximum(chi2, _TINY)
     else:
-        value = t / d / np.maximum((chi2 - t) / (redundancy - d), _TINY)
+        left = np.maximum(np.maximum(chi2 - t, _ROUNDING * chi2), _TINY)
+        value = t / d * ((redundancy - d) / left)
     return np.where(np.asarray(d) == 1, np.sqrt(value), value)
 
 
@@ -104,7 +108,7 @@ def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str)
     For d = 1 Pope's limit is ``sqrt(f) t / sqrt(f - 1 + t^2)``, t Student's quantile of f - 1 degrees of freedom.
     """
     if test == "baarda":
-        value = np.asarray(chdtri(d, np.asarray(level)))
+        value: Array = chi_square_limit(d, level)
     else:
         share = np.asarray(betainccinv(0.5 * d, 0.5 * (redundancy - d), np.asarray(level)))
         rest = np.asarray(betaincinv(0.5 * (redundancy - d), 0.5 * d, np.asarray(level)))  # 1 - share, with its digits
@@ -135,14 +139,13 @@ def level_of_each(p: Array, level: float, control: str) -> float:
     if control == "none" or n == 0:
         return level
     if control == "sidak":
-        return float(-np.expm1(np.log1p(-level) / n))
+        return sidak(level, n)
     if control == "bonferroni":
         return level / n
-    i, ordered = np.arange(1, n + 1), np.sort(p)
     if control == "holm":
-        fits = ordered <= level / (n - i + 1)
-        rejected = n if fits.all() else int(np.argmin(fits))
+        rejected = int(np.count_nonzero(holm(p) <= level))
         return level / (n - max(rejected, 1) + 1)
+    i, ordered = np.arange(1, n + 1), np.sort(p)
     below = np.flatnonzero(ordered <= level * i / n)
     return level * float(i[below[-1]] if len(below) else 1) / n
 
@@ -201,5 +204,5 @@ def global_test(chi2: float, redundancy: int, level: float = 0.001) -> GlobalTes
     if redundancy <= 0:
         return None
     tail = float(min(chdtr(redundancy, chi2), chdtrc(redundancy, chi2)))
-    bounds = 2.0 * float(gammaincinv(0.5 * redundancy, 0.5 * level)), float(chdtri(redundancy, 0.5 * level))
-    return GlobalTest(float(chi2), redundancy, level, bounds, min(1.0, 2.0 * tail))
+    limits = chi_square_interval(redundancy, level)
+    return GlobalTest(float(chi2), redundancy, level, limits, min(1.0, 2.0 * tail))

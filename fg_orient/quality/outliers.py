@@ -15,7 +15,6 @@ from typing import Final, overload
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.errors import InputError
@@ -127,6 +126,8 @@ class OutlierTests(Sequence[GroupTest]):
         T, and what the test makes of it; nan, nan, nan and 1 where it is not tested.
     error : (n, 2) array
         Estimated errors, nan behind those of one axis.
+    of_class : (n,) int array
+        Class of suspects that one error cannot tell apart; -1 where it is not tested.
     """
 
     problem: Problem
@@ -146,6 +147,7 @@ class OutlierTests(Sequence[GroupTest]):
     critical: Array
     probability: Array
     error: Array
+    of_class: Index
 
     def __len__(self) -> int:
         return len(self.part)
@@ -181,8 +183,7 @@ class OutlierTests(Sequence[GroupTest]):
         """Suspects that the error of a suspicious one could as well lie in."""
         if not self.statistic[k] > self.critical[k]:
             return ()
-        t = self.quadratic[k]
-        same = (np.abs(self.quadratic - t) <= SAME * t) & (self.dimension == self.dimension[k])
+        same = self.of_class == self.of_class[k]
         same[k] = False
         return tuple(_name(*self._where(int(i))) for i in np.flatnonzero(same))
 
@@ -248,7 +249,9 @@ def outlier_tests(
         raise InputError.of("options.value", place="kind", value=repr(kind), expected=", ".join(KINDS))
     found, freedom = suspects(problem, state, cofactors, kind, known), None
     if components is not None:
-        residuals = Residuals(problem, state, cofactors, groups_of(problem, problem.block.options.variance_components))
+        residuals = Residuals(
+            problem, state, cofactors, groups_of(problem, problem.block.options.variance_components), known
+        )
         freedom = freedoms(residuals, found, components)
     return judge(problem, found, chi2, level=level, test=test, control=control, freedom=freedom)
 
@@ -277,13 +280,13 @@ def judge(
     each = hypotheses.level_of_each(probability[classes], level, control)
     statistic[tested] = hypotheses.statistics(t[tested], d[tested], squares[tested], f[tested], test)
     critical[tested] = hypotheses.limits(each, d[tested], f[tested], test)
-    lead = classes[of_class] if len(classes) else of_class
-    first = np.where(tested, lead, np.arange(len(t)))
+    first = np.arange(len(t))
+    first[tested] = classes[of_class[tested]]
     order = np.lexsort((row < 0, -t[first], np.where(tested, probability[first], np.inf)))
     return OutlierTests(
         problem, test, control, level, each, len(classes), tuple(s.part for s in found), tuple(s.unit for s in found),
         part[order], point[order], row[order], d[order], t[order], statistic[order], critical[order],
-        probability[order], error[order],
+        probability[order], error[order], of_class[order],
     )  # fmt: skip
 
 
@@ -293,11 +296,11 @@ def _column(found: Sequence[Suspects], name: str) -> Index:
 
 
 def _classes(point: Index, d: Index, t: Array, tested: npt.NDArray[np.bool_]) -> tuple[Index, Index]:
-    """First member of each class of inseparable suspects, and the class of each suspect (n,); 0 for untested ones.
+    """First member of each class of inseparable suspects, and the class of each suspect (n,); -1 for untested ones.
 
     Inseparable are suspects of one point with the same d and, but for rounding, the same T.
     """
-    of_class = np.zeros(len(t), np.intp)
+    of_class = np.full(len(t), -1, np.intp)
     order = np.flatnonzero(tested)
     order = order[np.lexsort((t[order], d[order], point[order]))]
     if not len(order):
@@ -307,20 +310,3 @@ def _classes(point: Index, d: Index, t: Array, tested: npt.NDArray[np.bool_]) ->
     starts = np.concatenate([[True], new])
     of_class[order] = np.cumsum(starts) - 1
     return order[starts], of_class
-
-
-def robust_scales(problem: Problem, state: State, cofactors: Cofactors) -> dict[str, float]:
-    """What the sigmas of each part are too small by: root of the median of T over that of chi2(d).
-
-    Half of the observations may be grossly wrong. Points with a single ray are left out: their T says the same
-    for image and ground. A part that the others hardly check (heights of a flat pair) has no reliable scale.
-    """
-    rays = np.bincount(problem.observations.point, minlength=len(problem.active))
-    out: dict[str, float] = {}
-    for found in suspects(problem, state, cofactors):
-        t, d, error = found.quadratic()
-        full = (rays[found.point] > 1) & (d == error.shape[1])
-        if full.any():
-            ratio = t[full] / (2.0 * gammaincinv(0.5 * d[full], 0.5))
-            out[found.part] = float(np.sqrt(np.median(ratio)))
-    return out

@@ -14,9 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri, ndtr, stdtrit
+from scipy.special import ndtr, stdtrit
 
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.distributions import chi_square_interval, sidak
 from fg_orient.errors import NoSolutionError
 from fg_orient.quality.accuracy import AXES, PointDifferences
 from fg_orient.quality.covariance import Cofactors
@@ -70,10 +71,10 @@ class PredictionTest:
 
     def sentence(self) -> str:
         """The verdict in words."""
+        size = f"errors at check points are {self.factor:.2f} times as large as predicted"
         if self.honest:
-            return f"the predicted accuracy holds: errors at check points are {self.factor:.2f} times as large"
-        word = "optimistic" if self.factor > 1.0 else "pessimistic"
-        return f"the predicted accuracy is too {word}: errors at check points are {self.factor:.2f} times as large"
+            return f"the predicted accuracy holds: {size}"
+        return f"the predicted accuracy is too {'optimistic' if self.factor > 1.0 else 'pessimistic'}: {size}"
 
     def as_dict(self) -> dict[str, Any]:
         """Give the record of ``--json``."""
@@ -117,13 +118,13 @@ def prediction_test(problem: Problem, state: State, cofactors: Cofactors, check:
     q = np.einsum("aij,ajbk,blk->aibl", turn, q, turn).reshape(3 * len(rows), -1)
     c = q + np.diag(check.own_sigma_enu_m[rows].ravel() ** 2)
     e = check.enu_m[rows].ravel()
-    low, high = (float(chdtri(len(e), p)) for p in (0.5 + CONFIDENCE / 2.0, 0.5 - CONFIDENCE / 2.0))
     within = np.stack([(check.ratio <= k).sum(axis=0) for k in (1.0, 2.0, 3.0)], axis=1)
-    return PredictionTest(len(check), len(rows), within, float(e @ np.linalg.solve(c, e)), (low, high))
+    return PredictionTest(len(check), len(rows), within, float(e @ np.linalg.solve(c, e)),
+                          chi_square_interval(len(e), 1.0 - CONFIDENCE))  # fmt: skip
 
 
 def bias_test(points: PointDifferences) -> dict[str, dict[str, float | bool]]:
-    """Student's test of the mean difference per axis: mean, t, limit (95 %), biased.
+    """Student's test of the mean difference per axis: mean, t, limit, biased; 5 % over the three axes (Sidak).
 
     Whether the mean stands out of the scatter of these points; it cannot tell a systematic error from what the errors
     of the orientation have in common at all of them. Empty below two points or without scatter.
@@ -132,7 +133,7 @@ def bias_test(points: PointDifferences) -> dict[str, dict[str, float | bool]]:
     n = len(points)
     if n < 2:
         return out
-    limit = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2.0))
+    limit = float(stdtrit(n - 1, 1.0 - 0.5 * sidak(1.0 - CONFIDENCE, 3)))
     for axis, d in zip(AXES[:3], points.enu_m.T, strict=False):
         sd = float(d.std(ddof=1))
         if sd > 0.0:

@@ -12,7 +12,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from scipy.special import chdtri, erf, ndtri
+from scipy.special import erf, ndtri
+
+from fg_orient.distributions import chi_square_limit
 
 Array = npt.NDArray[np.float64]
 
@@ -68,7 +70,7 @@ def radius(covariance: Array, probability: float = 0.9) -> float:
     low = float(ndtri(0.5 * (1.0 + probability)))  # all of it along one axis; the upper end: along all axes
     if len(sigma) == 1 or sigma[1] == 0.0:
         return float(low * sigma[0])
-    high = float(np.sqrt(chdtri(len(sigma), 1.0 - probability)))
+    high = float(np.sqrt(chi_square_limit(len(sigma), 1.0 - probability)))
     share = sigma / sigma[0]
     found = brentq(lambda r: inside(share, r) - probability, 0.999 * low, 1.001 * high, xtol=1e-13, rtol=1e-13)
     return float(found * sigma[0])

@@ -19,10 +19,11 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri, chndtrinc
+from scipy.special import chndtrinc
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import residuals
+from fg_orient.distributions import chi_square_limit
 from fg_orient.quality.residuals import ResidualCofactors
 
 Array = npt.NDArray[np.float64]
@@ -51,7 +52,7 @@ def noncentrality(alpha: float = ALPHA, power: float = POWER, dimension: int = 1
     dimension : int
         Coordinates that are tested together.
     """
-    return float(chndtrinc(chdtri(dimension, alpha), dimension, 1.0 - power))
+    return float(chndtrinc(chi_square_limit(dimension, alpha), dimension, 1.0 - power))
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from fg_orient.distributions import holm
 from fg_orient.errors import NoSolutionError
 from fg_orient.parameters import term_of
 from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.freedom import UnknownFreedom
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -51,6 +52,8 @@ class CoefficientTest:
         The same over all coefficients of the block (Holm).
     prior_share : float or None
         Which part of its weight is the prior's, 0 to 1; None without priors.
+    freedom : float
+        Degrees of freedom of t: f, with estimated variance components Satterthwaite's.
     """
 
     image: str
@@ -62,6 +65,7 @@ class CoefficientTest:
     probability: float
     adjusted: float
     prior_share: float | None
+    freedom: float
 
 
 @dataclass(frozen=True)
@@ -77,12 +81,15 @@ class GroupTest:
         F.
     probability : float
         To find such an F without any correction.
+    freedom : float
+        Degrees of freedom of the denominator.
     """
 
     group: str
     dimension: int
     statistic: float
     probability: float
+    freedom: float
 
 
 @dataclass(frozen=True)
@@ -118,8 +125,9 @@ class Significance:
 
 
 def significance(
-    problem: Problem, state: State, cofactors: Cofactors, sigma0: float, *, level: float = LEVEL
-) -> Significance:
+    problem: Problem, state: State, cofactors: Cofactors, sigma0: float, *, level: float = LEVEL,
+    freedom: UnknownFreedom | None = None,
+) -> Significance:  # fmt: skip
     """Test all unknowns of the images.
 
     Parameters
@@ -130,6 +138,8 @@ def significance(
         m0.
     level : float
         Probability of a false alarm among all coefficients.
+    freedom : UnknownFreedom, optional
+        With estimated variance components: their scale takes the place of m0, whose f it is not.
 
     Returns
     -------
@@ -145,36 +155,43 @@ def significance(
         raise NoSolutionError.of("statistics.no_redundancy", place=problem.block.name, value=f)
     x = problem.image_columns(state)
     q = np.concatenate([np.diag(cofactors.image(k)) for k in range(problem.n_images)])
-    t = np.abs(x) / (sigma0 * np.sqrt(q))
-    p = 2.0 * stdtr(f, -t)
+    m0, nu = (sigma0, np.full(len(x), float(f))) if freedom is None else (1.0, freedom.each())
+    t = np.abs(x) / (m0 * np.sqrt(q))
+    p = 2.0 * stdtr(nu, -t)
     adjusted, scale = holm(p), np.concatenate([parameters.sigma for parameters in problem.parameters])
     priors = problem.block.options.priors
-    where = [(i.id, p.names[j], p.units[j]) for i, p in zip(problem.block.images, problem.parameters, strict=True)
-             for j in range(len(p))]  # fmt: skip
-    coefficients = tuple(
-        CoefficientTest(*where[j], float(x[j] * scale[j]), float(sigma0 * np.sqrt(q[j]) * scale[j]), float(t[j]),
-                        float(p[j]), float(adjusted[j]), float(min(q[j], 1.0)) if priors else None)
-        for j in places_of(problem, lambda _: True).tolist()
-    )  # fmt: skip
+    images = np.repeat(np.arange(problem.n_images), [len(parameters) for parameters in problem.parameters])
+    coefficients = []
+    for j in places_of(problem, lambda _: True).tolist():
+        k = int(images[j])
+        parameters, place = problem.parameters[k], j - int(problem.first[k])
+        coefficients.append(CoefficientTest(
+            problem.block.images[k].id, parameters.names[place], parameters.units[place], float(x[j] * scale[j]),
+            float(m0 * np.sqrt(q[j]) * scale[j]), float(t[j]), float(p[j]), float(adjusted[j]),
+            float(min(q[j], 1.0)) if priors else None, float(nu[j]),
+        ))  # fmt: skip
     groups = tuple(
-        group_test(problem, state, cofactors, sigma0, name, index) for name, index in _groups(problem).items()
+        group_test(problem, state, cofactors, sigma0, name, index, freedom=freedom)
+        for name, index in _groups(problem).items()
     )
-    return Significance(f, level, coefficients, groups)
+    return Significance(f, level, tuple(coefficients), groups)
 
 
 def group_test(
-    problem: Problem, state: State, cofactors: Cofactors, sigma0: float, name: str, index: Index
-) -> GroupTest:
-    """F test of the unknowns at these places in ``problem.image_columns``."""
+    problem: Problem, state: State, cofactors: Cofactors, sigma0: float, name: str, index: Index, *,
+    freedom: UnknownFreedom | None = None,
+) -> GroupTest:  # fmt: skip
+    """F test of the unknowns at these places in ``problem.image_columns``; ``freedom`` as of :func:`significance`."""
     images = tuple(np.unique(np.searchsorted(problem.first, index, side="right") - 1).tolist())
     places = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
     mine = np.searchsorted(places, index)
     q = cofactors.joint(images, ())[np.ix_(mine, mine)]
-    x, d, f = problem.image_columns(state)[index], len(index), problem.redundancy
+    x, d = problem.image_columns(state)[index], len(index)
+    m0, f = (sigma0, float(problem.redundancy)) if freedom is None else (1.0, freedom.together(index))
     # scaled to correlations: unknowns of very different size are tested together
     length = np.sqrt(np.diag(q))
-    statistic = float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length)) / (d * sigma0**2)
-    return GroupTest(name, d, statistic, float(fdtrc(d, f, statistic)))
+    statistic = float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length)) / (d * m0**2)
+    return GroupTest(name, d, statistic, float(fdtrc(d, f, statistic)), f)
 
 
 def places_of(problem: Problem, wanted: Callable[[str], bool]) -> Index:

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.robust import Weights
 from fg_orient.adjustment.solve import Estimate
+from fg_orient.distributions import chi_square_interval
 from fg_orient.names import Status
 from fg_orient.quality import conditioning
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
@@ -120,8 +120,7 @@ def weight_sentence(problem: Problem, weights: Weights) -> str:
 
 def sigma0_interval(redundancy: int) -> tuple[float, float]:
     """Two-sided 99.9 % interval of sigma0: ``sqrt(chi2_p(f) / f)``."""
-    tail = 0.5 * (1.0 - SIGMA0_LEVEL)
-    low, high = (2.0 * gammaincinv(0.5 * redundancy, p) for p in (tail, 1.0 - tail))
+    low, high = chi_square_interval(redundancy, 1.0 - SIGMA0_LEVEL)
     return float(np.sqrt(low / redundancy)), float(np.sqrt(high / redundancy))
 
 

@@ -32,7 +32,7 @@ def tests_of(solution: Solution) -> OutlierTests | None:
 def outlier_records(solution: Solution) -> dict[str, Any]:
     """Give ``global_test``, ``outlier_tests``, ``suspicious_observations`` and ``snooping`` of the record."""
     tests = tests_of(solution)
-    judged = solution.weights is None and np.isfinite(solution.sigma0_interval[0])
+    judged = solution.weights is None and np.isfinite(solution.sigma0_interval[0])  # not with variance components
     whole = solution.global_test() if judged else None
     return {
         "global_test": None if whole is None else {**asdict(whole), "accepted": whole.accepted},
@@ -53,6 +53,7 @@ def missing(solution: Solution) -> list[str]:
         return [f"global_test, {names}: the weights of the loss change them"]
     judged = np.isfinite(solution.sigma0_interval[0])
     why = "there is no redundancy" if solution.redundancy <= 0 else "the adjustment did not converge"
+    why = why if solution.components is None else "with estimated variance components sigma0 is 1 by construction"
     out = [] if judged else [f"global_test is null: {why}"]
     return out + ([f"{names}: {withheld(solution)}"] if withheld(solution) else [])
 

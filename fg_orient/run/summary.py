@@ -140,6 +140,8 @@ def _missing(solution: Solution) -> list[str]:
         out.append("sigma0 is null: there is no redundancy; standard deviations are in prior scale")
     elif solution.weights is not None:
         out.append("sigma0_interval_99_9 is null: the weights of the loss change it")
+    elif solution.components is not None:
+        out.append("sigma0_interval_99_9 is null: with estimated variance components sigma0 is 1 by construction")
     elif not np.isfinite(solution.sigma0_interval[0]):
         out.append("sigma0_interval_99_9 is null: the adjustment did not converge")
     if solution.block_view is not None and solution.block_view.counts is None:

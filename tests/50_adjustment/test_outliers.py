@@ -12,7 +12,7 @@ import fg_orient as fg
 from fg_orient.block import Block, Coordinates
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.names import Role
-from fg_orient.quality.outliers import GroupTest, robust_scales
+from fg_orient.quality.outliers import GroupTest
 from fg_orient.quality.residuals import residual_cofactors
 from fg_orient.snooping import snoop
 from tests.support.rpc_block import rpc_twin
@@ -143,18 +143,6 @@ def test_what_nothing_checks_is_never_suspected() -> None:
     check = solution.block.points.ids[int(solution.block.points.where(Role.CHECK)[0])]
     assert tests[check, "left"].dimension == 1
     assert tests[check, "left"].statistic == pytest.approx(tests[check, "right"].statistic, rel=1e-6)
-
-
-def test_scales_of_wrong_sigmas() -> None:
-    """Pixels stated three times too good: the scale of the images says so; gross errors do not disturb it."""
-    block = all_control()
-    o = block.observations
-    good = replace(o, sigma_line_px=o.sigma_line_px / 3.0, sigma_sample_px=o.sigma_sample_px / 3.0)
-    for b in (block, with_error(block, block.points.ids[3], "left", (500.0, 0.0))):
-        solution = fg.adjust(replace(b, observations=good))
-        assert solution.cofactors is not None
-        scales = robust_scales(solution.problem, solution.state, solution.cofactors)
-        assert scales["image"] == pytest.approx(3.0, rel=0.35)
 
 
 def test_more_suspects_than_gross_errors_can_be_end_the_search() -> None:

@@ -8,7 +8,8 @@ from scipy.stats import chi2
 
 import fg_orient as fg
 from fg_orient.adjustment.robust import A_PRIORI
-from fg_orient.adjustment.robust_scale import LEAST, LOWEST, chi_square_median, robust_scale
+from fg_orient.adjustment.robust_scale import LEAST, LOWEST, robust_scale
+from fg_orient.distributions import chi_square_median
 from fg_orient.quality.residuals import residual_cofactors
 
 from .conftest import adjusted, grid, problem_of, spoiled, twin, with_sigmas

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 from scipy.stats import chi2
+from scipy.stats import t as student
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
@@ -141,7 +142,7 @@ def test_all_backends_and_both_equations_have_one_fixed_point(monkeypatch: pytes
     found = estimated(block).components
     assert found is not None and not found.exact
     assert [c.factor for c in found.components] == pytest.approx(factors[0], rel=1e-4)
-    assert "lower bounds" in found.sentences[-1]
+    assert "lower bounds" in found.sentences[-1] and "too lax" in found.sentences[-1]
 
 
 def test_groups_by_image_and_of_priors() -> None:
@@ -263,9 +264,76 @@ def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.
     c = np.bincount(np.where(residuals.labels < 0, 3, residuals.labels), r[:, 2 * row] ** 2 / r[2 * row, 2 * row])
     assert [c[0], c[1] + c[2]] == pytest.approx(share, rel=1e-6)
     assert one == pytest.approx(2.0 / (c[:3] @ components.covariance @ c[:3]), rel=1e-9)
+    # by hand, one suspect at a time: a height and an image point
+    for part, place, rows in ((0, 5, [10, 11]), (2, 4, [200, 201, 202])):
+        s = found[part]
+        e = np.zeros((n, s.columns.shape[2]))
+        e[rows] = s.columns[place]
+        if part:
+            e[rows] = residuals.columns_of(s)[place]
+        effect = r @ e
+        weight = np.einsum("na,ab,nb->n", effect, np.linalg.pinv(e.T @ effect), effect) / e.shape[1]
+        share = np.bincount(np.where(residuals.labels < 0, 3, residuals.labels), weight)[:3]
+        assert nu[sum(len(x.point) for x in found[:part]) + place] == pytest.approx(
+            2.0 / (share @ components.covariance @ share), rel=1e-6
+        )
+    whole = suspects(problem, state, cofactors, "points")
+    at = int(np.flatnonzero(problem.observed)[3])
+    s = next(s for s in whole if at in s.point)
+    mine = np.flatnonzero(problem.observations.point == at)
+    expected = [*np.stack([2 * mine, 2 * mine + 1], axis=1).ravel(), 197, 198, 199]
+    assert residuals.rows_of(s)[s.point.tolist().index(at)].tolist() == expected
     assert nu.max() < problem.redundancy  # less is known of a mixture than of one unit weight
     known = fg.adjust(solution.block, variance_components=(), **DENSE)
     assert solution.outlier_tests().critical.max() > known.outlier_tests().critical.max()
+
+
+def test_sigma0_does_not_test_a_model_whose_sigmas_it_gave(solution: fg.Solution) -> None:
+    assert solution.sigma0 == pytest.approx(1.0, abs=0.05)
+    assert np.isnan(solution.sigma0_interval).all()
+    assert "sigma0 is 1 by construction" in solution.reason
+    assert any("sigma0 is 1 by construction" in text for text in solution.warnings)
+    with pytest.raises(fg.NoSolutionError, match="circular"):
+        solution.global_test()
+    known = fg.adjust(solution.block, variance_components=(), **DENSE)
+    assert known.global_test() is not None and known.sigma0_interval[0] < 1.0
+
+
+def test_freedom_of_an_unknown_is_that_of_its_variance(solution: fg.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """c_j from the derivative of the propagated variance by the components, from full matrices."""
+    problem, components = solution.problem, solution.components
+    assert components is not None
+    found = solution.significance()
+    _, a = assemble(problem, solution.state)
+    a = a / (length := np.linalg.norm(a, axis=0))
+    h = np.linalg.pinv(a) / length[:, None]
+    n = 2 * len(problem.observations)
+    turn = np.eye(len(a))
+    for k in range(int(problem.observed.sum())):
+        record = problem.control_records[problem.observed][k]
+        axes = problem.axes(record[None, 9:] + problem.origin_m)[0]
+        sigma = problem.block.points.known.sigma_enu_m[problem.observed][k]
+        rows = slice(n + 3 * k, n + 3 * k + 3)
+        turn[rows, rows] = axes / sigma[:, None] @ np.linalg.inv(record[:9].reshape(3, 3))
+    h = h @ turn.T
+    n_control = int(problem.observed.sum())
+    group = np.concatenate([np.zeros(n, int), np.tile([1, 1, 2], n_control), np.full(len(a) - n - 3 * n_control, 3)])
+    select = np.eye(4)[group][:, :3]
+
+    def freedom(rows: list[int]) -> float:
+        inverse = np.linalg.inv(h[rows] @ h[rows].T)
+        share = np.array([np.trace(inverse @ (h[rows] * s) @ h[rows].T) for s in select.T]) / len(rows)
+        return float(2.0 / (share @ components.covariance @ share))
+
+    assert [c.freedom for c in found.coefficients] == pytest.approx([freedom([k]) for k in range(4)], rel=1e-6)
+    groups = {g.group: g for g in found.groups}
+    assert groups["line, all terms"].freedom == pytest.approx(freedom([0, 2]), rel=1e-6)
+    assert max(c.freedom for c in found.coefficients) < problem.redundancy
+    first = found.coefficients[0]
+    assert first.probability == pytest.approx(2.0 * student.sf(first.t, first.freedom))
+    monkeypatch.setattr(module, "EXACT_ROWS", 0)
+    with pytest.raises(fg.NoSolutionError, match="too large"):
+        replace(solution).significance()
 
 
 def false_alarms(seeds: range, level: float) -> tuple[int, int]:

@@ -16,9 +16,10 @@ import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.block import Block, Coordinates
 from fg_orient.cross_validation import cross_validate, folds_of
+from fg_orient.distributions import holm
 from fg_orient.names import Role
 from fg_orient.parameters import Term, term_of
-from fg_orient.quality.significance import group_test, holm, places_of
+from fg_orient.quality.significance import group_test, places_of
 from fg_orient.reduction import closest_eop_set, criteria, reduce_unknowns
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.command import in_process
