@@ -42,6 +42,8 @@ class DemAdjustment:
     ----------
     solution : Solution
         Of the last round.
+    dem : str
+        Name of the model.
     ids : tuple of str
         Points whose heights were observed.
     outside : tuple of str
@@ -57,6 +59,7 @@ class DemAdjustment:
     """
 
     solution: Solution
+    dem: str
     ids: tuple[str, ...]
     outside: tuple[str, ...]
     height_m: Array
@@ -68,6 +71,15 @@ class DemAdjustment:
     def at_rest(self) -> bool:
         """Whether the last planes were those of the adjusted places."""
         return self.moved_m <= REST_M
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give the entry ``dem_control`` of ``result.json``."""
+        h = self.height_m
+        return {
+            "dem": self.dem, "sigma_m": self.sigma_m, "n": len(self.ids), "outside": list(self.outside),
+            "rounds": self.rounds, "at_rest": self.at_rest, "moved_m": self.moved_m,
+            "mean_m": float(h.mean()), "rms_m": float(np.sqrt(np.mean(h**2))), "max_m": float(np.abs(h).max()),
+        }  # fmt: skip
 
 
 def adjust_with_dem(
@@ -111,7 +123,7 @@ def adjust_with_dem(
     lon, lat, h = _geodetic(solution.ground_m[used])
     names = block.points.ids
     return DemAdjustment(
-        solution, tuple(names[j] for j in used), tuple(names[j] for j in np.setdiff1d(wanted, used)),
+        solution, dem.path, tuple(names[j] for j in used), tuple(names[j] for j in np.setdiff1d(wanted, used)),
         h - dem.height_m(lon, lat), float(sigma_m), rounds, moved,
     )  # fmt: skip
 

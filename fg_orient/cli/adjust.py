@@ -11,7 +11,20 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Extrapolate, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.cli.common import (
+    Debug,
+    Extrapolate,
+    Json,
+    Overwrite,
+    VerticalCrs,
+    emit,
+    note,
+    number,
+    outcome,
+    read_dem,
+    say,
+    table,
+)
 from fg_orient.cli.progress import progress
 from fg_orient.errors import InputError
 from fg_orient.names import EXIT_CODE, Status
@@ -110,6 +123,13 @@ def adjust(
         typer.Option(metavar="GB", help="Refuse a run that needs more memory; default: 80 % of what is available."),
     ] = None,
     extrapolate_attitude: Extrapolate = 0.0,
+    dem_control: Annotated[
+        Path | None, typer.Option(metavar="DEM", help="Observe heights of the tie points from this elevation model.")
+    ] = None,
+    dem_sigma: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Standard deviation of a height from --dem-control.")
+    ] = None,
+    dem_vertical_crs: VerticalCrs = "",
     out: Annotated[
         Path | None, typer.Option("--out", help="Result folder; default: result, beside the project file.")
     ] = None,
@@ -161,6 +181,7 @@ def adjust(
                 project, target, overwrite=overwrite, options=options, callback=watch.iteration,
                 command=["fg-orient", *sys.argv[1:]], execution=execution, stage=watch.stage,
                 checkpoint_every_s=checkpoint_every, resume=resume,
+                dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs),
             )  # fmt: skip
         for found in record.get("errors", []):
             note(f"error: {found['place']}: {found['message']}; {found['remedy']}")
@@ -171,6 +192,16 @@ def adjust(
         elif quiet and record["status"] != Status.CONVERGED:
             note(f"{record['status'].replace('_', ' ')}: {record['reason']}")
         raise typer.Exit(EXIT_CODE[Status(record["status"])])
+
+
+def _dem_control(path: Path | None, sigma_m: float | None, vertical_crs: str) -> tuple[Any, float] | None:
+    """Elevation model and sigma of its heights, if one is given."""
+    if path is None and sigma_m is None:
+        return None
+    if path is None or sigma_m is None:
+        raise InputError.of("dem_control.both", place="--dem-control, --dem-sigma")
+    surface = read_dem(path, vertical_crs)
+    return surface, sigma_m
 
 
 @contextlib.contextmanager
@@ -225,4 +256,9 @@ def show(record: dict[str, Any]) -> None:
         found = record["y_parallax"]
         say(f"y-parallax of {found['n']} tie points, RMS: {number(found['rms_before_px'])} px before, "
             f"{number(found['rms_after_px'])} px after")  # fmt: skip
+    if "dem_control" in record:
+        found = record["dem_control"]
+        rest = "" if found["at_rest"] else f"; the points do not rest: {number(found['moved_m'])} m"
+        say(f"heights of {found['n']} tie points from {Path(found['dem']).name}: RMS {number(found['rms_m'])} m "
+            f"above it after {found['rounds']} adjustments, {len(found['outside'])} outside{rest}")  # fmt: skip
     say(f"report: {Path(record['out']) / 'report.html'}")

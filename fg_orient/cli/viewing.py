@@ -57,15 +57,17 @@ def footprint(
     with outcome(as_json, debug):
         from fg_orient.viewing import View, feature_collection, viewing_records
 
-        images = _images(sources, model, extrapolate_attitude, result)
         if (height is None) == (dem is None):
             code = "cli.no_height" if height is None else "cli.two_heights"
             raise InputError.of(code, file=sources[0], place="--height, --dem")
+        if out is not None and out.exists() and not overwrite:
+            raise InputError.of("output.exists", file=out, place="--out")
         surface = read_dem(dem, dem_vertical_crs)
+        images = _images(sources, model, extrapolate_attitude, result)
         views = [View(image, height or 0.0, surface) for image in images]
         records = viewing_records(views)
         if out is not None:
-            _write(out, feature_collection(views, records["images"]), overwrite)
+            _write(out, feature_collection(views, records["images"]))
         notes = [f"image {view.image.id}: {text}" for view in views for text in view.image.sensor.notes]
         if as_json:
             emit({**records, "notes": notes, "out": None if out is None else str(out)})
@@ -92,12 +94,10 @@ def _images(sources: list[Path], model: str, extrapolate_s: float, result: Path 
     return tuple(Image(str(k), sensor) for k, sensor in enumerate(sensors, start=1))
 
 
-def _write(out: Path, collection: dict[str, Any], overwrite: bool) -> None:
+def _write(out: Path, collection: dict[str, Any]) -> None:
     from fg_orient.io.atomic import write_text
     from fg_orient.run.json import dumps
 
-    if out.exists() and not overwrite:
-        raise InputError.of("output.exists", file=out, place="--out")
     write_text(out, dumps(collection, indent=1) + "\n")
 
 

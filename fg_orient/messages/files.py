@@ -146,6 +146,7 @@ DEM: Final = {
         "put the grid into PROJ's folder (projsync, PROJ_DATA), or convert the DEM to ellipsoidal heights",
     ),
     "dem_control.sigma": ("the sigma of heights from a DEM is no positive number", "give metres, such as 3"),
+    "dem_control.both": ("a DEM as control needs its sigma, and a sigma a DEM", "give --dem-control and --dem-sigma"),
     "dem_control.no_point": (
         "no point to be observed lies over the DEM",
         "use a DEM that covers the block, and a block with tie points",

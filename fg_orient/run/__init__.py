@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from factors.warmup import compile_kernels
 from fg_orient.adjustment.checkpoint import EVERY_S, Checkpoint
 from fg_orient.adjustment.solve import require_possible
+from fg_orient.dem_control import adjust_with_dem
 from fg_orient.errors import InputError, NoSolutionError, RankDeficientError
 from fg_orient.io.folder import RESULT, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback, IterationRecord
     from fg_orient.block import Block
     from fg_orient.rpc.corrected import Corrected
+    from fg_orient.sensors.correction import HeightSurface
     from fg_orient.solution import Solution
 
 SCHEMA_VERSION: Final = 1
@@ -48,6 +50,7 @@ def run_project(
     stage: Stage | None = None,
     checkpoint_every_s: float = EVERY_S,
     resume: bool = False,
+    dem_control: tuple[HeightSurface, float] | None = None,
 ) -> dict[str, Any]:
     """Read a project, adjust it and write the result folder.
 
@@ -73,6 +76,8 @@ def run_project(
         Seconds between two writings of the checkpoint, a hidden file beside the result folder; 0: each iteration.
     resume : bool
         Go on from the checkpoint of a run that was stopped, if there is one.
+    dem_control : (HeightSurface, float), optional
+        Elevation model from which heights of the tie points are observed, and their sigma (m); without checkpoint.
 
     Returns
     -------
@@ -99,12 +104,11 @@ def run_project(
     read_s = time.perf_counter() - start - jit_s
     try:
         with staged_folder(out, overwrite=overwrite) as folder:
-            solution = _adjust_and_log(
-                block, folder, callback, Path(out), {**(execution or {}), "stage": stage, "checkpoint": checkpoint}
-            )
+            how = {**(execution or {}), "stage": stage, "checkpoint": checkpoint}
+            solution, control = _adjust_and_log(block, folder, callback, Path(out), how, dem_control)
             mark = time.perf_counter()
             models = corrected_models(solution)
-            record = _record(solution, models, Path(project), Path(out), command)
+            record = {**_record(solution, models, Path(project), Path(out), command), **control}
             phases = asdict(solution.seconds) | {"read": read_s, "jit": jit_s + solution.seconds.jit}
             phases["record"] = time.perf_counter() - mark
             tell("writing", len(block.observations))
@@ -147,8 +151,14 @@ def checkpoint_path(out: str | Path) -> Path:
     return target.with_name(f".{target.name[:200]}.checkpoint.npz")
 
 
-def _adjust_and_log(block: Block, folder: Path, callback: Callback | None, out: Path, how: dict[str, Any]) -> Solution:
-    """Adjust; each iteration is on disk as soon as it is done, those of a backend that gave up are not kept."""
+def _adjust_and_log(
+    block: Block, folder: Path, callback: Callback | None, out: Path, how: dict[str, Any],
+    dem_control: tuple[HeightSurface, float] | None,
+) -> tuple[Solution, dict[str, Any]]:  # fmt: skip
+    """Adjust; each iteration is on disk as soon as it is done, those of a backend that gave up are not kept.
+
+    Returns the solution and what the DEM adds to the record.
+    """
     with (folder / "iterations.jsonl").open("w", encoding="utf-8") as stream:
 
         def note(record: IterationRecord) -> None:
@@ -161,7 +171,10 @@ def _adjust_and_log(block: Block, folder: Path, callback: Callback | None, out: 
             if callback is not None:
                 callback(record)
 
-        return adjust(block, callback=note, **how)
+        if dem_control is None:
+            return adjust(block, callback=note, **how), {}
+        found = adjust_with_dem(block, *dem_control, callback=note, **{**how, "checkpoint": None})
+        return found.solution, {"dem_control": found.as_dict()}
 
 
 def _record(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError, OutOfTimeRange
+from fg_orient.errors import InputError
 from fg_orient.io.project import read_project
 from fg_orient.io.sensor import read_sensor
 from fg_orient.raster.adjusted import read_correction
@@ -33,15 +34,14 @@ def result(twin: Path) -> Path:
     return out
 
 
-def cut_attitudes(path: Path, keep: int) -> float:
-    """Leave the first ``keep`` attitudes in the file; the time of the last one, s of the day."""
+def cut_attitudes(path: Path, keep: int) -> None:
+    """Leave the first ``keep`` attitudes in the file."""
     text = path.read_text("utf-8")
     tag = "</Angles>"
     start, end = text.index("<Corrected_Attitude>"), text.index("</Corrected_Attitude>")
     parts = text[start:end].split(tag)
     kept = tag.join(parts[:keep]) + tag
     path.write_text(text[:start] + kept + text[end:], encoding="utf-8")
-    return float(read_sensor(path).metadata.attitude.time_s[-1])  # type: ignore[union-attr]
 
 
 @pytest.fixture
@@ -72,10 +72,12 @@ def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
     assert (back["line"], back["sample"]) == pytest.approx((6000.0, 3000.0), abs=1e-5)
 
 
-def test_intersection_with_a_result_meets_better(twin: Path, result: Path) -> None:
+def test_intersection_with_a_result(twin: Path, result: Path) -> None:
+    """Rays miss by metres only: with the metadata by 45 m."""
     project = twin / "project.toml"
-    before, after = (run("intersect", project, *w, "--json").json["points"] for w in ((), ("--result", result)))
-    assert np.median([p["miss_m"] for p in after]) < 3.0 < np.median([p["miss_m"] for p in before])
+    after = run("intersect", project, "--result", result, "--json").json
+    assert np.median([p["miss_m"] for p in after["points"]]) < 3.0
+    assert all(0.5 < p["sigma_up_m"] < 5.0 for p in after["points"])
 
 
 def test_footprint_of_a_project_and_of_files(twin: Path, result: Path, tmp_path: Path) -> None:
@@ -121,25 +123,15 @@ def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path
     (error,) = ended.json["errors"]
     assert (ended.code, error["code"]) == (2, "sensor.attitude_span")
     assert "--extrapolate-attitude" in error["remedy"] and error["place"].startswith("line 11999")
-    for words in (("--extrapolate-attitude", 0.2), ()):
-        if not words:
-            text = short.read_text("utf-8").replace("[orientation]", "[orientation]\nextrapolate_attitude_s = 0.2")
-            assert "extrapolate" in text
-            short.write_text(text, encoding="utf-8")
-        out = tmp_path / f"result{len(words)}"
-        assert run("adjust", short, *words, "--out", out, "--quiet").code == 0
-        notes = json.loads((out / "result.json").read_text("utf-8"))["images"][0]["notes"]
-        assert any("extrapolated with the last rate by 0." in note for note in notes)
+    out = tmp_path / "result"
+    assert run("adjust", short, "--extrapolate-attitude", 0.2, "--out", out, "--quiet").code == 0
+    notes = json.loads((out / "result.json").read_text("utf-8"))["images"][0]["notes"]
+    assert any("extrapolated with the last rate by 0." in note for note in notes)
     assert run("adjust", short, "--extrapolate-attitude", 9, "--out", tmp_path / "x", "--json").code == 2
-
-
-def test_observations_on_lines_without_attitude(short: Path) -> None:
-    """Points measured there are refused by the line when the block is adjusted."""
-    block = read_project(short)
-    sensor = block.images[0].sensor
-    with pytest.raises(OutOfTimeRange):
-        sensor.rays(11999.0, 5.0)
-    with pytest.raises(InputError):
+    text = short.read_text("utf-8").replace("[orientation]", "[orientation]\nextrapolate_attitude_s = 0.2")
+    short.write_text(text, encoding="utf-8")
+    assert any("extrapolated" in note for note in read_project(short).images[0].sensor.notes)
+    with pytest.raises(InputError, match="seconds, 0 to 5"):
         read_project(short, extrapolate_attitude_s=-1.0)
 
 
@@ -162,3 +154,37 @@ def test_frame_of_spot6_is_printed_with_its_heights(real_data: Path) -> None:
     assert ended.code == 0
     assert ended.stdout.count("836.4") == 5 and "misfit_m" in ended.stdout
     assert "height of each is solved" in ended.stderr
+
+
+def test_adjust_with_a_dem_as_control(twin: Path, tmp_path: Path) -> None:
+    """Check points as tie points on a level DEM: the record holds what was observed, the redundancy grows by it."""
+    rasterio = pytest.importorskip("rasterio")
+    folder = tmp_path / "ties"
+    folder.mkdir()
+    for name in ("left.DIM", "right.DIM", "observations.csv", "project.toml"):
+        (folder / name).write_bytes((twin / name).read_bytes())
+    rows = list(csv.reader((twin / "points.csv").read_text("utf-8").splitlines()))
+    role = next(row.index("role") for row in rows if "role" in row)
+    ties = [row[0] for row in rows if row[role : role + 1] == ["check"]]
+    rows = [
+        [row[0], *("tie" if k == role else "" for k in range(1, len(row)))] if row[0] in ties else row for row in rows
+    ]
+    (folder / "points.csv").write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")
+    dem = tmp_path / "dem.tif"
+    with rasterio.open(
+        dem, "w", driver="GTiff", width=60, height=60, count=1, dtype="float32", crs="EPSG:4326",
+        transform=rasterio.Affine(0.05, 0.0, 30.3, 0.0, -0.05, 42.8),
+    ) as raster:  # fmt: skip
+        raster.write(np.full((1, 60, 60), 500.0, np.float32))
+    ended = run("adjust", folder / "project.toml", "--dem-control", dem, "--dem-sigma", 300, "--out",
+                tmp_path / "result", "--json")  # fmt: skip
+    assert ended.code == 0
+    found = ended.json["dem_control"]
+    assert found["n"] == len(ties) > 5
+    assert (found["outside"], found["at_rest"], found["sigma_m"]) == ([], True, 300.0)
+    assert 2 <= found["rounds"] <= 4 and 10.0 < found["rms_m"] < 1500.0
+    plain = run("adjust", folder / "project.toml", "--out", tmp_path / "plain", "--json").json
+    assert ended.json["redundancy"] == plain["redundancy"] + found["n"]
+    for words in (("--dem-sigma", 3), ("--dem-control", dem)):
+        ended = run("adjust", folder / "project.toml", *words, "--out", tmp_path / "none", "--json")
+        assert [e["code"] for e in ended.json["errors"]] == ["dem_control.both"]

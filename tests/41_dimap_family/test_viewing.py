@@ -55,10 +55,17 @@ def test_two_photos_in_one_vertical_plane() -> None:
     record = pair_record(left, right)
     assert record["images"] == ["a", "b"]
     assert record["base_to_height"] == pytest.approx(0.4, abs=5e-4)
-    assert record["convergence_deg"] == pytest.approx(2 * tilt, abs=0.01)
-    # the point chosen is that of a grid of 9 x 9, at most 60 m from the middle: 1.7 degrees
-    assert record["asymmetry_deg"] == pytest.approx(0.0, abs=1.8)
-    assert record["bisector_elevation_deg"] == pytest.approx(90.0, abs=2.5)
+    point = geodetic_to_ecef(record["lon_deg"], record["lat_deg"], 0.0)[0] - geodetic_to_ecef(LON, LAT, 0.0)[0]
+    east, north, up = enu_from_ecef(LON, LAT)[0] @ point
+    rays = np.array([[x - east, -north, HEIGHT - up] for x in (-400.0, 400.0)])
+    a, b = rays / np.linalg.norm(rays, axis=1)[:, None]
+    assert record["convergence_deg"] == pytest.approx(np.degrees(np.arccos(a @ b)), abs=1e-4)
+    bisector = (a + b) / np.linalg.norm(a + b)
+    assert record["bisector_elevation_deg"] == pytest.approx(np.degrees(np.arcsin(bisector[2])), abs=2e-3)
+    # in the plane of the rays the vertical is their common normal to the base
+    upright = np.cross([1.0, 0.0, 0.0], np.cross(a, b))
+    cosine = abs(bisector @ upright) / np.linalg.norm(upright)
+    assert record["asymmetry_deg"] == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.02)
     assert 0.8 < record["overlap"] <= 1.0
     # a camera to the East is seen in the East; it leans by its tilt
     east = image_record(right)
