@@ -1,8 +1,7 @@
 """The solution of an adjustment: state, fit, observability, accuracy, covariance on demand.
 
-Cofactors are in prior scale (sigma0 = 1 a priori); :meth:`Solution.covariance` multiplies
-with the a posteriori variance factor ``sigma0^2``. Both are available because the prior
-scale is what predictions are tested against, the posterior one what is reported.
+Cofactors are in prior scale (sigma0 = 1 a priori), which predictions are tested against; :meth:`Solution.covariance`
+multiplies with the a posteriori variance factor ``sigma0^2``, for reports.
 """
 
 from __future__ import annotations
@@ -205,13 +204,7 @@ class Solution:
         return joint_cofactors(self.judged, self.state, self.required_cofactors(), names)
 
     def required_cofactors(self, *, unweighted: bool = False) -> Cofactors:
-        """Cofactors; ``unweighted``: those of least squares.
-
-        Raises
-        ------
-        NoSolutionError
-            There are none, or they take the weights of a loss.
-        """
+        """Cofactors, or the reason why there are none; ``unweighted``: also refuse those with the weights of a loss."""
         if self.cofactors is None:
             raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
         if unweighted:
@@ -237,9 +230,8 @@ class Solution:
         """Degrees of freedom of tests of unknowns with estimated variance components; None without components."""
         if self.components is None:
             return None
-        return UnknownFreedom.of(
-            self.problem, self.state, self.required_cofactors(), self.components, self.residual_cofactors
-        )
+        q, known = self.required_cofactors(), self.residual_cofactors
+        return UnknownFreedom.of(self.problem, self.state, q, self.components, known)
 
     @cached_property
     def residual_cofactors(self) -> ResidualCofactors:
@@ -315,16 +307,16 @@ class Solution:
         Parameters
         ----------
         alpha, power : float
-            Probabilities of a false alarm and of finding the minimal detectable bias.
+            Probabilities of a false alarm and of finding the minimal detectable bias, 0 < alpha < power < 1.
 
         Raises
         ------
+        InputError
+            They are no such probabilities.
         NoSolutionError
             There is no covariance, or a loss is set: its weights change both probabilities.
         """
-        if (alpha, power) == (ALPHA, POWER):
-            return self._usual_reliability
-        return self._reliability(alpha, power)
+        return self._usual_reliability if (alpha, power) == (ALPHA, POWER) else self._reliability(alpha, power)
 
     @cached_property
     def _usual_reliability(self) -> BlockReliability:
@@ -354,10 +346,9 @@ class Solution:
             The covariance could not be computed; the message says why.
         """
         cofactors, options = self.required_cofactors(unweighted=True), self.block.options
-        needed = kind != "points" or self.components is not None
         return outlier_tests(
             self.problem, self.state, cofactors, self.chi2, kind=kind, components=self.components,
-            known=self.residual_cofactors if needed else None,
+            known=self.residual_cofactors,
             level=options.outlier_level if level is None else level,
             test=options.outlier_test if test is None else test,
             control=options.multiple_testing if control is None else control,
@@ -398,10 +389,8 @@ class Solution:
         NoSolutionError
             The covariance could not be computed, or was changed by the weights of a loss.
         """
-        cofactors = self.required_cofactors(unweighted=True)
-        return variance_components(
-            self.problem, self.state, cofactors, groups=groups, method=method, known=self.residual_cofactors
-        )
+        q, known = self.required_cofactors(unweighted=True), self.residual_cofactors
+        return variance_components(self.problem, self.state, q, groups=groups, method=method, known=known)
 
     def in_datum(self, *names: str) -> FreeNetwork:
         """S-transformation of a free network to the datum of images ("image:3") and points ("point:12").
@@ -426,11 +415,10 @@ class Solution:
         Raises
         ------
         NoSolutionError
-            The covariance could not be computed, or was changed by the weights of a loss; no redundancy; sigmas
-            estimated in a block that is too large for the degrees of freedom that they leave.
+            No covariance, or under a loss; no redundancy; sigmas estimated in a block too large to form their freedom.
         """
-        cofactors = self.required_cofactors(unweighted=True)
-        return significance(self.problem, self.state, cofactors, self.sigma0, level=level, freedom=self.unknown_freedom)
+        q = self.required_cofactors(unweighted=True)
+        return significance(self.problem, self.state, q, self.sigma0, level=level, freedom=self.unknown_freedom)
 
     def prediction_test(self) -> PredictionTest:
         """Hold the predicted accuracy against the check points; see ``fg_orient.quality.prediction_test``.

@@ -89,7 +89,7 @@ def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Arra
         value = t * redundancy / np.maximum(chi2, _TINY)
     else:
         left = np.maximum(np.maximum(chi2 - t, _ROUNDING * chi2), _TINY)
-        value = t / d * ((redundancy - d) / left)
+        value = t / d / (left / (redundancy - d))
     return np.where(np.asarray(d) == 1, np.sqrt(value), value)
 
 
@@ -112,7 +112,8 @@ def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str)
     else:
         share = np.asarray(betainccinv(0.5 * d, 0.5 * (redundancy - d), np.asarray(level)))
         rest = np.asarray(betaincinv(0.5 * (redundancy - d), 0.5 * d, np.asarray(level)))  # 1 - share, with its digits
-        value = redundancy * share if test == "pope" else share / rest * (redundancy - d) / d
+        ratio = redundancy * share if test == "pope" else share / rest * (redundancy - d) / d
+        value = np.asarray(ratio, dtype=np.float64)
     return np.where(np.asarray(d) == 1, np.sqrt(value), value)
 
 

@@ -86,9 +86,13 @@ def prediction(
     held = bool(rest.active[point] or not full.active[point])  # unknown there, or a constant
     x = (state if rest.active[point] else full.start).ground[point]
     if not held:
-        x = _intersected(full, state, point, rows, control)
+        found = _intersected(full, state, point, rows, control)
+        if found is None:  # no place, so nothing to judge them by
+            return Fit(0.0, 0, None, None)
+        x = found
     v, d_image, d_ground, images = _rows(full, state, point, x, rows, control)
     e = _columns(full, point, rows, control, suspect)
+    e = e / np.linalg.norm(e, axis=0)  # before the projection: what it leaves of an error is its checked share
     if rest.active[point]:
         q = cofactors.joint(images, (point,)) if images else cofactors.point(point)
         design = np.hstack([d_image, d_ground])
@@ -115,7 +119,6 @@ def _columns(full: Problem, point: int, rows: Sequence[int], control: bool, susp
 
 def _judged(v: Array, e: Array, s: Array, chi2: float, redundancy: int, test: str) -> Fit:
     """Test in the adjustment with the observations: f grows by their number, v^T v by their own sum."""
-    e = e / np.linalg.norm(e, axis=0)
     residual, weighted = np.linalg.solve(s, v), np.linalg.solve(s, e)
     size, axes = np.linalg.eigh(e.T @ weighted)
     checked = size > CHECKED
@@ -151,13 +154,13 @@ def _rows(
     return v, d_image, d_ground, images
 
 
-def _intersected(full: Problem, state: State, point: int, rows: Sequence[int], control: bool) -> Array:
-    """Ground point of the observations alone, local m, the orientation held."""
+def _intersected(full: Problem, state: State, point: int, rows: Sequence[int], control: bool) -> Array | None:
+    """Ground point of the observations alone, local m, the orientation held; None where the steps do not end."""
     x: Array = full.start.ground[point].copy()
     for _ in range(MAX_STEPS):
         v, _, d_ground, _ = _rows(full, state, point, x, rows, control)
         step = np.linalg.lstsq(d_ground, -v)[0]
         x += step
         if np.abs(step).max() < STEP_M:
-            break
-    return x
+            return x
+    return None

@@ -136,3 +136,13 @@ def test_impossible_choices_are_refused(test: str, control: str, level: float, p
     with pytest.raises(InputError) as error:
         hypotheses.require_names(test, control, level)
     assert error.value.problems[0].place == place
+
+
+def test_a_suspect_that_takes_all_squares_has_a_finite_statistic() -> None:
+    """T = v^T v but for rounding: F is bounded by 1 / eps, whatever the scale of the squares."""
+    for size in (1e-20, 1.0, 1e20):
+        t, d = np.array([size, size * (1.0 + 1e-15)]), np.array([1, 2])
+        found = statistics(t, d, size, 12, "t")
+        assert np.isfinite(found).all()
+        assert found == pytest.approx([np.sqrt(11.0 / np.finfo(float).eps), 5.0 / np.finfo(float).eps], rel=1e-9)
+    assert statistics(np.zeros(1), np.array([1]), 0.0, 12, "t")[0] == 0.0

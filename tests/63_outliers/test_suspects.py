@@ -11,7 +11,9 @@ import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.quality.suspects import Kind
+from fg_orient.quality import prediction
+from fg_orient.quality.outliers import judge
+from fg_orient.quality.suspects import Kind, suspects
 from tests.support.linear_twin import linear_twin
 from tests.support.rpc_block import rpc_twin
 
@@ -64,7 +66,8 @@ def test_rows_and_columns_say_the_same() -> None:
     assert {test.part for test in tests} == {"line", "sample", "east", "north", "up"}
     assert all(len(test.error) == 1 for test in tests)
     assert last.dimension <= 1
-    assert tests[:2] == (tests[0], tests[1]) or tests[0].name == tests[:2][0].name
+    assert [test.name for test in tests[:2]] == [tests[0].name, tests[1].name]
+    assert tests[0].name != tests[1].name
     whole = twin.solution.outlier_tests(kind="points", test="pope")
     assert len(whole) == 47
     assert whole[0].name.endswith("with all its observations")
@@ -120,3 +123,34 @@ def test_under_a_loss_both_tests_are_refused() -> None:
 def test_other_kinds_are_refused() -> None:
     with pytest.raises(InputError, match="groups, coordinates, points"):
         linear_twin().solution.outlier_tests(kind="images")  # type: ignore[arg-type]
+
+
+def test_what_an_intersection_takes_up_is_not_checked() -> None:
+    """Errors of observations that only place their own point: nothing left of them, or rounding, is no direction."""
+    v, s = np.array([0.3, -0.2]), np.eye(2)
+    for left in (0.0, 1e-17):
+        e = np.array([[1.0, 0.0], [0.0, left]])
+        found = prediction._judged(v, e, s, 100.0, 50, "t")
+        assert found.dimension == 1
+        assert found.quadratic == pytest.approx(0.09)
+    assert prediction._judged(v, 1e-17 * np.eye(2), s, 100.0, 50, "t").dimension == 0
+    solution = fg.adjust(rpc_twin("shift").block, backend="dense")
+    problem, state, cofactors = solution.problem, solution.state, solution.cofactors
+    assert cofactors is not None
+    j = int(problem.observations.point[0])
+    rest = replace(problem, active=problem.active & (np.arange(len(problem.active)) != j))
+    alone = prediction.prediction(
+        problem, rest, state, cofactors, solution.chi2, "t", j, [0], False, prediction.Suspect("image", 0)
+    )
+    assert (alone.dimension, alone.statistic) == (0, None)
+
+
+def test_suspects_of_different_points_are_never_one_class() -> None:
+    """The same T and d by chance in another point: told apart by the point, in the tests and in the names."""
+    twin = linear_twin()
+    found = suspects(twin.solution.problem, twin.solution.state, twin.solution.cofactors)[0]
+    one = replace(found, point=np.array([0, 0, 1]), row=np.array([0, 1, 2]), v=10.0 * found.v[[0, 0, 0]],
+                  q=found.q[[0, 0, 0]], columns=found.columns[[0, 0, 0]])  # fmt: skip
+    tests = judge(twin.solution.problem, [one], 1e4, level=0.05, test="baarda", control="none")
+    assert tests.n_tested == 2
+    assert sorted(len(test.inseparable) for test in tests) == [0, 1, 1]

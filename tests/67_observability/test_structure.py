@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from fg_orient.adjustment.dense import Columns
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.quality import structure
 from fg_orient.quality.structure import analyse_structure
-from fg_orient.simulate.frames import pinhole_block
 from tests.support.degenerate_blocks import options, pinhole, seen_once, two_pinhole_blocks
 
 
@@ -99,19 +97,6 @@ def test_equal_shares_are_never_too_generous() -> None:
     assert passed
 
 
-def test_hundred_thousand_image_points_take_well_below_a_second() -> None:
-    block, _ = pinhole_block(60, 25_000, seed=1)
-    problem = compile_problem(options(block, priors=False, datum="free"))
-    assert len(problem.observations) == 100_000
-    spent = []
-    for _ in range(2):
-        start = time.perf_counter()
-        assert structure._lacking(problem, *structure._needs(problem)) == ()
-        assert analyse_structure(problem).lacks == ()
-        spent.append(time.perf_counter() - start)
-    assert min(spent) < 1.0
-
-
 def test_parts_of_a_block() -> None:
     found = analyse_structure(compile_problem(two_pinhole_blocks(())))
     assert found.n_parts == 2
@@ -123,12 +108,12 @@ def test_parts_of_a_block() -> None:
 def test_points_seen_once_are_refused_with_their_number(priors: bool) -> None:
     """Priors of images do not hold the depth of a point, so it is refused with them, too."""
     block = seen_once(pinhole((0, 7, 12)), [5, 9])
+    image = block.images[block.observations.image[block.observations.point == 5][0]].id
     with pytest.raises(fg.RankDeficientError) as caught:
         fg.adjust(block, priors=priors)
     first = caught.value.problems[0]
     assert first.code == "statistics.too_few"
-    assert first.place.startswith("points 6, 10: seen in one image only")
-    assert "2 directions along their rays are free" in first.place
+    assert first.place == f"points 6, 10: seen in image {image} only, without control: 2 free motions, along the rays"
     assert "second image" in first.remedy and caught.value.exit_code == 3
 
 
