@@ -224,6 +224,11 @@ def conclude(
     accuracy = _assess(compiled, ground, located, cofactors)
     found = verdict.judge(compiled, estimate, withheld)
     warnings = verdict.warnings(compiled, estimate, found, observability, block_view, accuracy)
+    if located is not None and len(located.lost):
+        names = ", ".join(compiled.block.points.ids[j] for j in located.lost[: verdict.NAMED])
+        warnings += (
+            f"{len(located.lost)} excluded check point(s) whose rays hardly meet have no coordinates: {names}",
+        )
     return Solution(
         problem=compiled, status=found.status, reason=found.reason, ended=estimate.reason,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,

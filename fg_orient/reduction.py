@@ -53,19 +53,20 @@ class Criteria:
         Observations without priors.
     k : float
         Unknowns that the observations determine, and the unit weight.
-    sigma0, log_likelihood : float
-    aic, bic : float
+    sigma0 : float
+    log_likelihood, aic, bic : float or None
+        None where the model fits exactly: the likelihood has no maximum.
     aicc : float or None
-        None where n <= k + 1.
+        The same, and None where n <= k + 1.
     """
 
     n: int
     k: float
     sigma0: float
-    log_likelihood: float
-    aic: float
+    log_likelihood: float | None
+    aic: float | None
     aicc: float | None
-    bic: float
+    bic: float | None
 
 
 @dataclass(frozen=True)
@@ -305,11 +306,12 @@ def criteria(solution: Solution) -> Criteria:
     problem = solution.problem
     squares, n, log_sigma = _observed(problem, solution)
     k = 1.0 + 3.0 * int(problem.active.sum()) + _determined(solution)
-    log_likelihood = -0.5 * (n * (np.log(2.0 * np.pi * squares / n) + 1.0) + 2.0 * log_sigma)
-    aic = -2.0 * log_likelihood + 2.0 * k
+    if squares <= 0.0:  # an exact fit: the likelihood has no maximum
+        return Criteria(n, k, solution.sigma0, None, None, None, None)
+    log_likelihood = float(-0.5 * (n * (np.log(2.0 * np.pi * squares / n) + 1.0) + 2.0 * log_sigma))
+    aic = float(-2.0 * log_likelihood + 2.0 * k)
     aicc = aic + 2.0 * k * (k + 1.0) / (n - k - 1.0) if n > k + 1.0 else None
-    return Criteria(n, k, solution.sigma0, float(log_likelihood), float(aic), None if aicc is None else float(aicc),
-                    float(-2.0 * log_likelihood + k * np.log(n)))  # fmt: skip
+    return Criteria(n, k, solution.sigma0, log_likelihood, aic, aicc, float(-2.0 * log_likelihood + k * np.log(n)))
 
 
 def _observed(problem: Problem, solution: Solution) -> tuple[float, int, float]:

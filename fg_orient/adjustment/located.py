@@ -36,11 +36,14 @@ class LocatedPoints:
     state : State
     index : (n,) int array
         Ground points.
+    lost : (m,) int array
+        Those wanted whose steps did not end: their rays hardly meet, so they have no coordinates.
     """
 
     problem: Problem
     state: State
     index: Index
+    lost: Index
 
     @property
     def ground_m(self) -> Array:
@@ -79,7 +82,11 @@ def locate_points(problem: Problem, state: State, start_m: Array, index: Index) 
         moving &= np.abs(step).max(axis=1) >= STEP_M
         if not moving.any():
             break
-    return LocatedPoints(own, State(state.image, ground), index)
+    lost = ascending[moving]
+    wanted[lost] = False
+    keep = wanted[seen.point]
+    own = replace(own, observations=seen.take(keep), records=records[keep], active=wanted)
+    return LocatedPoints(own, State(state.image, ground), index[wanted[index]], lost)
 
 
 def _steps(problem: Problem, state: State, rows: list[Index], place: Index, n: int) -> Array:

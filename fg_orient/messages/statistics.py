@@ -10,6 +10,10 @@ STATISTICS: Final = {
         "these groupings overlap: an observation has one variance component",
         "keep one grouping of image points, and either control or position and height",
     ),
+    "statistics.power": (
+        "these are not the size and the power of a test",
+        "give two probabilities with 0 < alpha < power < 1, such as 0.001 and 0.8",
+    ),
     "statistics.method": ("there is no such method of variance components", "choose one of {known}"),
     "statistics.components_loss": (
         "variance components under a robust loss: its weights take from the large residuals, so all would be too small",
@@ -63,6 +67,10 @@ STATISTICS: Final = {
         "take a larger DEM: the point lies at its border",
     ),
     "statistics.one_image": ("rays of one image do not intersect", "name two images or more, or locate at a height"),
+    "statistics.not_located": (
+        "the intersection of these rays does not settle in {value} steps: they are nearly parallel, or do not meet",
+        "check the pixels, or locate one of them at a height",
+    ),
     "statistics.too_few": ("too few observations", "{remedy}"),
     "statistics.motions": ("nothing fixes these images in the world", "{remedy}"),
     "statistics.datum": (

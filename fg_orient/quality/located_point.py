@@ -24,7 +24,7 @@ from factors._contract import evaluate
 from fg_orient import initial
 from fg_orient.adjustment.problem import Problem, State, whitened_records
 from fg_orient.block import ImagePoints
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.regions import ErrorEllipse, error_ellipse, radius
 from fg_orient.sensors.correction import HeightSurface
@@ -206,5 +206,7 @@ def intersect(orientation: Orientation, pixels: Mapping[str, Pixel], *, sigma_px
         ground = ground + step
         if np.abs(step).max() < STEP_M:
             break
+    else:
+        raise NoSolutionError.of("statistics.not_located", place=", ".join(pixels), value=MAX_STEPS)
     b = np.linalg.pinv(g)
     return LocatedPoint(ground, b @ (np.eye(len(c)) + c) @ b.T, p.axes(ground[None])[0])

@@ -9,8 +9,11 @@ import pytest
 from scipy import stats
 
 import fg_orient as fg
+from fg_orient.adjustment import located
 from fg_orient.adjustment.problem import State
 from fg_orient.block import Block
+from fg_orient.names import Role
+from fg_orient.quality import located_point
 from fg_orient.quality.located_point import LocatedPoint
 from fg_orient.quality.regions import error_ellipse, radius
 from fg_orient.solution import Solution
@@ -121,11 +124,41 @@ def test_many_images_are_those_of_excluded_check_points(twin: Block) -> None:
 def test_images_with_rpc() -> None:
     solution = fg.adjust(rpc_twin().block)
     left = solution.locate("left", 3100.0, 4200.0, height_m=500.0, sigma_px=(0.3, 0.3))
-    for line in (-0.5, 0.5):
-        step = solution.locate("left", 3100.0 + line, 4200.0, height_m=500.0).ground_m - left.ground_m
-        assert np.linalg.norm(step) < 6.0
-    assert 0.3 * 4.0 < left.ce90_m < 10.0
-    assert solution.intersect(pixels_of(solution, 3)).se90_m > 0.0
+    sensor, adjusted = solution.block.images[0].sensor, np.asarray(solution.correction("left"))
+
+    def ground(x: np.ndarray) -> np.ndarray:
+        """Of line, sample, and the two shifts."""
+        place = adjusted + np.append(x[2:], np.zeros(4))
+        return sensor.locate(np.array([3100.0 + x[0]]), np.array([4200.0 + x[1]]), height_m=500.0,
+                             compensation=place)[0]  # fmt: skip
+
+    step = 0.5
+    slope = np.stack([(ground(step * e) - ground(-step * e)) / (2.0 * step) for e in np.eye(4)], axis=1)
+    c = np.zeros((4, 4))
+    c[:2, :2], c[2:, 2:] = 0.09 * np.eye(2), solution.covariance("image:left").values
+    assert left.ground_m == pytest.approx(ground(np.zeros(4)), abs=1e-6)
+    np.testing.assert_allclose(left.covariance_m2, slope @ c @ slope.T, rtol=1e-3, atol=1e-4)
+    point = solution.intersect(pixels_of(solution, 3))
+    assert np.linalg.norm(point.ground_m - solution.ground_m[3]) < 2.0 * point.se90_m  # there control has its say, too
+    assert point.se90_m > max(point.ce90_m, point.le90_m)
+
+
+def test_an_intersection_that_does_not_settle_is_refused(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    solution = fg.adjust(twin, eop_set=10)
+    monkeypatch.setattr(located_point, "MAX_STEPS", 1)
+    with pytest.raises(fg.NoSolutionError, match="does not settle"):
+        solution.intersect(pixels_of(solution, 3))
+
+
+def test_excluded_check_points_that_do_not_settle_have_no_coordinates(
+    twin: Block, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(located, "MAX_STEPS", 1)
+    solution = fg.adjust(twin, eop_set=10, check_points="exclude")
+    check = twin.points.where(Role.CHECK)
+    gone = check[np.isnan(solution.ground_m[check]).any(axis=1)]
+    assert len(gone) == len(check) - len(solution.accuracy.check) > 0
+    assert any(text.startswith(f"{len(gone)} excluded check point(s)") for text in solution.warnings)
 
 
 def coverage(point: LocatedPoint, factor: float = 1.0, n: int = 40_000) -> list[bool]:
