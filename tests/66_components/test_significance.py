@@ -187,6 +187,8 @@ def test_criteria_are_those_of_the_likelihood(twin: Block) -> None:
     assert found.aic == pytest.approx(2 * k - 2 * log_likelihood, rel=1e-9)
     assert found.aicc == pytest.approx(found.aic + 2 * k * (k + 1) / (n - k - 1), rel=1e-9)
     assert found.bic == pytest.approx(k * np.log(n) - 2 * log_likelihood, rel=1e-9)
+    exact = criteria(replace(solution, chi2=0.0))
+    assert (exact.log_likelihood, exact.aic, exact.aicc, exact.bic, exact.n) == (None, None, None, None, n)
 
 
 def fixed_control(block: Block) -> Block:
