@@ -34,6 +34,7 @@ EXPECTED: Final = {
     "velocity_sigma_m_s": f"{_THREE} in m/s",
     "attitude_sigma_rad": f"{_THREE} in rad",
     "look_sigma_rad": "a number above zero in rad",
+    "look_shared": "true or false",
     "curve_intervals": f"a number from {CURVE_RANGE[0]} to {CURVE_RANGE[1]}, or 0 for no curves",
     "curve_position_sigma_m": "a number above zero in m",
     "curve_attitude_sigma_rad": "a number above zero in rad",
@@ -78,6 +79,9 @@ class Options:
         Prior sigmas of c0, c1, c2 of tau.
     look_sigma_rad : float
         Prior sigma of each coefficient of the look polynomial.
+    look_shared : bool
+        Self-calibration: images of the same mission and instrument have one look polynomial in common. Its
+        constants are the boresight (or mirror), psi_y_s1 the focal length, psi_x_s1 the turn of the line.
     curve_intervals : int
         For longer strips: beside their degree-2 coefficients, positions and attitudes of the set get smooth curves,
         cubic splines over so many equal intervals of the image (``factors.splines``); 0 = none.
@@ -159,6 +163,7 @@ class Options:
     velocity_sigma_m_s: tuple[float, float, float] = (1e-2, 1e-3, 1e-4)
     attitude_sigma_rad: tuple[float, float, float] = (50e-6, 10e-6, 2e-6)
     look_sigma_rad: float = 1e-4
+    look_shared: bool = False
     curve_intervals: int = 0
     curve_position_sigma_m: float = 1.0
     curve_attitude_sigma_rad: float = 5e-6
@@ -217,7 +222,7 @@ def _allowed(name: str, value: Any) -> bool:
             return isinstance(value, str) and bool(value)
         case "inlier_probability" | "outlier_level":
             return _positive(value) and value < 1.0
-        case "priors" | "small_angle" | "gnc" | "snoop":
+        case "priors" | "small_angle" | "look_shared" | "gnc" | "snoop":
             return isinstance(value, bool | np.bool_)
         case "check_points":
             return isinstance(value, str) and value in get_args(CheckPoints)

@@ -37,6 +37,7 @@ DEGREES = ("constant", "linear in time", "quadratic in time")
 #: Short names of terms, and in words what the degree is one of.
 _TERMS: Final = (
     (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_(?P<degree>[012])"), "degree {} in time"),
+    (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_c[0-9]+(?P<degree>)"), "the curves"),
     (re.compile(r"(?P<component>psi_[xy])_s(?P<degree>[0-5])"), "degree {} of the look angles"),
     (re.compile(r"(?P<component>line|sample)_(?P<degree>0)"), "degree {} of the RPC compensation"),
     (re.compile(r"(?P<component>line|sample)_l(?P<degree>1)"), "degree {} in line of the RPC compensation"),
@@ -88,7 +89,7 @@ class Term:
     component : str
         "roll", "psi_x", "line", "centre".
     degree : int or None
-        None for a coordinate.
+        None for a coordinate or a curve.
     kind : str
         Of the degree, in words: "degree 1 in time". Degrees of different variables are of different kinds; "" without.
     """
@@ -192,8 +193,10 @@ def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known:
         )  # fmt: skip
 
 
-def orientation_parameters(options: Options, file: str = "") -> ImageParameters:
-    """Unknowns of a pushbroom image: EOP coefficients, then those of the look polynomial.
+def orientation_parameters(options: Options, file: str = "", camera: str = "") -> ImageParameters:
+    """Unknowns of a pushbroom image: EOP coefficients, then those of the look polynomial, then curves.
+
+    ``camera``: with option ``look_shared``, images of the same camera have the look polynomial in common.
 
     Raises
     ------
@@ -207,7 +210,11 @@ def orientation_parameters(options: Options, file: str = "") -> ImageParameters:
     curve = np.repeat([options.curve_position_sigma_m, np.nan, options.curve_attitude_sigma_rad], 3)
     sigma = np.array([plain[c] if c < CURVE else curve[(c - CURVE) // CURVES] for c in codes])
     units = tuple("rad" if N_EOP <= code < CURVE else UNITS[_component(code)] for code in codes)
-    return ImageParameters(codes, sigma, tuple(map(parameter_name, codes)), units, tuple(map(parameter_words, codes)))
+    shared = tuple(f"look angles of {camera}" if N_EOP <= c < CURVE else "" for c in codes)
+    return ImageParameters(
+        codes, sigma, tuple(map(parameter_name, codes)), units, tuple(map(parameter_words, codes)),
+        shared if options.look_shared and any(shared) else (),
+    )  # fmt: skip
 
 
 def _component(code: int) -> int:

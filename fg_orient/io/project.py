@@ -36,7 +36,7 @@ _TABLE_OF = {
     "position_sigma_m": "orientation", "velocity_sigma_m_s": "orientation", "attitude_sigma_rad": "orientation",
     "look_sigma_rad": "orientation", "small_angle": "orientation", "rpc_compensation": "orientation",
     "rpc_shift_sigma_px": "orientation", "rpc_linear_sigma_px": "orientation", "datum": "adjustment",
-    "curve_intervals": "orientation", "curve_position_sigma_m": "orientation",
+    "look_shared": "orientation", "curve_intervals": "orientation", "curve_position_sigma_m": "orientation",
     "curve_attitude_sigma_rad": "orientation", "image_unknowns": "orientation", "variance_components": "adjustment",
     "backend": "adjustment", "solver": "adjustment",
     "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment",

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 from pydantic.fields import FieldInfo
 
 from fg_orient.errors import Problem, problem
@@ -35,6 +35,13 @@ Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
 Three = tuple[Positive, Positive, Positive]
 Switch = Annotated[bool, Field(strict=True)]
+
+
+def _intervals(value: int) -> int:
+    """Refuse fewer intervals than a curve needs."""
+    if 0 < value < CURVE_RANGE[0]:
+        raise ValueError
+    return value
 
 
 class _Table(BaseModel):
@@ -75,7 +82,8 @@ class Orientation(_Table):
     velocity_sigma_m_s: Three = Field(default=Options.velocity_sigma_m_s, description=EXPECTED["velocity_sigma_m_s"])
     attitude_sigma_rad: Three = Field(default=Options.attitude_sigma_rad, description=EXPECTED["attitude_sigma_rad"])
     look_sigma_rad: Positive = Field(default=Options.look_sigma_rad, description=EXPECTED["look_sigma_rad"])
-    curve_intervals: Annotated[int, Field(strict=True, ge=0, le=CURVE_RANGE[1])] = Field(
+    look_shared: Switch = Field(default=Options.look_shared, description=EXPECTED["look_shared"])
+    curve_intervals: Annotated[int, Field(strict=True, ge=0, le=CURVE_RANGE[1]), AfterValidator(_intervals)] = Field(
         default=Options.curve_intervals, description=EXPECTED["curve_intervals"]
     )
     curve_position_sigma_m: Positive = Field(

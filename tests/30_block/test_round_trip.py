@@ -81,7 +81,8 @@ OPTIONS = [
         loss="tls", gnc=True, inlier_probability=0.975, robust_start="lts", robust_scale="mad",
         statistics="full", image_unknowns=("x_0", "roll_1"),
         variance_components=("image", "height"), snoop=True, outlier_test="pope", outlier_level=0.01,
-        multiple_testing="holm", curve_intervals=4, curve_position_sigma_m=2.5, curve_attitude_sigma_rad=3e-6,
+        multiple_testing="holm", look_shared=True, curve_intervals=4,
+        curve_position_sigma_m=2.5, curve_attitude_sigma_rad=3e-6,
     ),
 ]  # fmt: skip
 

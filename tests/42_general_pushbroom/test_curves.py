@@ -13,7 +13,7 @@ from factors import splines
 from fg_orient.block import Block
 from fg_orient.errors import InputError
 from fg_orient.options import CURVE_RANGE, Options
-from fg_orient.parameters import orientation_parameters
+from fg_orient.parameters import orientation_parameters, term_of
 from fg_orient.raster.adjusted import _correction
 from fg_orient.run.tables import eop_rows
 from fg_orient.sensors.correction import Correction
@@ -59,6 +59,8 @@ def test_names_and_sigmas() -> None:
     p = orientation_parameters(Options(eop_set=9, curve_intervals=3, curve_attitude_sigma_rad=7e-6))
     assert p.names[9:] == tuple(f"{a}_c{k}" for a in ("roll", "pitch", "yaw") for k in range(3))
     assert (p.sigma[9:] == 7e-6).all() and p.units[-1] == "rad" and p.words[9] == "roll (curve 0, rad)"
+    term = term_of("roll_c11")
+    assert term is not None and (term.component, term.degree, term.kind) == ("roll", None, "the curves")
     only = orientation_parameters(Options(image_unknowns=("roll_0", "x_c1"), curve_intervals=3))
     assert only.names == ("roll_0", "x_c1") and only.units == ("rad", "m")
     assert len(orientation_parameters(Options(eop_set=5, curve_intervals=3))) == 9  # velocities have none
@@ -130,3 +132,27 @@ def test_curves_take_up_what_degree_2_cannot(twin: tuple[Block, list[Correction]
         got = found["schur"].correction(block.images[k].id)
         error = (got.eop_at(tau) - truth[k].eop_at(tau))[:, 6:8]
         assert np.abs(error).max() < 0.1 * np.abs(truth[k].eop_at(tau)[:, 6:8]).max()
+
+
+def test_a_shared_look_polynomial_is_one(twin: tuple[Block, list[Correction]]) -> None:
+    """Images of one camera with the same errors of its look angles: found once, the same on every backend."""
+    block, _ = twin
+    o, known = block.observations, block.points.known.ecef_m
+    truth = Correction(look=np.array([[0.0, 4e-6, 9e-6], [0.0, 2e-5, -6e-6]]))
+    line, sample = o.line.copy(), o.sample.copy()
+    for k, image in enumerate(block.images):
+        rows = o.image == k
+        line[rows], sample[rows] = image.sensor.project(known[o.point[rows]], truth)
+    observed = replace(block, observations=replace(o, line=line, sample=sample))
+    found = {
+        b: fg.adjust(with_options(observed, look_polynomial=2, look_shared=True, backend=b))
+        for b in ("graph", "schur", "dense")
+    }
+    first = found["graph"]
+    assert first.problem.n_unknowns == fg.adjust(with_options(observed, look_polynomial=2)).problem.n_unknowns - 6
+    for solution in found.values():
+        look = [solution.correction(image.id).look for image in block.images]
+        assert np.array_equal(look[0], look[1])
+        assert np.abs(solution.state.image - first.state.image).max() < 1e-8
+        assert np.abs(look[0][:, 2] - truth.look[:, 2]).max() < 2e-7
+    assert first.sigma0 < 0.02  # nothing but the priors of the six coefficients: 0.018

@@ -38,7 +38,8 @@ class PushbroomModel:
 
     def __init__(self, sensor: PushbroomSensor, options: Options) -> None:
         self.sensor, self.small_angle = sensor, options.small_angle
-        self.parameters = orientation_parameters(options, sensor.file)
+        camera = f"{sensor.metadata.mission} {sensor.metadata.instrument}".strip()
+        self.parameters = orientation_parameters(options, sensor.file, camera)
         self.n_curves = options.curve_intervals if max(self.parameters.codes) >= CURVE else 0
 
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
