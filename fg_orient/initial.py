@@ -198,7 +198,8 @@ def intersect(
     behind = _behind(found, centre, direction, point)
     bad = np.flatnonzero(missing_rows(found) | behind)
     if len(bad):
-        raise InputError(*(_complaint(f"number {j + 1}", spread[j], bool(behind[j]), len(sensors)) for j in bad))
+        seen = [str(k + 1) for k in range(len(sensors))]
+        raise InputError(*(_complaint(f"number {j + 1}", spread[j], bool(behind[j]), seen) for j in bad))
     return found
 
 
@@ -227,14 +228,16 @@ def ground_points(
     behind = _behind(start, centre, direction, observations.point[rows])
     bad = np.flatnonzero(unknown & (missing_rows(start) | behind))
     if len(bad):
-        count = np.bincount(observations.point[rows], minlength=len(ids))
-        raise InputError(*(_complaint(ids[k], spread[k], bool(behind[k]), int(count[k])) for k in bad))
+        used = observations.take(rows)
+        seen = {int(k): [images[i].id for i in used.image[used.point == k]] for k in bad}
+        raise InputError(*(_complaint(ids[k], spread[k], bool(behind[k]), seen[int(k)]) for k in bad))
     return start
 
 
-def _complaint(point_id: str, spread_deg: float, behind: bool, n_rays: int) -> Problem:
-    if n_rays < 2:
-        return problem("initial.seen_once", place=f"point {point_id}", value=f"{n_rays} ray")
+def _complaint(point_id: str, spread_deg: float, behind: bool, images: Sequence[str]) -> Problem:
+    if len(images) < 2:
+        return problem("initial.seen_once", place=f"point {point_id}", value=f"{len(images)} ray",
+                       image=f"image {images[0]}" if images else "no image")  # fmt: skip
     code = "initial.behind" if behind and spread_deg > MIN_CONVERGENCE_DEG else "initial.no_intersection"
     return problem(code, place=f"point {point_id}", value=f"convergence {spread_deg:.3f} degrees",
                    least=MIN_CONVERGENCE_DEG)  # fmt: skip

@@ -46,7 +46,7 @@ def assemble(
     file, point_file = str(observations.path), str(points.path)
     if lonely.any():
         code, found = ("remark.seen_once", remarks) if drop else ("observations.seen_once", problems)
-        named = _named(points.points.ids, np.flatnonzero(lonely))
+        named = _named(_with_image(points.points.ids, image_ids, observations.observations), np.flatnonzero(lonely))
         found.append(problem(code, file=file, place="column id", value=named, count=int(lonely.sum())))
     unmeasured = np.flatnonzero(rays == 0)
     if len(unmeasured):
@@ -69,6 +69,12 @@ def assemble(
 def _named(ids: Sequence[str], rows: np.ndarray[tuple[int], np.dtype[np.intp]]) -> str:
     more = " ..." if len(rows) > _NAMED else ""
     return ", ".join(ids[int(k)] for k in rows[:_NAMED]) + more
+
+
+def _with_image(ids: Sequence[str], image_ids: Sequence[str], observations: ImagePoints) -> list[str]:
+    """Ids of points, each with one image that it is measured in."""
+    only = dict(zip(observations.point.tolist(), observations.image.tolist(), strict=True))
+    return [f"{name} (image {image_ids[only[j]]})" if j in only else name for j, name in enumerate(ids)]
 
 
 def _renumber(observations: ImagePoints, kept: np.ndarray[tuple[int], np.dtype[np.intp]], n_points: int) -> ImagePoints:

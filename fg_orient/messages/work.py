@@ -29,7 +29,7 @@ ADJUST: Final = {
         "measure the point in another image, give it coordinates as control, or remove it",
     ),
     "initial.seen_once": (
-        "seen in one image only: one direction, along its ray, is free",
+        "seen in {image} only, without control: 1 free motion, along the ray",
         "measure the point in another image, give it coordinates as control, or remove it",
     ),
     "initial.pixel_count": (

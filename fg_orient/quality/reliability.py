@@ -24,6 +24,7 @@ from scipy.special import chndtrinc
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import residuals
 from fg_orient.distributions import chi_square_limit
+from fg_orient.errors import InputError
 from fg_orient.quality.residuals import ResidualCofactors
 
 Array = npt.NDArray[np.float64]
@@ -139,7 +140,14 @@ def reliability(
         See ``fg_orient.quality.residuals``.
     alpha, power : float
         Of the test; 0 < alpha < power < 1.
+
+    Raises
+    ------
+    InputError
+        The two probabilities are no such numbers.
     """
+    if not 0.0 < alpha < power < 1.0:
+        raise InputError.of("statistics.power", place="alpha, power", value=f"{alpha}, {power}")
     o, rays = problem.observations, cofactors.rays
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
     eop = rays.on_image

@@ -206,11 +206,16 @@ def _seen_once(problem: Problem, points: list[int]) -> Lack:
     """Points with one ray: nothing tells how far along it they lie."""
     o, block = problem.observations, problem.block
     ids = tuple(block.points.ids[j] for j in points)
-    images = tuple(block.images[k].id for k in np.unique(o.image[np.isin(o.point, points)]))
+    only = dict(zip(o.point.tolist(), o.image.tolist(), strict=True))
+    seen = [block.images[only[j]].id for j in points]
     many = len(ids) > 1
+    if len(set(seen)) == 1:
+        who, where = named(ids), f"image {seen[0]}"
+    else:
+        who, where = named([f"{p} (image {image})" for p, image in zip(ids, seen, strict=True)]), "that image"
     sentence = (
-        f"{'points' if many else 'point'} {named(ids)}: seen in one image only ({named(images)}), {len(ids)} "
-        f"direction{'s' if many else ''} along {'their rays are' if many else 'its ray is'} free"
+        f"point{'s' if many else ''} {who}: seen in {where} only, without control: {len(ids)} free "
+        f"motion{'s' if many else ''}, along the ray{'s' if many else ''}"
     )
     them = "them" if many else "it"
     return Lack((), ids, len(ids), sentence, f"measure {them} in a second image, or give {them} coordinates as control")

@@ -123,6 +123,15 @@ def test_smallest_and_largest_bias_of_an_image_point(solution: Solution, found: 
         assert needed.max() == pytest.approx(found.image.largest[row], rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("alpha", "power"), [(0.0, 0.8), (-0.1, 0.8), (0.8, 0.8), (0.9, 0.8), (0.001, 1.0), (np.nan, 0.8), (0.001, np.nan)]
+)
+def test_probabilities_that_are_none_are_refused(solution: Solution, alpha: float, power: float) -> None:
+    with pytest.raises(fg.InputError) as caught:
+        solution.reliability(alpha=alpha, power=power)
+    assert [p.code for p in caught.value.problems] == ["statistics.power"]
+
+
 def test_two_rays_do_not_check_the_epipolar_line(grid: Block, solution: Solution, found: BlockReliability) -> None:
     """The direction of redundancy 0 is that in which the point moves along its other ray."""
     problem, o = solution.problem, solution.problem.observations

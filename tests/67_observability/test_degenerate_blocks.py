@@ -178,11 +178,15 @@ def test_two_blocks_with_control_each_are_no_deficiency() -> None:
 def test_points_seen_once_without_coordinates_have_no_start_value(make) -> None:
     block = make()
     check = block.points.where(Role.CHECK)[:2]
+    once = seen_once(block, check)
     with pytest.raises(fg.InputError) as caught:
-        fg.adjust(seen_once(block, check))
+        fg.adjust(once)
     assert [p.code for p in caught.value.problems] == ["initial.seen_once"] * 2
+    o = once.observations
+    only = [block.images[int(o.image[o.point == j][0])].id for j in check]
+    told = [f"seen in image {image} only, without control: 1 free motion, along the ray" for image in only]
+    assert [p.message for p in caught.value.problems] == told
     assert [p.place for p in caught.value.problems] == [f"point {block.points.ids[j]}" for j in check]
-    assert "one direction, along its ray, is free" in caught.value.problems[0].message
 
 
 # --- what the sentences rest on -----------------------------------------------------------------------

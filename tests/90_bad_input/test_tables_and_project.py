@@ -73,8 +73,10 @@ CASES = {
     "pixel sigma negative": (
         OBS, "left,01,1000,1200,0.3,0.3", "left,01,1000,1200,-1,1",
         "observations.sigma_not_positive", "line 2, column sigma_line_px", "-1"),
-    "seen once, tie": (OBS, "right,t1,7000,2100,0.3,0.3\n", "", "observations.seen_once", "column id", "t1"),
-    "seen once, check": (OBS, "left,k2,6000,6300,0.3,0.3\n", "", "observations.seen_once", "column id", "k2"),
+    "seen once, tie": (
+        OBS, "right,t1,7000,2100,0.3,0.3\n", "", "observations.seen_once", "column id", "t1 (image left)"),
+    "seen once, check": (
+        OBS, "left,k2,6000,6300,0.3,0.3\n", "", "observations.seen_once", "column id", "k2 (image right)"),
     # project
     "syntax": (T, 'name = "small"', "name = small", "project.syntax", "line 2", ""),
     "schema": (T, "schema = 1", "schema = 2", "project.schema", "schema", "2"),
@@ -206,7 +208,11 @@ def test_points_seen_once_are_all_named(folder):
     rows = [line for line in folder.observations.read_text().splitlines() if not line.startswith(("right,t", "left,k"))]
     folder.observations.write_text("\n".join(rows))
     (found,) = refused(folder)
-    assert found.value == "k1, k2, t1" and "points_seen_once" in found.remedy and "3 check or tie" in found.message
+    assert (
+        found.value == "k1 (image right), k2 (image right), t1 (image left)"
+        and "points_seen_once" in found.remedy
+        and "3 check or tie" in found.message
+    )
 
 
 def test_faults_of_all_files_come_together(folder):
