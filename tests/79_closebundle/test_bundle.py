@@ -1,0 +1,186 @@
+"""The close-range bundle: the thesis' 77 unknowns, an independent adjustment, backends, what is not determined."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from factors.extended_collinearity import NAMES
+from factors.image_corrections import ideal_points
+from fg_orient.adjustment.network import DenseNetwork, Network, Observation, Variable, bordered_inverse
+from fg_orient.adjustment.network_graph import GraphNetwork
+from fg_orient.cells import CellKey
+from fg_orient.closerange.bundle import Bundle, BundlePhoto, adjust_bundle
+from fg_orient.closerange.constraints import Constraint, observed_element
+from fg_orient.errors import FgOrientError, InputError
+from fg_orient.reproduce import ayhan1996_bundle as thesis
+from fg_orient.reproduce.ayhan1996_photos import CONTROL, PHOTOS, points_of
+
+from .conftest import SIGMA, Array, Scene, make
+
+Values = dict[CellKey, float]
+
+
+def adjusted(scene: Scene, photos: list[BundlePhoto], **more: object) -> Bundle:
+    """All points new but the first five, which are held."""
+    control = {name: (scene.points[k], 0.0) for k, name in enumerate(scene.ids[:5])}
+    start = scene.points + np.random.default_rng(1).normal(scale=0.01, size=scene.points.shape)
+    given = {"sigma": SIGMA, "control": control, **more}
+    return adjust_bundle(photos, scene.ids, start, scene.which, scene.of, scene.image, **given)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def held(values: Values) -> Bundle:
+    return thesis.bundle(values)
+
+
+def test_graph_equals_correlates_on_the_77_unknowns_of_the_thesis(values: Values, held: Bundle) -> None:
+    graph = thesis.bundle(values, backend="graph")
+    assert len(held.state) == 77 and held.redundancy == 43
+    assert np.abs((graph.state - held.state) / np.sqrt(held.cofactors)).max() <= 1e-9
+    assert np.abs(np.sqrt(graph.cofactors / held.cofactors) - 1.0).max() <= 1e-5
+    base = [np.linalg.norm(found.centres_m[1] - found.centres_m[0]) for found in (held, graph)]
+    assert base == pytest.approx([thesis.BASE_M] * 2, abs=1e-12)
+
+
+def test_mean_errors_of_the_thesis(values: Values, held: Bundle) -> None:
+    """Within 1 % rms of the print; theirs leave the held base out, with it X0 would be 24 % smaller."""
+    free, ratios = thesis.bundle(values, with_base=False), []
+    for k, photo in enumerate(PHOTOS):
+        for name, (_, root) in thesis.parameters(free, k).items():
+            ratios.append(root / values[CellKey("ek1.bundle", quantity=f"m_{name}", parameter=photo)])
+    printed = points_of(values, "ek1.bundle", ("m_x_m", "m_y_m", "m_z_m"), CONTROL)
+    ratios += (thesis.point_roots(free) / printed).ravel().tolist()
+    assert len(ratios) == 77
+    assert np.sqrt(np.mean((np.array(ratios) - 1.0) ** 2)) <= 0.01
+    key = CellKey("ek1.bundle", quantity="m_x0", parameter=PHOTOS[0])
+    assert thesis.parameters(held, 0)["x0"][1] / values[key] == pytest.approx(0.76, abs=0.01)
+
+
+def test_parameters_of_the_thesis(values: Values, held: Bundle) -> None:
+    off = []
+    for k, photo in enumerate(PHOTOS):
+        for name, (value, _) in thesis.parameters(held, k).items():
+            if name not in thesis.STATION:
+                error = values[CellKey("ek1.bundle", quantity=f"m_{name}", parameter=photo)]
+                scale = np.pi / 200.0 if name in thesis.PRINTED[10:13] else 1.0
+                off.append((value - values[CellKey("ek1.cameras", quantity=name, parameter=photo)]) * scale / error)
+    assert len(off) == 26
+    assert np.sqrt(np.mean(np.square(off))) <= 0.25 and np.abs(off).max() <= 0.6
+    printed = points_of(values, "ek1.bundle", ("x_adjusted_m", "y_adjusted_m", "z_adjusted_m"), CONTROL)
+    rms = 1e3 * np.sqrt(np.mean((held.points_m - printed) ** 2, axis=0))
+    assert (rms <= [0.08, 0.08, 0.16]).all()
+
+
+def test_bundle_equals_scipy() -> None:
+    """Own and shared camera parameters, observed ones, soft and hard distances: an independent minimum."""
+    scene = make(1, 12, 2)
+    photos = scene.photos(unknown=("c",), shared=("k1",), camera="one", observed={"c": (60.01, 0.01)})
+    hard, soft = np.linalg.norm(np.diff(scene.points[[[5, 7], [6, 8]]], axis=1)[:, 0], axis=1) + 1e-3
+    stated = [
+        Constraint("distance", ("p5", "p7"), float(hard)),
+        Constraint("distance", ("p6", "p8"), float(soft), 1e-3),
+    ]
+    found = adjusted(scene, photos, constraints=stated)
+
+    def away(x: Array, weight: float = 1e6) -> Array:
+        c, k1, points = x[:2], x[2], np.concatenate([scene.points[:5], x[15:].reshape(-1, 3) + scene.points[5:]])
+        out = []
+        for k, photo in enumerate(photos):
+            turn = Rotation.from_rotvec(x[3 + 6 * k : 6 + 6 * k]).as_matrix() @ photo.rotation
+            q = (points - photo.centre_m - x[6 + 6 * k : 9 + 6 * k]) @ turn.T
+            lens = scene.interior.corrections.copy()
+            lens[0] = 1e-5 * k1
+            seen = ideal_points(lens, scene.image[scene.which == k] - scene.interior.principal)
+            out.append((seen - c[k] * q[:, :2] / q[:, 2:] * [1.0, -1.0]).ravel() / SIGMA)
+        sizes = [np.linalg.norm(points[a] - points[b]) for a, b in ((5, 7), (6, 8))]
+        return np.concatenate([*out, (c - 60.01) / 0.01, [(sizes[1] - soft) / 1e-3, (sizes[0] - hard) * weight]])
+
+    start = np.concatenate([[60.0, 60.0, 2.0], np.zeros(12 + 3 * 7)])
+    other = least_squares(away, start, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    roots = np.sqrt(np.diag(np.linalg.inv(other.jac.T @ other.jac)))
+    assert (found.points_m[5:] - scene.points[5:]).ravel() == pytest.approx(other.x[15:], abs=1e-4 * roots.max())
+    assert [photo["c"][0] for photo in found.photos] == pytest.approx(other.x[:2], abs=1e-5)
+    assert found.cameras[0]["k1"][0] == pytest.approx(1e-5 * other.x[2], abs=1e-9)
+    assert found.m0 is not None and found.sigma_m is not None
+    assert found.sigma_m[5:].ravel() / found.m0 == pytest.approx(roots[15:], rel=1e-3)
+    assert np.linalg.norm(found.points_m[5] - found.points_m[7]) == pytest.approx(hard, abs=1e-12)
+
+
+def test_brown_parameters_are_recovered() -> None:
+    """A photo measured with a2 and a13: the bundle finds them, and refuses to write what no photo file holds."""
+    scene = make(2, 40, 2, noise=0.0)
+    ideal = ideal_points(scene.interior.corrections, scene.image - scene.interior.principal)
+    at = ideal
+    for _ in range(40):  # corrections are a hundredth of the coordinates: a fixed point
+        s = 3e-5 * (at[:, 0] ** 2 - at[:, 1] ** 2) / 60.0
+        brown = np.column_stack([1e-4 * at[:, 1] + at[:, 0] * s, at[:, 1] * s])
+        at = at + ideal - brown - ideal_points(scene.interior.corrections, at)
+    scene.image = at + scene.interior.principal
+    found = adjusted(scene, scene.photos(shared=("a2", "a13"), camera="one"))
+    assert found.cameras[0]["a2"][0] == pytest.approx(1e-4, rel=1e-6)
+    assert found.cameras[0]["a13"][0] == pytest.approx(3e-5, rel=1e-6)
+    with pytest.raises(InputError, match="a2, a13"):
+        found.oriented()
+
+
+def test_what_nothing_determines_is_named() -> None:
+    scene = make(3, 20, 2)
+    with pytest.raises(InputError, match="not determined") as caught:
+        adjusted(scene, scene.photos(unknown=("k1", "a16")))  # the same parameter twice
+    assert "photo ph0 k1" in str(caught.value) and "photo ph0 a16" in str(caught.value)
+    with pytest.raises(InputError, match="not determined"):
+        adjusted(scene, scene.photos(), control={})  # no datum
+    flat = scene.points * [1.0, 0.0, 1.0] + [0.0, 2005.0, 0.0]
+    level = [Scene(scene.interior, [scene.rotations[0]] * 2, scene.centres, flat, scene.image)]
+    with pytest.raises(FgOrientError):  # one plane and one attitude: distance and principal distance are one
+        adjusted(make(3, 20, 2, points=level[0].points), scene.photos(unknown=NAMES[:3], held=False), control={})
+
+
+def test_refusals() -> None:
+    scene = make(4, 8, 2)
+    photos = scene.photos()
+    size = float(np.linalg.norm(scene.points[6] - scene.points[7]))
+    twice = [Constraint("distance", ("p6", "p7"), size), Constraint("distance", ("p7", "p6"), size)]
+    for words, code, more in (
+        ("follows from the others", "closerange.dependent", {"constraints": twice}),
+        ("not a backend", "closerange.backend", {"backend": "schur"}),
+        ("not there", "closerange.member", {"constraints": [Constraint("base", ("p1", "ph1"), 1.0)]}),
+        ("standard deviations", "closerange.sigma", {"sigma": 0.0}),
+    ):
+        with pytest.raises(InputError, match=words) as caught:
+            adjusted(scene, photos, **more)
+        assert caught.value.problems[0].code == code
+    with pytest.raises(InputError, match="unknown k9"):
+        scene.photos(unknown=("k9",))
+    with pytest.raises(InputError, match="give 2 different ones"):
+        Constraint("distance", ("a", "a"), 1.0)
+
+
+def test_marginals_of_gtsam_with_a_hard_condition() -> None:
+    """Those of single variables are right; a joint one counts the condition as an observation and is not used."""
+    variables = tuple(Variable(name, np.zeros(2), ("1", "2")) for name in "ab")
+    pull = [observed_element(k, j, 1.0, s, "") for k, s in ((0, 0.1), (1, 0.2)) for j in (0, 1)]
+    tie = Observation(_difference(), (0, 1), np.zeros(0), np.zeros((2, 0)), 1, "tie", True)
+    network = Network(variables, (*pull, tie))
+    dense, graph = DenseNetwork(network), GraphNetwork(network)
+    whole = bordered_inverse(network.rows(np.zeros(4)))
+    for a, b in zip(dense.cofactors(np.zeros(4)), graph.cofactors(np.zeros(4)), strict=True):
+        assert a == pytest.approx(b, abs=1e-12)
+    joint = gtsam.Marginals(graph.graph, graph.values(np.zeros(4))).jointMarginalCovariance([0, 1]).fullMatrix()
+    assert joint[0, 0] - whole[0, 0] == pytest.approx(1.0)
+
+
+def _difference() -> object:
+    from factors._contract import Argument, Equation
+
+    def residual(record: Array, setup: Array, x: Array, y: Array) -> Array:
+        return np.array([x[0] - y[0]])
+
+    def kernel(record: Array, setup: Array, x: Array, y: Array, want: bool) -> tuple[Array, Array, Array]:
+        return residual(record, setup, x, y), np.array([[1.0, 0.0]]), np.array([[-1.0, 0.0]])
+
+    return Equation("difference", kernel, residual, (Argument("x", "1"), Argument("y", "1")), lambda rng: None, "")  # type: ignore[arg-type, return-value]

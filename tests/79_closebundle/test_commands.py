@@ -1,0 +1,77 @@
+"""Command ``closerange bundle``: a pair from control points to calibrated photos, constraints, bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.command import in_process as run
+
+from .conftest import SIGMA, Scene, make
+
+
+def written(tmp_path: Path) -> Scene:
+    scene = make(7, 14, 2)
+    rows = [
+        f"p{k},ph{p},{float(x)!r},{float(y)!r}" for (x, y), p, k in zip(scene.image, scene.which, scene.of, strict=True)
+    ]
+    (tmp_path / "image.csv").write_text("\n".join(["id,photo,x,y", *rows]) + "\n", "utf-8")
+    rows = [f"p{k},{','.join(repr(float(v)) for v in at)}" for k, at in enumerate(scene.points[:8])]
+    (tmp_path / "control.csv").write_text("\n".join(["id,x_m,y_m,z_m", *rows]) + "\n", "utf-8")
+    entry = '[[photos]]\nname = "ph{}"\nfocal = 60.0\nprincipal = [0.3, -0.2]\nk1 = 1e-5\np1 = 1e-5\n'
+    (tmp_path / "cameras.toml").write_text("schema = 1\n" + entry.format(0) + entry.format(1), "utf-8")
+    size = float(np.linalg.norm(scene.points[10] - scene.points[12]))
+    (tmp_path / "constraints.toml").write_text(
+        f'[[constraints]]\nkind = "distance"\nmembers = ["p10", "p12"]\nvalue_m = {size!r}\n', "utf-8"
+    )
+    return scene
+
+
+def test_bundle_from_tables(tmp_path: Path) -> None:
+    scene = written(tmp_path)
+    words = ("closerange", "bundle", tmp_path / "image.csv", tmp_path / "cameras.toml", "--control",
+             tmp_path / "control.csv", "--constraints", tmp_path / "constraints.toml", "--shared", "k1", "--sigma",
+             str(SIGMA))  # fmt: skip
+    done = run(*words, "--out", tmp_path / "out", "--json")
+    assert done.code == 0, done.stderr
+    record = done.json
+    assert (record["redundancy"], record["unknowns"]) == (56 + 1 - 13 - 18, 31)
+    assert 0.6 <= record["m0"] <= 1.4
+    k1 = record["cameras"][0]["parameters"][0]
+    assert abs(k1["value"] - 2e-5) <= 4.0 * k1["sigma"]
+    points = {p["id"]: np.array([p["x_m"], p["y_m"], p["z_m"]]) for p in record["points"]}
+    assert np.linalg.norm(points["p10"] - points["p12"]) == pytest.approx(
+        float(np.linalg.norm(scene.points[10] - scene.points[12])), abs=1e-9
+    )
+    assert max(np.abs(points[f"p{k}"] - scene.points[k]).max() for k in range(14)) <= 5e-3
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["closerange.json", "photos.toml", "points.csv"]
+    again = run("closerange", "intersect", tmp_path / "image.csv", tmp_path / "out" / "photos.toml", "--json")
+    assert again.code == 0
+    text = run(*words, "--backend", "graph").stdout
+    assert "2 photos, 14 points, 31 unknowns" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("--shared", "k9"), "k9"),
+        (("--constraints", "kind.toml"), "one of distance, parallel"),
+        (("--constraints", "field.toml"), "did you mean value_m?"),
+        (("--constraints", "member.toml"), "not there (found p99)"),
+        (("--sigma-control", "-1"), "--sigma-control"),
+        ((), "the photo is not oriented"),
+    ],
+)
+def test_bad_input_ends_with_2_and_one_sentence(tmp_path: Path, words: tuple[str, ...], text: str) -> None:
+    written(tmp_path)
+    entry = '[[constraints]]\nmembers = ["p10", "p12"]\n'
+    (tmp_path / "kind.toml").write_text(entry + 'kind = "knot"\n', "utf-8")
+    (tmp_path / "field.toml").write_text(entry + 'kind = "distance"\nvalue = 1.0\n', "utf-8")
+    (tmp_path / "member.toml").write_text(entry.replace("p10", "p99") + 'kind = "distance"\nvalue_m = 1.0\n', "utf-8")
+    given = [tmp_path / w if w.endswith(".toml") else w for w in words]
+    control = ["--control", tmp_path / "control.csv"] if words else []
+    done = run("closerange", "bundle", tmp_path / "image.csv", tmp_path / "cameras.toml", *control, *given)
+    assert done.code == 2
+    assert done.stderr.startswith("error: ") and text in done.stderr
