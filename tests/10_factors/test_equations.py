@@ -12,6 +12,7 @@ import factors.coplanarity
 import factors.dlt
 import factors.extended_collinearity
 import factors.frame
+import factors.height_control
 import factors.line_scanner
 import factors.plane
 import factors.pushbroom
