@@ -1,8 +1,8 @@
 """Ground points of a block eliminated, and found again: 3 x 3 blocks, gradients, back-substitution.
 
-With the whitened Jacobians J (image) and G (ground) of the image points, ``H = sum G^T G + W^T W + damping I`` of
-a ground point, ``H^-1 = R^T R`` (R the inverse Cholesky factor, lower triangular), a solution x of the reduced system
-gives the point's step ``-H^-1 (g + sum G^T J x)``. Arrays: ``factors.batch``.
+With the whitened Jacobians J (image) and G (ground) of the image points, ``H = sum G^T G + W^T W`` of a ground point,
+its diagonal lengthened by the share ``damping``, ``H^-1 = R^T R`` (R the inverse Cholesky factor, lower triangular), a
+solution x of the reduced system gives the point's step ``-H^-1 (g + sum G^T J x)``. Arrays: ``factors.batch``.
 """
 
 from __future__ import annotations
@@ -54,12 +54,13 @@ def point_blocks(
         for k in range(6):
             root[p, k] = 0.0
         if free[p] > 0:
-            h[0], h[2], h[5] = damping, damping, damping
             if free[p] == 2:
                 _add_control(control, ground, number[p], h, g)
             for a in range(first[p] - base, first[p + 1] - base):
                 for r in range(2):
                     _add(h, g, d_ground[a, r, 0], d_ground[a, r, 1], d_ground[a, r, 2], value[a, r])
+            for k in (0, 2, 5):
+                h[k] *= 1.0 + damping
             if not _inverse_root(h, root, p) and bad < 0:
                 bad = p
         for k in range(3):

@@ -4,7 +4,7 @@ Rows are whitened (a unit is one sigma): image points, control points, priors, o
 columns are image unknowns (prior sigmas), then unknown ground points (m). The kernels are those
 of the factors, so a difference from the graph backend is the solver's. GTSAM is not used.
 
-Each step solves ``J x = -r``; Levenberg-Marquardt adds rows ``sqrt(damping) I``. Cost and memory grow
+Each step solves ``J x = -r``; Levenberg-Marquardt adds rows of a diagonal matrix. Cost and memory grow
 with the square and cube of the unknowns: more than :data:`MAX_UNKNOWNS` are refused.
 """
 
@@ -193,17 +193,20 @@ class DenseSystem:
         Name in the registry of linear solvers.
     excess : float
         By how much the cost under a loss exceeds half the squares of the weighted residuals.
-    least : float
-        Damping that no step goes without (``Problem.least_damping``).
+    problem : Problem, optional
+        What it linearises: least damping, columns of ground points and their damping; without it all columns are
+        damped alike.
     """
 
-    def __init__(self, residual: Array, design: Array, solver: str, excess: float = 0.0, least: float = 0.0) -> None:
+    def __init__(
+        self, residual: Array, design: Array, solver: str, excess: float = 0.0, problem: Problem | None = None
+    ) -> None:
         self.residual, self.design, self._solver, self._excess = residual, design, solver, excess
-        self._least = least
+        self._problem, self._least = problem, 0.0 if problem is None else problem.least_damping
         self.error = excess + 0.5 * float(residual @ residual)
 
     def solve(self, damping: float) -> DenseStep:
-        """Solve with ``damping`` times the identity added to the normal equations.
+        """Solve with ``damping`` added to the diagonal of the images, ``Problem.point_damping`` to that of the points.
 
         Raises
         ------
@@ -213,9 +216,17 @@ class DenseSystem:
         design, observed, damping = self.design, -self.residual, max(damping, self._least)
         if damping > 0.0:
             u = design.shape[1]
-            design = np.vstack([design, np.sqrt(damping) * np.eye(u)])
+            design = np.vstack([design, np.diag(self._damping_roots(damping))])
             observed = np.concatenate([observed, np.zeros(u)])
         return self._step(solve(self._solver, LinearSystem.from_design(design, observed)).x)
+
+    def _damping_roots(self, damping: float) -> Array:
+        """Roots (u,) of what a damping adds to the diagonal of the normal equations."""
+        out = np.full(self.design.shape[1], np.sqrt(damping))
+        if self._problem is not None:
+            first = self._problem.n_free_unknowns
+            out[first:] = np.sqrt(self._problem.point_damping(damping)) * np.linalg.norm(self.design[:, first:], axis=0)
+        return out
 
     def dogleg(self, radius: float) -> DenseStep:
         """Blend of the steepest-descent and the Gauss-Newton step."""
@@ -270,11 +281,10 @@ class DenseBackend:
         residual, design = assemble(self.problem, state)
         if self.problem.ties is not None:
             design = self.problem.ties.columns(design)
-        least = self.problem.least_damping
         if self.robust is None:
-            return DenseSystem(residual, design, self.solver, least=least)
+            return DenseSystem(residual, design, self.solver, problem=self.problem)
         root, excess = self._weights(self.robust, residual, state)
-        return DenseSystem(residual * root, design * root[:, None], self.solver, excess, least)
+        return DenseSystem(residual * root, design * root[:, None], self.solver, excess, self.problem)
 
     def error(self, state: State) -> float:
         """Half the weighted sum of squares, or the cost under the loss."""

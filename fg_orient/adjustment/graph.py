@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import gtsam
@@ -172,13 +173,25 @@ class GraphSystem:
         """Zero values of all unknowns."""
         return self._backend.zero
 
+    @cached_property
+    def _point_diagonals(self) -> dict[int, Array]:
+        """Diagonal (3,) of the normal equations of each unknown ground point, by key."""
+        _, column, value = self.linear.sparseJacobian_()
+        diagonal: Array = np.bincount(np.asarray(column, np.intp) - 1, weights=np.asarray(value) ** 2).astype(
+            np.float64, copy=False
+        )
+        sizes = {key: self.zero.at(key).size for key in sorted(self._backend.ordering_keys)}
+        ends = np.cumsum(list(sizes.values()))
+        parts = zip(sizes, np.split(diagonal, ends)[: len(sizes)], strict=True)
+        return {key: part for key, part in parts if gtsam.symbolChr(key) == ord("p")}
+
     def solve(self, damping: float) -> GraphStep:
-        """Eliminate points first, then images; damped by ``damping`` times the identity."""
+        """Eliminate points first, then images; damped on the diagonal, see :meth:`GraphBackend.damping_factors`."""
         linear, damping = self.linear, max(damping, self._backend.problem.least_damping)
         if damping > 0.0:
             linear = gtsam.GaussianFactorGraph()
             linear.push_back(self.linear)
-            linear.push_back(self._backend.damping_factors(damping))
+            linear.push_back(self._backend.damping_factors(damping, self._point_diagonals))
         if not self._backend.use_qr:
             try:
                 return self._step(linear.optimize(self._backend.ordering))
@@ -226,6 +239,7 @@ class GraphBackend:
         for j in self._points:
             self.ordering.push_back(point_key(j))
         self._vectors = vector_keys(problem)
+        self.ordering_keys = [key for key, _ in self._vectors] + [point_key(j) for j in self._points]
         for key, _ in self._vectors:
             self.ordering.push_back(key)
         self.zero = gtsam.VectorValues()
@@ -285,16 +299,18 @@ class GraphBackend:
         """State after a step."""
         return state.retract(step.data)
 
-    def damping_factors(self, damping: float) -> gtsam.GaussianFactorGraph:
-        """Identity times the root of the damping, for every unknown."""
+    def damping_factors(self, damping: float, diagonal: dict[int, Array]) -> gtsam.GaussianFactorGraph:
+        """Rows that add ``damping`` to the diagonal of the images and a share of their own to that of the points."""
         graph = gtsam.GaussianFactorGraph()
         root, point = np.sqrt(damping), gtsam.noiseModel.Unit.Create(3)
+        share = self.problem.point_damping(damping)
         for key, part in self._vectors:
             k = part.stop - part.start
             image = gtsam.noiseModel.Unit.Create(k)
             graph.add(gtsam.JacobianFactor(key, root * np.eye(k), np.zeros(k), image))
         for j in self._points:
-            graph.add(gtsam.JacobianFactor(point_key(j), root * np.eye(3), np.zeros(3), point))
+            own = np.sqrt(share * diagonal[point_key(j)])
+            graph.add(gtsam.JacobianFactor(point_key(j), np.diag(own), np.zeros(3), point))
         return graph
 
 

@@ -30,9 +30,10 @@ from fg_orient.parameters import ImageParameters
 Array = npt.NDArray[np.float64]
 
 
-#: What holds a free datum: as much as priors a thousand times as wide as the given ones (or 1 km for ground points).
-#: It acts on steps, not on the solution; wider ones cost digits.
+#: What holds a free datum: as much as priors a thousand times as wide as the given ones. It acts on steps, not on the
+#: solution; wider ones cost digits. The datum stands in the images: their ground points need next to nothing.
 FREE_DAMPING: Final = 1e-6
+FREE_POINT_DAMPING: Final = 1e-12
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,15 @@ class Problem:
         """Damping of the normal equations that no step goes without: above zero where nothing holds the datum."""
         options = self.block.options
         return FREE_DAMPING if options.datum == "free" and not options.priors else 0.0
+
+    def point_damping(self, damping: float) -> float:
+        """Share by which a damping lengthens the diagonal of the normal equations of each ground point.
+
+        A share, not an amount (Marquardt 1963): it does not depend on the unit of length of the block, and a point far
+        away, which its rays hardly hold along them, may go its way.
+        """
+        least = self.least_damping
+        return max(damping - least, FREE_POINT_DAMPING) if least > 0.0 else damping
 
     @property
     def n_unknowns(self) -> int:

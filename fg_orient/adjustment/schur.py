@@ -173,7 +173,8 @@ class SchurSystem:
     def _point_blocks(self, rows: Rows, damping: float) -> None:
         s, b, problem, (lo, hi) = self.structure, self.buffers(), self._backend.problem, rows.tile.places
         bad = self._backend.workers.run(
-            point_blocks, hi - lo, s.first, s.number, s.free, b.control, self.state.ground, damping,
+            point_blocks, hi - lo, s.first, s.number, s.free, b.control, self.state.ground,
+            problem.point_damping(damping),
             rows.tile.points[0], rows.value, rows.d_ground, b.root, b.gradient, b.scaled, start=lo,
         )  # fmt: skip
         for p in bad:

@@ -13,7 +13,7 @@ import gzip
 import hashlib
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -21,23 +21,22 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import frame_camera
+from factors.batch import batch
+from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED
 from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, Source, WithheldCoordinates
 from fg_orient.errors import InputError
 from fg_orient.names import Role
-from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
+from fg_orient.sensors.frame import HALF_TURN, UNKNOWNS, FrameCamera, FrameSensor
 
 Array = npt.NDArray[np.float64]
 
 N_CAMERA: Final = 9
 #: Sigma of an image coordinate: the cost of the block is then that of the literature, in px^2.
 SIGMA_PX: Final = 1.0
-#: Scale of the unknowns, for the length of damped steps: there are no priors. Each moves the pixels by some units, as a
-#: unit of a ground point does. Angles in rad; f as a share of its size.
-SIGMA_RAD: Final = 1e-2
-SIGMA_FOCAL: Final = 2.5e-2
-SIGMA_DISTORTION: Final = 1.0
-#: The same for projection centres, as a share of their scatter.
-SIGMA_CENTRE: Final = 2e-2
+#: Unknowns of a camera.
+UNKNOWN: Final = (
+    "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "k1", "k2",
+)  # fmt: skip
 #: More than this of anything is no bundle of this world, but a damaged file.
 LARGEST: Final = 10**9
 
@@ -152,17 +151,30 @@ def cameras_of(data: BalData) -> list[FrameCamera]:
         frame_camera.turned(row, np.eye(3).ravel(), turned)
         theirs = turned[:9].reshape(3, 3)
         rotations[k], centres[k] = HALF_TURN @ theirs, -theirs.T @ row[3:6]
-    scatter = SIGMA_CENTRE * max(float(centres.std(axis=0).max()), 1e-3)
-    shared = dict.fromkeys(("rotation_x", "rotation_y", "rotation_z"), SIGMA_RAD)
-    shared |= dict.fromkeys(("centre_x", "centre_y", "centre_z"), scatter)
-    shared |= dict.fromkeys(("k1", "k2"), SIGMA_DISTORTION)
     return [
-        FrameCamera(
-            rotation, centre, row[6], distortion=np.array([row[7], row[8], 0.0, 0.0, 0.0]),
-            sigma=shared | {"focal": SIGMA_FOCAL * row[6]},
-        )
-        for rotation, centre, row in zip(rotations, centres, data.cameras, strict=True)
-    ]  # fmt: skip
+        _scaled(FrameCamera(rotation, centre, row[6], distortion=np.array([row[7], row[8], 0.0, 0.0, 0.0])), data, k)
+        for k, (rotation, centre, row) in enumerate(zip(rotations, centres, data.cameras, strict=True))
+    ]
+
+
+def _scaled(camera: FrameCamera, data: BalData, k: int) -> FrameCamera:
+    """Name the unknowns, each in the unit that moves its image points by 1 px (root of the squares) at the start.
+
+    There are no priors: the units rule the damped steps alone (Moré 1978), and so does no unit of the file.
+    """
+    own = np.flatnonzero(data.camera == k)
+    codes = np.array([UNKNOWNS.index(name) for name in UNKNOWN], dtype=float)
+    rows, columns = batch(FRAME_BROWN_IDEAL_TO_MEASURED, np.stack([codes, np.ones(len(codes))]))
+    records = FrameSensor(camera, 1, 1, georeferenced=False).records(-data.xy[own, 1], data.xy[own, 0])
+    n, ground = len(own), np.ascontiguousarray(data.points[data.point[own]])
+    order, derivatives = np.arange(n, dtype=np.int32), np.zeros((n, 2, len(codes)))
+    rows(
+        0, n, order, records, order, np.zeros(n, np.int32), order, columns.setup, 1, np.ones((n, 1)),
+        np.zeros((1, len(codes))), ground, np.empty((n, 2)), derivatives, np.empty((n, 2, 3)), True,
+    )  # fmt: skip
+    length = np.sqrt(np.sum(derivatives**2, axis=(0, 1)))
+    usable = np.isfinite(length) & (length > 0.0)
+    return replace(camera, sigma=dict(zip(UNKNOWN, 1.0 / np.where(usable, length, 1.0), strict=True)))
 
 
 def _read(path: Path) -> tuple[bytes, str]:
