@@ -30,8 +30,8 @@ from factors.frame_camera import (
 RECORD_SIZE: Final = 24
 #: Setup: codes of the unknowns and their prior sigmas: 0-2 rotation about the camera's X, Y, Z (rad), 3-5 projection
 #: centre (m), 6 focal length, 7 and 8 sample and line of the principal point (px), 9-13 k1 k2 k3 p1 p2; 14 the aspect
-#: of ``factors.frame_measured``, 15-29 what only a platform feels (``factors.platform``). No pixel here feels 14-29.
-N_UNKNOWNS: Final = 30
+#: of ``factors.frame_measured``, which no pixel here feels.
+N_UNKNOWNS: Final = 15
 #: Column of the ground point behind those of the unknowns.
 GROUND: Final = N_UNKNOWNS
 
@@ -96,11 +96,11 @@ def sight_row(c: Any, own: float, direction: Any, u: float, v: float, weight: fl
 
 @compiled
 def derivatives(c: Any, ray: Any, a_line: float, a_sample: float, out: Array) -> float:
-    """Write the whitened derivatives of the residual into ``out`` (2, 33); 0 if they are finite.
+    """Write the whitened derivatives of the residual into ``out`` (2, 18); 0 if they are finite.
 
     ``c`` is the camera, an array or a tuple; ``ray`` what :func:`factors.frame_camera.direction` gives; ``a_line`` and
-    ``a_sample`` are the weights, 1/px. Columns: the 30 unknowns in physical units, then the ground point;
-    columns 14 to 29 are left as they are.
+    ``a_sample`` are the weights, 1/px. Columns: the 15 unknowns in physical units, then the ground point;
+    column 14 is left as it is.
     """
     x, y, _ = ray
     mx, my = brown_ideal_to_measured(c, x, y)

@@ -67,7 +67,7 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
 
 @compiled
 def derivatives(c: Any, ray: Any, line: float, sample: float, a_line: float, a_sample: float, out: Array) -> float:
-    """Write the whitened derivatives of the residual into ``out`` (2, 33), as ``factors.frame.derivatives``."""
+    """Write the whitened derivatives of the residual into ``out`` (2, 18), as ``factors.frame.derivatives``."""
     x, y = measured(c, line, sample)
     a, b, d = brown_derivatives(c, x, y)
     zero = sight_row(c, ray[1], ray, 0.0, 1.0, -a_line, out, 0) + sight_row(c, ray[0], ray, 1.0, 0.0, -a_sample, out, 1)

@@ -136,7 +136,7 @@ class FrameCamera:
     def corrected(self, correction: npt.ArrayLike | None = None) -> Array:
         """Camera of ``factors.frame_camera`` (29,), of ``factors.frame_measured`` (31,) if the polynomial corrects.
 
-        ``correction`` (30,): in physical units, in the order of the codes of ``factors.frame``.
+        ``correction`` (15,): in physical units, in the order of the codes of ``factors.frame``.
         """
         codes = np.stack([np.arange(frame.N_UNKNOWNS, dtype=float), np.ones(frame.N_UNKNOWNS)])
         x = np.zeros(frame.N_UNKNOWNS) if correction is None else np.array(correction, dtype=float)

@@ -89,7 +89,7 @@ class FrameImageModel:
         return out
 
     def correction(self, x: Array) -> Array:
-        """Corrections (30,) in physical units, in the order of the codes of ``factors.frame``."""
+        """Corrections (15,) in physical units, in the order of the codes of ``factors.frame``."""
         out = np.zeros(N_UNKNOWNS)
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out
