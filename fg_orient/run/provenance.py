@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 #: Distributions whose versions decide on the digits of a result.
 COMPUTING: Final = ("gtsam", "numpy", "scipy", "numba")
 #: All that fg_orient needs.
-REQUIRED: Final = (*COMPUTING, "pyproj", "lxml", "pydantic", "typer", "rich", "jinja2")
+REQUIRED: Final = (*COMPUTING, "pyproj", "pyerfa", "lxml", "pydantic", "typer", "rich", "jinja2")
 
 
 def version_of(distribution: str) -> str | None:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 IMPORT_BUDGET_S = 0.7
-HEAVY = ("gtsam", "numba", "scipy", "pandas", "matplotlib", "rasterio", "pyproj", "lxml", "pydantic")
+HEAVY = ("gtsam", "numba", "scipy", "pandas", "matplotlib", "rasterio", "pyproj", "erfa", "lxml", "pydantic")
 
 
 def run(code: str, folder: Path) -> str:
