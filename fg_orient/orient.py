@@ -23,7 +23,7 @@ from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
 from fg_orient.adjustment.point_cofactors import blocks_of_images
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import weighted_problem
+from fg_orient.adjustment.robust import are_information, weighted_problem
 from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.components import adjust_with_components
@@ -37,7 +37,13 @@ from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
 from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient
-from fg_orient.quality.free_network import InnerCofactors, to_inner_datum, with_minimal_datum, without_priors
+from fg_orient.quality.free_network import (
+    InnerCofactors,
+    held_unknowns,
+    to_inner_datum,
+    with_minimal_datum,
+    without_priors,
+)
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.suspects import Kind
 from fg_orient.solution import Seconds, Solution
@@ -203,7 +209,16 @@ def adjust_once(
     compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
     tell("statistics", len(compiled.observations))
     solution = conclude(compiled, observability, block_view, estimate, structure)
+    if inner and not len(held_unknowns(compiled)):
+        solution = replace(solution, warnings=(_no_inner_datum(block), *solution.warnings))
     return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=jit_s))
+
+
+def _no_inner_datum(block: Block) -> str:
+    """Say that inner constraints had nothing to do, and what asking for them has cost."""
+    off = "; the priors of the images were switched off all the same" if block.options.priors else ""
+    remedy = 'leave datum = "inner" out' + (" to keep them" if off else "")
+    return f"the control points hold the datum, so inner constraints have nothing to do{off}: {remedy}"
 
 
 def conclude(
@@ -245,6 +260,10 @@ def conclude(
 def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[str, ...]]:
     if compiled.least_damping > 0.0:
         return None, ("covariance withheld: the datum is free; keep the priors or measure control points",)
+    loss = compiled.block.options.loss
+    if estimate.weights is not None and not are_information(loss, estimate.weights):
+        why = "residuals near zero get weights above 1, which are no information"
+        return None, (f"covariance withheld: under the loss {loss} {why}; adjust with another one",)
     try:
         found = cofactors_of(compiled, estimate)
         inner = compiled.block.options.datum == "inner"

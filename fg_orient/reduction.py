@@ -227,7 +227,7 @@ class _Runs:
         self._done += 1
         given = {**self._options, **({"image_unknowns": unknowns} if unknowns else {})}
         solution = adjust(self._block, **given)
-        solution.required_cofactors(unweighted=True)
+        solution.required_cofactors(unweighted="statistics.significance_weighted")
         if solution.redundancy <= 0:
             raise NoSolutionError.of("statistics.no_redundancy", place=self._block.name, value=solution.redundancy)
         return solution

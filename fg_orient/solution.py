@@ -203,17 +203,17 @@ class Solution:
 
         return joint_cofactors(self.judged, self.state, self.required_cofactors(), names)
 
-    def required_cofactors(self, *, unweighted: bool = False) -> Cofactors:
-        """Cofactors, or the reason why there are none; ``unweighted``: also refuse those with the weights of a loss."""
+    def required_cofactors(self, *, unweighted: str = "") -> Cofactors:
+        """Cofactors, or why there are none; ``unweighted``: code of the message that refuses the weights of a loss."""
         if self.cofactors is None:
             raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
         if unweighted:
-            self._require_unweighted()
+            self._require_unweighted(unweighted)
         return self.cofactors
 
-    def _require_unweighted(self) -> None:
+    def _require_unweighted(self, code: str) -> None:
         if self.weights is not None:
-            raise NoSolutionError.of("covariance.weighted", place=self.block.options.loss)
+            raise NoSolutionError.of(code, place=self.block.options.loss)
 
     def covariance(self, *names: str) -> NamedMatrix:
         """Joint covariance ``scale^2 Q`` of anything adjusted; see :meth:`cofactor_matrix`."""
@@ -323,7 +323,7 @@ class Solution:
         return self._reliability(ALPHA, POWER)
 
     def _reliability(self, alpha: float, power: float) -> BlockReliability:
-        self._require_unweighted()
+        self._require_unweighted("statistics.reliability_weighted")
         return reliability(self.problem, self.state, self.residual_cofactors, alpha=alpha, power=power)
 
     def outlier_tests(
@@ -345,7 +345,7 @@ class Solution:
         NoSolutionError
             The covariance could not be computed; the message says why.
         """
-        cofactors, options = self.required_cofactors(unweighted=True), self.block.options
+        cofactors, options = self.required_cofactors(unweighted="covariance.weighted"), self.block.options
         return outlier_tests(
             self.problem, self.state, cofactors, self.chi2, kind=kind, components=self.components,
             known=self.residual_cofactors,
@@ -370,7 +370,7 @@ class Solution:
         NoSolutionError
             The weights of a loss changed the sum of squares, or the sigmas were estimated from it.
         """
-        self._require_unweighted()
+        self._require_unweighted("statistics.global_weighted")
         if self.components is not None:
             raise NoSolutionError.of("statistics.components_global", place=self.block.name)
         return global_test(self.chi2, self.redundancy, level)
@@ -389,7 +389,7 @@ class Solution:
         NoSolutionError
             The covariance could not be computed, or was changed by the weights of a loss.
         """
-        q, known = self.required_cofactors(unweighted=True), self.residual_cofactors
+        q, known = self.required_cofactors(unweighted="statistics.components_loss"), self.residual_cofactors
         return variance_components(self.problem, self.state, q, groups=groups, method=method, known=known)
 
     def in_datum(self, *names: str) -> FreeNetwork:
@@ -417,7 +417,7 @@ class Solution:
         NoSolutionError
             No covariance, or under a loss; no redundancy; sigmas estimated in a block too large to form their freedom.
         """
-        q = self.required_cofactors(unweighted=True)
+        q = self.required_cofactors(unweighted="statistics.significance_weighted")
         return significance(self.problem, self.state, q, self.sigma0, level=level, freedom=self.unknown_freedom)
 
     def prediction_test(self) -> PredictionTest:

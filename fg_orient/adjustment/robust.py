@@ -17,7 +17,7 @@ from typing import Final, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from factors.losses import Curve, Loss, find, losses
+from factors.losses import ALIASES, Curve, Loss, find, losses
 from fg_orient.adjustment.problem import Problem, State, whitened_records
 from fg_orient.block import ImagePoints, Options
 from fg_orient.distributions import chi_square_quantile
@@ -32,6 +32,8 @@ IMAGE, CONTROL = 2, 3
 NONE: Final = "none"
 #: Weights that are no loss but an iteration of their own (``fg_orient.adjustment.irls``).
 IN_CYCLES: Final = ("danish_original", "lad")
+#: Of these the rules whose weights are no share of the information of an observation: 1/t, above 1 or below.
+UNWEIGHED: Final = ("lad",)
 #: Scales of image points and control points: residuals are judged in sigmas.
 A_PRIORI: Final = (1.0, 1.0)
 
@@ -101,6 +103,12 @@ class Weights:
     scale: tuple[float, float] = A_PRIORI
 
 
+def are_information(loss: str, weights: Weights) -> bool:
+    """Tell whether cofactors with these weights mean something: none may make an observation better than its sigma."""
+    largest = max(float(weights.image.max(initial=0.0)), float(weights.control.max(initial=0.0)))
+    return loss not in UNWEIGHED and largest <= 1.0 + 1e-12
+
+
 def find_loss(name: str) -> Loss:
     """Find a loss.
 
@@ -111,7 +119,8 @@ def find_loss(name: str) -> Loss:
     """
     loss = find(name)
     if loss is None:
-        raise InputError.of("adjust.loss", place="loss", value=name, known=", ".join((NONE, *losses(), *IN_CYCLES)))
+        known = ", ".join((NONE, *losses(), *ALIASES, *IN_CYCLES))
+        raise InputError.of("adjust.loss", place="loss", value=name, known=known)
     return loss
 
 

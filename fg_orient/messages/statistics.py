@@ -32,6 +32,20 @@ STATISTICS: Final = {
         "the variance component does not stand after {value} adjustments",
         "leave it out of the groups, or join it with another",
     ),
+    "statistics.global_weighted": (
+        "the global test needs least squares: the weights of a loss take from the large residuals, so that the sum of "
+        "squares follows no chi-square",
+        "judge the fit by the weights and the check points, or adjust with loss none",
+    ),
+    "statistics.significance_weighted": (
+        "tests of unknowns need least squares: under a loss sigma0 is no unit weight, and too much looks significant",
+        "search for gross errors first, then adjust without them and with loss none",
+    ),
+    "statistics.reliability_weighted": (
+        "minimal detectable biases are those of a test under least squares: the weights of a loss change its size and "
+        "its power",
+        "adjust with loss none; redundancy numbers with the weights are in residual_cofactors",
+    ),
     "statistics.components_global": (
         "the global test is circular with estimated variance components: they make sigma0 1",
         "test the model with the sigmas given, or by check points",
@@ -47,7 +61,7 @@ STATISTICS: Final = {
     ),
     "statistics.folds": (
         "cross-validation leaves out parts of the control points, of which {control} are seen",
-        "give 0 to leave out one at a time, or 2 and more parts, at most as many as control points",
+        "leave out one at a time (loo; in Python 0), or in 2 parts up to as many as these points; two are the least",
     ),
     "statistics.snoop_loss": (
         "gross errors are searched with least squares, not under a robust loss that has weighted them down",

@@ -108,8 +108,8 @@ def _holding(problem: Problem, chosen: Index) -> Problem:
     return replace(problem, block=replace(problem.block, extra=(*others, *held)))
 
 
-def _chosen(problem: Problem) -> Index:
-    """Image unknowns that are held."""
+def held_unknowns(problem: Problem) -> Index:
+    """Image unknowns (d,) that are held for the minimal datum, as many as there are motions."""
     found = [
         problem.first[problem.block.image_index(e.unknowns[0].removeprefix("image:"))] + e.record.astype(np.intp)
         for e in problem.block.extra
@@ -138,7 +138,7 @@ def to_inner_datum(
     Estimate
         Not converged if the datum is not reached.
     """
-    columns, chosen, first = Columns.of(problem), _chosen(problem), estimate
+    columns, chosen, first = Columns.of(problem), held_unknowns(problem), estimate
     reference, at = columns.vector(problem.start), problem
     datum = datum_points(problem)
     for _ in range(MAX_STEPS):

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fg_orient.adjustment.problem import Problem
-from fg_orient.adjustment.robust import Weights
+from fg_orient.adjustment.robust import UNWEIGHED, Weights, are_information
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.distributions import chi_square_interval
-from fg_orient.names import Status
+from fg_orient.names import Role, Status
 from fg_orient.quality import conditioning
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
 from fg_orient.quality.observability import BlockObservability, ImageObservability
@@ -48,7 +48,8 @@ def judge(problem: Problem, estimate: Estimate, withheld: tuple[str, ...]) -> Ve
     if problem.least_damping > 0.0:
         reason = "the datum is free: position, orientation and scale of the block are those of its start values"
         return Verdict(Status.NOT_TRUSTWORTHY, f"{reason}, only its shape is determined", interval)
-    if withheld and not problem.block.options.priors and problem.block.options.datum != "inner":
+    plain = estimate.weights is None or are_information(problem.block.options.loss, estimate.weights)
+    if withheld and plain and not problem.block.options.priors and problem.block.options.datum != "inner":
         reason = "without priors the control points determine some directions too weakly for a covariance"
         return Verdict(Status.NOT_TRUSTWORTHY, f"{reason}: coordinates must not be trusted", interval)
     if f <= 0:
@@ -70,8 +71,11 @@ def judge(problem: Problem, estimate: Estimate, withheld: tuple[str, ...]) -> Ve
 def _judge_weights(problem: Problem, estimate: Estimate, weights: Weights) -> Verdict:
     """Under a loss sigma0 follows no chi-square; a loss that turns most of the observations down fits too few.
 
-    So does one that turns most image points of one image down: what is left, or its priors, orient it.
+    So does one that turns most image points of one image down: what is left, or its priors, orient it. Least absolute
+    values turn nothing down: their weights fall from the first residual on.
     """
+    if problem.block.options.loss in UNWEIGHED:
+        return Verdict(Status.CONVERGED, estimate.reason, NO_INTERVAL)
     down = int(np.count_nonzero(weights.image < DOWN))
     if down > MOST_DOWN * len(weights.image):
         reason = f"{down} of {len(weights.image)} image points have a weight below {DOWN}: the model does not hold"
@@ -90,17 +94,50 @@ def _judge_weights(problem: Problem, estimate: Estimate, weights: Weights) -> Ve
 def turned_down_images(problem: Problem, weights: Weights) -> list[tuple[str, int, int]]:
     """Images most of whose image points a loss has turned down: id, how many, of how many."""
     o, m = problem.observations, problem.n_images
+    if problem.block.options.loss in UNWEIGHED:
+        return []
     n, bad = np.bincount(o.image, minlength=m), np.bincount(o.image[weights.image < DOWN], minlength=m)
     return [(problem.block.images[k].id, int(bad[k]), int(n[k])) for k in np.flatnonzero(bad > MOST_DOWN * n)]
 
 
 def points_without_ray(problem: Problem, weights: Weights) -> list[str]:
     """Ids of unknown points all of whose rays a loss has turned down: they lie where these rays meet, unchecked."""
+    return [problem.block.points.ids[j] for j in _left_with(problem, weights, 0)]
+
+
+def points_on_one_ray(problem: Problem, weights: Weights) -> list[str]:
+    """Ids of unknown points all but one of whose rays a loss has turned down: next to nothing holds them along it."""
+    return [problem.block.points.ids[j] for j in _left_with(problem, weights, 1)]
+
+
+def _left_with(problem: Problem, weights: Weights, rays: int) -> list[int]:
+    """Unknown points without control, or whose control is turned down, that a loss has left so many of more rays."""
     o, n = problem.observations, len(problem.active)
-    good = np.bincount(o.point[weights.image >= DOWN], minlength=n)
-    lost = problem.active & (good == 0) & (np.bincount(o.point, minlength=n) > 0)
+    if problem.block.options.loss in UNWEIGHED:
+        return []
+    good, every = np.bincount(o.point[weights.image >= DOWN], minlength=n), np.bincount(o.point, minlength=n)
+    lost = problem.active & (good == rays) & (every > rays)
     lost &= ~problem.observed | (weights.control < DOWN)
-    return [problem.block.points.ids[j] for j in np.flatnonzero(lost)]
+    return np.flatnonzero(lost).tolist()
+
+
+def _lost_sentences(problem: Problem, weights: Weights) -> list[str]:
+    """Name the points that a loss has left without a ray, or on one; check points among them, too."""
+    out, points = [], problem.block.points
+    for rays, told in (
+        (0, "the loss has turned down all rays of {n} point(s), whose place nothing checks"),
+        (1, "the loss has turned down all but one ray of {n} point(s), which nothing holds along it"),
+    ):
+        lost = _left_with(problem, weights, rays)
+        if lost:
+            check = [points.ids[j] for j in lost if points.roles[j] is Role.CHECK]
+            also = f"; check points among them: {_named(check)}" if check else ""
+            out.append(f"{told.format(n=len(lost))}: {_named([points.ids[j] for j in lost])}{also}")
+    return out
+
+
+def _named(ids: list[str]) -> str:
+    return ", ".join(ids[:NAMED]) + (" ..." if len(ids) > NAMED else "")
 
 
 def weight_sentence(problem: Problem, weights: Weights) -> str:
@@ -111,6 +148,12 @@ def weight_sentence(problem: Problem, weights: Weights) -> str:
         image, control = weights.scale
         scale = f"; its unit is {image:.2f} sigmas of image points and {control:.2f} of control points"
     down, control = (int(np.count_nonzero(w < DOWN)) for w in (weights.image, weights.control))
+    if loss in UNWEIGHED:
+        return (
+            f"robust loss {loss}: {down} of {len(weights.image)} image points and {control} control points lie beyond "
+            f"{1.0 / DOWN:g} sigmas; their weights fall from the first residual on, so none is turned down, and sigma0 "
+            "is not that of sigmas that hold"
+        )
     return (
         f"robust loss {loss}: {down} of {len(weights.image)} image points and {control} control points have a weight "
         f"below {DOWN}{scale}; chi2, sigma0 and standard deviations (prior scale) take the weights at the solution as "
@@ -137,12 +180,7 @@ def warnings(
     out = [] if verdict.status is Status.CONVERGED and f > 0 else [verdict.reason]
     if estimate.weights is not None:
         out.append(weight_sentence(problem, estimate.weights))
-        lost = points_without_ray(problem, estimate.weights)
-        if lost:
-            names = ", ".join(lost[:NAMED]) + (" ..." if len(lost) > NAMED else "")
-            out.append(
-                f"the loss has turned down all rays of {len(lost)} point(s), whose place nothing checks: {names}"
-            )
+        out += _lost_sentences(problem, estimate.weights)
     if f > 0 and np.sqrt(estimate.chi2 / f) < verdict.interval[0]:
         out.append(
             f"sigma0 lies below {verdict.interval[0]:.2f}, the lower end of its 99.9 % interval: the sigmas are too "

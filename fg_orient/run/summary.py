@@ -14,7 +14,7 @@ from fg_orient.names import Status
 from fg_orient.parameters import EOP_SETS
 from fg_orient.quality.deficiency import DEFICIENT
 from fg_orient.quality.parallax import rms_px, y_parallaxes
-from fg_orient.quality.verdict import DOWN, points_without_ray, turned_down_images
+from fg_orient.quality.verdict import DOWN, points_on_one_ray, points_without_ray, turned_down_images
 from fg_orient.run import outliers
 from fg_orient.run.prediction import prediction_records
 from fg_orient.run.statistics import correlation_record, missing, reliability_record
@@ -100,6 +100,7 @@ def _robust(solution: Solution) -> dict[str, Any] | None:
         "control_points_below_half": [ids[j] for j in control],
         "images_below_half": [name for name, _, _ in turned_down_images(problem, weights)],
         "points_without_ray": points_without_ray(problem, weights)[:MAX_NAMED],
+        "points_on_one_ray": points_on_one_ray(problem, weights)[:MAX_NAMED],
         "scale_image": weights.scale[0],
         "scale_control": weights.scale[1],
         "least": [

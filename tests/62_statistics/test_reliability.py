@@ -167,7 +167,7 @@ def test_fixed_points_are_checked_in_full_but_for_the_image(grid: Block) -> None
 def test_figures_that_do_not_exist_have_a_reason(grid: Block) -> None:
     with pytest.raises(fg.NoSolutionError) as caught:
         fg.adjust(grid, loss="huber").reliability()
-    assert caught.value.problems[0].code == "covariance.weighted"
+    assert caught.value.problems[0].code == "statistics.reliability_weighted"
     with pytest.raises(fg.NoSolutionError) as caught:
         fg.adjust(grid, datum="free", priors=False, eop_set=2).reliability()
     assert caught.value.problems[0].code == "covariance.withheld"

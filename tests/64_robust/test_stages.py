@@ -13,6 +13,7 @@ from fg_orient.adjustment.gnc import EXACT, PLAIN
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.solve import solve
 from fg_orient.adjustment.stages import FROM_RESECTIONS, START, START_STAGES, WIDE, Direct, plan_of
+from fg_orient.run.summary import summary
 
 from .conftest import adjusted, control_rays, grid, moved, problem_of, spoiled, twin, with_options
 
@@ -110,6 +111,61 @@ def test_a_point_without_ray_is_said() -> None:
     solution = fg.adjust(moved(block, rows, 20.0, 40.0), loss="tukey", max_iterations=200)
     (text,) = (w for w in solution.warnings if "all rays of" in w)
     assert block.points.ids[point] in text
+
+
+@pytest.mark.parametrize("image", [0, 1])
+def test_a_point_left_on_one_ray_is_said(image: int) -> None:
+    """A check point with a sample 40 px wrong: one ray is turned down, along the other nothing holds it."""
+    block = twin()
+    point = block.points.where(fg.Role.CHECK)[0]
+    o = block.observations
+    wrong = moved(block, np.flatnonzero((o.point == point) & (o.image == image)), 0.0, 40.0)
+    solution = fg.adjust(wrong, loss="tukey", max_iterations=200)
+    assert solution.weights is not None
+    assert np.count_nonzero(solution.weights.image[o.point == point] < 0.5) == 1
+    name = block.points.ids[point]
+    (text,) = (w for w in solution.warnings if "all but one ray of" in w)
+    assert text.endswith(f"1 point(s), which nothing holds along it: {name}; check points among them: {name}")
+    robust = summary(solution)["robust"]
+    assert (robust["points_on_one_ray"], robust["points_without_ray"]) == ([name], [])
+    clean = fg.adjust(block, loss="tukey", max_iterations=200)
+    assert summary(clean)["robust"]["points_on_one_ray"] == []
+    assert not [w for w in clean.warnings if "one ray of" in w]
+
+
+def test_least_absolute_values_have_no_covariance_and_turn_nothing_down() -> None:
+    solution = fg.adjust(twin(), loss="lad", max_iterations=200)
+    assert solution.weights is not None and solution.weights.image.max() > 1.0
+    assert solution.status is fg.Status.CONVERGED
+    assert solution.cofactors is None
+    assert "above 1, which are no information" in solution.withheld[0]
+    assert np.isnan(solution.accuracy.check.predicted_sigma_enu_m).all()
+    (text,) = (w for w in solution.warnings if w.startswith("robust loss lad"))
+    beyond = int(np.count_nonzero(solution.weights.image < 0.5))
+    assert beyond > 0 and f"{beyond} of 94 image points and 0 control points lie beyond 2 sigmas" in text
+    robust = summary(solution)["robust"]
+    assert robust["points_without_ray"] == robust["points_on_one_ray"] == robust["images_below_half"] == []
+    free = fg.adjust(twin(), loss="lad", max_iterations=200, priors=False, eop_set=10)
+    assert "too weakly" not in free.reason  # what is withheld is no matter of the control points
+
+
+def test_statistics_of_least_squares_say_why_they_refuse_a_loss() -> None:
+    solution = fg.adjust(twin(), loss="tukey", max_iterations=200)
+    codes = {
+        "significance": "statistics.significance_weighted", "global_test": "statistics.global_weighted",
+        "variance_components": "statistics.components_loss", "reliability": "statistics.reliability_weighted",
+        "outlier_tests": "covariance.weighted",
+    }  # fmt: skip
+    for method, code in codes.items():
+        with pytest.raises(fg.NoSolutionError) as caught:
+            getattr(solution, method)()
+        assert [p.code for p in caught.value.problems] == [code], method
+
+
+def test_names_of_losses_are_told_with_their_other_names() -> None:
+    with pytest.raises(fg.InputError) as caught:
+        fg.adjust(twin(), loss="foo")
+    assert {"tukey", "beaton_tukey", "lorentz", "lad"} <= set(caught.value.problems[0].remedy.replace(",", "").split())
 
 
 def test_the_unit_of_the_loss_is_said() -> None:

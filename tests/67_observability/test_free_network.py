@@ -303,3 +303,15 @@ def test_minimal_datum_holds_as_many_unknowns_as_there_are_motions() -> None:
     design = assemble(held, held.start)[1]
     assert np.linalg.cond(design / np.linalg.norm(design, axis=0)) < 1e6
     assert Role.CONTROL not in held.block.points.roles
+
+
+@pytest.mark.parametrize("priors", [True, False])
+def test_control_that_holds_the_datum_is_said(priors: bool) -> None:
+    """Nothing is left to inner constraints; that priors went is said where there were some."""
+    block = pinhole((0, 7, 12, 20))
+    solution = fg.adjust(block, datum="inner", priors=priors)
+    told = [w for w in solution.warnings if "inner constraints have nothing to do" in w]
+    assert told == [solution.warnings[0]]
+    assert ("switched off" in told[0]) is priors
+    free = solved("dense")
+    assert not [w for w in free.warnings if "nothing to do" in w]
