@@ -151,10 +151,14 @@ class _Rounds:
         self._out.append((removal, len(self._found)))
         after, _ = self._kept()
         gone = np.setdiff1d(kept, np.concatenate([after, rows]))
-        o, test = self._block.observations, tests[0]
-        with_it = tuple(f"point {test.point} in image {self._block.images[o.image[r]].id}" for r in gone)
+        test, with_it = tests[0], tuple(self._name(r) for r in gone.tolist())
         self._found.append(Found(test, number, with_it))
         self._rounds[-1] = replace(self._rounds[-1], left_out=test.name)
+
+    def _name(self, row: int) -> str:
+        """Name an image point of the given block."""
+        o = self._block.observations
+        return f"point {self._block.points.ids[o.point[row]]} in image {self._block.images[o.image[row]].id}"
 
     def _predict(self, solution: Solution) -> None:
         """Judge everything left out by the rest."""
@@ -223,7 +227,15 @@ class _Rounds:
 
     def concluded(self, solution: Solution) -> Solution:
         """Give the last solution with what was found."""
-        found = Search(tuple(self._rounds), tuple(self._found), self._given_up)
+        kept, block = self._kept()
+        o, points = self._block.observations, self._block.points
+        out = np.concatenate([kept, *(np.array(removal.rows, np.intp) for removal, _ in self._out)])
+        single = np.setdiff1d(np.arange(len(o)), out)
+        lost = [j for j in points.where(Role.CHECK) if j in o.point and j not in block.observations.point]
+        found = Search(
+            tuple(self._rounds), tuple(self._found), self._given_up, tuple(self._name(r) for r in single.tolist()),
+            tuple(points.ids[j] for j in lost),
+        )  # fmt: skip
         return replace(solution, snooping=found, warnings=(*found.sentences(), *solution.warnings))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -79,11 +80,17 @@ class Search:
         All that was ever left out, in the order of the rounds.
     given_up : str
         Why the search ended although something is suspicious; "" if it came to its end.
+    went_with : tuple of str
+        Image points that stay out because they would be the single ray of a point.
+    check_points : tuple of str
+        Ids of check points that have no ray any more: they are not in the accuracy.
     """
 
     rounds: tuple[Round, ...]
     found: tuple[Found, ...]
     given_up: str = ""
+    went_with: tuple[str, ...] = ()
+    check_points: tuple[str, ...] = ()
 
     @property
     def left_out(self) -> tuple[Found, ...]:
@@ -95,6 +102,17 @@ class Search:
         out, count = self.left_out, len(self.left_out)
         if not count and not self.given_up:
             return ()
-        names = ", ".join(found.test.name for found in out[:NAMED]) + (" ..." if count > NAMED else "")
-        texts = [f"snooping left out {count} observation(s) in {len(self.rounds)} rounds: {names}"] if count else []
+        names = _named([found.test.name for found in out])
+        also = f"; with them, as single rays of their points: {_named(self.went_with)}" if self.went_with else ""
+        head = f"snooping left out {count} observation(s) in {len(self.rounds)} rounds"
+        texts = [f"{head}: {names}{also}"] if count else []
+        if self.check_points:
+            texts.append(
+                f"{len(self.check_points)} check point(s) are not in the accuracy, as snooping left them no two rays: "
+                f"{_named(self.check_points)}"
+            )
         return (*texts, f"snooping was given up: {self.given_up}") if self.given_up else tuple(texts)
+
+
+def _named(names: Sequence[str]) -> str:
+    return ", ".join(names[:NAMED]) + (f" ... ({len(names)})" if len(names) > NAMED else "")

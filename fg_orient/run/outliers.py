@@ -74,6 +74,7 @@ def _search_record(solution: Solution) -> dict[str, Any] | None:
         return None
     return {
         "n_left_out": len(search.left_out), "given_up": search.given_up or None,
+        "went_with": list(search.went_with), "check_points_lost": list(search.check_points),
         "rounds": [asdict(r) | {"left_out": r.left_out or None, "put_back": r.put_back or None} for r in search.rounds],
         "found": [
             {"round": f.round, **_record(f.test), "left_out_with_it": list(f.with_it), "readmitted": f.readmitted,

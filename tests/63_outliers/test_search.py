@@ -63,6 +63,24 @@ def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
     assert any("snooping left out 2 observation(s) in 3 rounds" in text for text in found.solution.warnings)
 
 
+def test_what_went_with_it_is_counted_and_named() -> None:
+    """A check point with one wrong ray of two: two image points go, and the point is no longer in the accuracy."""
+    block = twin()
+    row = row_of(block, Role.CHECK, 2)
+    point = block.points.ids[block.observations.point[row]]
+    found = snoop(with_error(block, row, 5.0, 1.0), level=0.001)
+    search, solution = found.search, found.solution
+    assert len(block.observations) - len(solution.problem.observations) == len(search.left_out) + len(search.went_with)
+    assert search.went_with == (f"point {point} in image {block.images[1].id}",)
+    assert search.check_points == (point,)
+    assert len(solution.accuracy.check) == len(block.points.where(Role.CHECK)) - 1
+    first, second = solution.warnings[:2]
+    assert first.endswith(f"; with them, as single rays of their points: {search.went_with[0]}")
+    assert second == f"1 check point(s) are not in the accuracy, as snooping left them no two rays: {point}"
+    control = snoop(with_error(block, row_of(block, Role.CONTROL, 2), 5.0, 1.0), level=0.001)
+    assert (control.search.went_with, control.search.check_points) == ((), ())
+
+
 @pytest.mark.parametrize("role", [Role.CONTROL, Role.CHECK])
 def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
     """Statistic and probability from the rest are those of the adjustment with it, for points that vanish, too.
