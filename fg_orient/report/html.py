@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any, Final
 
 from fg_orient.report.data import Result, residual_summary
@@ -12,6 +13,14 @@ from fg_orient.report.svg import point_map, singular_values
 _READABLE: Final = {"rad": ("µrad", 1e6), "m/s": ("mm/s", 1e3), "m": ("m", 1.0)}
 #: Rows of a table, and images, that the page shows; the files hold all.
 MANY: Final = {"rows": 100, "images": 40, "terms": 1500}
+#: Figures of the record in words, for reasons why they are absent.
+_FIGURES: Final = {
+    "sigma0_interval_99_9": "the interval of sigma0", "global_test": "the global test",
+    "outlier_tests": "tests of single observations", "suspicious_observations": "suspicious observations",
+    "reliability": "redundancy numbers and minimal detectable biases",
+    "correlations": "correlations of the orientation",
+    "us_per_observation_iteration": "the time per image point and iteration",
+}  # fmt: skip
 _DEGREES: Final = ("constant", "linear", "quadratic")
 _AXES: Final = (("East", "east"), ("North", "north"), ("Up", "up"), ("ECEF X", "ecef_x"), ("ECEF Y", "ecef_y"),
                 ("ECEF Z", "ecef_z"))  # fmt: skip
@@ -30,7 +39,7 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     return template.render(
         r=result.record, verdict=verdict(result.record), axes=_AXES, point_map=point_map(result),
         up_map=point_map(result, up=True), residuals=residual_summary(result), corrections=corrections(result),
-        what=orientation_words(result.record), many=MANY,
+        what=orientation_words(result.record), many=MANY, warnings=[in_words(t) for t in result.record["warnings"]],
         singular=singular_values(result.record["observability"]), iterations=result.iterations, truth=comparison,
     )  # fmt: skip
 
@@ -48,6 +57,18 @@ def orientation_words(record: dict[str, Any]) -> str:
     if "RPC" in kinds:
         words.append(f"RPC compensation: {record['rpc_compensation'].replace('_', ' and ')}")
     return " · ".join(words)
+
+
+def in_words(warning: str) -> str:
+    """Say a warning about absent figures without the keys of result.json."""
+    keys, found, why = re.match(r"(?:([a-z0-9_, ]*?) (is|are) null: )?(.*)", warning, re.DOTALL).groups()  # type: ignore[union-attr]
+    if found is None:
+        if warning.startswith("the counts of block_observability are null: "):
+            return warning.replace("block_observability are null", "directions of the whole block are not given", 1)
+        return warning
+    names = [_FIGURES.get(key, key.replace("_", " ")) for key in re.split(r", | and ", keys)]
+    listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    return f"Not given: {listed}; {why}"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -85,6 +106,8 @@ def verdict(record: dict[str, Any]) -> dict[str, str]:
     if robust is not None:
         down, n = robust["n_image_points_below_half"], record["n_image_points"]
         fit = f"The loss {record['loss']} has turned down {down} of {n} image points; the fit of the rest is untested."
+        if record["loss"] == "lad":  # its weights turn nothing down
+            fit = f"{down} of {n} image points lie beyond 2 sigmas; under least absolute values the fit is untested."
     elif record.get("variance_components") is not None:
         fit = "The standard deviations were estimated from these residuals, so the fit does not test the model."
     elif low is not None and sigma0 < low:

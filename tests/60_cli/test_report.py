@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from fg_orient.report.html import number, scientific, verdict
+from fg_orient.report.html import in_words, number, scientific, verdict
 from fg_orient.report.svg import round_down
 
 VOID = {"meta", "br", "img", "link", "input", "hr"}
@@ -219,3 +219,31 @@ def test_numbers_for_people() -> None:
     assert number(None) == number(float("nan")) == scientific(None) == "–"
     assert scientific(1.234e-7) == "1.23e−07"
     assert [round_down(v) for v in (1.0, 4.9, 5.0, 0.03, 99.0)] == [1.0, 2.0, 5.0, 0.02, 50.0]
+
+
+def test_page_under_a_loss(twin_source: Path, tmp_path: Path, run: Any) -> None:
+    """Sigmas are in prior scale, sections without figures say why, and no warning speaks the keys of result.json."""
+    out = tmp_path / "result"
+    ended = run("adjust", twin_source / "project.toml", "--loss", "tukey", "--out", out, "--json")
+    assert ended.code == 0
+    text = " ".join(structure(out / "report.html").text)
+    assert "standard deviations in prior scale, with the weights of the loss" in text
+    assert "a posteriori" not in text
+    assert "minimal detectable biases are not given: the weights of the loss change them" in text
+    page = (out / "report.html").read_text("utf-8")
+    warnings = page[page.index('id="warnings"') : page.index('id="summary"')]
+    assert " null" not in warnings
+    assert not re.findall(r"[a-z0-9]+_[a-z0-9_]+", warnings)
+    assert "Not given: the interval of sigma0; the weights of the loss change it" in warnings
+    assert '<p class="sub">1 pairs' not in page
+
+
+def test_reasons_in_words() -> None:
+    assert in_words("reliability is null: it needs the covariance") == (
+        "Not given: redundancy numbers and minimal detectable biases; it needs the covariance"
+    )
+    assert in_words("global_test, outlier_tests and suspicious_observations are null: why") == (
+        "Not given: the global test, tests of single observations and suspicious observations; why"
+    )
+    assert in_words("sigma0 is null: a; b is null: c") == "Not given: sigma0; a; b is null: c"
+    assert in_words("no check points: the accuracy is not verified") == "no check points: the accuracy is not verified"
