@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,14 +55,23 @@ def reduce(
         if direction not in ("backward", "forward"):
             raise InputError.of("options.value", place="--direction", value=direction, expected="backward or forward")
         with progress_bar("adjusting", as_json) as callback:
-            found = reduce_unknowns(
-                block, direction="backward" if direction == "backward" else "forward", level=level, folds=folds,
-                progress=callback,
+            found = _named_as_typed(
+                reduce_unknowns, block, direction="backward" if direction == "backward" else "forward", level=level,
+                folds=folds, progress=callback,
             )  # fmt: skip
         if as_json:
             emit({"name": block.name, **found.as_dict()})
         else:
             show(found)
+
+
+def _named_as_typed(run: Callable[..., Reduction], *given: Any, **options: Any) -> Reduction:
+    """Run, and name wrong parts as they are written on the command line."""
+    try:
+        return run(*given, **options)
+    except InputError as error:
+        places = {"folds": "--cross-validation", "level": "--level"}
+        raise InputError(*(replace(p, place=places.get(p.place, p.place)) for p in error.problems)) from None
 
 
 def _folds(text: str | None) -> int | None:

@@ -66,6 +66,13 @@ def test_the_page_is_made_of_the_results() -> None:
         "run: python -m benchmarks.contamination_page"
     )
     found = ratios(results["entries"])
+    seeds = {(e["case"], e["share"], e["method"]): e["seed"] for e in results["entries"]}
+    claimed = [method for method in study.METHODS if method not in study.SLOW]
+    assert {PLAIN, *WINNERS} <= set(claimed)
+    for case in ("twin", "block"):
+        for share in (0.0, 0.05, 0.1, 0.2, 0.3):  # 0, and the four shares of gross errors
+            for method in claimed:
+                assert sorted(seeds[case, share, method]) == list(range(1, 21)), (case, share, method)
     for case in ("twin", "block"):
         for method in WINNERS:
             assert found[case, 0.2, method] <= LIMIT, (case, method)

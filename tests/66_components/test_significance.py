@@ -22,6 +22,7 @@ from fg_orient.parameters import Term, term_of
 from fg_orient.quality.significance import group_test, places_of
 from fg_orient.reduction import closest_eop_set, criteria, reduce_unknowns
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient.solution import Solution
 from tests.support.command import in_process
 from tests.support.planted_errors import planted
 
@@ -219,6 +220,44 @@ def test_left_out_points_are_predicted_as_deleted_residuals_say(twin: Block) -> 
     assert np.abs(found.image_px - with_it).max() > 1e-2  # residuals are no predictions
 
 
+def test_criteria_with_a_wrong_weight_are_others(twin: Block) -> None:
+    """AIC, AICc and BIC recomputed from residuals; those of a block with one sigma doubled do not fit to them."""
+
+    def by_hand(solution: Solution, block: Block) -> float:
+        o, problem = block.observations, solution.problem
+        seen = np.flatnonzero(problem.observed)
+        known = problem.block.points.known
+        enu = np.einsum("nij,nj->ni", problem.axes(known.ecef_m[seen]), solution.ground_m[seen] - known.ecef_m[seen])
+        sigma = np.concatenate([o.sigma_line_px, o.sigma_sample_px, known.sigma_enu_m[seen].ravel()])
+        v = np.concatenate([solution.residuals_px.T.ravel(), enu.ravel()])
+        k = problem.n_unknowns + 1
+        return float(2 * k - 2 * norm.logpdf(v, scale=np.sqrt(np.mean((v / sigma) ** 2)) * sigma).sum())
+
+    wrong = one_sigma_doubled(twin)
+    solution, other = fg.adjust(twin, **LINEAR), fg.adjust(wrong, **LINEAR)
+    found, spoiled = criteria(solution), criteria(other)
+    assert found.aic == pytest.approx(by_hand(solution, twin), abs=1e-6)
+    assert spoiled.aic == pytest.approx(by_hand(other, wrong), abs=1e-6)
+    for name in ("aic", "aicc", "bic"):
+        assert abs(getattr(spoiled, name) - getattr(found, name)) > 1e-2, name
+    assert abs(spoiled.aic - by_hand(other, twin)) > 1e-2  # the sigmas of the block count, not only its residuals
+
+
+def one_sigma_doubled(block: Block) -> Block:
+    sigma = block.observations.sigma_line_px.copy()
+    sigma[0] *= 2.0
+    return replace(block, observations=replace(block.observations, sigma_line_px=sigma))
+
+
+def test_predictions_with_a_wrong_weight_are_others(twin: Block) -> None:
+    """Deleted residuals of the right weights do not fit to a cross-validation with a wrong one."""
+    block, options = fixed_control(twin), {"eop_set": 10, "priors": False, "check_points": "exclude"}
+    folds = [fold for fold in folds_of(block) if fold[0] != block.observations.point[0]][:2]
+    found = cross_validate(block, tuple(folds), **options)
+    spoiled = cross_validate(one_sigma_doubled(block), tuple(folds), **options)
+    assert np.abs(spoiled.image_px - found.image_px).max() > 4e-4  # twice what deleted residuals agree to
+
+
 def test_leaving_one_out_by_hand(twin: Block) -> None:
     j = folds_of(twin)[5][0]
     found = cross_validate(twin, ((j,),), eop_set=10)
@@ -295,6 +334,10 @@ def test_command_reduces_a_project(tmp_path: Path) -> None:
     assert "closest EOP set: 10 A0, without yaw_0" in text.stdout
     for wrong in (("--direction", "up"), ("--cross-validation", "1"), ("--level", "2")):
         assert in_process("reduce", project, *wrong).code == 2
+    refused = in_process("reduce", project, "--cross-validation", "999")
+    assert refused.code == 2
+    assert "--cross-validation" in refused.stderr and "37 are seen" in refused.stderr and "loo" in refused.stderr
+    assert "folds" not in refused.stderr
     ended = in_process("adjust", project, "--variance-components", "--eop-set", "A0", "--json", "--out", tmp_path / "r")
     assert ended.code == 0
     components = {c["group"]: c for c in ended.json["variance_components"]["components"]}

@@ -64,6 +64,21 @@ def test_figures(rng: np.random.Generator) -> None:
         assert figures[key] == pytest.approx(value, rel=1e-4, abs=1e-6), key
 
 
+def test_a_shift_of_the_points_shows_in_every_figure_of_its_kind() -> None:
+    """3 m upwards, planted: mean, median, RMSE and quantiles leave their values, deviations from the mean keep them."""
+    lon, lat = LON + 0.01 * np.arange(-7, 8), LAT + 0.01 * np.arange(-7, 8)
+    error, flat = np.random.default_rng(8).normal(0.0, 0.5, 15), Hills(height=0.0)
+    plain, up = (
+        compare_dem(geodetic_to_ecef(lon, lat, error + shift), flat).statistics() for shift in (0.0, 3.0)
+    )  # fmt: skip
+    for key in ("mean_m", "median_m"):
+        assert up[key] - plain[key] == pytest.approx(3.0, abs=1e-4), key
+    for key in ("rmse_m", "max_m", "q68_3_m", "q95_m"):
+        assert up[key] > plain[key] + 1.0, key
+    for key in ("sd_m", "nmad_m"):
+        assert up[key] == pytest.approx(plain[key], abs=1e-4), key
+
+
 def test_nmad_is_the_standard_deviation_and_stands_blunders() -> None:
     d = np.random.default_rng(2).normal(3.0, 2.0, 100_000)
     assert nmad(d) == pytest.approx(2.0, rel=0.02)

@@ -73,3 +73,20 @@ def test_sigma0_and_ratio_of_check_points(block: Block, solution: Solution) -> N
     assert far(check.ratio, ratio) < 1e-6
     assert solution.sigma0 != pytest.approx(other_sigma0, rel=1e-6)
     assert far(check.ratio, other_ratio) > 1e-4
+
+
+def test_located_points_with_a_wrong_weight(block: Block, solution: Solution) -> None:
+    """CE90 and LE90 of an intersection hold 90 % of errors drawn from J Q J^T; with another weight they are others."""
+    o = block.observations
+    point = int(o.point[np.bincount(o.point)[o.point] == 2][0])
+    rows = np.flatnonzero(o.point == point)
+    pixels = {block.images[o.image[r]].id: (float(o.line[r]), float(o.sample[r])) for r in rows}
+    found = solution.intersect(pixels, sigma_px=(0.3, 0.3))
+    draws = np.random.default_rng(5).standard_normal((200_000, 3)) @ np.linalg.cholesky(found.covariance_enu_m2).T
+    for radius, length in ((found.ce90_m, np.hypot(draws[:, 0], draws[:, 1])), (found.le90_m, np.abs(draws[:, 2]))):
+        assert np.mean(length <= radius) == pytest.approx(0.9, abs=4.0 * np.sqrt(0.09 / len(draws)))
+        assert np.mean(length <= 1.02 * radius) > 0.9 + 4.0 * np.sqrt(0.09 / len(draws))
+    small = replace(block, observations=replace(o, sigma_line_px=0.5 * o.sigma_line_px))
+    other = fg.adjust(small, eop_set=15).intersect(pixels, sigma_px=(0.3, 0.3))
+    assert abs(other.ce90_m / found.ce90_m - 1.0) > 1e-3
+    assert abs(other.le90_m / found.le90_m - 1.0) > 1e-3
