@@ -291,7 +291,7 @@ class NamedMatrix:
 
     @property
     def correlations(self) -> Array:
-        """Correlations ``q_ij / sqrt(q_ii q_jj)``, T(2.75); nan with what has no variance."""
+        """Correlations ``q_ij / sqrt(q_ii q_jj)``, T(2.75), in -1 to 1 whatever rounding says; nan without variance."""
         sigma = np.sqrt(np.diag(self.values))
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(self.values / np.outer(sigma, sigma))
+            return np.asarray(np.clip(self.values / np.outer(sigma, sigma), -1.0, 1.0))
