@@ -9,13 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The BLAS libraries of this process; finding them takes 10 ms, so it is done once."""
+    import scipy.linalg  # noqa: F401  # its BLAS is another one than numpy's and must be loaded to be limited
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Let numpy's and scipy's BLAS use one thread inside the block."""
-    import scipy.linalg  # noqa: F401  # its BLAS is another one than numpy's and must be loaded to be limited
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1, user_api="blas"):
+    with _libraries().limit(limits=1, user_api="blas"):
         yield
