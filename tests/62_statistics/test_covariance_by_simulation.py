@@ -133,6 +133,11 @@ def test_wrong_sigma_is_seen_in_twelve_runs(truth: Solution) -> None:
     assert {"residuals", "observations"} <= set(scatter(truth, 12, seed=621, sigma_factor=0.8).outside)
 
 
+def test_half_the_sigma_is_seen_in_every_part(truth: Solution) -> None:
+    """Twelve runs: images and points, which priors and control hold, too."""
+    assert scatter(truth, 12, seed=621, sigma_factor=0.5).outside == list(PARTS)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", ["schur", "graph", "dense"])
 def test_covariance_in_five_hundred_runs(truth: Solution, backend: str) -> None:
