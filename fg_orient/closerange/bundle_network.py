@@ -234,7 +234,7 @@ def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Obse
     built.turns.append(turn)
     built.centres.append(place)
     if photo.sigma_centre_m is not None:
-        extras.append(_observed_place(place, centre, photo.sigma_centre_m, f"{name}: observed centre"))
+        extras.append(observed_place(place, centre, photo.sigma_centre_m, f"{name}: observed centre"))
     if photo.sigma_turn_rad is not None:
         extras += [observed_element(turn, j, 0.0, float(s), f"{name}: observed attitude")
                    for j, s in enumerate(photo.sigma_turn_rad)]  # fmt: skip
@@ -258,7 +258,8 @@ def _camera_variable(
     return k
 
 
-def _observed_place(k: int, at: Array, sigma: Array, label: str) -> Observation:
+def observed_place(k: int, at: Array, sigma: Array, label: str) -> Observation:
+    """Observation of the point or centre of variable number ``k``."""
     record = np.concatenate([np.diag(1.0 / sigma).ravel(), at])
     return Observation(CONTROL_POINT, (k,), record, _NONE, 3, label)
 
@@ -281,7 +282,7 @@ def _add_points(built: Built, control: Control, extras: list[Observation]) -> No
         built.points.append(k)
         built.point_variables[j] = k
         if sigma is not None:
-            extras.append(_observed_place(k, at - built.origin, sigma, f"point {name}: control"))
+            extras.append(observed_place(k, at - built.origin, sigma, f"point {name}: control"))
 
 
 def _add_image_point(

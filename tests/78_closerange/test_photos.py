@@ -212,7 +212,7 @@ def test_three_points_give_the_pose_among_four() -> None:
             assert min(np.linalg.norm(c - centre) for _, c in poses) <= 1e-5  # double roots lose half the digits
 
 
-@pytest.mark.parametrize("runs", [10, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [4, pytest.param(500, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("flat", [False, True])
 def test_resection_and_its_sigmas(flat: bool, runs: int) -> None:
     """Repetitions against chi-square with 6 unknowns each, points in space and in a plane; half the sigmas fail."""
@@ -316,7 +316,7 @@ def test_parallax_is_the_intersection_of_the_normal_case() -> None:
 # --- relative and absolute orientation -----------------------------------------------------------
 
 
-@pytest.mark.parametrize("runs", [8, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [4, pytest.param(500, marks=pytest.mark.slow)])
 def test_relative_orientation_and_its_sigmas(runs: int) -> None:
     """Repetitions against chi-square with 5 unknowns each; half the sigmas fail."""
     camera, photos, rotations, points = scene(16, 15)

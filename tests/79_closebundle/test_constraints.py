@@ -10,6 +10,7 @@ import pytest
 from fg_orient.adjustment.loop import gauss_newton
 from fg_orient.adjustment.network import DenseNetwork, Network, Variable, bordered_inverse
 from fg_orient.adjustment.network_graph import GraphNetwork
+from fg_orient.closerange.bundle_network import observed_place
 from fg_orient.closerange.constraints import (
     FIGURES,
     KINDS,
@@ -100,7 +101,9 @@ def network(kind: str, shape: Array, rng: np.random.Generator, sigma: float | No
         start, stated = list(shape + noise), Constraint(kind, names, value, sigma)
     measured = true + noise
     variables = [Variable(n, at, POINT, kind != "equal attitude") for n, at in zip(names, measured, strict=True)]
-    rows = [observed_element(k, j, float(v), NOISE, "") for k, at in enumerate(measured) for j, v in enumerate(at)]
+    rows = [observed_place(k, at, np.full(3, NOISE), "") for k, at in enumerate(measured)]
+    if kind == "equal attitude":  # vectors, not points
+        rows = [observed_element(k, j, float(v), NOISE, "") for k, at in enumerate(measured) for j, v in enumerate(at)]
     if kind in FIGURES:
         figure = figure_of(stated, measured)
         variables.append(variable_of(stated, figure))
