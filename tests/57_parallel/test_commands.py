@@ -93,7 +93,7 @@ def test_a_lost_cluster_leaves_the_checkpoint(
 ) -> None:
     """The workers failed, not the equations: what was reached is kept."""
 
-    def lost(problem: Problem, execution: object, callback: object, checkpoint: Checkpoint) -> None:
+    def lost(problem: Problem, execution: object, callback: object, checkpoint: Checkpoint, begin: object) -> None:
         checkpoint.keep(problem, "schur", Carried(problem.start))
         raise NoSolutionError.of(code, place="here", value="x", why="x")
 

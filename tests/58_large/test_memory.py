@@ -45,7 +45,7 @@ def test_refused_before_anything_is_compiled(block: Block, monkeypatch: pytest.M
     def never(_: Block) -> None:
         raise AssertionError("compiled in spite of the limit")
 
-    monkeypatch.setattr(orient, "compile_problem", never)
+    monkeypatch.setattr(orient, "compiled_problem", never)
     with pytest.raises(InputError) as refused:
         adjust(block, memory_limit_gb=1e-4)
     (found,) = refused.value.problems
