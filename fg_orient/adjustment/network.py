@@ -191,7 +191,8 @@ class Merit:
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self.correlates, self.rho = np.zeros(network.n_hard), np.zeros(network.n_hard)
+        self.correlates: Array = np.zeros(network.n_hard)
+        self.rho: Array = np.zeros(network.n_hard)
 
     def __call__(self, rows: Rows) -> float:
         """The augmented Lagrangian with the correlates of the last step."""

@@ -51,8 +51,8 @@ def test_verdicts(reproduction: Reproduction) -> None:
 def test_what_differs_is_known(reproduction: Reproduction) -> None:
     found = differing(reproduction)
     assert found["ek1.bundle"] == ["m0, adjustment"]
-    assert set(found) == {"1", "ek1.comparator", "ek1.bundle", "ek1.refined", "ek1.points", "ek2.dlt", "ek2.points", "5",
-                          "13", "ek3.points", "text"}  # fmt: skip
+    assert set(found) == {"1", "ek1.comparator", "ek1.bundle", "ek1.refined", "ek1.points", "ek2.dlt", "ek2.points",
+                          "5", "13", "ek3.points", "text"}  # fmt: skip
     assert found["1"] == [f"diameter_in_text_m, ring {k}" for k in (1, 4, 6)]
     assert found["ek1.comparator"] == ["z2_mm, point 39"]
     assert found["ek1.refined"] == ["zs2_mm, point 39"]
