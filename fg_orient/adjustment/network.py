@@ -235,7 +235,7 @@ class NetworkSystem:
         after = rows.residual + rows.design @ x
         if len(rows.condition):
             gradient = rows.design.T @ after + damping * x
-            self._merit.correlates = np.linalg.lstsq(rows.border.T, -gradient, rcond=None)[0]
+            self._merit.correlates = np.asarray(np.linalg.lstsq(rows.border.T, -gradient, rcond=None)[0], np.float64)
         return NetworkStep(x, float(np.abs(x).max()), 0.5 * float(after @ after), self._merit.correlates)
 
     def dogleg(self, radius: float) -> NetworkStep:
