@@ -79,7 +79,8 @@ CLOSERANGE: Final = {
     ),
     "closerange.member": ("the constraint names a point or photo that is not there", "known: {known}"),
     "closerange.backend": (
-        "not a backend of close range: hard constraints and correlates have no form in others", "known: {known}"
+        "not a backend of close range: hard constraints and correlates have no form in others",
+        "known: {known}",
     ),
     "closerange.bundle": ("this part of the bundle is not possible", "give {expected}"),
     "closerange.no_place": (

@@ -33,8 +33,8 @@ def solve_in_parts(
     Raises
     ------
     InputError
-        Another backend than the Schur complement is asked for; images have unknowns in common; more parts than points; dask is missing, the
-        scheduler does not answer, or workers do not see the work folder.
+        Another backend than the Schur complement is asked for; images have unknowns in common; more parts than
+        points; dask is missing, the scheduler does not answer, or workers do not see the work folder.
     NoSolutionError
         The equations become singular or not finite on the way; workers die again and again.
     """

@@ -197,7 +197,8 @@ class BlockObservability:
 
     Parameters
     ----------
-    singular_values : (u,) array, descending; u unknowns of all images, shared ones once; empty for a block that is too large
+    singular_values : (u,) array, descending
+        u unknowns of all images, shared ones once; empty for a block that is too large.
     sentences : tuple of str
         One per unobservable direction: motions of the block by name, others by their largest components.
     weak : int
