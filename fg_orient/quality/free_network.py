@@ -146,13 +146,20 @@ def to_inner_datum(
         step = datum_step(columns.vector(estimate.state) - reference, motions, datum)
         if not len(chosen) or not estimate.converged or np.abs(step).max() < REACHED:
             break
-        at = _holding(replace(at, start=columns.moved(estimate.state, step)), chosen)
+        at = _holding(_undamped(replace(at, start=columns.moved(estimate.state, step))), chosen)
         estimate = run(at)
     else:
         estimate = replace(estimate, converged=False, reason="the datum of the free network is not reached")
     whole = replace(estimate, log=first.log, iterations=first.iterations, structure_s=first.structure_s,
                     solve_s=first.solve_s + (estimate.solve_s if estimate is not first else 0.0))  # fmt: skip
-    return replace(at, start=problem.start), whole
+    block = replace(at.block, options=problem.block.options)
+    return replace(at, start=problem.start, block=block), whole
+
+
+def _undamped(problem: Problem) -> Problem:
+    """The same, to be solved by Gauss-Newton: beside the solution a damped step along a weak motion never arrives."""
+    options = replace(problem.block.options, optimizer="gauss-newton")
+    return replace(problem, block=replace(problem.block, options=options))
 
 
 def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
