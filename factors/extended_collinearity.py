@@ -1,6 +1,6 @@
 """Collinearity extended by corrections from measured to ideal coordinates, for self-calibrating bundles.
 
-    e = (x_ + dx - c X/Z,  y_ + dy - s c Y/Z) Z^p,    (X, Y, Z) = R (P - O),    x_ = x - x0,  y_ = y - y0
+    e = (x' + dx - c X/Z,  y' + dy - s c Y/Z) Z^p,    (X, Y, Z) = R (P - O),    x' = x - x0,  y' = y - y0
 
 (Ayhan 1996, eqs. 76-77, with the derivatives that print has wrong corrected.) dx, dy: ``factors.image_corrections`` and
 ``factors.additional_parameters``. Camera axes X right, Y down, Z along the view; s = -1 where image y points up. With

@@ -22,7 +22,7 @@ from fg_orient.orient import adjust
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 #: Ground points that are left out together.
-Folds = tuple[tuple[int, ...], ...]
+Parts = Sequence[Sequence[int]]
 
 #: Of the draw of the parts.
 SEED: Final = 1
@@ -72,7 +72,7 @@ def _rms_length(errors: Array) -> float | None:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else None
 
 
-def folds_of(block: Block, count: int = 0) -> Folds:
+def folds_of(block: Block, count: int = 0) -> Parts:
     """Divide the control points that are seen: each alone, or into ``count`` parts of about one size, drawn.
 
     Raises
@@ -90,7 +90,7 @@ def folds_of(block: Block, count: int = 0) -> Folds:
     return tuple(tuple(sorted(part.tolist())) for part in np.array_split(order, count))
 
 
-def cross_validate(block: Block, folds: Folds, **options: Any) -> CrossValidation:
+def cross_validate(block: Block, folds: Parts, **options: Any) -> CrossValidation:
     """Leave each part out once and predict it.
 
     Parameters

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.block import Block
-from fg_orient.cross_validation import CrossValidation, Folds, cross_validate, folds_of
+from fg_orient.cross_validation import CrossValidation, Parts, cross_validate, folds_of
 from fg_orient.distributions import sidak
 from fg_orient.errors import InputError, NoSolutionError, RankDeficientError
 from fg_orient.orient import adjust
@@ -218,7 +218,7 @@ class _Runs:
 
     def __init__(self, block: Block, options: dict[str, Any], progress: Progress | None, folds: int | None) -> None:
         self._block, self._options, self._count = block, options, folds
-        self._folds: Folds = () if folds is None else folds_of(block, folds)
+        self._folds: Parts = () if folds is None else folds_of(block, folds)
         self._tell, self._done, self.most = progress or (lambda done, most, text: None), 0, 1
 
     def adjust(self, unknowns: tuple[str, ...]) -> Solution:
