@@ -13,7 +13,7 @@ PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
              && echo $$p && exit; done)
 ARGS    ?=
 
-.PHONY: help demo test test-slow check lint format bench docs clean
+.PHONY: help demo test test-slow check lint kernels format bench docs clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -27,14 +27,18 @@ demo: $(STAMP)  ## simulate the Zonguldak stereo twin, adjust it, write the repo
 # small matrices: two BLAS threads cost more than one, and every core has a worker already
 test test-slow: export OPENBLAS_NUM_THREADS := 1
 
-test: $(STAMP)  ## all tests but the slow ones (ARGS=... goes to pytest)
+test: $(STAMP) kernels  ## all tests but the slow ones (ARGS=... goes to pytest)
 	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(ARGS)
 
 test-slow: $(STAMP)  ## the full simulations
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
 check: $(STAMP)  ## ruff, mypy, import-linter, documentation
-	$(MAKE) --no-print-directory --jobs=2 --output-sync lint docs
+	$(MAKE) --no-print-directory --jobs=2 --output-sync docs lint kernels
+
+# each worker of the tests would compile them for itself
+kernels: $(STAMP)  ## compile the numba kernels, or find them in the cache
+	$(BIN)/python -m factors.warmup
 
 lint: $(STAMP)  ## ruff, mypy, import-linter
 	$(BIN)/ruff check .

@@ -157,3 +157,7 @@ def _compile_reduction(
     batch_matrix.fill_diagonal(row, column, place, one, blocks, ones)
     for banded in (False, True):
         batch_matrix.fill_lower(row, column, place, one, blocks, ones, banded, np.zeros((2, 2)), ones)
+
+
+if __name__ == "__main__":
+    compile_kernels()

@@ -64,7 +64,7 @@ def test_image_of_three_unknowns_and_a_fixed_point() -> None:
 def test_nothing_unknown_is_refused() -> None:
     e, _ = example()
     with pytest.raises(ValueError, match=f"{LABEL}: no unknown"):
-        factor(pushbroom.LOOK_ANGLE_COLLINEARITY, e.unknowns, (33, 3), e.record, e.setup, label=LABEL)
+        factor(pushbroom.LOOK_ANGLE_COLLINEARITY, e.unknowns, (36, 3), e.record, e.setup, label=LABEL)
 
 
 WRONG = {
@@ -79,7 +79,7 @@ WRONG = {
 
 @pytest.mark.parametrize("fault", WRONG)
 def test_faulty_kernels_are_named(fault: str) -> None:
-    """GTSAM accepts a (2, 5) Jacobian for 33 unknowns and nan silently; we do not."""
+    """GTSAM accepts a (2, 5) Jacobian for 36 unknowns and nan silently; we do not."""
     e, values = example()
 
     def kernel(record: np.ndarray, setup: np.ndarray, x: np.ndarray, g: np.ndarray, want: bool) -> tuple:
@@ -93,7 +93,7 @@ def test_faulty_kernels_are_named(fault: str) -> None:
         graph.linearize(values)
 
 
-@pytest.mark.parametrize("size", [5, 32, 34])
+@pytest.mark.parametrize("size", [5, 35, 37])
 def test_wrong_sizes_are_named_with_a_constant_ground_point(size: int) -> None:
     """In the words of the fast path; the kernel itself gives nan, not what the memory held."""
     e, _ = example()
@@ -101,7 +101,7 @@ def test_wrong_sizes_are_named_with_a_constant_ground_point(size: int) -> None:
     values.insert(E0, np.zeros(size))
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY, ground=e.unknowns[1])
     for call in (f.error, f.linearize):
-        with pytest.raises(ValueError, match=f"{LABEL}: 33 unknowns expected, the values hold {size}"):
+        with pytest.raises(ValueError, match=f"{LABEL}: 36 unknowns expected, the values hold {size}"):
             call(values)
     value, j_image, j_ground = pushbroom.kernel(e.record, e.setup, np.zeros(size), e.unknowns[1], True)
     assert all(np.isnan(block).all() for block in (value, j_image, j_ground))
@@ -130,7 +130,7 @@ def test_nan_and_wrong_sizes_are_named_on_the_fast_path() -> None:
     short = gtsam.Values()
     short.insert(E0, e.unknowns[0][:5])
     short.insertPoint3(P0, e.unknowns[1])
-    with pytest.raises(ValueError, match=f"{LABEL}: 33 unknowns expected, the values hold 5"):
+    with pytest.raises(ValueError, match=f"{LABEL}: 36 unknowns expected, the values hold 5"):
         graph.linearize(short)
 
 
@@ -200,7 +200,7 @@ def test_robust_loss_lowers_the_weight() -> None:
     e, values = example()
     huber = gtsam.noiseModel.mEstimator.Huber.Create(1.0)
     base = pushbroom.LOOK_ANGLE_COLLINEARITY
-    robust = factor(base, (E0, P0), (33, 3), e.record, e.setup, label=LABEL, loss=huber)
+    robust = factor(base, (E0, P0), (36, 3), e.record, e.setup, label=LABEL, loss=huber)
     r = np.linalg.norm(pushbroom.residual(e.record, e.setup, *e.unknowns))
     assert r > 1.0
     assert robust.error(values) == pytest.approx(r - 0.5, rel=1e-12)  # Huber's loss at k = 1

@@ -280,7 +280,7 @@ def test_sensor_without_model_is_refused() -> None:
     class Unknown(RpcSensor):
         pass
 
-    assert set(MODELS) == {"FrameSensor", "PushbroomSensor", "RpcSensor"}
+    assert set(MODELS) == {"FrameSensor", "GeneralPushbroom", "PushbroomSensor", "RpcSensor"}
     other = replace(block, images=(block.images[0], Image("right", Unknown(block.images[1].sensor.model))))
     with pytest.raises(InputError) as caught:
         fg.adjust(other)
