@@ -33,7 +33,7 @@ nitpicky = False
 # Reference pages of every module, made at each build.
 _common = {
     "max_depth": 4,
-    "separate_modules": False,
+    "separate_modules": True,
     "include_private": True,
     "module_first": True,
     "automodule_options": {"members", "show-inheritance"},
