@@ -228,7 +228,7 @@ def show(record: dict[str, Any]) -> None:
     """Print warnings, verdict, accuracy and where the result lies."""
     for text in record["warnings"]:
         say(f"warning: {text}")
-    from fg_orient.report.html import orientation_words
+    from fg_orient.report.words import orientation_words
 
     low, high = record["sigma0_interval_99_9"]
     say(f"{record['status'].replace('_', ' ')} after {record['iterations']} iterations: {record['n_image_points']} "

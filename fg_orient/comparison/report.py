@@ -10,7 +10,7 @@ from typing import Any, Final
 from fg_orient.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison
 from fg_orient.comparison.plots import INK, PAPER, row_name
 from fg_orient.comparison.words import ranges, summaries, verdict
-from fg_orient.report.html import number, printable, scientific
+from fg_orient.report.words import number, printable, scientific
 
 #: Heading and explanation of each figure.
 CAPTIONS: Final = {

@@ -10,7 +10,7 @@ from typing import Any, Final
 from fg_orient.io.folder import Contents
 from fg_orient.rectification.figure import residual_figure
 from fg_orient.rectification.points import PointFit
-from fg_orient.report.html import number, printable, scientific
+from fg_orient.report.words import number, printable, scientific
 from fg_orient.run.json import dumps
 
 #: What the folder holds; transformation.json is its mark.

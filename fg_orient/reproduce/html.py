@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from fg_orient.report.html import printable, scientific
+from fg_orient.report.words import printable, scientific
 from fg_orient.reproduce.reproduction import Reproduction
 from fg_orient.reproduce.verdict import KINDS
 
