@@ -133,20 +133,11 @@ def test_disagreement_and_what_does_not_work_are_refused() -> None:
 def compare(block: Block, form: dbat.Format, folder: Path) -> tuple[int, float]:
     """Number of printed values and deviations, and the largest difference in units of the last printed digit."""
     problem, estimate, q = solved(block, "schur")
-    sigma0 = float(np.sqrt(estimate.chi2 / problem.redundancy))
     figures, printed = dbat.report(folder / "result" / "report.txt")
-    assert (problem.n_unknowns, problem.redundancy) == (int(figures["Number of params"]), int(figures["Redundancy"]))
-    assert abs(sigma0 - float(figures["Sigma0"])) <= 0.5 * dbat.printed(figures["Sigma0"])
+    sigma0 = dbat.same_figures(problem, estimate, figures)
     ours = {"camera": dbat.camera_values(problem, estimate.state, q, form)}
     ours |= {str(k + 1): dbat.photo_values(problem, estimate.state, q, k) for k in range(problem.n_images)}
-    units = []
-    for where, values in printed.items():
-        for name in set(values) & set(ours[where]):
-            for found, text in zip(np.array(ours[where][name]) * [1.0, sigma0], values[name], strict=True):
-                if text:
-                    turn = 360.0 if name in ("Omega", "Phi", "Kappa") else np.inf
-                    apart = abs(found - float(text))
-                    units.append(min(apart, abs(apart - turn)) / dbat.printed(text))
+    units = dbat.units_apart(ours, printed, sigma0)
     return len(units), max(units)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fg_orient.adjustment.problem import Problem, State, compile_problem
+from fg_orient.adjustment.solve import Estimate
 from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.closerange.photo import Interior
 from fg_orient.closerange.resection import resect
@@ -209,3 +210,32 @@ def photo_values(solved: Problem, state: State, q: Cofactors, k: int) -> dict[st
     roots = np.sqrt(np.einsum("ij,jk,ik->i", of, q.image(k), of))
     names = ("Omega", "Phi", "Kappa", "Xc", "Yc", "Zc")
     return {n: (float(v), float(r)) for n, v, r in zip(names, values, roots, strict=True)}
+
+
+def same_figures(problem: Problem, estimate: Estimate, figures: dict[str, str]) -> float:
+    """Our sigma0; number of unknowns, redundancy and sigma0 must be those of the report."""
+    sigma0 = float(np.sqrt(estimate.chi2 / problem.redundancy))
+    assert (problem.n_unknowns, problem.redundancy) == (int(figures["Number of params"]), int(figures["Redundancy"]))
+    assert abs(sigma0 - float(figures["Sigma0"])) <= 0.5 * printed(figures["Sigma0"])
+    return sigma0
+
+
+def units_apart(
+    ours: dict[str, dict[str, tuple[float, float]]], theirs: dict[str, dict[str, tuple[str, str]]], sigma0: float,
+    unfinished: float = 0.0,
+) -> list[float]:  # fmt: skip
+    """Differences of values and deviations in units of the last printed digit.
+
+    ``unfinished``: share of a deviation by which a value of theirs may miss the minimum.
+    """
+    out = []
+    for where, values in theirs.items():
+        for name in set(values) & set(ours.get(where, {})):
+            value, root = ours[where][name]
+            slack = unfinished * root * sigma0
+            for found, text, free in zip((value, root * sigma0), values[name], (slack, 0.0), strict=True):
+                if text:
+                    turn = 360.0 if name in ("Omega", "Phi", "Kappa") else np.inf
+                    apart = abs(found - float(text))
+                    out.append(max(min(apart, abs(apart - turn)) - free, 0.0) / printed(text))
+    return out
