@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
+    from fg_orient.sensors.frame import FrameSensor
     from fg_orient.sensors.pushbroom import PushbroomSensor
     from fg_orient.sensors.rpc_sensor import RpcSensor
 
@@ -16,7 +17,7 @@ MODELS: Final = ("auto", "rigorous", "rpc")
 
 def read_sensor(
     path: str | Path, *, model: str = "auto", extrapolate_attitude_s: float = 0.0
-) -> PushbroomSensor | RpcSensor:
+) -> PushbroomSensor | RpcSensor | FrameSensor:
     """Read a metadata file of any supported format and bind it to its sensor model.
 
     Parameters
@@ -24,7 +25,8 @@ def read_sensor(
     path : str or Path
         ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, ``DIM_*.XML`` of a Pléiades or
         SPOT 6/7 sensor product, a PHR_DIMAP; or a file with RPC (see :func:`fg_orient.io.rpc.read_rpc`); or a sensor
-        description (TOML, :mod:`fg_orient.io.sensor_file`), whose states are never extrapolated.
+        description (TOML, :mod:`fg_orient.io.sensor_file`), whose states are never extrapolated; or a frame image
+        (TOML, :mod:`fg_orient.io.frame_file`).
     model : {"auto", "rigorous", "rpc"}
         Which model of the file; ``"auto"``: the rigorous one if the file holds it.
     extrapolate_attitude_s : float
@@ -33,7 +35,7 @@ def read_sensor(
 
     Returns
     -------
-    PushbroomSensor or RpcSensor
+    PushbroomSensor, RpcSensor or FrameSensor
         Pixels (line, sample) with (0, 0) = centre of the first pixel, ECEF metres.
 
     Raises
@@ -44,10 +46,7 @@ def read_sensor(
     if model not in MODELS:
         raise InputError.of("sensor.model", file=path, place="model", value=model, known=", ".join(MODELS))
     if Path(path).suffix.lower() == ".toml":
-        from fg_orient.io.sensor_file import read_sensor_file
-        from fg_orient.sensors.general import GeneralPushbroom
-
-        return GeneralPushbroom(read_sensor_file(path))
+        return _described(Path(path))
     from fg_orient.io.rpc import read_rpc, rpc_format
 
     form = rpc_format(path)
@@ -62,6 +61,24 @@ def read_sensor(
     from fg_orient.sensors.pushbroom import PushbroomSensor
 
     return PushbroomSensor(read_dimap(path), extrapolate_attitude_s=extrapolate_attitude_s)
+
+
+def _described(path: Path) -> PushbroomSensor | FrameSensor:
+    """Sensor of a TOML file, by its ``kind``."""
+    from fg_orient.io.project import parse_toml
+
+    kind = parse_toml(path).get("kind")
+    if kind == "frame":
+        from fg_orient.io.frame_file import read_frame_file
+
+        return read_frame_file(path)
+    if kind not in ("pushbroom", None):
+        known = '"frame" or "pushbroom"'
+        raise InputError.of("sensor.toml", file=path, place="kind", value=repr(kind), known=known)
+    from fg_orient.io.sensor_file import read_sensor_file
+    from fg_orient.sensors.general import GeneralPushbroom
+
+    return GeneralPushbroom(read_sensor_file(path))
 
 
 def _holds_rigorous(path: str | Path) -> bool:

@@ -39,6 +39,14 @@ FRAME: Final = {
     "bal.number": ("this is no finite number", "the file is damaged: copy it again"),
     "bal.index": ("no such camera or point", "cameras and points are counted from 0, here to {last}"),
     "bal.focal": ("the focal length is not above zero", "the file is damaged, or of another camera model"),
+    "frame.angles": (
+        "a frame image has either the angles of its camera or a rotation matrix",
+        "give omega_phi_kappa_deg or rotation, and not both",
+    ),
+    "sensor.toml": (
+        "a sensor description or frame image must say what it is",
+        "give kind = {known}",
+    ),
     "frame.mixed": (
         "images in a local coordinate system and Earth-fixed ones cannot stand in one block",
         "transform them to one system",

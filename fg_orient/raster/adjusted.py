@@ -15,6 +15,7 @@ from fg_orient.errors import InputError
 from fg_orient.parameters import CURVE, CURVES, N_EOP, parameter_name
 from fg_orient.raster.models import Sensor
 from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.frame import UNKNOWNS, FrameSensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 
 Array = npt.NDArray[np.float64]
@@ -32,7 +33,7 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
     ----------
     folder : Path
         Result folder: ``eop.csv`` and ``result.json``.
-    sensor : PushbroomSensor or RpcSensor
+    sensor : PushbroomSensor, RpcSensor or FrameSensor
         Of this image.
     image : str
         Image id; default the image whose metadata file the sensor's is, by content if the result recorded it, else by
@@ -97,6 +98,10 @@ def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, ima
 
 def _correction(values: dict[str, float], sensor: Sensor, small_angle: bool, n_curves: int) -> Correction | Array:
     """What ``sensor.project`` takes; KeyError for names of another kind of sensor."""
+    if isinstance(sensor, FrameSensor):
+        unknowns = np.zeros(len(UNKNOWNS))
+        _place(unknowns, values, {name: k for k, name in enumerate(UNKNOWNS)})
+        return unknowns
     if not isinstance(sensor, PushbroomSensor):
         out = np.zeros(len(COMPENSATION))
         _place(out, values, {name: k for k, name in enumerate(COMPENSATION)})

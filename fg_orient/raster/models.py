@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic, from_geographic, geodetic_to_ecef, same_crs, to_geographic
+from fg_orient.sensors.frame import FrameSensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.simulate.quick_projection import QuickProjection
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from fg_orient.rectification.transformation import Transformation
 
 Array = npt.NDArray[np.float64]
-Sensor = PushbroomSensor | RpcSensor
+Sensor = PushbroomSensor | RpcSensor | FrameSensor
 
 #: Pixels along each side of an image whose places give its outline on the map.
 BORDER: Final = 9
@@ -55,8 +56,8 @@ class SensorModel:
 
     Parameters
     ----------
-    sensor : PushbroomSensor or RpcSensor
-    correction : Correction or (6,) array, optional
+    sensor : PushbroomSensor, RpcSensor or FrameSensor
+    correction : Correction, (6,) or (15,) array, optional
         As ``sensor.project`` takes it.
     crs : str
         Of the map.
@@ -94,10 +95,10 @@ class SensorModel:
         line, sample = border_pixels(size)
         found = []
         for height in heights_m:
-            if isinstance(self.sensor, PushbroomSensor):
-                ground = self.sensor.locate(line, sample, height_m=height, correction=self.correction)
-            else:
+            if isinstance(self.sensor, RpcSensor):
                 ground = self.sensor.locate(line, sample, height_m=height, compensation=self.correction)
+            else:
+                ground = self.sensor.locate(line, sample, height_m=height, correction=self.correction)
             lon, lat, _ = ecef_to_geodetic(ground)
             found.append(np.stack(from_geographic(self.crs, lon, lat)))
         x, y = np.concatenate(found, axis=1)

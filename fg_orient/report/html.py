@@ -39,8 +39,18 @@ def _component(name: str) -> str:
     """Name a component in words."""
     if name.startswith("psi_"):
         return f"look angle ψ{name[-1]}"
-    kind = {1: "position", 2: "velocity"}.get(len(name))
-    return f"{kind} {name[-1].upper()}" if kind else name
+    kind = {"x": "position", "vx": "velocity"}.get(name.replace("y", "x").replace("z", "x"))
+    if kind is not None:
+        return f"{kind} {name[-1].upper()}"
+    return name.replace("_", " ")
+
+
+def _degree(degree: float, parameter: str) -> str:
+    """Name the power of an unknown; "" where it has none, as of a frame camera."""
+    if math.isnan(degree):
+        return ""
+    ending, power = parameter.rpartition("_")[2], int(degree)  # of a polynomial of samples: s and its degree
+    return {"s": f"s^{power}", "c": f"curve {power}"}.get(ending[0]) or _DEGREES[power]
 
 
 def corrections(result: Result) -> list[dict[str, Any]]:
@@ -50,11 +60,9 @@ def corrections(result: Result) -> list[dict[str, Any]]:
     for k, image in enumerate(words["image"]):
         unit, factor = _READABLE.get(words["unit"][k], (words["unit"][k], 1.0))
         value, sigma, prior = (None if math.isnan(number) else number for number in numbers[k])
-        degree = int(result.eop.figures["degree"][k])
-        ending = words["parameter"][k].rpartition("_")[2]  # of a polynomial of samples: s and its degree
         images.setdefault(image, []).append({
             "name": _component(words["component"][k]),
-            "degree": {"s": f"s^{degree}", "c": f"curve {degree}"}.get(ending[0]) or _DEGREES[degree], "unit": unit,
+            "degree": _degree(float(result.eop.figures["degree"][k]), words["parameter"][k]), "unit": unit,
             "value": None if value is None else value * factor, "sigma": None if sigma is None else sigma * factor,
             "prior": None if prior is None else prior * factor,
             "share": None if not prior or value is None else value / prior,

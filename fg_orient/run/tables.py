@@ -121,12 +121,19 @@ def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
         values = problem.unknowns(solution.state, i) * parameters.sigma
         change, line_units = problem.models[i].per_line()
         for j, parameter in enumerate(parameters.names):
-            component, _, degree = parameter.rpartition("_")
+            component, degree = component_and_degree(parameter)
             rows.append((
-                image.id, parameter, component, int(degree.lstrip("cls")), parameters.units[j], values[j], sigmas[j],
+                image.id, parameter, component, degree, parameters.units[j], values[j], sigmas[j],
                 priors[j], name, values[j] * change[j], sigmas[j] * change[j], line_units[j],
             ))  # fmt: skip
     return rows
+
+
+def component_and_degree(parameter: str) -> tuple[str, int | str]:
+    """Component and power in tau of an unknown: "roll_1" is degree 1 of roll; "focal" has none ("")."""
+    component, _, degree = parameter.rpartition("_")
+    power = degree.lstrip("cls")
+    return (component, int(power)) if component and power.isdigit() else (parameter, "")
 
 
 def point_columns(solution: Solution) -> dict[str, Column]:
