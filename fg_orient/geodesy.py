@@ -81,7 +81,7 @@ def crs_kind(crs: str) -> Kind:
     InputError
         The code is unknown, or its axes are not degrees / metres towards east, north, up.
     """
-    return _kind(crs, _source(crs))
+    return _kind(crs, spatial_crs(crs))
 
 
 def to_ecef(
@@ -132,16 +132,16 @@ def to_ecef_with_operation(
     if it is absent or selects none.
     """
     first, second, third = (np.atleast_1d(np.asarray(a, float)) for a in (east_or_lon, north_or_lat, height))
-    source = _source(crs)
+    source = spatial_crs(crs)
     kind = _kind(crs, source)
     given = np.stack([first, second, third], axis=1)
-    _require_finite(crs, given, given, labels)
+    require_finite(crs, given, given, labels)
     lonlat = _longitude_latitude(crs, source, kind, given, labels)
     some = deciding is not None and bool(deciding.any())
-    group = _operations(crs, source, lonlat[deciding] if some else lonlat)
+    group = operations_to_ecef(crs, source, lonlat[deciding] if some else lonlat)
     chosen = group.transformers[0]
     xyz = np.stack(chosen.transform(first, second, third), axis=1)
-    _require_finite(crs, xyz, given, labels)
+    require_finite(crs, xyz, given, labels)
     grids = {grid.short_name for operation in group.unavailable_operations[:1] for grid in operation.grids}
     missing = () if group.best_available else tuple(sorted(grids))
     accuracy = chosen.accuracy if chosen.accuracy >= 0.0 else np.nan
@@ -166,7 +166,7 @@ def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
         A coordinate is not finite.
     """
     xyz = np.atleast_2d(np.asarray(xyz_m, float))
-    _require_finite(ECEF, xyz, xyz, None)
+    require_finite(ECEF, xyz, xyz, None)
     x, y, z = xyz.T
     p = np.hypot(x, y)
     lat = np.arctan2(z, p * (1.0 - _E2))
@@ -224,7 +224,7 @@ def same_crs(one: str, other: str) -> bool:
     InputError
         A CRS is unknown.
     """
-    proj = _pyproj()
+    proj = offline_pyproj()
     try:
         first, second = proj.CRS.from_user_input(one), proj.CRS.from_user_input(other)
     except proj.exceptions.CRSError:
@@ -240,7 +240,7 @@ def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
     InputError
         The CRS is unknown.
     """
-    proj = _pyproj()
+    proj = offline_pyproj()
     try:
         area = proj.CRS.from_user_input(crs).area_of_use
     except proj.exceptions.CRSError:
@@ -267,7 +267,7 @@ def vertical_reference(crs: str) -> tuple[str, str]:
     InputError
         The CRS is unknown.
     """
-    proj = _pyproj()
+    proj = offline_pyproj()
     try:
         found = proj.CRS.from_user_input(crs)
     except proj.exceptions.CRSError:
@@ -285,7 +285,7 @@ def with_vertical(crs: str, vertical: str) -> tuple[str, str]:
     InputError
         A CRS is unknown, or ``vertical`` is no vertical CRS.
     """
-    proj = _pyproj()
+    proj = offline_pyproj()
     try:
         found = proj.CRS.from_user_input(crs)
         flat = found.sub_crs_list[0] if found.is_compound else found.to_2d()
@@ -310,13 +310,13 @@ def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
     InputError
         The grid of the geoid is missing, or does not cover a point.
     """
-    source = _pyproj().CRS.from_user_input(crs)
+    source = offline_pyproj().CRS.from_user_input(crs)
     flat = np.stack([np.asarray(x, float), np.asarray(y, float)], axis=1)
     given = np.column_stack([flat, np.zeros(len(flat))])
     kind: Kind = "projected" if source.sub_crs_list[0].is_projected else "geographic"
     lonlat = _longitude_latitude(source.name, source, kind, given, None)
-    xyz = np.stack(_operations(source.name, source, lonlat).transformers[0].transform(*given.T), axis=1)
-    _require_finite(source.name, xyz, given, None)
+    xyz = np.stack(operations_to_ecef(source.name, source, lonlat).transformers[0].transform(*given.T), axis=1)
+    require_finite(source.name, xyz, given, None)
     return ecef_to_geodetic(xyz)[2]
 
 
@@ -333,14 +333,14 @@ def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
 
 def data_folder() -> str:
     """Folder from which PROJ reads its database and grids."""
-    proj = _pyproj()
+    proj = offline_pyproj()
     return str(proj.datadir.get_data_dir())
 
 
 # --- PROJ, guarded -------------------------------------------------------------------------------
 
 
-def _pyproj() -> Any:
+def offline_pyproj() -> Any:
     """Import pyproj with its network access switched off: results must not depend on it."""
     import pyproj
     import pyproj.network
@@ -352,7 +352,7 @@ def _pyproj() -> Any:
 @cache
 def _transformer(source: str, target: str, *, horizontal: bool = False) -> Transformer:
     """Make the transformer between two CRS, once: easting or longitude first, never a ballpark."""
-    proj = _pyproj()
+    proj = offline_pyproj()
     try:
         goal = proj.CRS.from_user_input(target)
         if horizontal:
@@ -365,12 +365,12 @@ def _transformer(source: str, target: str, *, horizontal: bool = False) -> Trans
     return made
 
 
-def _source(crs: str) -> CRS:
+def spatial_crs(crs: str) -> CRS:
     """CRS of the code, with an ellipsoidal height axis where none is named."""
     text = str(crs).strip()
     if not _CODE.fullmatch(text):
         raise InputError.of("geodesy.not_epsg", place="crs", value=crs)
-    proj = _pyproj()
+    proj = offline_pyproj()
     try:
         found: CRS = proj.CRS.from_user_input(text.upper())
     except proj.exceptions.CRSError:
@@ -405,18 +405,18 @@ def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels:
         p = np.hypot(given[:, 0], given[:, 1])
         angles = np.stack([np.arctan2(given[:, 1], given[:, 0]), np.arctan2(given[:, 2], p)], axis=1)
         return np.asarray(np.degrees(angles))
-    proj = _pyproj()
+    proj = offline_pyproj()
     horizontal = source.sub_crs_list[0] if source.is_compound else source
     flat = horizontal.to_2d()
     back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
     lonlat = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
-    _require_finite(crs, lonlat, given, labels)
+    require_finite(crs, lonlat, given, labels)
     return np.asarray(lonlat, float)
 
 
-def _operations(crs: str, source: CRS, lonlat: Array) -> TransformerGroup:
+def operations_to_ecef(crs: str, source: CRS, lonlat: Array) -> TransformerGroup:
     """Operations to ECEF for the area of the points, best first, none of them a ballpark."""
-    proj = _pyproj()
+    proj = offline_pyproj()
     from pyproj.transformer import AreaOfInterest, TransformerGroup
 
     low, high = lonlat.min(axis=0) - _AREA_MARGIN_DEG, lonlat.max(axis=0) + _AREA_MARGIN_DEG
@@ -435,7 +435,8 @@ def _operations(crs: str, source: CRS, lonlat: Array) -> TransformerGroup:
     return group
 
 
-def _require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] | None) -> None:
+def require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] | None) -> None:
+    """Refuse points whose ``values`` are not finite; ``given`` and ``labels`` say which."""
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
         raise InputError(*(

@@ -17,6 +17,7 @@ from fg_orient.cli import (
     checks,
     closerange,
     compare,
+    convert,
     geometry,
     rectify,
     reduce,
@@ -48,6 +49,7 @@ app.add_typer(simulate.app, name="simulate")
 app.add_typer(rpc.app, name="rpc")
 app.add_typer(rectify.app, name="rectify")
 app.add_typer(closerange.app, name="closerange")
+app.command("convert")(convert.convert)
 app.command("validate")(checks.validate)
 app.command("doctor")(checks.doctor)
 app.command("report")(reports.report)

@@ -108,6 +108,42 @@ def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = 
     return PointFile(path, crs, parsed.sha256, points, parsed.operation, _remarks(str(path), parsed))
 
 
+@dataclass(frozen=True, eq=False)
+class PointTable:
+    """A table of ground points as it stands in the file, check points included: for conversions only.
+
+    Parameters
+    ----------
+    ids, roles : tuples of length n
+        Ids and roles.
+    given, sigma_enu_m : (n, 3) array
+        Coordinates in the CRS of the file and sigmas East, North, Up (m); nan where there are none.
+    fixed : (n,) array of bool
+        Points without uncertainty.
+    lines : (n,) int array
+        Line of each point in the file.
+    """
+
+    ids: tuple[str, ...]
+    roles: tuple[Role, ...]
+    given: Array
+    sigma_enu_m: Array
+    fixed: npt.NDArray[np.bool_]
+    lines: npt.NDArray[np.int64]
+
+
+def read_point_table(path: Path, crs: str, faults: Faults) -> PointTable | None:
+    """Read a table of ground points as it stands, to write it in another format.
+
+    None, with the reasons in ``faults``, if anything is wrong with it; parameters and errors as :func:`read_points`.
+    """
+    found = _parse(path, crs, faults)
+    if found is None or faults:
+        return None
+    coordinates = found.coordinates
+    return PointTable(found.ids, found.roles, found.given, coordinates.sigma_enu_m, coordinates.fixed, found.lines)
+
+
 # --- parsing -------------------------------------------------------------------------------------
 
 

@@ -194,6 +194,13 @@ def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> 
     return Table(faults.file, names, found, np.array(kept, np.int64), digest)
 
 
+def read_text(path: Path, faults: Faults) -> str | None:
+    """Text of a UTF-8 file without byte order mark, its lines ended by LF; None, with the reason noted, if unusable."""
+    data = _read_bytes(path, faults)
+    text = None if data is None else _decode(data, faults)
+    return None if text is None else text.replace("\r\n", "\n").replace("\r", "\n")
+
+
 def number(row: Row, column: str, faults: Faults) -> float:
     """Read a cell as a finite number; nan, with the fault noted, if it is none."""
     text = row.cells[column]

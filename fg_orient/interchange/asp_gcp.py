@@ -1,0 +1,115 @@
+"""Ground control of the Ames Stereo Pipeline: ``.gcp``, one point a line with all its image points.
+
+``id latitude longitude height sx sy sz`` and, for each image, ``name column row sigma_column sigma_row``; blanks or
+commas. Latitude stands before longitude. The datum is not in the file. The three standard deviations refer to
+geocentric x, y, z unless the program is told otherwise (``bundle_adjust --use-lon-lat-height-gcp-error``: then to
+longitude, latitude, height in metres). Columns and rows count from 0, taken as the centre of the first pixel.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.errors import InputError
+from fg_orient.geodesy import crs_kind, enu_from_ecef
+from fg_orient.interchange.ground import decided_crs
+from fg_orient.interchange.registry import Format, Holds, Settings, register
+from fg_orient.interchange.survey import Gathering, Survey
+from fg_orient.interchange.text import cells_of, digits, named, numbers, require_plain, sigma
+from fg_orient.io.atomic import write_text
+from fg_orient.io.tables import Faults
+from fg_orient.names import Role
+
+Array = npt.NDArray[np.float64]
+
+GROUND: Final = ("id", "latitude", "longitude", "height", "sx", "sy", "sz")
+IMAGE: Final = ("image", "column", "row", "sigma_column", "sigma_row")
+EXPECTED: Final = "7 and 5 more for each image"
+
+
+def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read a ``.gcp``; the CRS of the settings has to be geographic."""
+    path = paths[0]
+    crs = decided_crs("", settings.crs, path)
+    if crs_kind(crs) != "geographic":
+        raise InputError.of("interchange.geographic", file=path, place="--crs", value=crs)
+    faults = Faults(str(path))
+    gathered = Gathering(faults)
+    for n, cells in cells_of(path, faults, "either"):
+        images, rest = divmod(len(cells) - len(GROUND), len(IMAGE))
+        if rest or images < 0:
+            faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected=EXPECTED)
+            continue
+        row = named(n, cells[: len(GROUND)], GROUND)
+        lat, lon, height = numbers(row, GROUND[1:4], faults)
+        sigmas = _enu(lon, lat, [sigma(row, name, "m", faults) for name in GROUND[4:]], settings.sigma_axes)
+        gathered.point(row.cells["id"], Role.CONTROL, (lon, lat, height), sigmas, line=n)
+        for k in range(images):
+            start = len(GROUND) + k * len(IMAGE)
+            mark = named(n, cells[start : start + len(IMAGE)], IMAGE)
+            column, line = numbers(mark, IMAGE[1:3], faults)
+            along, across = (sigma(mark, name, "pixels", faults) for name in ("sigma_row", "sigma_column"))
+            gathered.measure(mark.cells["image"], row.cells["id"], line, column, (along, across), line=n)
+    return gathered.finished(crs)
+
+
+def _enu(lon: float, lat: float, sigmas: list[float], axes: str) -> list[float]:
+    """Standard deviations East, North, Up of geocentric ones; equal ones stay as they are, to the last digit."""
+    given = np.array(sigmas)
+    if axes == "enu" or np.ptp(given) == 0.0 or not np.isfinite([lon, lat, *given]).all():
+        return sigmas
+    enu: list[float] = np.sqrt(enu_from_ecef(lon, lat)[0] ** 2 @ given**2).tolist()
+    return enu
+
+
+def _ecef(survey: Survey, k: int, axes: str) -> Array:
+    """The way back, for writing."""
+    given: Array = survey.sigma_enu_m[k]
+    if axes == "enu" or np.ptp(given) == 0.0 or not np.isfinite(given).all():
+        return given
+    return np.asarray(np.sqrt(enu_from_ecef(*survey.coordinates[k, :2])[0].T ** 2 @ given**2))
+
+
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
+    """Write the points with coordinates; those of the CRS of the file have to be geographic."""
+    path, o = paths[0], survey.observed
+    if crs_kind(survey.crs) != "geographic":
+        raise InputError.of("interchange.geographic", file=path, place="--to-crs", value=survey.crs)
+    require_plain((*survey.ids, *survey.images), "name", path)
+    marks: dict[int, list[str]] = {}
+    for image, point, line, sample, along, across in zip(
+        o.image.tolist(), o.point.tolist(), o.line, o.sample, o.sigma_line_px, o.sigma_sample_px, strict=True
+    ):
+        marks.setdefault(point, []).extend([survey.images[image], *map(digits, (sample, line, across, along))])
+    axes = "longitude, latitude, height" if settings.sigma_axes == "enu" else "geocentric x, y, z"
+    lines = [f"# latitude longitude (degrees) height (m) of {survey.crs}; standard deviations (m) along {axes}"]
+    for k in np.flatnonzero(survey.located).tolist():
+        lon, lat, height = survey.coordinates[k]
+        ground = [survey.ids[k], *map(digits, (lat, lon, height, *_ecef(survey, k, settings.sigma_axes)))]
+        lines.append(" ".join([*ground, *marks.get(k, [])]))
+    write_text(path, "\n".join([*lines, ""]))
+
+
+FORMAT = register(
+    Format(
+        name="asp-gcp",
+        title="Ames Stereo Pipeline .gcp",
+        suffixes=(".gcp",),
+        files=("points",),
+        first_pixel=(0.0, 0.0),
+        pixel_axes="column, row (pixels)",
+        ground_axes="latitude, longitude (degrees), height (m)",
+        holds=frozenset(
+            {Holds.GROUND, Holds.IMAGE, Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_UP, Holds.SIGMA_EAST_NORTH,
+             Holds.SIGMA_IMAGE}
+        ),
+        needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
+        read=read,
+        write=write,
+        crs="EPSG:4979",
+    )
+)  # fmt: skip

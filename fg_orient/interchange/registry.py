@@ -1,0 +1,173 @@
+"""The registry of formats: each module of this package adds its own, with its conventions as data.
+
+A format is one module with a reader and a writer that calls :func:`register`. Its name in :data:`_MODULES` is all that
+the rest needs: ``fg-orient convert``, the project file and the tables of the documentation go through here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from fg_orient.errors import InputError
+from fg_orient.interchange.survey import Survey
+from fg_orient.io.tables import did_you_mean
+
+#: Modules of this package that hold formats, in the order of the documentation.
+_MODULES: Final = ("own_csv", "asp_gcp")
+
+
+class Holds(StrEnum):
+    """What a file of a format can say; what it cannot is reported when it is lost."""
+
+    GROUND = "ground points"
+    IMAGE = "image points"
+    TIES = "points without coordinates"
+    ROLES = "roles"
+    HEIGHTS = "heights"
+    SIGMA_GROUND = "standard deviations of ground points"
+    SIGMA_UP = "a standard deviation of the height of its own"
+    SIGMA_EAST_NORTH = "different standard deviations to the east and north"
+    SIGMA_IMAGE = "standard deviations of image points"
+    FIXED = "points without uncertainty"
+    CRS = "the CRS"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a user may have to say because a file does not.
+
+    Parameters
+    ----------
+    crs : str
+        CRS of the coordinates, ``EPSG:n`` or ``EPSG:n+m``; "" if the file says it.
+    image : str
+        The image of a format that holds one image and not its name.
+    sigma_axes : str
+        "ecef" or "enu": axes of the standard deviations in ASP's .gcp.
+    image_sizes : mapping of str to (n_lines, n_samples)
+        Sizes of the images, for formats that count from another corner or from the middle.
+    """
+
+    crs: str = ""
+    image: str = ""
+    sigma_axes: str = "ecef"
+    image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=lambda: MappingProxyType({}))
+
+
+Reader = Callable[[tuple[Path, ...], Settings], Survey]
+Writer = Callable[[Survey, tuple[Path, ...], Settings], None]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format.
+
+    Parameters
+    ----------
+    name : str
+        For options and project files.
+    title : str
+        In words, with the program it belongs to.
+    suffixes : tuple of str
+        Ends of its file names, by which it is recognised if no other format has them.
+    files : tuple of str
+        What each of its files holds; the second is named after the first and this word.
+    first_pixel : tuple of float or None
+        Line and sample that the format gives the centre of the first pixel; None if it holds no image points.
+    pixel_axes, ground_axes : str
+        Order, direction and unit of the coordinates in words.
+    holds : frozenset of Holds
+        What it can say.
+    needs : frozenset of Holds
+        What it cannot do without, for every point with coordinates, or image point.
+    read, write : callables
+        Reader and writer; None where there is none.
+    evidence : str
+        What the reader was tried on besides our own files; "" makes the format unverified.
+    crs : str
+        The CRS that the format demands; "" if any will do.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    files: tuple[str, ...]
+    first_pixel: tuple[float, float] | None
+    pixel_axes: str
+    ground_axes: str
+    holds: frozenset[Holds]
+    needs: frozenset[Holds]
+    read: Reader | None
+    write: Writer | None
+    evidence: str = ""
+    crs: str = ""
+
+    @property
+    def verified(self) -> bool:
+        """Tell whether a file that is not ours was read, or ours by another program."""
+        return bool(self.evidence)
+
+    def paths(self, first: Path) -> tuple[Path, ...]:
+        """Names of all files of the format: ``scene.csv``, ``scene_observations.csv``."""
+        others = (first.with_name(f"{first.stem}_{word}{first.suffix}") for word in self.files[1:])
+        return (first, *others)
+
+
+_REGISTRY: dict[str, Format] = {}
+
+
+def register(format_: Format) -> Format:
+    """Add a format.
+
+    Raises
+    ------
+    ValueError
+        Another format has its name.
+    """
+    if _REGISTRY.get(format_.name, format_) != format_:
+        raise ValueError(f"a format named {format_.name!r} is registered already")
+    _REGISTRY[format_.name] = format_
+    return format_
+
+
+def formats() -> dict[str, Format]:
+    """All formats by name."""
+    for module in _MODULES:
+        import_module(f"fg_orient.interchange.{module}")
+    return dict(_REGISTRY)
+
+
+def format_named(name: str, *, place: str = "format") -> Format:
+    """Find a format.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    known = formats()
+    if name not in known:
+        raise InputError.of("interchange.format", place=place, value=name, hint=did_you_mean(name, list(known)))
+    return known[name]
+
+
+def format_of(path: Path, *, place: str) -> Format:
+    """Find the only format whose files end like this one.
+
+    Raises
+    ------
+    InputError
+        None or several do.
+    """
+    name = path.name.lower()
+    found = [f for f in formats().values() if any(name.endswith(suffix) for suffix in f.suffixes)]
+    if len(found) != 1:
+        names = ", ".join(f.name for f in (found or formats().values()))
+        raise InputError.of("interchange.which", file=path, place=place, value=path.suffix or path.name, known=names)
+    return found[0]

@@ -1,0 +1,55 @@
+"""Every format: what it can hold comes back exactly; what it cannot is named; unverified ones ask."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fg_orient.errors import InputError
+from fg_orient.interchange.convert import read_survey, write_survey
+from fg_orient.interchange.registry import Format, Holds, Settings, formats
+from tests.support.survey import assert_same, random_survey
+
+#: What the reader has to be told, because the format does not say it.
+FORMATS = {
+    "csv": ("EPSG:32636", "EPSG:4979", "EPSG:5254"),
+    "asp-gcp": ("EPSG:4979",),
+}
+#: Formats whose names are words between blanks.
+PLAIN = {"asp-gcp"}
+ROUNDED_PX = 4e-12  # adding and taking off half a pixel at 12 000 pixels: two roundings
+
+
+def there_and_back(format_: Format, folder: Path, survey, **told: str):  # type: ignore[no-untyped-def]
+    out = folder / f"scene{format_.suffixes[0]}"
+    settings = Settings(image="left.tif", sigma_axes="enu", **told)
+    written, lost = write_survey(survey, [out], format_, settings)
+    again = Settings(
+        crs="" if Holds.CRS in format_.holds else survey.crs, image=settings.image, sigma_axes=settings.sigma_axes
+    )
+    return read_survey(written, format_, again, accept_unverified=True)[0], written, lost
+
+
+@pytest.mark.parametrize(("name", "crs"), [(name, crs) for name, crss in FORMATS.items() for crs in crss])
+def test_what_a_format_holds_comes_back(name: str, crs: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    format_ = formats()[name]
+    for k in range(5):
+        survey = random_survey(rng, format_, crs, plain=name in PLAIN)
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        found, written, lost = there_and_back(format_, folder, survey)
+        assert lost == ()
+        assert len(written) == len(format_.files)
+        assert_same(found, survey, pixels=ROUNDED_PX)
+
+
+def test_unverified_formats_ask_before_they_are_read(tmp_path: Path, rng: np.random.Generator) -> None:
+    format_ = formats()["asp-gcp"]
+    path = tmp_path / "a.gcp"
+    write_survey(random_survey(rng, format_, "EPSG:4979", plain=True), [path], format_, Settings())
+    with pytest.raises(InputError, match="--accept-unverified"):
+        read_survey([path], format_, Settings(crs="EPSG:4979"))
+    remarks = read_survey([path], format_, Settings(crs="EPSG:4979"), accept_unverified=True)[1]
+    assert [p.code for p in remarks] == ["remark.unverified"]
