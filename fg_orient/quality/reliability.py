@@ -112,7 +112,7 @@ class BlockReliability:
         Image points, in the order of ``problem.observations``: line, sample; pixels.
     control : Reliability
         Control points ``np.flatnonzero(problem.observed)``: East, North, Up (X, Y, Z in a local system); m.
-    prior, extra : tuples of arrays
+    prior, extra : array, tuple of arrays
         Redundancy numbers of priors and own observations; see ``ResidualCofactors``.
     redundancy_sum : float
         Sum of all redundancy numbers; but for rounding the redundancy.
@@ -122,7 +122,7 @@ class BlockReliability:
     power: float
     image: Reliability
     control: Reliability
-    prior: tuple[Array, ...]
+    prior: Array
     extra: tuple[Array, ...]
     redundancy_sum: float
 

@@ -33,8 +33,9 @@ class ResidualCofactors:
     control : (m, 3, 3) array
         Blocks of the control points ``np.flatnonzero(problem.observed)``, in the rows of their factor
         ``W (G - G_0)``.
-    prior : tuple of (u_k,) arrays
-        Redundancy numbers of the prior observations of each image; empty without priors.
+    prior : (u,) array
+        Redundancy numbers of the prior observations, in the order of ``problem.image_vector``: one for an unknown that
+        images have in common; empty without priors.
     extra : tuple of (m_e,) arrays
         Redundancy numbers of the rows of each own observation.
     rays : RayCofactors
@@ -43,7 +44,7 @@ class ResidualCofactors:
 
     image: Array
     control: Array
-    prior: tuple[Array, ...]
+    prior: Array
     extra: tuple[Array, ...]
     rays: RayCofactors
 
@@ -51,7 +52,7 @@ class ResidualCofactors:
     def redundancy_sum(self) -> float:
         """Sum of all redundancy numbers; but for rounding ``problem.redundancy``."""
         blocks = sum(float(np.einsum("nii->", block)) for block in (self.image, self.control))
-        return blocks + sum(float(np.sum(numbers)) for numbers in (*self.prior, *self.extra))
+        return blocks + sum(float(np.sum(numbers)) for numbers in (self.prior, *self.extra))
 
 
 def residual_cofactors(problem: Problem, state: State, cofactors: Cofactors) -> ResidualCofactors:
@@ -76,15 +77,20 @@ def residual_cofactors(problem: Problem, state: State, cofactors: Cofactors) -> 
     if problem.block.extra:
         _through_own_observations(problem, state, cofactors, rays)
     w = problem.control_records[problem.observed, :9].reshape(-1, 3, 3)
-    sizes = [len(p) for p in problem.parameters]
-    variances = [np.diag(q)[:size] for q, size in zip(rays.images, sizes, strict=True)]
     return ResidualCofactors(
         np.eye(2) - rays.fitted,
         np.eye(3) - w @ rays.points[problem.observed] @ np.swapaxes(w, 1, 2),
-        tuple(1.0 - v if problem.block.options.priors else np.zeros(0) for v in variances),
+        1.0 - _variances(problem, rays) if problem.block.options.priors else np.zeros(0),
         tuple(_of_extra(problem, state, cofactors, extra) for extra in problem.block.extra),
         rays,
     )
+
+
+def _variances(problem: Problem, rays: RayCofactors) -> Array:
+    """Cofactors (u,) of the image unknowns, those in common once."""
+    sizes = np.diff(problem.first).tolist()
+    wide = np.concatenate([np.diag(q)[:size] for q, size in zip(rays.images, sizes, strict=True)])
+    return wide if problem.ties is None else wide[problem.ties.place]
 
 
 def _through_own_observations(problem: Problem, state: State, cofactors: Cofactors, rays: RayCofactors) -> None:

@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +40,6 @@ from fg_orient.quality.suspects import Suspects
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Method = Literal["helmert", "median"]
-Scalar = TypeVar("Scalar", np.float64, np.intp)
 
 METHODS: Final = ("helmert", "median")
 #: Rows of the whitened Jacobian up to which R is formed; its cost grows with their cube (1 s).
@@ -162,7 +161,7 @@ class Residuals:
         self.control = np.einsum("nij,njk,nk->ni", turn, w, difference)
         self.control_cofactors = turn @ found.control @ np.swapaxes(turn, 1, 2)
         self.prior = problem.image_vector(state) if problem.block.options.priors else np.zeros(0)
-        self.prior_redundancy = self._once(np.concatenate([*found.prior, np.zeros(0)]))
+        self.prior_redundancy = found.prior
         self.n_extra = sum(e.n_residuals for e in problem.block.extra)
 
     def _turn(self) -> Array:
@@ -173,11 +172,6 @@ class Residuals:
         sigma = problem.block.points.known.sigma_enu_m[problem.observed]
         return np.asarray(axes / sigma[:, :, None] @ np.linalg.inv(records[:, :9].reshape(-1, 3, 3)))
 
-    def _once(self, of_priors: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
-        """Values of the priors of all images, those of shared unknowns once."""
-        ties = self._problem.ties
-        return of_priors if ties is None or not len(of_priors) else of_priors[ties.place]
-
     @cached_property
     def labels(self) -> Index:
         """Group of every row: image points, control points, priors, own observations."""
@@ -185,7 +179,9 @@ class Residuals:
         rows = np.ones(len(block.observations), bool)
         if block.options.check_points != "use":
             rows = ~np.isin(block.observations.point, block.points.where(Role.CHECK))
-        prior = self._once(np.concatenate([*g.prior, np.zeros(0, np.intp)]))
+        prior = np.concatenate([*g.prior, np.zeros(0, np.intp)])
+        if len(prior) and self._problem.ties is not None:
+            prior = prior[self._problem.ties.place]  # a prior in common is one observation
         return np.concatenate([
             np.repeat(g.image[rows], 2), np.tile(g.axes, len(self.observed)), prior, np.full(self.n_extra, -1)
         ]).astype(np.intp)  # fmt: skip

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 CHUNK: Final = 50_000
 #: Columns of words; all others hold numbers.
 WORDS: Final = frozenset((
-    "id", "role", "image", "parameter", "component", "unit", "sigma_scale", "per_line_unit",
+    "id", "role", "image", "parameter", "component", "unit", "sigma_scale", "per_line_unit", "shared",
 ))  # fmt: skip
 
 

@@ -63,7 +63,7 @@ def reliability_record(solution: Solution) -> dict[str, Any] | None:
     image, control, o = found.image, found.control, solution.problem.observations
     rays = np.bincount(o.point, minlength=len(solution.problem.active))[o.point]
     unchecked = image.not_checkable
-    sums = (image.redundancy, control.redundancy, np.concatenate([np.zeros(0), *found.prior]),
+    sums = (image.redundancy, control.redundancy, found.prior,
             np.concatenate([np.zeros(0), *found.extra]))  # fmt: skip
     names = ("image_points", "control_points", "priors", "own_observations")
     return {

@@ -5,7 +5,8 @@ RMSE, sigma0 and redundancy can be recomputed from ``points.csv``, ``residuals.c
 
     chi2 = sum weight (v/sigma)^2                residuals.csv, both coordinates
          + sum weight (difference/own sigma)^2   points.csv, East, North, Up of control points not fixed
-         + sum (value_per_tau/prior sigma)^2  eop.csv, unless without priors
+         + sum (value_per_tau/prior sigma)^2  eop.csv, unless without priors; of those with the same parameter and
+                                              the same word in column shared one row counts
          + sum of extra observations          in no table: squared whitened residuals of Block.extra
 
 Control points that are ``fixed`` are constants: they have no residual (their own sigma is 0)
@@ -40,7 +41,7 @@ Array = npt.NDArray[np.float64]
 
 EOP_COLUMNS: Final = (
     "image", "parameter", "component", "degree", "unit", "value_per_tau", "sigma", "prior_sigma", "sigma_scale",
-    "per_line_value", "per_line_sigma", "per_line_unit",
+    "per_line_value", "per_line_sigma", "per_line_unit", "shared",
 )  # fmt: skip
 _ENU = ("east_m", "north_m", "up_m")
 POINT_COLUMNS: Final = (
@@ -125,6 +126,7 @@ def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
             rows.append((
                 image.id, parameter, component, degree, parameters.units[j], values[j], sigmas[j],
                 priors[j], name, values[j] * change[j], sigmas[j] * change[j], line_units[j],
+                parameters.shared[j] if parameters.shared else "",
             ))  # fmt: skip
     return rows
 

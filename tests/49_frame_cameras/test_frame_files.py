@@ -109,7 +109,8 @@ def test_the_adjustment_finds_the_cameras(written: Written, tmp_path: Path) -> N
     with (out / "eop.csv").open() as stream:
         focal = [row for row in csv.DictReader(stream) if row["parameter"] == "focal"]
     assert len({row["value_per_tau"] for row in focal}) == 1
-    assert {(row["component"], row["degree"]) for row in focal} == {("focal", "")}
+    assert {(row["component"], row["degree"], row["shared"]) for row in focal} == {("focal", "", "wide")}
+    _recomputed(record, out)
     assert abs(float(focal[0]["value_per_tau"]) + FOCAL_ERROR_PX) < 4.0 * float(focal[0]["sigma"])
     assert "rotation x" in (out / "report.html").read_text()
     name, sensor = next(iter(written.truth.items()))
@@ -124,6 +125,23 @@ def test_the_adjustment_finds_the_cameras(written: Written, tmp_path: Path) -> N
                                                               ("height", "height_m"))]  # fmt: skip
     back = in_process("project", image, *words, "--result", out, "--json").json["points"][0]
     assert (back["line"], back["sample"]) == pytest.approx((700.0, 2900.0), abs=1e-5)
+
+
+def _recomputed(record: dict, out: Path) -> None:
+    """Chi-square from the tables: the shared prior counts once."""
+
+    def rows(name: str) -> list[dict[str, str]]:
+        with (out / name).open() as stream:
+            return list(csv.DictReader(stream))
+
+    pairs = [(r[f"v_{a}_px"], r[f"sigma_{a}_px"]) for r in rows("residuals.csv") for a in ("line", "sample")]
+    pairs += [(r[f"difference_{a}_m"], r[f"own_sigma_{a}_m"]) for r in rows("points.csv") if r["role"] == "control"
+              for a in ("east", "north", "up")]  # fmt: skip
+    once = {
+        (r["shared"] or r["image"], r["parameter"]): (r["value_per_tau"], r["prior_sigma"]) for r in rows("eop.csv")
+    }
+    pairs += once.values()
+    assert sum((float(v) / float(s)) ** 2 for v, s in pairs) == pytest.approx(record["chi2"], rel=1e-9)
 
 
 def test_errors_are_those_of_the_covariance(written: Written) -> None:

@@ -17,6 +17,7 @@ from fg_orient.block import Block
 from fg_orient.errors import InputError
 from fg_orient.names import Role
 from fg_orient.quality.covariance import Cofactors, cofactors_of
+from fg_orient.quality.residuals import residual_cofactors
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor
 from fg_orient.simulate.frames import SIGMA, pinhole_block
 from tests.support import dbat
@@ -95,6 +96,24 @@ def test_priors_count_what_is_shared_once() -> None:
     assert estimate.chi2 == pytest.approx(float(np.sum(r**2) + np.sum(own**2)), rel=1e-12)
     for other in (found["graph"], found["schur"]):
         assert np.abs(other[1].state.image - estimate.state.image).max() < 1e-7
+
+
+@pytest.mark.parametrize("backend", ["graph", "schur", "dense"])
+def test_a_shared_prior_has_one_redundancy_number(backend: str) -> None:
+    """Q_vv from matrices in which each shared column stands once, the prior rows being those of z."""
+    problem, estimate, cofactors = solved(replace(shared(held=False, priors=True)), backend)
+    assert problem.ties is not None
+    v, wide = assemble(problem, estimate.state)
+    design = problem.ties.columns(wide)
+    n, z = 2 * len(problem.observations), len(problem.ties)
+    assert np.array_equal(design[n:, :z], np.eye(z))
+    assert np.count_nonzero(v[n:] != problem.image_vector(estimate.state)) == 0
+    expected = 1.0 - np.einsum("ij,jk,ik->i", design, np.linalg.inv(design.T @ design), design)
+    found = residual_cofactors(problem, estimate.state, cofactors)
+    assert found.prior.shape == (4 * 6 + 4,)
+    assert found.prior == pytest.approx(expected[n:], abs=1e-6)
+    assert np.einsum("nii->ni", found.image).ravel() == pytest.approx(expected[:n], abs=1e-6)
+    assert found.redundancy_sum == pytest.approx(problem.redundancy, abs=1e-5)
 
 
 def test_the_whole_job_names_no_defect_where_an_image_is_held() -> None:

@@ -40,17 +40,17 @@ def test_noncentrality_is_that_of_baarda() -> None:
 
 
 def test_sum_is_the_redundancy(grid: Block, solution: Solution, found: BlockReliability) -> None:
-    parts = [found.image.redundancy, found.control.redundancy, *found.prior]
+    parts = [found.image.redundancy, found.control.redundancy, found.prior]
     assert sum(float(p.sum()) for p in parts) == pytest.approx(solution.redundancy, abs=1e-8)
     own = fg.adjust(own_observations(grid)).reliability()
     assert own.redundancy_sum == pytest.approx(own_redundancy(own), abs=1e-8)
-    numbers = np.concatenate([found.image.redundancy.ravel(), found.control.redundancy.ravel(), *found.prior])
+    numbers = np.concatenate([found.image.redundancy.ravel(), found.control.redundancy.ravel(), found.prior])
     assert numbers.min() > -1e-9
     assert numbers.max() < 1.0 + 1e-9
 
 
 def own_redundancy(own: BlockReliability) -> float:
-    parts = [own.image.redundancy, own.control.redundancy, *own.prior, *own.extra]
+    parts = [own.image.redundancy, own.control.redundancy, own.prior, *own.extra]
     return sum(float(p.sum()) for p in parts)
 
 

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import compile_problem, whitened_records
 from fg_orient.adjustment.robust import weighted_problem
 from fg_orient.block import Block, Image, ImagePoints
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.names import Role
+from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.quality.variance_components import Residuals
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
 from fg_orient.solution import Solution
 from tests.support.full_statistics import Full, fixed, measured_twice, options, own_observations
@@ -34,7 +37,7 @@ def assert_equal_to_full_matrix(solution: Solution) -> None:
         part = slice(2 * n + 3 * k, 2 * n + 3 * k + 3)
         assert found.control[k] == pytest.approx(full.residuals[part, part], abs=TOLERANCE)
     rest = np.diag(full.residuals)[2 * n + 3 * m :]
-    numbers = np.concatenate([*found.prior, *found.extra, np.zeros(0)])
+    numbers = np.concatenate([found.prior, *found.extra])
     assert numbers == pytest.approx(rest, abs=TOLERANCE)
     assert found.redundancy_sum == pytest.approx(problem.redundancy, abs=1e-8 * len(full.v))
     effect = full.unknowns @ full.design.T
@@ -102,6 +105,33 @@ def test_images_of_different_kinds(twin: Block) -> None:
     assert_equal_to_full_matrix(
         fg.adjust(replace(block, images=(*block.images, Image("frame", sensor)), observations=observations))
     )
+
+
+def test_shared_priors_and_their_variance_component(twin: Block) -> None:
+    """One look polynomial of both images: full matrices in which its columns and its prior rows stand once."""
+    block = options(twin, eop_set=4, look_polynomial=1, look_shared=True, variance_components=())
+    solution = fg.adjust(block, backend="schur")
+    problem, n = solution.problem, 2 * len(solution.problem.observations)
+    assert problem.ties is not None
+    v, wide = assemble(problem, solution.state)
+    design = problem.ties.columns(wide)
+    u, _, _ = np.linalg.svd(design / np.linalg.norm(design, axis=0), full_matrices=False)
+    full = np.eye(len(v)) - u @ u.T
+    found = residual_cofactors(problem, solution.state, solution.cofactors)
+    at = n + 3 * int(problem.observed.sum())
+    assert found.prior == pytest.approx(np.diag(full)[at:], abs=TOLERANCE)
+    assert found.redundancy_sum == pytest.approx(problem.redundancy, abs=1e-8 * len(v))
+    names = np.array([name for p in problem.parameters for name in p.names])[problem.ties.place]
+    look = at + np.flatnonzero(np.char.startswith(names, "psi"))
+    assert len(look) == 4
+    groups = groups_of(problem, ("image", "priors"))
+    place = groups.names.index("prior look angles")
+    q, r, count = Residuals(problem, solution.state, solution.cofactors, groups).sums()
+    assert (int(count[place]), r[place]) == (4, pytest.approx(np.diag(full)[look].sum(), abs=TOLERANCE))
+    assert q[place] == pytest.approx(float(np.sum(v[look] ** 2)), rel=1e-12)
+    shared = Residuals(problem, solution.state, solution.cofactors, groups).shared()
+    assert shared is not None
+    assert shared[place, place] == pytest.approx(float(np.sum(full[np.ix_(look, look)] ** 2)), abs=TOLERANCE)
 
 
 def test_any_division_gives_the_same(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
