@@ -1,13 +1,13 @@
-"""Command ``report``: the HTML report of a result folder, and the comparison with a simulated truth."""
+"""Command ``report``: HTML report, figures and map layers of a result folder, and the comparison with a truth."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, emit, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Overwrite, emit, number, outcome, say, table
 
 
 def report(
@@ -15,6 +15,13 @@ def report(
     truth: Annotated[
         Path | None, typer.Option("--truth", metavar="TRUTHDIR", help="Folder truth of a simulation, to compare with.")
     ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Also draw every plot as SVG and PDF, into the folder DIR/figures.")
+    ] = False,
+    figures_out: Annotated[
+        Path | None, typer.Option("--figures-out", metavar="FOLDER", help="Draw them into this folder instead.")
+    ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -23,13 +30,26 @@ def report(
         from fg_orient.report import write_report
 
         path, comparison = write_report(folder, truth)
+        record: dict[str, Any] = {"report": str(path), "truth": comparison}
+        if figures or figures_out is not None:
+            from fg_orient.figures.write import write_figures
+
+            drawn, names = write_figures(folder, figures_out, overwrite=overwrite)
+            record["figures"] = {"folder": str(drawn), "files": names}
         if as_json:
-            emit({"report": str(path), "truth": comparison})
+            emit(record)
             return
-        if comparison is not None:
-            rows = [
-                (g["name"], g["n"], number(g["rms_normalised"]), number(g["max_normalised"]))
-                for g in comparison["groups"]
-            ]
-            table("estimated minus true, in predicted standard deviations", ("what", "n", "RMS", "largest"), rows)
-        say(f"report: {path}")
+        _show(record)
+
+
+def _show(record: dict[str, Any]) -> None:
+    """Print the comparison with the truth and what was written."""
+    if record["truth"] is not None:
+        rows = [
+            (g["name"], g["n"], number(g["rms_normalised"]), number(g["max_normalised"]))
+            for g in record["truth"]["groups"]
+        ]
+        table("estimated minus true, in predicted standard deviations", ("what", "n", "RMS", "largest"), rows)
+    say(f"report: {record['report']}")
+    if "figures" in record:
+        say(f"figures: {record['figures']['folder']} ({len(record['figures']['files'])} files)")

@@ -16,6 +16,7 @@ from fg_orient.comparison.model import COLUMNS, Comparison
 from fg_orient.comparison.report import render
 from fg_orient.comparison.words import summaries, verdict
 from fg_orient.errors import NoSolutionError
+from fg_orient.figures.style import available
 from fg_orient.io.folder import Contents, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
 from fg_orient.run.json import dumps, plain
@@ -140,7 +141,7 @@ def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[
         "as_run": comparison.as_run,
         "look_polynomial": comparison.block.options.look_polynomial,
         "summary": [asdict(line) for line in summaries(comparison)],
-        "warnings": [] if plots.available() else [NO_FIGURES],
+        "warnings": [] if available() else [NO_FIGURES],
         "rows": [row.as_dict() for row in comparison.rows],
         "out": out.name,
         "provenance": provenance(comparison.block, project.parent, command),

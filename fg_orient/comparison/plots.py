@@ -6,30 +6,37 @@ quantity also has a number, a marker or a line style. Matplotlib (extra "report"
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fg_orient.comparison.model import LARGEST_CONDITION, Comparison, groups
+from fg_orient.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PINK,
+    STYLE,
+    available,
+    file_of,
+    log_scale,
+    new_figure,
+    short,
+)
 from fg_orient.parameters import EOP_SETS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Ink and paper of the figures; the report replaces them by its own, for dark pages.
-INK: Final = "#1d2327"
-PAPER: Final = "#fefefe"
-BLUE, ORANGE, GREEN, PINK, GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8a9298"
+#: Larger than in a paper's column: these figures are read on pages.
 _STYLE: Final[dict[Any, Any]] = {
-    "svg.fonttype": "none", "svg.hashsalt": "fg_orient", "font.size": 9, "text.parse_math": False,
-    "text.color": INK, "axes.edgecolor": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK,
-    "figure.facecolor": PAPER, "axes.facecolor": PAPER, "savefig.facecolor": PAPER, "legend.facecolor": PAPER,
-    "hatch.color": GREY, "hatch.linewidth": 0.6, "axes.titlesize": 9, "legend.fontsize": 8,
+    **STYLE, "font.size": 9, "axes.titlesize": 9, "axes.labelsize": 9, "xtick.labelsize": 9, "ytick.labelsize": 9,
+    "legend.fontsize": 8,
 }  # fmt: skip
 #: Powers of ten beside the target that the heat maps tell apart.
 _DECADES: Final = (-2.0, 4.0)
@@ -42,11 +49,6 @@ _SYSTEMS: Final = {
     ("no priors", "priors"): ("prior units, without priors", GREEN, "^", ":"),
     ("adjustment", "priors"): ("prior units, with priors (as solved)", BLUE, "o", "-"),
 }
-
-
-def available() -> bool:
-    """Tell whether matplotlib is there."""
-    return find_spec("matplotlib") is not None
 
 
 def figures(comparison: Comparison) -> dict[str, str]:
@@ -67,20 +69,8 @@ def figures(comparison: Comparison) -> dict[str, str]:
         for name, draw in found.items():
             figure = draw(comparison)
             if figure is not None:
-                out[name] = _svg(figure)
+                out[name] = file_of(figure, "svg").decode()
     return out
-
-
-def _svg(figure: Figure) -> str:
-    stream = io.StringIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    return stream.getvalue()
-
-
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
 
 
 def row_name(comparison: Comparison, backend: str, kind: int | None, solver: str) -> str:
@@ -102,7 +92,7 @@ def _heat_map(comparison: Comparison, role: str) -> Figure | None:
             values[i, j], failed[i, j] = getattr(row, f"{role}_rmse_m"), bool(row.failure)
     if not np.isfinite(values).any():
         return None
-    figure = _figure(2.9 + 0.36 * max(len(sets), 13), 1.3 + 0.235 * len(grouped))
+    figure = new_figure(2.9 + 0.36 * max(len(sets), 13), 1.3 + 0.235 * len(grouped))
     axes = figure.add_subplot()
     image = _coloured(axes, values, failed, comparison.target_m)
     axes.set_xticks(range(len(sets)), [str(n) for n in sets])
@@ -113,7 +103,7 @@ def _heat_map(comparison: Comparison, role: str) -> Figure | None:
     pad = 0.1 / figure.get_figheight()
     bar = figure.colorbar(image, ax=axes, location="top", shrink=0.8, aspect=40, pad=pad, extend="both")
     ticks = range(int(_DECADES[0]), int(_DECADES[1]) + 1)
-    bar.set_ticks(list(ticks), labels=[_short(comparison.target_m * 10.0**k) for k in ticks])
+    bar.set_ticks(list(ticks), labels=[short(comparison.target_m * 10.0**k) for k in ticks])
     bar.set_label(f"RMSE at {role} points, m; white: target {comparison.target_m:.3g} m")
     return figure
 
@@ -141,7 +131,7 @@ def _coloured(axes: Axes, values: Any, failed: Any, target_m: float) -> Any:
         elif np.isfinite(values[i, j]):
             dark = not -1.0 < decades[i, j] < 2.2
             ink = "#fdfdfd" if dark else "#111111"
-            artist = axes.text(j, i, _short(values[i, j]), ha="center", va="center", fontsize=6, color=ink)
+            artist = axes.text(j, i, short(values[i, j]), ha="center", va="center", fontsize=6, color=ink)
         if artist is not None:
             artist.set_in_layout(False)  # hundreds of cells: laying them out takes most of the time
     return image
@@ -154,29 +144,19 @@ def _separate(axes: Axes, keys: list[tuple[str, int | None]]) -> None:
             axes.axhline(i - 0.5, color=INK, lw=1.2)
 
 
-def _short(value: float) -> str:
-    """A number in at most four characters."""
-    if value == 0.0 or not math.isfinite(value):
-        return "0" if value == 0.0 else "–"
-    exponent = math.floor(math.log10(abs(value)))
-    if -2 <= exponent <= 2:
-        return f"{value:.2g}" if exponent < 2 else f"{value:.0f}"
-    return _plain_exponent(f"{value:.0e}")
-
-
 def _conditions(comparison: Comparison) -> Figure | None:
     """Condition numbers of N by EOP set, before and after scaling and priors."""
     wanted = _systems(comparison)
     if not wanted:
         return None
-    figure = _figure(7.2, 3.6)
+    figure = new_figure(7.2, 3.6)
     axes = figure.add_subplot()
     for key in wanted:
         label, colour, marker, _ = _SYSTEMS[key]
         found = {s.eop_set: s.condition for s in comparison.spectra if (s.system, s.scaling) == key}
         places = [comparison.eop_sets.index(n) for n in found]
         axes.plot(places, list(found.values()), color=colour, marker=marker, ls="", ms=5, label=label)
-    _log_scale(axes)
+    log_scale(axes)
     axes.axhline(1e16, color=GREY, lw=1, ls="-.", label="1e16: limit of the publication")
     axes.axhline(LARGEST_CONDITION, color=GREY, lw=0.6)
     axes.set_xticks(range(len(comparison.eop_sets)), [str(n) for n in comparison.eop_sets])
@@ -184,17 +164,6 @@ def _conditions(comparison: Comparison) -> Figure | None:
     axes.set_ylabel("condition number of N")
     figure.legend(loc="outside upper center", ncols=2, frameon=False)
     return figure
-
-
-def _log_scale(axes: Axes) -> None:
-    """Powers of ten up the side, in plain figures."""
-    axes.set_yscale("log")
-    axes.minorticks_off()
-    axes.yaxis.set_major_formatter(lambda value, _: _plain_exponent(f"{value:.0e}"))
-
-
-def _plain_exponent(text: str) -> str:
-    return text.replace("e+0", "e").replace("e+", "e").replace("e-0", "e−").replace("e-", "e−")
 
 
 def _systems(comparison: Comparison) -> list[tuple[str, str]]:
@@ -212,7 +181,7 @@ def _spectra(comparison: Comparison) -> Figure | None:
     sets = comparison.eop_sets
     columns = min(5, len(sets))
     lines = -(-len(sets) // columns)
-    figure = _figure(max(1.75 * columns, 5.0), 1.5 * lines + 0.9)
+    figure = new_figure(max(1.75 * columns, 5.0), 1.5 * lines + 0.9)
     panels = figure.subplots(lines, columns, sharex=False, sharey=True, squeeze=False).ravel()
     for panel, number in zip(panels, sets, strict=False):
         panel.set_title(f"{number} {EOP_SETS[number][0]}")
@@ -223,7 +192,7 @@ def _spectra(comparison: Comparison) -> Figure | None:
                     floor = s.values[0] * np.finfo(float).eps / 10.0  # below is rounding of rounding
                     panel.plot(np.linspace(0, 1, len(s.values)), np.maximum(s.values, floor) / s.values[0],
                                color=colour, ls=line, lw=1.2, label=label)  # fmt: skip
-        _log_scale(panel)
+        log_scale(panel)
         panel.set_xticks([0, 1], ["first", "last"])
     for panel in panels[len(sets) :]:
         panel.set_axis_off()
@@ -242,7 +211,7 @@ def _seconds(comparison: Comparison) -> Figure | None:
             timed.append((row_name(comparison, *key), values))
     if not timed:
         return None
-    figure = _figure(7.2, 0.9 + 0.22 * len(timed))
+    figure = new_figure(7.2, 0.9 + 0.22 * len(timed))
     axes = figure.add_subplot()
     for i, (_, values) in enumerate(timed):
         axes.plot([min(values), max(values)], [i, i], color=GREY, lw=2, solid_capstyle="round")

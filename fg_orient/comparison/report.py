@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from fg_orient.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison
-from fg_orient.comparison.plots import INK, PAPER, row_name
+from fg_orient.comparison.plots import row_name
 from fg_orient.comparison.words import ranges, summaries, verdict
+from fg_orient.figures.style import INK, PAPER
 from fg_orient.report.words import number, printable, scientific
 
 #: Heading and explanation of each figure.

@@ -224,6 +224,7 @@ CLI: Final = {
 REPORT: Final = {
     "report.no_result": ("the folder holds no result of an adjustment", "give a folder that fg-orient adjust wrote"),
     "report.damaged": ("the result cannot be read", "run fg-orient adjust again"),
+    "report.no_matplotlib": ("figures need matplotlib", "install the extra: pip install 'fg-orient[report]'"),
     "report.no_truth": ("the folder holds no truth of a simulation", "give the folder truth of fg-orient simulate"),
     "report.other_truth": ("the truth belongs to another project", "give the truth of these images and points"),
 }

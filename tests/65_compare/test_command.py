@@ -21,6 +21,7 @@ from fg_orient.comparison import plots
 from fg_orient.comparison.model import COLUMNS, Comparison
 from fg_orient.comparison.report import render, short
 from fg_orient.comparison.words import ranges, verdict
+from fg_orient.figures import style
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 
 FIGURES = {"heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "seconds.svg"}
@@ -127,7 +128,7 @@ def test_report_is_one_safe_file(written: tuple[Path, Any]) -> None:
     assert len(ids) == len(set(ids))
     assert {v[1:] for v in links if v.startswith("#")} <= set(ids)
     assert set(re.findall(r"url\(#([^)]+)\)", text)) <= set(ids)
-    assert "prefers-color-scheme: dark" in text and plots.INK not in text.split("</style>", 1)[1]
+    assert "prefers-color-scheme: dark" in text and style.INK not in text.split("</style>", 1)[1]
     assert text.index('id="verdict"') < text.index('id="summary"') < text.index("<svg")
 
 
@@ -178,7 +179,7 @@ def test_tables_for_people(run: Any, project: Path, tmp_path: Path) -> None:
 
 
 def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plots, "find_spec", lambda name: None)
+    monkeypatch.setattr(style, "find_spec", lambda name: None)
     out = tmp_path / "out"
     ended = run("compare", project, "--eop-sets", "2", "--backends", "graph", "--out", out)
     assert ended.code == 0

@@ -1,0 +1,1 @@
+"""Figures for papers: every plot of a result folder as SVG and PDF, with captions."""

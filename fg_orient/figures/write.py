@@ -1,0 +1,131 @@
+"""All figures of a result folder, written into one folder of SVG and PDF files with their captions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from fg_orient.errors import InputError
+from fg_orient.figures import captions, checks, maps, orientation, residuals, style
+from fg_orient.figures.data import Folder, read_folder
+from fg_orient.io.folder import Contents, require_free, staged_folder, writing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS: Final = ("svg", "pdf")
+CAPTIONS_FILE: Final = "captions.md"
+#: What a folder of figures holds; the captions are its mark.
+FIGURES: Final = Contents(CAPTIONS_FILE, (CAPTIONS_FILE, "*.svg", "*.pdf"))
+#: Folder of the figures inside a result folder.
+FOLDER: Final = "figures"
+#: Images whose own figures are drawn; the tables hold all.
+MAX_IMAGES: Final = 12
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One kind of figure.
+
+    Parameters
+    ----------
+    name : str
+        File name without its ending.
+    draw : callable
+        Gives the figure of a folder and some images, or None where the result holds nothing to draw.
+    images : int
+        Images that share one figure; 0: one figure of the whole block.
+    """
+
+    name: str
+    draw: Callable[[Folder, list[str]], Figure | None]
+    images: int = 0
+
+
+PLOTS: Final = (
+    Plot("map", lambda folder, _: maps.error_map(folder)),
+    Plot("map_up", lambda folder, _: maps.error_map(folder, up=True) if maps.has_errors(folder) else None),
+    Plot("residuals", residuals.vectors, 2),
+    Plot("histograms", residuals.histograms, 2),
+    Plot("quantiles", residuals.quantiles, 2),
+    Plot("corrections", orientation.corrections, 2),
+    Plot("correlations", orientation.correlations, 2),
+    Plot("singular_values", orientation.singular_values, 4),
+    Plot("redundancy", checks.redundancy),
+    Plot("iterations", checks.iterations),
+)
+
+
+def figures(folder: Folder) -> Iterator[tuple[str, str, list[str], Figure]]:
+    """Give every figure that the result supports: file name, name of the plot, ids of its images, figure.
+
+    To be called inside ``matplotlib.rc_context(style.STYLE)``.
+    """
+    chosen = folder.images[:MAX_IMAGES]
+    for plot in PLOTS:
+        step = plot.images or max(len(chosen), 1)
+        groups = [chosen[k : k + step] for k in range(0, len(chosen), step)] if plot.images else [chosen]
+        for number, group in enumerate(groups, start=1):
+            figure = plot.draw(folder, group)
+            if figure is not None:
+                yield plot.name if len(groups) == 1 else f"{plot.name}_{number:02d}", plot.name, group, figure
+
+
+def write_figures(
+    folder: str | Path, out: str | Path | None = None, *, overwrite: bool = False, formats: Sequence[str] = FORMATS
+) -> tuple[Path, list[str]]:
+    """Write all figures of a result folder, whole or not at all.
+
+    Parameters
+    ----------
+    folder : path
+        Result folder of ``adjust``.
+    out : path, optional
+        Folder to come; default ``figures`` inside the result folder.
+    overwrite : bool
+        Replace a folder of figures.
+    formats : sequence of str
+        ``svg``, ``pdf``.
+
+    Returns
+    -------
+    path : Path
+        The folder written.
+    names : list of str
+        Its files.
+
+    Raises
+    ------
+    InputError
+        The folder holds no result, matplotlib is missing, or the output may not be written.
+    """
+    target = Path(folder) / FOLDER if out is None else Path(out)
+    if not style.available():
+        raise InputError.of("report.no_matplotlib", place="--figures")
+    if unknown := [kind for kind in formats if kind not in FORMATS]:
+        raise InputError.of("options.value", place="formats", value=unknown[0], expected=" or ".join(FORMATS))
+    given = read_folder(Path(folder))
+    require_free(target, overwrite=overwrite, contents=FIGURES)
+    with staged_folder(target, overwrite=overwrite, contents=FIGURES) as staged:
+        files, told = _draw(given, formats)
+        with writing(target):
+            for name, data in files.items():
+                (staged / name).write_bytes(data)
+            (staged / CAPTIONS_FILE).write_text(captions.page(given, told), encoding="utf-8")
+    return target, sorted([*files, CAPTIONS_FILE])
+
+
+def _draw(folder: Folder, formats: Sequence[str]) -> tuple[dict[str, bytes], dict[str, tuple[str, list[str]]]]:
+    """Bytes by file name; plot and images by name of figure."""
+    import matplotlib
+
+    files: dict[str, bytes] = {}
+    told: dict[str, tuple[str, list[str]]] = {}
+    with matplotlib.rc_context(style.STYLE):
+        for name, plot, images, figure in figures(folder):
+            told[name] = plot, images
+            for kind in formats:
+                files[f"{name}.{kind}"] = style.file_of(figure, kind)
+    return files, told
