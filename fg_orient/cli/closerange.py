@@ -102,6 +102,10 @@ def bundle(
         Path | None,
         typer.Option(metavar="CSV", help="id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted."),
     ] = None,
+    start: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m of new points to begin with; others are intersected."),
+    ] = None,
     constraints: Annotated[Path | None, typer.Option(metavar="TOML", help="[[constraints]] between points.")] = None,
     unknown: Annotated[
         str, typer.Option(metavar="NAMES", help="Unknown camera parameters of each photo: c,x0,y0,k1,k2,k3,p1,p2, ...")
@@ -123,7 +127,7 @@ def bundle(
 
         if not 0.0 <= sigma_control < float("inf"):
             raise InputError.of("closerange.sigma", place="--sigma-control", value=sigma_control)
-        record = run_bundle(points, photos, control=control, constraints=constraints,
+        record = run_bundle(points, photos, control=control, start=start, constraints=constraints,
                             sigma=_positive("--sigma", sigma), sigma_control_m=sigma_control, unknown=_words(unknown),
                             shared=_words(shared), backend=backend, out=out, overwrite=overwrite,
                             command=_command())  # fmt: skip

@@ -12,11 +12,12 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors.extended_collinearity import NAMES
 from fg_orient.adjustment.loop import OPTIMIZERS, LoopResult
-from fg_orient.adjustment.network import DenseNetwork, Network, Rows, dependent
+from fg_orient.adjustment.network import DenseNetwork, Network, dependent
 from fg_orient.adjustment.network_graph import GraphNetwork
+from fg_orient.closerange.bundle_determined import require_determined, require_rays
 from fg_orient.closerange.bundle_network import Built, build
 from fg_orient.closerange.constraints import Constraint
-from fg_orient.closerange.fitting import RANK_LIMIT, UNDETERMINED, as_points, unit_weight
+from fg_orient.closerange.fitting import as_points, unit_weight
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.linear.system import MAX_UNKNOWNS
@@ -30,8 +31,6 @@ BACKENDS: Final[dict[str, Callable[[Network], Any]]] = {"dense": DenseNetwork, "
 MAX_ITERATIONS: Final = 100
 #: Steps to rounding: metres, radians, and steps of camera parameters.
 TOLERANCE: Final = 1e-12
-#: Elements of a direction that are named, by the largest.
-NAMED: Final = 0.3
 
 
 @dataclass(frozen=True)
@@ -231,9 +230,10 @@ def adjust_bundle(
     Raises
     ------
     InputError
-        Sizes or values that do not fit; unknowns that nothing determines (without a prior of their own their
-        standard deviation exceeds 1000 times that of their observations), named with their direction; hard
-        constraints that depend on each other; more than 2000 unknowns.
+        Sizes or values that do not fit; points without two rays; motions of the whole block that are open; unknowns
+        that nothing determines (without a prior of their own their standard deviation exceeds 1000 times that of
+        their observations), named with their direction; hard constraints that depend on each other; more than 2000
+        unknowns.
     NoSolutionError
         The iteration does not converge, or a point lies behind a photo.
     """
@@ -250,6 +250,7 @@ def adjust_bundle(
         network = built.network
         if network.n_unknowns > MAX_UNKNOWNS:
             raise InputError.of("linear.too_large", place="bundle", value=network.n_unknowns, limit=MAX_UNKNOWNS)
+        require_rays(built, which, of)
         engine = BACKENDS[backend](network)
         found = _solved(built, engine, optimizer)
         return _result(built, engine, found, which, of, given)
@@ -273,50 +274,14 @@ def _solved(built: Built, engine: Any, optimizer: str) -> LoopResult[Array]:
     return found
 
 
-def require_determined(built: Built, rows: Rows) -> None:
-    """Refuse unknowns that the rows leave open.
-
-    Hard conditions leave a space of motions Z; the singular values of J Z, unknowns in units of the accuracy that
-    their observations give them, tell how far observations determine them. A figure's unit is that of its points.
-
-    Raises
-    ------
-    InputError
-        Names the unknowns and the direction.
-    """
-    unit = built.units(rows)
-    border = rows.border * unit
-    basis = np.eye(len(unit))
-    if len(border):
-        basis = np.linalg.svd(border / np.linalg.norm(border, axis=1, keepdims=True))[2][len(border) :].T
-    design = rows.design * unit @ basis
-    _, values, right = np.linalg.svd(design, full_matrices=len(design) < design.shape[1])
-    values = np.concatenate([values, np.zeros(design.shape[1] - len(values))])
-    if not len(values):
-        return
-    weak = basis @ right[-1]
-    free = np.array([not known for known in built.observed])
-    if values[-1] > RANK_LIMIT * values[0]:
-        deviation = np.sqrt(np.sum((basis @ right.T / values) ** 2, axis=1))
-        if not (deviation * free > UNDETERMINED).any():
-            return
-    share = np.abs(weak) / np.abs(weak).max()
-    names = [built.network.labels[k] for k in np.flatnonzero(share >= NAMED)]
-    top = int(np.argmax(share))
-    terms = (f"{weak[k] * unit[k] / (weak[top] * unit[top]):+.3g} {built.network.labels[k]}"
-             for k in np.argsort(-share)[:4])  # fmt: skip
-    shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-    raise InputError.of("closerange.undetermined", place="bundle", names=shown, direction=" ".join(terms),
-                        limit=UNDETERMINED)  # fmt: skip
-
-
 def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, of: Index, sigma: Array) -> Bundle:
     network, state = built.network, found.state
     rows = network.rows(state, jacobian=False)
     built.require_in_front(state, which, of)
     m0 = unit_weight(float(rows.residual @ rows.residual), network.redundancy)
     blocks = engine.cofactors(state)
-    cofactors = np.concatenate([block.diagonal() for block in blocks])
+    # what hard conditions fix has variance 0, which rounding may put below
+    cofactors = np.maximum(np.concatenate([block.diagonal() for block in blocks]), 0.0)
     scaled = cofactors * built.steps**2
     values = built.values(state)
 

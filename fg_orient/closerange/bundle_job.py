@@ -25,7 +25,7 @@ from fg_orient.closerange.job import (
 )
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.resection import resect
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, problem
 from fg_orient.io.constraints import ConstraintEntry, read_constraints
 from fg_orient.io.folder import require_free
 from fg_orient.io.photos import read_photos
@@ -39,9 +39,10 @@ KNOWN = ("c", "x0", "y0", *CORRECTIONS)
 
 
 def run_bundle(
-    path: Path, photos: Path, *, control: Path | None = None, constraints: Path | None = None, sigma: float = 1.0,
-    sigma_control_m: float = 0.0, unknown: Sequence[str] = (), shared: Sequence[str] = (), backend: str = "dense",
-    out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
+    path: Path, photos: Path, *, control: Path | None = None, start: Path | None = None,
+    constraints: Path | None = None, sigma: float = 1.0, sigma_control_m: float = 0.0, unknown: Sequence[str] = (),
+    shared: Sequence[str] = (), backend: str = "dense", out: Path | None = None, overwrite: bool = False,
+    command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Adjust the photos and points of a table.
 
@@ -50,9 +51,11 @@ def run_bundle(
     path : Path
         Image points, see :func:`fg_orient.closerange.files.read_image_points`.
     photos : Path
-        Photo file; a photo that is not oriented is resected from the control points in it.
+        Photo file; a photo that is not oriented is resected from the points in it whose place is known.
     control : Path, optional
         Points with coordinates, see :func:`fg_orient.closerange.files.read_ground_points`.
+    start : Path, optional
+        New points, all to be determined, with start coordinates in the same columns; others are intersected.
     constraints : Path, optional
         See ``io.constraints``.
     sigma, sigma_control_m : float
@@ -76,20 +79,21 @@ def run_bundle(
         if name not in KNOWN:
             raise InputError.of("closerange.bundle", place="--unknown, --shared", value=name,
                                 expected=", ".join(KNOWN))  # fmt: skip
-    known = _control(control, sigma_control_m)
-    names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys(table.ids))
+    known, begun = _control(control, sigma_control_m), _control(start, 0.0)
+    places = begun | known
+    names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys((*table.ids, *begun)))
     which, of = (
         np.array(v, np.intp) for v in ([names.index(n) for n in table.photos], [ids.index(i) for i in table.ids])
     )
     stated = [_constraint(entry) for entry in read_constraints(constraints)] if constraints else []
     with one_blas_thread():
-        starts = _starts(photos, names, table, which, of, ids, known, weights_of(table, sigma))
+        starts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma))
         given = [
             BundlePhoto(n, i, r, c, tuple(unknown), "all", tuple(shared))
             for n, (i, r, c) in zip(names, starts, strict=True)
         ]
         found = adjust_bundle(
-            given, ids, _points(starts, names, table, which, of, ids, known), which, of, table.image,
+            given, ids, _points(starts, names, table, which, of, ids, places), which, of, table.image,
             sigma=weights_of(table, sigma), control={i: known[i] for i in ids if i in known}, constraints=stated,
             backend=backend,
         )  # fmt: skip
@@ -119,7 +123,7 @@ def _starts(
     path: Path, names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
     known: Mapping[str, tuple[Array, Array]], sigma: Array,
 ) -> list[Start]:  # fmt: skip
-    """Interior, rotation and centre of each photo: those of the file, else by resection from its control points."""
+    """Interior, rotation and centre of each photo: those of the file, else by resection from its known points."""
     file = read_photos(path)
     cameras, out = interiors(file), list[Start]()
     for k, name in enumerate(names):
@@ -140,13 +144,12 @@ def _points(
     starts: Sequence[Start], names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
     known: Mapping[str, tuple[Array, Array]],
 ) -> Array:  # fmt: skip
-    """Start coordinates (n, 3): control points as given, others by intersection."""
+    """Start coordinates (n, 3): as given, else by intersection."""
     out = np.array([known[i][0] if i in known else np.full(3, np.nan) for i in ids])
-    rays = np.bincount(of, minlength=len(ids))
-    for j in np.flatnonzero(np.isnan(out[:, 0])).tolist():
-        if rays[j] < 2:
-            raise InputError.of("closerange.no_place", place=f"point {ids[j]}")
-    free = np.isnan(out[:, 0])
+    rays, free = np.bincount(of, minlength=len(ids)), np.isnan(out[:, 0])
+    lost = [name for name, is_free, n in zip(ids, free, rays, strict=True) if is_free and n < 2]
+    if lost:
+        raise InputError(*(problem("closerange.no_place", place=f"point {name}") for name in lost))
     rows = np.flatnonzero(free[of])
     if len(rows):
         number = np.cumsum(free) - 1
@@ -176,11 +179,13 @@ def _record(
             "exterior": exterior_record(rotation, centre, turns, sigma),
             "rms": np.sqrt(np.mean(found.residuals[which == k] ** 2, axis=0)).tolist(),
         })  # fmt: skip
-    misfit = np.sqrt(np.bincount(of, np.sum(found.residuals**2, axis=1)) / np.bincount(of))
+    n = len(found.ids)
+    rays = np.bincount(of, minlength=n)
+    misfit = np.sqrt(np.bincount(of, np.sum(found.residuals**2, axis=1), n) / np.maximum(rays, 1))
     points = [
         {"id": name, "role": "control" if name in known else "new", **xyz(found.points_m[k]),
-         **xyz(None if found.sigma_m is None else found.sigma_m[k], "sigma_"), "rays": int(np.sum(of == k)),
-         "misfit": float(misfit[k])}
+         **xyz(None if found.sigma_m is None else found.sigma_m[k], "sigma_"), "rays": int(rays[k]),
+         "misfit": float(misfit[k]) if rays[k] else None}
         for k, name in enumerate(found.ids)
     ]  # fmt: skip
     return {
@@ -192,5 +197,12 @@ def _record(
             {"photo": p, "id": i, "residual_x": float(r[0]), "residual_y": float(r[1])}
             for p, i, r in zip(table.photos, table.ids, found.residuals, strict=True)
         ],
-        "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
+        "warnings": _warnings(found, known),
     }  # fmt: skip
+
+
+def _warnings(found: Bundle, known: Mapping[str, tuple[Array, Array]]) -> list[str]:
+    """What the user should know."""
+    out = [] if found.m0 is not None else [NO_REDUNDANCY]
+    unseen = [name for name in known if name not in found.ids]
+    return out + ([f"control points measured in no photo: {', '.join(unseen)}"] if unseen else [])

@@ -14,6 +14,8 @@ from fg_orient.adjustment.network import DenseNetwork, Network, Observation, Var
 from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.cells import CellKey
 from fg_orient.closerange.bundle import Bundle, BundlePhoto, adjust_bundle
+from fg_orient.closerange.bundle_determined import motions
+from fg_orient.closerange.bundle_network import build
 from fg_orient.closerange.constraints import Constraint, observed_element
 from fg_orient.errors import FgOrientError, InputError
 from fg_orient.reproduce import ayhan1996_bundle as thesis
@@ -132,12 +134,74 @@ def test_what_nothing_determines_is_named() -> None:
     with pytest.raises(InputError, match="not determined") as caught:
         adjusted(scene, scene.photos(unknown=("k1", "a16")))  # the same parameter twice
     assert "photo ph0 k1" in str(caught.value) and "photo ph0 a16" in str(caught.value)
-    with pytest.raises(InputError, match="not determined"):
-        adjusted(scene, scene.photos(), control={})  # no datum
     flat = scene.points * [1.0, 0.0, 1.0] + [0.0, 2005.0, 0.0]
     level = [Scene(scene.interior, [scene.rotations[0]] * 2, scene.centres, flat, scene.image)]
     with pytest.raises(FgOrientError):  # one plane and one attitude: distance and principal distance are one
         adjusted(make(3, 20, 2, points=level[0].points), scene.photos(unknown=NAMES[:3], held=False), control={})
+
+
+SHIFTS, TURNS = "shift X, shift Y, shift Z", "turn about X, turn about Y, turn about Z"
+DISTANCE = Constraint("distance", ("p0", "p1"), 1.0)
+PLUMB_LINE = Constraint("plumb line", ("p0", "p1", "p2"), sigma=0.005)
+SPHERE = Constraint("sphere", ("p2", "p3", "p4", "p5"), sigma=0.001)
+
+
+@pytest.mark.parametrize(
+    ("held", "constraints", "words"),
+    [
+        (0, [], f"7 of its 7 motions are open ({SHIFTS}, {TURNS}, scale)"),
+        (1, [], "4 of its 7 motions are open;"),  # turns and scale about the point, none of them about the middle
+        (2, [], "1 of its 7 motions are open;"),
+        (0, [DISTANCE], f"6 of its 7 motions are open ({SHIFTS}, {TURNS})"),
+        (0, [PLUMB_LINE], f"5 of its 7 motions are open ({SHIFTS}, turn about Z, scale)"),
+        (0, [SPHERE], "7 of its 7 motions"),
+    ],
+)
+def test_open_motions_are_counted(held: int, constraints: list[Constraint], words: str) -> None:
+    points = make(3, 20, 3).points
+    points[:3, :2] = points[0, :2]
+    scene = make(3, 20, 3, points=points)
+    control = {name: (scene.points[k], 0.0) for k, name in enumerate(scene.ids[:held])}
+    with pytest.raises(InputError, match="ties the block") as caught:
+        adjusted(scene, scene.photos(), control=control, constraints=constraints)
+    assert words in str(caught.value)
+    assert caught.value.problems[0].code == "closerange.datum"
+
+
+def test_motions_leave_image_residuals_alone() -> None:
+    """Shifts, turns and scale move points, centres and attitudes: no image coordinate of exact measurements changes."""
+    scene = make(8, 12, 2, noise=0.0)
+    exact = [BundlePhoto(f"ph{k}", scene.interior, r, c)
+             for k, (r, c) in enumerate(zip(scene.rotations, scene.centres, strict=True))]  # fmt: skip
+    sigma = np.ones_like(scene.image)
+    built = build(exact, tuple(scene.ids), scene.points, scene.which, scene.of, scene.image, sigma, {}, (), False)
+    moved = motions(built)
+    assert np.linalg.matrix_rank(moved) == 7
+    design = built.network.rows(built.network.start).design
+    assert np.abs(design @ moved).max() <= 1e-10 * np.abs(design).max()
+
+
+def test_points_without_two_rays_are_named() -> None:
+    """All of them at once; one in a constraint is judged by the rows: a plane cuts its ray."""
+    scene = make(3, 20, 2)
+    keep = ~(((scene.of == 7) & (scene.which == 1)) | (scene.of == 9))
+    start, control = scene.points.copy(), {name: (scene.points[k], 0.0) for k, name in enumerate(scene.ids[:5])}
+
+    def given(**more: object) -> Bundle:
+        return adjust_bundle(scene.photos(), scene.ids, start, scene.which[keep], scene.of[keep], scene.image[keep],
+                             sigma=SIGMA, control=control, **more)  # type: ignore[arg-type]  # fmt: skip
+
+    with pytest.raises(InputError) as caught:
+        given()
+    assert [(p.code, p.place) for p in caught.value.problems] == [
+        ("closerange.one_ray", "point p7, photo ph0"), ("closerange.no_ray", "point p9"),
+    ]  # fmt: skip
+    start[:3, 1] = start[7, 1]  # a plane of three held points
+    control = {name: (start[k], 0.0) for k, name in enumerate(scene.ids[:8]) if k != 7}
+    keep &= scene.of > 2
+    keep |= scene.of == 9
+    found = given(constraints=[Constraint("plane", ("p0", "p1", "p2", "p7"))])
+    assert found.points_m[7, 1] == pytest.approx(start[7, 1], abs=1e-9)
 
 
 def test_refusals() -> None:
