@@ -19,7 +19,9 @@ from fg_orient.interchange.survey import Survey
 from fg_orient.io.tables import did_you_mean
 
 #: Modules of this package that hold formats, in the order of the documentation.
-_MODULES: Final = ("own_csv", "asp_gcp")
+_MODULES: Final = (
+    "own_csv", "asp_gcp", "asp_match", "colmap_database", "colmap_text", "bundler", "bal", "micmac_csv",
+)  # fmt: skip
 
 
 class Holds(StrEnum):

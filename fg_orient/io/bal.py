@@ -13,7 +13,7 @@ import gzip
 import hashlib
 import math
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -21,12 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import frame_camera
-from factors.batch import batch
-from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED
-from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, Source, WithheldCoordinates
+from fg_orient.block import Block, Image, ImagePoints, Source
 from fg_orient.errors import InputError
-from fg_orient.names import Role
-from fg_orient.sensors.frame import HALF_TURN, UNKNOWNS, FrameCamera, FrameSensor
+from fg_orient.io.frame_model import free_block, in_one_image, in_pixels
+from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
 
 Array = npt.NDArray[np.float64]
 
@@ -101,7 +99,7 @@ def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = (), *, kee
     cameras = cameras_of(data)
     behind = np.zeros(len(data.points), bool)
     behind[data.point[_depths(data, cameras) <= 0.0]] = True
-    alone = _in_one_image(data)
+    alone = in_one_image(data.camera, data.point, len(data.points))
     rows = ~(alone | behind & (not keep_behind))[data.point]
     x, y = data.xy[rows].T
     sigma = np.full(len(x), SIGMA_PX)
@@ -113,26 +111,12 @@ def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = (), *, kee
         ))
         for k, camera in enumerate(cameras)
     )  # fmt: skip
-    n = len(data.points)
-    known = Coordinates(data.points, np.full((n, 3), np.nan), np.zeros(n, bool))
-    points = GroundPoints(tuple(map(str, range(n))), (Role.TIE,) * n, known)
-    nothing = WithheldCoordinates((), lambda: Coordinates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool)))
-    options = Options(datum="free", priors=False, optimizer="levenberg-marquardt", max_iterations=500)
     told = (
         f"{alone.sum()} point(s) measured in one image only are left out",
         f"{behind.sum()} point(s) begin behind a camera",
     )
     notes = tuple(text for text, which in zip(told, (alone, behind), strict=True) if which.any())
-    return Block(name, images, points, observations, nothing, options, sources, notes)
-
-
-def _in_one_image(data: BalData) -> npt.NDArray[np.bool_]:
-    """Points (N,) that are measured, but in one image only."""
-    some, several = (np.zeros(len(data.points), bool) for _ in range(2))
-    any_camera = np.zeros(len(data.points), np.intp)
-    some[data.point], any_camera[data.point] = True, data.camera
-    several[data.point[data.camera != any_camera[data.point]]] = True
-    return some & ~several
+    return free_block(name, images, tuple(map(str, range(len(data.points)))), data.points, observations, sources, notes)
 
 
 def _depths(data: BalData, cameras: list[FrameCamera]) -> Array:
@@ -158,23 +142,9 @@ def cameras_of(data: BalData) -> list[FrameCamera]:
 
 
 def _scaled(camera: FrameCamera, data: BalData, k: int) -> FrameCamera:
-    """Name the unknowns, each in the unit that moves its image points by 1 px (root of the squares) at the start.
-
-    There are no priors: the units rule the damped steps alone (Moré 1978), and so does no unit of the file.
-    """
+    """Camera with the unknowns of the literature."""
     own = np.flatnonzero(data.camera == k)
-    codes = np.array([UNKNOWNS.index(name) for name in UNKNOWN], dtype=float)
-    rows, columns = batch(FRAME_BROWN_IDEAL_TO_MEASURED, np.stack([codes, np.ones(len(codes))]))
-    records = FrameSensor(camera, 1, 1, georeferenced=False).records(-data.xy[own, 1], data.xy[own, 0])
-    n, ground = len(own), np.ascontiguousarray(data.points[data.point[own]])
-    order, derivatives = np.arange(n, dtype=np.int32), np.zeros((n, 2, len(codes)))
-    rows(
-        0, n, order, records, order, np.zeros(n, np.int32), order, columns.setup, 1, np.ones((n, 1)),
-        np.zeros((1, len(codes))), ground, np.empty((n, 2)), derivatives, np.empty((n, 2, 3)), True,
-    )  # fmt: skip
-    length = np.sqrt(np.sum(derivatives**2, axis=(0, 1)))
-    usable = np.isfinite(length) & (length > 0.0)
-    return replace(camera, sigma=dict(zip(UNKNOWN, 1.0 / np.where(usable, length, 1.0), strict=True)))
+    return in_pixels(camera, UNKNOWN, -data.xy[own, 1], data.xy[own, 0], data.points[data.point[own]])
 
 
 def _read(path: Path) -> tuple[bytes, str]:

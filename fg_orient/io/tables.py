@@ -146,13 +146,11 @@ class Table:
         out = np.empty((len(self) if rows is None else len(rows), len(columns)))
         for k, name in enumerate(columns):
             cells = self.cells[name] if rows is None else [self.cells[name][j] for j in rows.tolist()]
-            if "".join(cells).encode().translate(None, _OF_NUMBERS):
+            values = finite(cells)
+            if values is None:
                 return None
-            try:
-                out[:, k] = np.fromiter(map(float, cells), np.float64, len(cells))
-            except ValueError:
-                return None
-        return out if np.isfinite(out).all() else None
+            out[:, k] = values
+        return out
 
 
 def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> Table | None:
@@ -215,6 +213,17 @@ def number(row: Row, column: str, faults: Faults) -> float:
         faults.add(code, place=row.place(column), value=repr(text))
         return float("nan")
     return float(text)
+
+
+def finite(cells: Sequence[str]) -> Array | None:
+    """Texts as finite numbers (n,), at once; None if one is none."""
+    if "".join(cells).encode().translate(None, _OF_NUMBERS):
+        return None
+    try:
+        values = np.fromiter(map(float, cells), np.float64, len(cells))
+    except ValueError:
+        return None
+    return values if np.isfinite(values).all() else None
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:

@@ -21,6 +21,7 @@ from fg_orient.messages.rectify import RECTIFY
 from fg_orient.messages.rfm import RFM
 from fg_orient.messages.rpc import RPC
 from fg_orient.messages.statistics import STATISTICS
+from fg_orient.messages.ties import TIES
 from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPORT, SIMULATE
 
 CATALOGUE: Final[dict[str, tuple[str, str]]] = {
@@ -55,4 +56,5 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **STATISTICS,
     **EARTH,
     **INTERCHANGE,
+    **TIES,
 }
