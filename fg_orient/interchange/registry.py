@@ -20,8 +20,17 @@ from fg_orient.io.tables import did_you_mean
 
 #: Modules of this package that hold formats, in the order of the documentation.
 _MODULES: Final = (
-    "own_csv", "asp_gcp", "asp_match", "colmap_database", "colmap_text", "bundler", "bal", "micmac_csv",
-)  # fmt: skip
+    "own_csv",
+    "asp_gcp",
+    "asp_match",
+    "colmap_database",
+    "colmap_text",
+    "bundler",
+    "bal",
+    "micmac_csv",
+    "photomodeler",
+    "dbat",
+)
 
 
 class Holds(StrEnum):
