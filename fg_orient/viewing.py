@@ -209,13 +209,13 @@ def feature_collection(views: Sequence[View], records: Sequence[dict[str, Any]])
     Rings are counter-clockwise; one that crosses the 180th meridian is cut there into a MultiPolygon.
     """
     features = [
-        {"type": "Feature", "id": view.image.id, "geometry": _geometry(footprint(view)), "properties": record}
+        {"type": "Feature", "id": view.image.id, "geometry": polygon_geometry(footprint(view)), "properties": record}
         for view, record in zip(views, records, strict=True)
     ]
     return {"type": "FeatureCollection", "features": features}
 
 
-def _geometry(ring_deg: Array) -> dict[str, Any]:
+def polygon_geometry(ring_deg: Array) -> dict[str, Any]:
     """Polygon, or the parts of one on both sides of the 180th meridian."""
     x, y = ring_deg.T
     if np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0.0:

@@ -21,6 +21,13 @@ def report(
     figures_out: Annotated[
         Path | None, typer.Option("--figures-out", metavar="FOLDER", help="Draw them into this folder instead.")
     ] = None,
+    export: Annotated[
+        Path | None,
+        typer.Option("--export", metavar="FILE", help="Write points, error vectors, footprints: .gpkg or .geojson."),
+    ] = None,
+    vector_scale: Annotated[
+        float | None, typer.Option("--vector-scale", metavar="N", help="Enlarge the error vectors of --export N times.")
+    ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     debug: Debug = False,
@@ -36,6 +43,11 @@ def report(
 
             drawn, names = write_figures(folder, figures_out, overwrite=overwrite)
             record["figures"] = {"folder": str(drawn), "files": names}
+        if export is not None:
+            from fg_orient.figures.geofiles import export as write_layers
+
+            features = write_layers(folder, export, vector_scale=vector_scale, overwrite=overwrite)
+            record["export"] = {"file": str(export), "features": features}
         if as_json:
             emit(record)
             return
@@ -51,5 +63,8 @@ def _show(record: dict[str, Any]) -> None:
         ]
         table("estimated minus true, in predicted standard deviations", ("what", "n", "RMS", "largest"), rows)
     say(f"report: {record['report']}")
+    if "export" in record:
+        layers = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in record["export"]["features"].items())
+        say(f"layers: {record['export']['file']} ({layers})")
     if "figures" in record:
         say(f"figures: {record['figures']['folder']} ({len(record['figures']['files'])} files)")

@@ -225,6 +225,12 @@ REPORT: Final = {
     "report.no_result": ("the folder holds no result of an adjustment", "give a folder that fg-orient adjust wrote"),
     "report.damaged": ("the result cannot be read", "run fg-orient adjust again"),
     "report.no_matplotlib": ("figures need matplotlib", "install the extra: pip install 'fg-orient[report]'"),
+    "report.no_map": ("the result has no geographic coordinates", "layers need a block on the Earth"),
+    "report.no_pyogrio": (
+        "a GeoPackage needs pyogrio and shapely",
+        "install the extra: pip install 'fg-orient[geo]', or give a .geojson",
+    ),
+    "report.export_suffix": ("this file is neither GeoPackage nor GeoJSON", "end its name with .gpkg or .geojson"),
     "report.no_truth": ("the folder holds no truth of a simulation", "give the folder truth of fg-orient simulate"),
     "report.other_truth": ("the truth belongs to another project", "give the truth of these images and points"),
 }

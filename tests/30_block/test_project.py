@@ -12,12 +12,13 @@ from fg_orient import geodesy
 from fg_orient.block import Options
 from fg_orient.errors import InputError
 from fg_orient.io.points import read_points
-from fg_orient.io.points_write import write_observations, write_points, write_project
+from fg_orient.io.points_write import write_points
 from fg_orient.io.project import read_project
 from fg_orient.io.schema import Adjustment, Orientation
 from fg_orient.io.tables import Faults
 from fg_orient.io.validate import is_remark, validate_project
 from fg_orient.names import Role
+from tests.support.pleiades_project import pleiades_project
 
 
 def test_block_of_a_small_project(folder):
@@ -228,18 +229,8 @@ def test_remark_on_a_better_grid(tmp_path):
 @pytest.mark.real_data
 def test_the_real_pair_is_read_with_its_real_sensors(real_data, tmp_path):
     """86 surveyed points in both images; ECEF coordinates arrive unchanged."""
-    source = real_data / "geoetrim-pleiades"
-    tables = {k: np.genfromtxt(source / f"points_img{k}.csv", delimiter=",", names=True) for k in (1, 3)}
-    ids = [str(int(i)) for i in tables[1]["point_id"]]
-    ecef = np.stack([tables[1][f"{axis}_ecef_m"] for axis in "XYZ"], axis=1)
-    roles = [Role.CONTROL if k % 8 == 0 else Role.CHECK for k in range(86)]
-    write_points(tmp_path / "points.csv", ids, roles, ecef, np.full((86, 3), 0.3), kind="geocentric")
-    pixels = np.concatenate([np.stack([tables[k]["line"] - 1, tables[k]["col"] - 1], axis=1) for k in (1, 3)])
-    images = ["img1"] * 86 + ["img3"] * 86
-    write_observations(tmp_path / "observations.csv", images, ids * 2, pixels, np.full((1, 2), 0.3))
-    metadata = [(f"img{k}", str(source / f"DIM_PHR1A_derived_img{k}.XML")) for k in (1, 3)]
-    write_project(tmp_path / "project.toml", name="pair", images=metadata, crs="EPSG:4978")
-    block = read_project(tmp_path / "project.toml")
+    project, ecef = pleiades_project(real_data, tmp_path)
+    block = read_project(project)
     assert len(block.points.ids) == 86 and len(block.observations) == 172 and len(block.withheld.ids) == 75
     control = block.points.where(Role.CONTROL)
     np.testing.assert_array_equal(block.points.known.ecef_m[control], ecef[control])

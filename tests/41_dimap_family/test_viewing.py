@@ -15,7 +15,16 @@ from fg_orient.io.sensor import read_sensor
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
 from fg_orient.sensors.oriented import OrientedSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
-from fg_orient.viewing import SIDE, View, _area_m2, _geometry, feature_collection, footprint, image_record, pair_record
+from fg_orient.viewing import (
+    SIDE,
+    View,
+    _area_m2,
+    feature_collection,
+    footprint,
+    image_record,
+    pair_record,
+    polygon_geometry,
+)
 
 LON, LAT, HEIGHT = 31.0, 41.0, 2000.0
 
@@ -123,13 +132,13 @@ def test_a_footprint_across_the_180th_meridian() -> None:
     """Cut at 180 into two polygons on both sides; their areas add up."""
     ring = np.array([[179.0, -10.0], [180.5, -10.0], [182.0, -9.0], [180.0, -8.0], [179.0, -8.5]])
     for turn in (0.0, -360.0, 720.0):
-        geometry = _geometry(ring + np.array([turn, 0.0]))
+        geometry = polygon_geometry(ring + np.array([turn, 0.0]))
         assert geometry["type"] == "MultiPolygon"
         (west,), (east,) = geometry["coordinates"]
         assert max(x for x, _ in west) == 180.0 and min(x for x, _ in west) == 179.0
         assert min(x for x, _ in east) == -180.0 and max(x for x, _ in east) == -178.0
         assert shoelace(west) + shoelace(east) == pytest.approx(shoelace([*ring.tolist(), ring[0].tolist()]), rel=1e-12)
-    assert _geometry(ring - np.array([10.0, 0.0]))["type"] == "Polygon"
+    assert polygon_geometry(ring - np.array([10.0, 0.0]))["type"] == "Polygon"
 
 
 # --- real files ----------------------------------------------------------------------------------
