@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from fg_orient.figures import style
 from fg_orient.figures.data import Folder
-from fg_orient.report.svg import KM_PER_DEGREE, round_down
+from fg_orient.report.scale import round_down
+from fg_orient.report.svg import KM_PER_DEGREE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

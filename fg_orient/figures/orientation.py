@@ -9,7 +9,7 @@ import numpy as np
 
 from fg_orient.figures import style
 from fg_orient.figures.data import Folder
-from fg_orient.report.html import corrections as readable_corrections
+from fg_orient.report.orientation import corrections as readable_corrections
 from fg_orient.report.words import number
 
 if TYPE_CHECKING:

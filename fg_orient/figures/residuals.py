@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from fg_orient.figures import style
 from fg_orient.figures.data import LINE_SAMPLE, Folder
-from fg_orient.report.svg import round_down
+from fg_orient.report.scale import round_down
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.report.svg import round_down
+from fg_orient.report.scale import round_down
 
 Array = npt.NDArray[np.float64]
 

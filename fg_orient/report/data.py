@@ -6,6 +6,8 @@ import csv
 import itertools
 import json
 import math
+import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -32,8 +34,12 @@ READ: Final = {
         "id", "role", "lon_deg", "lat_deg", "x_m", "y_m", "z_m", "sigma_scale", *(f"sigma_{axis}" for axis in _ENU),
         *(f"difference_{axis}" for axis in _ENU),
     ),
-    "residuals.csv": ("image", "id", "v_line_px", "v_sample_px", "sigma_line_px", "sigma_sample_px"),
+    "residuals.csv": ("image", "id", "line", "sample", "v_line_px", "v_sample_px", "sigma_line_px", "sigma_sample_px"),
     "eop.csv": (),
+}  # fmt: skip
+#: Columns that are read where the options of the adjustment let it write them.
+OPTIONAL: Final = {
+    "residuals.csv": ("w_line", "w_sample", "redundancy_line", "redundancy_sample", "mdb_line_px", "mdb_sample_px"),
 }  # fmt: skip
 
 
@@ -49,8 +55,13 @@ class Columns:
         return self.length
 
     def numbers(self, *names: str) -> Array:
-        """Some columns, (n, k)."""
-        return np.stack([self.figures[name] for name in names], axis=1)
+        """Some columns, (n, k); nan where the table has not got them."""
+        return np.stack([self.figures.get(name, np.full(self.length, np.nan)) for name in names], axis=1)
+
+    def codes(self, name: str, words: Sequence[str]) -> npt.NDArray[np.intp]:
+        """Number of each cell of a column of words in a list of them."""
+        place = {word: k for k, word in enumerate(words)}
+        return np.fromiter(map(place.__getitem__, self.words[name]), np.intp, self.length)
 
 
 @dataclass(frozen=True)
@@ -66,6 +77,8 @@ class Result:
         The tables.
     iterations : tuple of dict
         ``iterations.jsonl``.
+    cofactors : (n, k, k) array or None
+        Of each image's unknowns, filled up with nan; None in a folder without ``arrays.npz``.
     """
 
     folder: Path
@@ -74,6 +87,7 @@ class Result:
     residuals: Columns
     eop: Columns
     iterations: tuple[dict[str, Any], ...]
+    cofactors: Array | None = None
 
 
 def read_result(folder: Path) -> Result:
@@ -91,17 +105,36 @@ def read_result(folder: Path) -> Result:
         record = json.loads((folder / name).read_text("utf-8"))
         tables = {}
         for name, columns in READ.items():
-            tables[name] = read_columns(folder / name, *columns)
+            tables[name] = read_columns(folder / name, *columns, optional=OPTIONAL.get(name, ()))
         name = "iterations.jsonl"
         lines = (folder / name).read_text("utf-8").splitlines()
         iterations = tuple(json.loads(line) for line in lines)
-        return Result(folder, record, tables["points.csv"], tables["residuals.csv"], tables["eop.csv"], iterations)
-    except (OSError, ValueError, csv.Error) as error:
+        name = "arrays.npz"
+        cofactors = _cofactors(folder / name)
+        three = (tables["points.csv"], tables["residuals.csv"], tables["eop.csv"])
+        return Result(folder, record, *three, iterations, cofactors)
+    except (OSError, ValueError, KeyError, csv.Error, zipfile.BadZipFile) as error:
         raise InputError.of("report.damaged", file=folder / name, value=error) from None
 
 
-def read_columns(path: Path, *wanted: str) -> Columns:
+def _cofactors(path: Path) -> Array | None:
+    """Cofactors of the images' unknowns; None where there is no such file."""
+    if not path.is_file():
+        return None
+    with np.load(path, allow_pickle=False) as arrays:
+        return np.asarray(arrays["image_cofactors"], float)
+
+
+def read_columns(path: Path, *wanted: str, optional: Sequence[str] = ()) -> Columns:
     """Read a CSV table of ours, or some columns of it; lines that start with # are comments.
+
+    Parameters
+    ----------
+    path : Path
+    *wanted : str
+        Columns that must be there; all columns are read where none is named.
+    optional : sequence of str
+        Columns that are read besides, where they are there.
 
     Raises
     ------
@@ -116,7 +149,7 @@ def read_columns(path: Path, *wanted: str) -> Columns:
         names = next(csv.reader(lines), [])
         if missing := set(wanted) - set(names):
             raise ValueError(f"no column {min(missing)}")
-        chosen = [k for k, name in enumerate(names) if name in wanted or not wanted]
+        chosen = [k for k, name in enumerate(names) if name in wanted or name in optional or not wanted]
         while part := list(itertools.islice(lines, CHUNK)):
             cells = _split(part, len(names))
             length += len(cells) // len(names)
@@ -150,10 +183,10 @@ def residual_summary(result: Result) -> list[dict[str, Any]]:
     """Root mean square, largest residual (px) and largest v/sigma per image."""
     table = result.residuals
     v, sigma = table.numbers("v_line_px", "v_sample_px"), table.numbers("sigma_line_px", "sigma_sample_px")
-    place = {image: k for k, image in enumerate(dict.fromkeys(table.words["image"]))}
-    image = np.fromiter(map(place.__getitem__, table.words["image"]), np.intp, len(table))
+    names = list(dict.fromkeys(table.words["image"]))
+    image = table.codes("image", names)
     out = []
-    for name, k in place.items():
+    for k, name in enumerate(names):
         rows = np.flatnonzero(image == k)
         part, ratio = v[rows], np.abs(v[rows] / sigma[rows]).max(axis=1)
         worst = int(np.argmax(ratio))

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from markupsafe import Markup, escape
 
 from fg_orient.report.data import Result
+from fg_orient.report.scale import round_down, thousands
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -23,7 +24,7 @@ WIDTH: Final = 720.0
 MARGIN: Final = 14.0
 FOOT: Final = 108.0
 #: More points than this are thinned, tie points first: the report must stay small.
-MAX_POINTS: Final = 3000
+MAX_POINTS: Final = 1500
 #: Singular values are drawn for so many images; the table beside lists all.
 MAX_IMAGES: Final = 40
 #: Length of a large error vector (90 % quantile) as a share of the map's width.
@@ -54,12 +55,6 @@ class MapFrame:
         return np.stack(
             [WIDTH / 2 + km[:, 0] * self.km_to_units, self.height / 2 - km[:, 1] * self.km_to_units], axis=1
         )
-
-
-def round_down(value: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not above the value."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-12))
 
 
 def point_map(result: Result, *, up: bool = False) -> Markup:
@@ -97,7 +92,7 @@ def point_map(result: Result, *, up: bool = False) -> Markup:
     exaggeration = scale / frame.km_to_units * 1000.0
     parts.append(_foot(frame, scale, exaggeration, up, left_out))
     title = "Up errors at control and check points" if up else "Points and horizontal errors"
-    return Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
+    return Markup('<svg class="map" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
         WIDTH, round(frame.height + FOOT, 1), title, Markup("").join(parts)
     )
 
@@ -163,7 +158,7 @@ def _foot(frame: MapFrame, scale: float, exaggeration: float, up: bool, left_out
         metres = round_down(0.2 * WIDTH / scale)
         what = "Up error" if up else "horizontal error"
         parts.append(
-            _bar(24.0, y + 58.0, metres * scale, f"{metres:g} m {what}, enlarged {_thousands(exaggeration)} times")
+            _bar(24.0, y + 58.0, metres * scale, f"{metres:g} m {what}, enlarged {thousands(exaggeration)} times")
         )
     if left_out:
         parts.append(Markup('<text x="340" y="{}">{} points are not drawn</text>').format(y, left_out))
@@ -175,11 +170,6 @@ def _bar(x: float, y: float, length: float, text: str) -> Markup:
     return Markup('<path class="bar-line" d="{}"/><text x="{}" y="{}">{}</text>').format(
         path, round(x + length + 10.0, 1), round(y + 3.0, 1), text
     )
-
-
-def _thousands(value: float) -> str:
-    """Two or three digits that count: an exaggeration is no measurement."""
-    return f"{float(f'{value:.2g}'):,.0f}"
 
 
 def singular_values(images: Sequence[dict[str, Any]]) -> Markup:
@@ -211,6 +201,6 @@ def singular_values(images: Sequence[dict[str, Any]]) -> Markup:
         label = ("≤ " if power == low else "") + f"1e{power}"
         parts.append(Markup('<text class="small" x="{}" y="{}" text-anchor="middle">{}</text>').format(
             position(10.0**power), bottom + 14, label))  # fmt: skip
-    return Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
+    return Markup('<svg class="map" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
         WIDTH, bottom + 36, escape("singular values per image"), Markup("").join(parts)
     )

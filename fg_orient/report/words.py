@@ -85,3 +85,15 @@ def verdict(record: dict[str, Any]) -> dict[str, str]:
     elif low is not None and sigma0 < low:
         fit = "The observations fit the model better than they should; see the warnings."
     return {"kind": "warn" if record["warnings"] else "good", "title": "Converged", "text": fit}
+
+
+def accuracy_words(record: dict[str, Any]) -> list[str]:
+    """Say how accurate the result is at points that took no part; nothing without a solution."""
+    if record["status"] == "not_converged":
+        return []
+    check = record["accuracy"]["check"]
+    if not check["n"]:
+        return ["There are no check points: the accuracy on the ground is not verified."]
+    axes = ", ".join(f"{number(check[f'rmse_{axis}_m'], 2)} m {axis.capitalize()}" for axis in ("east", "north", "up"))
+    points = "one check point" if check["n"] == 1 else f"{check['n']} check points"
+    return [f"At {points}, whose coordinates took no part, the root mean square error is {axes}."]

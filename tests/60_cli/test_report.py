@@ -5,66 +5,25 @@ from __future__ import annotations
 import csv
 import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from fg_orient.report.svg import round_down
+from fg_orient.report.scale import round_down
 from fg_orient.report.words import in_words, number, scientific, verdict
+from tests.support.page import structure
 
-#: Elements of the page's own: its data are none yet, its script is one.
-SCRIPTS = 1
-VOID = {"meta", "br", "img", "link", "input", "hr"}
-SECTIONS = ["verdict", "problems", "summary", "accuracy", "map", "residuals", "orientation", "observability",
-            "iterations", "provenance"]  # fmt: skip
-
-
-class Structure(HTMLParser):
-    """Collects tags, ids, attributes and text; fails on tags that do not match."""
-
-    def __init__(self) -> None:
-        super().__init__(convert_charrefs=True)
-        self.open: list[str] = []
-        self.tags: list[str] = []
-        self.ids: list[str] = []
-        self.attributes: list[tuple[str, str]] = []
-        self.text: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.attributes += [(name, value or "") for name, value in attrs]
-        self.ids += [value or "" for name, value in attrs if name == "id"]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
-        self.open.pop()
-
-    def handle_data(self, data: str) -> None:
-        self.text.append(data)
-
-
-def structure(path: Path) -> Structure:
-    """Parse a report."""
-    found = Structure()
-    found.feed(path.read_text("utf-8"))
-    found.close()
-    assert found.open == []
-    return found
+#: Script elements of the page's own: its data and its script.
+SCRIPTS = 2
+SECTIONS = ["verdict", "problems", "summary", "map", "figures", "accuracy", "residuals", "reliability", "orientation",
+            "observability", "iterations", "provenance"]  # fmt: skip
 
 
 def test_structure_and_order(adjusted: tuple[Path, Any]) -> None:
     found = structure(adjusted[0] / "report.html")
     assert [name for name in found.ids if name in SECTIONS] == SECTIONS
-    assert found.tags.count("svg") == 3
+    assert found.ids.count("report-data") == 1
 
 
 def test_nothing_from_elsewhere(adjusted: tuple[Path, Any]) -> None:

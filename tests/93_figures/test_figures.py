@@ -268,9 +268,11 @@ def test_refusals(run: Any, result: Path, tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "mine" / "thesis.tex").write_text("", encoding="utf-8")
     ended = run("report", result, "--figures-out", tmp_path / "mine", "--overwrite", "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "output.foreign")
+    arrays = (result / "arrays.npz").read_bytes()
     (result / "arrays.npz").write_bytes(b"PK")
     ended = run("report", result, "--figures", "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.damaged")
+    (result / "arrays.npz").write_bytes(arrays)
     with pytest.raises(InputError, match="svg or pdf"):
         write.write_figures(result, formats=("png",))
     monkeypatch.setattr(style, "find_spec", lambda name: None)

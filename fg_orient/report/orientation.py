@@ -1,0 +1,67 @@
+"""Corrections of the orientation of each image: names and units that people read."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from fg_orient.report.data import Result
+
+#: Units that people read more easily: name and factor.
+_READABLE: Final = {"rad": ("µrad", 1e6), "m/s": ("mm/s", 1e3), "m": ("m", 1.0)}
+_DEGREES: Final = ("constant", "linear", "quadratic")
+_SIGNS: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹"
+
+
+def _component(name: str) -> str:
+    """Name a component in words."""
+    if name.startswith("psi_"):
+        return f"look angle ψ{name[-1]}"
+    kind = {"x": "position", "vx": "velocity"}.get(name.replace("y", "x").replace("z", "x"))
+    if kind is not None:
+        return f"{kind} {name[-1].upper()}"
+    return name.replace("_", " ")
+
+
+def _degree(degree: float, parameter: str) -> str:
+    """Name the power of an unknown; "" where it has none, as of a frame camera."""
+    if math.isnan(degree):
+        return ""
+    ending, power = parameter.rpartition("_")[2], int(degree)  # of a polynomial of samples: s and its degree
+    return {"s": f"s^{power}", "c": f"curve {power}"}.get(ending[0]) or _DEGREES[power]
+
+
+def corrections(result: Result) -> list[dict[str, Any]]:
+    """Orientation corrections per image in readable units: value, sigma, share of the prior sigma."""
+    images: dict[str, list[dict[str, Any]]] = {}
+    words, numbers = result.eop.words, result.eop.numbers("value_per_tau", "sigma", "prior_sigma").tolist()
+    for k, image in enumerate(words["image"]):
+        unit, factor = _READABLE.get(words["unit"][k], (words["unit"][k], 1.0))
+        value, sigma, prior = (None if math.isnan(number) else number for number in numbers[k])
+        images.setdefault(image, []).append({
+            "name": _component(words["component"][k]),
+            "degree": _degree(float(result.eop.figures["degree"][k]), words["parameter"][k]), "unit": unit,
+            "value": None if value is None else value * factor, "sigma": None if sigma is None else sigma * factor,
+            "prior": None if prior is None else prior * factor,
+            "share": None if not prior or value is None else value / prior,
+        })  # fmt: skip
+    return [{"image": image, "rows": rows} for image, rows in images.items()]
+
+
+def short_names(result: Result) -> dict[str, list[str]]:
+    """Unknowns by image as axes of a drawing: component and degree, ``X τ²``."""
+    words, degrees = result.eop.words, result.eop.figures["degree"]
+    out: dict[str, list[str]] = {}
+    for image, component, parameter, degree in zip(
+        words["image"], words["component"], words["parameter"], degrees.tolist(), strict=True
+    ):
+        if math.isnan(degree):  # unknowns of frame cameras are no polynomials
+            out.setdefault(image, []).append(component.replace("_", " "))
+            continue
+        power, kind = int(degree), parameter.rpartition("_")[2][:1]
+        name = {"psi_x": "ψx", "psi_y": "ψy", "vx": "vX", "vy": "vY", "vz": "vZ"}.get(component, component)
+        name = name.upper() if len(name) == 1 else name
+        argument = "s" if kind == "s" else "τ"
+        tail = f"c{power}" if kind == "c" else ("", argument)[power] if power < 2 else argument + _SIGNS[power]
+        out.setdefault(image, []).append(f"{name} {tail}".strip())
+    return out

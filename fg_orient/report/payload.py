@@ -1,0 +1,171 @@
+"""Data for the drawings that move: packed arrays inside the page.
+
+Coordinates are Float32 in base64, little endian; a column that is one value everywhere is that value. Words are JSON,
+with every character that could end the element written as an escape.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from markupsafe import Markup
+
+from fg_orient.report.data import Result
+from fg_orient.report.residual_plots import normalised
+from fg_orient.report.svg import KM_PER_DEGREE
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: Image points that the page holds; of more it holds a sample.
+LIMIT: Final = 200_000
+#: Seed of that sample.
+SEED: Final = 1
+#: Residuals beyond so many of their own sigmas are flagged.
+FLAG: Final = 3.0
+#: Order of the points in the page, and of the roles' numbers.
+ROLES: Final = ("control", "check", "tie")
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What the script draws.
+
+    Parameters
+    ----------
+    data : dict
+        JSON, arrays packed.
+    words : str
+        What was left out, a sentence; empty if nothing was.
+    """
+
+    data: dict[str, Any]
+    words: str
+
+    def json(self) -> Markup:
+        """Give the text of the data element; no character in it ends the element."""
+        text = json.dumps(self.data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+        for sign in "<>&":
+            text = text.replace(sign, f"\\u{ord(sign):04x}")
+        return Markup(text)
+
+
+def pack(values: npt.ArrayLike, kind: str = "f4") -> dict[str, Any]:
+    """Pack a column as base64 of a little-endian typed array, or as its one value.
+
+    Parameters
+    ----------
+    values : (n,) array
+    kind : str
+        ``f4``, ``u1``, ``u2`` or ``u4``.
+    """
+    column = np.ascontiguousarray(values, dtype=f"<{kind}")
+    if len(column) > 1 and np.isfinite(column[0]) and (column == column[0]).all():
+        return {"one": float(column[0]), "n": len(column)}
+    return {"kind": kind, "n": len(column), "base64": base64.b64encode(column.tobytes()).decode()}
+
+
+def payload(result: Result) -> Payload | None:
+    """Pack points, footprints and image points; None for a block without geographic coordinates."""
+    located = np.isfinite(result.points.figures["lon_deg"])
+    if not located.any():
+        return None
+    rays, words = chosen_rays(result)
+    place = {name: k for k, name in enumerate(result.points.words["id"])}
+    of_ray = np.fromiter((place[result.residuals.words["id"][k]] for k in rays.tolist()), np.intp, len(rays))
+    points = _points(result, located, of_ray, whole=not words)
+    number = np.full(len(located), -1, np.intp)
+    number[points] = np.arange(len(points))
+    drawn = number[of_ray] >= 0
+    centre = 0.5 * (np.nanmin(_lon_lat(result), axis=0) + np.nanmax(_lon_lat(result), axis=0))
+    data = {
+        "points": _point_columns(result, points, centre),
+        "rays": _ray_columns(result, rays[drawn], number[of_ray[drawn]]),
+        "images": [
+            {"id": image["id"], "lines": image["n_lines"], "samples": image["n_samples"],
+             "foot": np.round(_kilometres(np.array(image["footprint_lon_lat_deg"], float), centre), 4).tolist()}
+            for image in result.record["images"]
+        ],
+        "centre": centre.tolist(), "kmPerDegree": [KM_PER_DEGREE * _shrink(centre), KM_PER_DEGREE], "roles": ROLES,
+    }  # fmt: skip
+    return Payload(data, words)
+
+
+def chosen_rays(result: Result) -> tuple[Index, str]:
+    """Rows of the image points in the page, and a sentence on those that are not; flagged ones before others."""
+    n = len(result.residuals)
+    if n <= LIMIT:
+        return np.arange(n), ""
+    ratio = np.nan_to_num(np.abs(normalised(result, np.arange(n))[0]).max(axis=1), nan=0.0)
+    flagged, others = np.flatnonzero(ratio > FLAG), np.flatnonzero(ratio <= FLAG)
+    room = max(LIMIT - len(flagged), 0)
+    sample = np.random.default_rng(SEED).choice(others, min(room, len(others)), replace=False)
+    rows = np.sort(np.append(flagged, sample))
+    words = (
+        f"The moving drawings hold {len(rows):,} of {n:,} image points: all {len(flagged):,} with a residual beyond "
+        f"{FLAG:g} σ and a random sample of the others (seed {SEED}); all control and check points, and the tie points "
+        "of these image points. The tables in the folder hold all."
+    )
+    return rows, words
+
+
+def _points(result: Result, located: npt.NDArray[np.bool_], of_ray: Index, *, whole: bool) -> Index:
+    """Rows of the points in the page: control, check, tie."""
+    role = np.array([ROLES.index(word) if word in ROLES else 2 for word in result.points.words["role"]])
+    keep = located.copy()
+    if not whole:
+        seen = np.zeros(len(located), bool)
+        seen[of_ray] = True
+        keep &= seen | (role < 2)
+    rows = np.flatnonzero(keep)
+    return np.asarray(rows[np.argsort(role[rows], kind="stable")], np.intp)
+
+
+def _lon_lat(result: Result) -> Array:
+    feet = [np.array(image["footprint_lon_lat_deg"], float) for image in result.record["images"]]
+    return np.vstack([result.points.numbers("lon_deg", "lat_deg"), *feet])
+
+
+def _shrink(centre: Array) -> float:
+    """Length of a degree of longitude as a share of one of latitude."""
+    return max(math.cos(math.radians(float(centre[1]))), 0.01)
+
+
+def _kilometres(lon_lat_deg: Array, centre: Array) -> Array:
+    """Kilometres East and North of the centre, equirectangular."""
+    return np.asarray((lon_lat_deg - centre) * KM_PER_DEGREE * np.array([_shrink(centre), 1.0]))
+
+
+def _point_columns(result: Result, rows: Index, centre: Array) -> dict[str, Any]:
+    """Columns of the points; differences only of the first ones, that have them."""
+    table = result.points
+    km = _kilometres(table.numbers("lon_deg", "lat_deg")[rows], centre)
+    role = [ROLES.index(table.words["role"][k]) if table.words["role"][k] in ROLES else 2 for k in rows.tolist()]
+    known = int(np.searchsorted(np.array(role), 2))
+    out: dict[str, Any] = {"id": [table.words["id"][k] for k in rows.tolist()], "role": pack(role, "u1"),
+                           "x": pack(km[:, 0]), "y": pack(km[:, 1])}  # fmt: skip
+    for axis in ("east", "north", "up"):
+        out[axis] = pack(table.figures[f"difference_{axis}_m"][rows[:known]])
+        out[f"sigma_{axis}"] = pack(table.figures[f"sigma_{axis}_m"][rows])
+    return out
+
+
+def _ray_columns(result: Result, rows: Index, point: Index) -> dict[str, Any]:
+    """Columns of the image points, those of an image together."""
+    table = result.residuals
+    image = table.codes("image", [facts["id"] for facts in result.record["images"]])[rows]
+    order = np.argsort(image, kind="stable")
+    rows, point, image = rows[order], point[order], image[order]
+    columns = {"line": "line", "sample": "sample", "vl": "v_line_px", "vs": "v_sample_px"}
+    own, tested = normalised(result, rows)
+    return {
+        "image": pack(image, "u2"), "point": pack(point, "u4"),
+        **{name: pack(table.figures[column][rows]) for name, column in columns.items()},
+        "wl": pack(own[:, 0]), "ws": pack(own[:, 1]), "tested": tested,
+    }  # fmt: skip
