@@ -23,6 +23,17 @@ EOP_SET_RANGE: Final = (1, 20)
 LOOK_DEGREE_RANGE: Final = (0, 5)
 CURVE_RANGE: Final = (2, 32)
 ITERATION_RANGE: Final = (1, 10_000)
+#: Options that are one of some words.
+_WORDS: Final = {
+    "rpc_compensation": get_args(RpcCompensation),
+    "datum": get_args(Datum),
+    "robust_start": get_args(RobustStart),
+    "robust_scale": get_args(RobustScale),
+    "outlier_test": get_args(OutlierTest),
+    "multiple_testing": get_args(MultipleTesting),
+    "statistics": get_args(StatisticsChoice),
+    "check_points": get_args(CheckPoints),
+}
 _THREE: Final = "three numbers above zero: the sigmas of c0, c1, c2"
 #: What each checked option must be, in words.
 EXPECTED: Final = {
@@ -38,10 +49,8 @@ EXPECTED: Final = {
     "curve_intervals": f"a number from {CURVE_RANGE[0]} to {CURVE_RANGE[1]}, or 0 for no curves",
     "curve_position_sigma_m": "a number above zero in m",
     "curve_attitude_sigma_rad": "a number above zero in rad",
-    "rpc_compensation": " or ".join(f'"{word}"' for word in get_args(RpcCompensation)),
     "rpc_shift_sigma_px": "a number above zero in pixels",
     "rpc_linear_sigma_px": "a number above zero in pixels",
-    "datum": " or ".join(f'"{word}"' for word in get_args(Datum)),
     "small_angle": "true or false",
     "image_unknowns": 'names of unknowns in brackets, each once, such as ["x_0", "roll_0"]; leave it out for a set',
     "variance_components": 'groupings in brackets, each once, such as ["image", "position", "height"]; '
@@ -50,16 +59,11 @@ EXPECTED: Final = {
     "loss": 'the name of a robust loss in quotes; "none" for least squares',
     "gnc": "true or false",
     "inlier_probability": "a number above 0 and below 1",
-    "robust_start": " or ".join(f'"{word}"' for word in get_args(RobustStart)),
-    "robust_scale": " or ".join(f'"{word}"' for word in get_args(RobustScale)),
     "snoop": "true or false",
-    "outlier_test": " or ".join(f'"{word}"' for word in get_args(OutlierTest)),
     "outlier_level": "a number above 0 and below 1",
-    "multiple_testing": " or ".join(f'"{word}"' for word in get_args(MultipleTesting)),
-    "statistics": " or ".join(f'"{word}"' for word in get_args(StatisticsChoice)),
     "memory_limit_gb": "a number above zero in GB (1e9 bytes); leave it out for 80 % of what is available",
     "max_iterations": f"a whole number from {ITERATION_RANGE[0]} to {ITERATION_RANGE[1]}",
-    "check_points": " or ".join(f'"{word}"' for word in get_args(CheckPoints)),
+    **{name: " or ".join(f'"{word}"' for word in words) for name, words in _WORDS.items()},
 }
 
 
@@ -203,6 +207,8 @@ class Options:
 
 def _allowed(name: str, value: Any) -> bool:
     """Judge one option; what it must be stands in :data:`EXPECTED`."""
+    if name in _WORDS:
+        return isinstance(value, str) and value in _WORDS[name]
     match name:
         case "eop_set":
             return _whole(value, EOP_SET_RANGE)
@@ -224,22 +230,6 @@ def _allowed(name: str, value: Any) -> bool:
             return _positive(value) and value < 1.0
         case "priors" | "small_angle" | "look_shared" | "gnc" | "snoop":
             return isinstance(value, bool | np.bool_)
-        case "check_points":
-            return isinstance(value, str) and value in get_args(CheckPoints)
-        case "robust_start":
-            return isinstance(value, str) and value in get_args(RobustStart)
-        case "robust_scale":
-            return isinstance(value, str) and value in get_args(RobustScale)
-        case "outlier_test":
-            return isinstance(value, str) and value in get_args(OutlierTest)
-        case "multiple_testing":
-            return isinstance(value, str) and value in get_args(MultipleTesting)
-        case "statistics":
-            return isinstance(value, str) and value in get_args(StatisticsChoice)
-        case "rpc_compensation":
-            return isinstance(value, str) and value in get_args(RpcCompensation)
-        case "datum":
-            return isinstance(value, str) and value in get_args(Datum)
         case "curve_position_sigma_m" | "curve_attitude_sigma_rad":
             return _positive(value)
         case "look_sigma_rad" | "rpc_shift_sigma_px" | "rpc_linear_sigma_px":
