@@ -21,6 +21,10 @@ Control = Annotated[
         help="CSV: id,x,y,x_m,y_m,z_m; photo, role (control, check), sigma_x and sigma_y if wanted.",
     ),
 ]  # fmt: skip
+Measured = Annotated[
+    Path,
+    typer.Argument(metavar="POINTS", show_default=False, help="CSV: id,photo,x,y; sigma_x and sigma_y if wanted."),
+]
 Photos = Annotated[Path, typer.Argument(metavar="PHOTOS", show_default=False, help="TOML with [[photos]].")]
 Sigma = Annotated[
     float, typer.Option(metavar="S", help="Of image coordinates without a sigma of their own, in their unit.")
@@ -71,10 +75,7 @@ def resect(
 
 @app.command("intersect")
 def intersect(
-    points: Annotated[
-        Path,
-        typer.Argument(metavar="POINTS", show_default=False, help="CSV: id,photo,x,y; sigma_x and sigma_y if wanted."),
-    ],
+    points: Measured,
     photos: Photos,
     sigma: Sigma = 1.0,
     out: Out = None,
@@ -93,10 +94,7 @@ def intersect(
 
 @app.command("bundle")
 def bundle(
-    points: Annotated[
-        Path,
-        typer.Argument(metavar="POINTS", show_default=False, help="CSV: id,photo,x,y; sigma_x and sigma_y if wanted."),
-    ],
+    points: Measured,
     photos: Photos,
     control: Annotated[
         Path | None,

@@ -17,7 +17,7 @@ from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.closerange.bundle_determined import require_determined, require_rays
 from fg_orient.closerange.bundle_network import Built, build
 from fg_orient.closerange.constraints import Constraint
-from fg_orient.closerange.fitting import as_points, unit_weight
+from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.linear.system import MAX_UNKNOWNS
@@ -241,8 +241,7 @@ def adjust_bundle(
         raise InputError.of("closerange.backend", place="backend", value=backend, known=", ".join(BACKENDS))
     measured = as_points(image, 2, "image", InputError.of)
     given = np.broadcast_to(np.asarray(sigma, float), measured.shape)
-    if not (np.isfinite(given).all() and (given > 0.0).all()):
-        raise InputError.of("closerange.sigma", place="sigma", value=float(np.nanmin(given)))
+    require_sigmas(given)
     which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
     with one_blas_thread():
         built = build(photos, tuple(ids), as_points(start_m, 3, "points", InputError.of), which, of, measured, given,

@@ -15,11 +15,13 @@ from fg_orient.closerange.fitting import (
     RANK_LIMIT,
     UNDETERMINED,
     Determination,
+    Deviations,
     Rows,
     adjust,
     as_points,
     determination,
     equation_rows,
+    require_sigmas,
     unit_weight,
 )
 from fg_orient.closerange.photo import Photo, YAxis, corrections_of
@@ -70,7 +72,7 @@ class Recovered:
 
 
 @dataclass(frozen=True)
-class DltFit:
+class DltFit(Deviations):
     """An adjusted DLT.
 
     Parameters
@@ -103,11 +105,6 @@ class DltFit:
     condition: float
     recovered: Recovered
     iterations: int
-
-    @property
-    def sigma(self) -> Array | None:
-        """Standard deviations (u,) a posteriori; None without redundancy."""
-        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
 
 
 def direct_dlt(ground: Array, image: Array) -> Array:
@@ -222,8 +219,7 @@ def _require(ground: Array, image: Array, sigma: Array, distortion: Sequence[str
     least = (11 + len(distortion) + 1) // 2
     if len(ground) != len(image) or len(ground) < least:
         raise InputError.of("closerange.few", place="DLT", value=len(ground), least=least)
-    if not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
-        raise InputError.of("closerange.sigma", place="sigma", value=float(np.nanmin(sigma)))
+    require_sigmas(sigma)
     return np.array([DISTORTION.index(name) for name in distortion], float)
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from factors._contract import Equation, evaluate
 from fg_orient.adjustment.dense import DenseStep, DenseSystem
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
-from fg_orient.errors import NoSolutionError
+from fg_orient.errors import InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]
 #: Whitened residuals (n,) and their derivatives (n, u) at a state; without derivatives (0, u).
@@ -62,6 +62,26 @@ class Adjusted:
 def unit_weight(weighted_squares: float, redundancy: int) -> float | None:
     """Standard deviation of unit weight; None without redundancy: it then follows from nothing."""
     return float(np.sqrt(weighted_squares / redundancy)) if redundancy > 0 else None
+
+
+class Deviations:
+    """Standard deviations a posteriori of what was adjusted.
+
+    Attributes
+    ----------
+    cofactors : (u, u) array
+        Times m0 squared their covariance.
+    m0 : float or None
+        None without redundancy.
+    """
+
+    cofactors: Array
+    m0: float | None
+
+    @property
+    def sigma(self) -> Array | None:
+        """Standard deviations (u,) in the order and units of the cofactors; None without redundancy."""
+        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
 
 
 class _Backend:
@@ -181,3 +201,17 @@ def as_points(values: npt.ArrayLike, width: int, place: str, error: Callable[...
     if out.ndim != 2 or out.shape[1] != width or not len(out) or not np.isfinite(out).all():
         raise error("closerange.points", place=place, value=f"shape {out.shape}", width=width)
     return out
+
+
+def require_sigmas(sigma: npt.ArrayLike, place: str = "sigma") -> None:
+    """Refuse standard deviations that are not finite and above zero.
+
+    Raises
+    ------
+    InputError
+        Names the first one.
+    """
+    values = np.asarray(sigma, float)
+    possible = np.isfinite(values) & (values > 0.0)
+    if not possible.all():
+        raise InputError.of("closerange.sigma", place=place, value=float(values[~possible][0]))

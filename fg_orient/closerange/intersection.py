@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.closerange.fitting import UNDETERMINED, as_points, unit_weight
+from fg_orient.closerange.fitting import UNDETERMINED, as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Photo
 from fg_orient.errors import InputError, NoSolutionError
 
@@ -93,8 +93,7 @@ def intersect_photos(
     which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
     measured = as_points(image, 2, "image", InputError.of)
     size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
-    if not (np.isfinite(size).all() and (size > 0.0).all()):
-        raise InputError.of("closerange.sigma", place="sigma", value=float(np.nanmin(size)))
+    require_sigmas(size)
     n = int(of.max()) + 1
     names = [str(k + 1) for k in range(n)] if ids is None else list(ids)
     alone = np.flatnonzero(np.bincount(of, minlength=n) < 2)

@@ -15,11 +15,13 @@ from factors.similarity import RECORD_SIZE, SIMILARITY
 from fg_orient.closerange.feet import Conditions, distance_rows, weighted_distances
 from fg_orient.closerange.fitting import (
     UNDETERMINED,
+    Deviations,
     Rows,
     adjust,
     as_points,
     determination,
     equation_rows,
+    require_sigmas,
     unit_weight,
 )
 from fg_orient.closerange.photo import Interior
@@ -35,7 +37,7 @@ LEAST_ABSOLUTE: Final = 3
 
 
 @dataclass(frozen=True)
-class RelativeOrientation:
+class RelativeOrientation(Deviations):
     """The second photo seen from the first.
 
     Parameters
@@ -70,11 +72,6 @@ class RelativeOrientation:
     redundancy: int
     condition: float
     iterations: int
-
-    @property
-    def sigma(self) -> Array | None:
-        """Standard deviations (5,), rad; None without redundancy."""
-        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
 
 
 def relative_orientation(
@@ -116,8 +113,7 @@ def relative_orientation(
     n = len(tangents[0])
     if n != len(tangents[1]) or n < LEAST_RELATIVE:
         raise InputError.of("closerange.few", place="relative orientation", value=n, least=LEAST_RELATIVE)
-    if not (np.isfinite(sigma) and sigma > 0.0):
-        raise InputError.of("closerange.sigma", place="sigma", value=sigma)
+    require_sigmas(sigma)
     points = np.column_stack(tangents)
     size = np.tile(np.repeat([sigma / first.focal, sigma / second.focal], 2), (n, 1))
     found, failure = [], NoSolutionError.of("closerange.no_pair", place="relative orientation")
@@ -207,7 +203,7 @@ def _model(points: Array, rotation: Array, base: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Similarity:
+class Similarity(Deviations):
     """Seven-parameter transformation: ground = shift + scale rotation model.
 
     Parameters
@@ -233,11 +229,6 @@ class Similarity:
     m0: float | None
     redundancy: int
     condition: float
-
-    @property
-    def sigma(self) -> Array | None:
-        """Standard deviations (7,) in the order of the cofactors; None without redundancy."""
-        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
 
     def apply(self, model: npt.ArrayLike) -> Array:
         """Ground coordinates (n, 3) of model points."""
@@ -275,8 +266,7 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     sigma = np.broadcast_to(np.asarray(sigma_m, float), target.shape)
     if len(source) != len(target) or len(source) < LEAST_ABSOLUTE:
         raise InputError.of("closerange.few", place="absolute orientation", value=len(source), least=LEAST_ABSOLUTE)
-    if not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
-        raise InputError.of("closerange.sigma", place="sigma_m", value=float(np.nanmin(sigma)))
+    require_sigmas(sigma, "sigma_m")
     from_, to = Scaling.of(source, shared=True), Scaling.of(target, shared=True)
     a, b = from_.normalised(source), to.normalised(target)
     size = float(to.scale[0])

@@ -13,10 +13,12 @@ from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, camera
 from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.fitting import (
     UNDETERMINED,
+    Deviations,
     adjust,
     as_points,
     determination,
     equation_rows,
+    require_sigmas,
     unit_weight,
 )
 from fg_orient.closerange.photo import Interior, Photo
@@ -34,7 +36,7 @@ TRIED: Final = 4
 
 
 @dataclass(frozen=True)
-class Resection:
+class Resection(Deviations):
     """An oriented photo.
 
     Parameters
@@ -63,11 +65,6 @@ class Resection:
     redundancy: int
     condition: float
     iterations: int
-
-    @property
-    def sigma(self) -> Array | None:
-        """Standard deviations (6,): turns about the camera axes (rad), centre (m); None without redundancy."""
-        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
 
 
 def resect(
@@ -108,8 +105,7 @@ def resect(
     size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
     if len(ground) != len(measured) or len(ground) < LEAST:
         raise InputError.of("closerange.few", place="resection", value=len(ground), least=LEAST)
-    if not (np.isfinite(size).all() and (size > 0.0).all()):
-        raise InputError.of("closerange.sigma", place="sigma", value=float(np.nanmin(size)))
+    require_sigmas(size)
     tangents = interior.tangents(measured)
     poses = start_poses(ground, tangents)
     if not poses:

@@ -19,9 +19,11 @@ from fg_orient.closerange.fitting import (
     UNDETERMINED,
     Adjusted,
     Determination,
+    Deviations,
     adjust,
     as_points,
     determination,
+    require_sigmas,
     unit_weight,
 )
 from fg_orient.closerange.surface import Kind, Surface
@@ -39,7 +41,7 @@ NAMED: Final = 0.1
 
 
 @dataclass(frozen=True)
-class SurfaceFit:
+class SurfaceFit(Deviations):
     """A fitted surface.
 
     Parameters
@@ -78,11 +80,6 @@ class SurfaceFit:
     iterations: int
 
     @property
-    def sigma(self) -> Array | None:
-        """Standard deviations (u,) of the parameters a posteriori; None without redundancy."""
-        return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
-
-    @property
     def parameters(self) -> dict[str, float]:
         """Values by name."""
         return dict(zip(self.names, self.values.tolist(), strict=True))
@@ -106,8 +103,7 @@ class _Points:
     def of(cls, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike) -> _Points:
         points = as_points(points_m, 3, "points", InputError.of)
         sigma = np.broadcast_to(np.asarray(sigma_m, float), points.shape)
-        if not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
-            raise InputError.of("closerange.sigma", place="sigma_m", value=float(np.nanmin(sigma)))
+        require_sigmas(sigma, "sigma_m")
         offset = points.mean(axis=0)
         size = float(np.linalg.norm(points - offset, axis=1).max()) or 1.0
         return cls((points - offset) / size, sigma / size, offset, size)
