@@ -224,12 +224,7 @@ def same_crs(one: str, other: str) -> bool:
     InputError
         A CRS is unknown.
     """
-    proj = offline_pyproj()
-    try:
-        first, second = proj.CRS.from_user_input(one), proj.CRS.from_user_input(other)
-    except proj.exceptions.CRSError:
-        raise InputError.of("geodesy.unknown_crs", place="crs", value=f"{one}, {other}") from None
-    return bool(first.equals(second, ignore_axis_order=True))
+    return bool(_known(one).equals(_known(other), ignore_axis_order=True))
 
 
 def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
@@ -240,11 +235,7 @@ def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
     InputError
         The CRS is unknown.
     """
-    proj = offline_pyproj()
-    try:
-        area = proj.CRS.from_user_input(crs).area_of_use
-    except proj.exceptions.CRSError:
-        raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
+    area = _known(crs).area_of_use
     return None if area is None else (area.west, area.south, area.east, area.north)
 
 
@@ -267,11 +258,7 @@ def vertical_reference(crs: str) -> tuple[str, str]:
     InputError
         The CRS is unknown.
     """
-    proj = offline_pyproj()
-    try:
-        found = proj.CRS.from_user_input(crs)
-    except proj.exceptions.CRSError:
-        raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
+    found = _known(crs)
     names = [part.name for part in (found, *found.sub_crs_list) if part.is_vertical and not part.is_compound]
     units = [axis.unit_name for axis in found.axis_info if axis.direction in ("up", "down")]
     return (names[0] if names else ""), (units[0] if units else "")
@@ -285,18 +272,14 @@ def with_vertical(crs: str, vertical: str) -> tuple[str, str]:
     InputError
         A CRS is unknown, or ``vertical`` is no vertical CRS.
     """
-    proj = offline_pyproj()
-    try:
-        found = proj.CRS.from_user_input(crs)
-        flat = found.sub_crs_list[0] if found.is_compound else found.to_2d()
-        if not vertical:
-            return str(flat.to_wkt()), str(found.to_wkt())
-        heights = proj.CRS.from_user_input(vertical)
-    except proj.exceptions.CRSError:
-        raise InputError.of("geodesy.unknown_crs", place="crs", value=vertical or crs) from None
+    found = _known(crs)
+    flat = found.sub_crs_list[0] if found.is_compound else found.to_2d()
+    if not vertical:
+        return str(flat.to_wkt()), str(found.to_wkt())
+    heights = _known(vertical)
     if not heights.is_vertical or heights.is_compound:
         raise InputError.of("geodesy.not_vertical", place="vertical crs", value=f"{vertical}, {heights.name}")
-    both = proj.crs.CompoundCRS(f"{flat.name} + {heights.name}", [flat, heights])
+    both = offline_pyproj().crs.CompoundCRS(f"{flat.name} + {heights.name}", [flat, heights])
     return str(flat.to_wkt()), str(both.to_wkt())
 
 
@@ -370,12 +353,17 @@ def spatial_crs(crs: str) -> CRS:
     text = str(crs).strip()
     if not _CODE.fullmatch(text):
         raise InputError.of("geodesy.not_epsg", place="crs", value=crs)
+    found = _known(text.upper())
+    return found if found.is_compound or found.is_geocentric or found.is_vertical else found.to_3d()
+
+
+def _known(crs: str) -> CRS:
     proj = offline_pyproj()
     try:
-        found: CRS = proj.CRS.from_user_input(text.upper())
+        found: CRS = proj.CRS.from_user_input(crs)
     except proj.exceptions.CRSError:
         raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
-    return found if found.is_compound or found.is_geocentric or found.is_vertical else found.to_3d()
+    return found
 
 
 def _kind(crs: str, source: CRS) -> Kind:

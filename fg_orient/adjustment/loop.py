@@ -17,7 +17,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 S = TypeVar("S")
 
@@ -50,6 +50,11 @@ class System(Protocol):
     def solve(self, damping: float) -> Step:
         """Solve the normal equations with ``damping`` times the identity added."""
         ...
+
+
+@runtime_checkable
+class TrustRegion(Protocol):
+    """A linearisation that has Powell's step, too; :func:`dogleg` needs it."""
 
     def dogleg(self, radius: float) -> Step:
         """Give Powell's step inside a trust region of this radius (Euclidean, scaled unknowns)."""
@@ -362,7 +367,12 @@ def dogleg(
             return 0.25 * radius, growth
         return max(radius, 3.0 * record.step) if record.ratio > 0.75 else radius, growth
 
-    rule = _Control(1e3, lambda system, radius: system.dogleg(radius), follow)
+    def step(system: System, radius: float) -> Step:
+        if not isinstance(system, TrustRegion):
+            raise TypeError(f"{type(system).__name__} has no trust region")
+        return system.dogleg(radius)
+
+    rule = _Control(1e3, step, follow)
     return _controlled(backend, Course(start, callback, keep), max_iterations, tolerance, shrink, rule)
 
 

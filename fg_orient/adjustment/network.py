@@ -238,10 +238,6 @@ class NetworkSystem:
             self._merit.correlates = np.asarray(np.linalg.lstsq(rows.border.T, -gradient, rcond=None)[0], np.float64)
         return NetworkStep(x, float(np.abs(x).max()), 0.5 * float(after @ after), self._merit.correlates)
 
-    def dogleg(self, radius: float) -> NetworkStep:
-        """Not offered here."""
-        raise NotImplementedError
-
 
 class DenseNetwork:
     """Normal equations bordered by the conditions, with correlates; see the module docstring."""

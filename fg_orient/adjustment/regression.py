@@ -363,10 +363,6 @@ class _System:
                 return second
         return np.full(len(first), np.nan)
 
-    def dogleg(self, radius: float) -> _Step:
-        """Not offered for curves."""
-        raise NotImplementedError
-
 
 def _conclude(backend: _Backend, result: LoopResult[_Point]) -> CurveFit:
     """Statistics at the end."""

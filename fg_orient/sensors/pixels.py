@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,7 +12,7 @@ from fg_orient.errors import OutOfImage, problem
 Array = npt.NDArray[np.float64]
 
 
-class PixelRange:
+class PixelRange(ABC):
     """Centres of the first and last line and sample of an image; each sensor is one.
 
     Parameters
@@ -25,9 +27,9 @@ class PixelRange:
     last_sample: float
 
     @property
+    @abstractmethod
     def file(self) -> str:
         """Name of the metadata file."""
-        raise NotImplementedError
 
     def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
         """Tell which pixels lie in the image, half a pixel of border included."""
