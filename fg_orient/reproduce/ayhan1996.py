@@ -15,10 +15,9 @@ import numpy as np
 
 from fg_orient.cells import CellKey
 from fg_orient.errors import FgOrientError
-from fg_orient.linear.threads import one_blas_thread
-from fg_orient.published.tables import PublishedCell, PublishedTables
+from fg_orient.published.tables import PublishedTables
 from fg_orient.reproduce import ayhan1996_bundle, ayhan1996_photos, ayhan1996_surfaces
-from fg_orient.reproduce.found import Found, judge
+from fg_orient.reproduce.found import Found, judged_by_tables
 from fg_orient.reproduce.sources import Source
 from fg_orient.reproduce.verdict import Verdict
 
@@ -50,45 +49,21 @@ def verdicts(
     printed: PublishedTables, tables: Collection[str], data: Path | None = None, *, permutations: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[CellKey, Verdict]:  # fmt: skip
-    """Judge the cells of some tables.
-
-    Parameters
-    ----------
-    printed : PublishedTables
-    tables : collection of str
-    data, permutations
-        Of other sources.
-    progress : callable, optional
-        Called with tables done and tables in all.
-    """
+    """Judge the cells of some tables; see ``found.judged_by_tables``. ``data``, ``permutations``: of other sources."""
     values: Values = {cell.key: float(cell.value) for cell in printed.cells}
-    wanted = [table for table in printed.titles if table in tables]
-    out: dict[CellKey, Verdict] = {}
-    for done, table in enumerate(wanted, start=1):
-        found, failure = _computed(values, table)
-        out |= {
-            cell.key: _judged(cell, found.get(cell.key), failure) for cell in printed.cells if cell.key.table == table
-        }
-        if progress is not None:
-            progress(done, len(wanted))
-    return out
+    return judged_by_tables(printed, tables, lambda table: _computed(values, table), progress)
 
 
 def _computed(values: Values, table: str) -> tuple[dict[CellKey, Found], str]:
     """Found numbers of a table; a copy may hold numbers that have no solution: then why."""
     out: dict[CellKey, Found] = {}
     try:
-        with one_blas_thread(), np.errstate(all="ignore"):
-            for computers in _COMPUTERS:
-                if table in computers:
-                    out |= computers[table](values)
+        for computers in _COMPUTERS:
+            if table in computers:
+                out |= computers[table](values)
     except (FgOrientError, np.linalg.LinAlgError) as error:
         return {}, f"the numbers have no solution: {error}"
-    return out, ""
-
-
-def _judged(cell: PublishedCell, found: Found | None, failure: str) -> Verdict:
-    return judge(cell, found, failure or REASONS.get(cell.key.table, MEASURED))
+    return out, REASONS.get(table, MEASURED)
 
 
 SOURCE: Final = Source(

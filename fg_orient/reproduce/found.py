@@ -12,11 +12,15 @@ The verdicts of :func:`judge`:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
+from fg_orient.cells import CellKey
 from fg_orient.errors import InputError
-from fg_orient.published.tables import PublishedCell
+from fg_orient.linear.threads import one_blas_thread
+from fg_orient.published.tables import PublishedCell, PublishedTables
 from fg_orient.reproduce.verdict import ORDER, Kind, Verdict, last_digit
 
 
@@ -52,6 +56,33 @@ class Found:
     def has_spread(self) -> bool:
         """Tell whether a spread is stated."""
         return not math.isnan(self.low)
+
+
+def judged_by_tables(
+    printed: PublishedTables, tables: Collection[str], compute: Callable[[str], tuple[Mapping[CellKey, Found], str]],
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[CellKey, Verdict]:  # fmt: skip
+    """Judge the cells of some tables.
+
+    Parameters
+    ----------
+    printed : PublishedTables
+    tables : collection of str
+    compute : callable
+        Gives what is known about the cells of a table, and why nothing is known about the others.
+    progress : callable, optional
+        Called with tables done and tables in all.
+    """
+    wanted = [table for table in printed.titles if table in tables]
+    out: dict[CellKey, Verdict] = {}
+    for done, table in enumerate(wanted, start=1):
+        with one_blas_thread(), np.errstate(all="ignore"):  # a copy may hold any number: nan then differs
+            found, unknown = compute(table)
+            cells = [cell for cell in printed.cells if cell.key.table == table]
+            out |= {cell.key: judge(cell, found.get(cell.key), unknown) for cell in cells}
+        if progress is not None:
+            progress(done, len(wanted))
+    return out
 
 
 def attempt(call: Callable[..., float], *printed: float) -> float:

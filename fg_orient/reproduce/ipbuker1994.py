@@ -13,10 +13,9 @@ from typing import Final
 import numpy as np
 
 from fg_orient.cells import CellKey
-from fg_orient.linear.threads import one_blas_thread
 from fg_orient.published.tables import PublishedTables
 from fg_orient.reproduce import ipbuker1994_islands, ipbuker1994_orbits, ipbuker1994_points
-from fg_orient.reproduce.found import Found, judge
+from fg_orient.reproduce.found import Found, judged_by_tables
 from fg_orient.reproduce.sources import Source
 from fg_orient.reproduce.verdict import Verdict
 
@@ -46,32 +45,14 @@ def verdicts(
     printed: PublishedTables, tables: Collection[str], data: Path | None = None, *, permutations: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[CellKey, Verdict]:  # fmt: skip
-    """Judge the cells of some tables.
-
-    Parameters
-    ----------
-    printed : PublishedTables
-    tables : collection of str
-    data, permutations
-        Of other sources; there are no data to give or to permute here.
-    progress : callable, optional
-        Called with tables done and tables in all.
-    """
+    """Judge the cells of some tables; see ``found.judged_by_tables``. ``data``, ``permutations``: of other sources."""
     values: Values = {cell.key: np.float64(cell.value) for cell in printed.cells}
-    wanted = [table for table in printed.titles if table in tables]
-    out: dict[CellKey, Verdict] = {}
-    for done, table in enumerate(wanted, start=1):
+
+    def computed(table: str) -> tuple[dict[CellKey, Found], str]:
         compute = _COMPUTERS.get(table)
-        with one_blas_thread(), np.errstate(all="ignore"):  # a copy may hold any number: nan then differs
-            found = compute(values) if compute is not None else {}
-            out |= {
-                cell.key: judge(cell, found.get(cell.key), REASONS.get(table, FACT))
-                for cell in printed.cells
-                if cell.key.table == table
-            }
-        if progress is not None:
-            progress(done, len(wanted))
-    return out
+        return ({} if compute is None else compute(values)), REASONS.get(table, FACT)
+
+    return judged_by_tables(printed, tables, computed, progress)
 
 
 SOURCE: Final = Source(
