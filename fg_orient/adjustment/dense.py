@@ -132,9 +132,7 @@ def _require_finite(problem: Problem, values: Array) -> None:
 def _control_rows(problem: Problem, state: State, columns: Columns, jacobian: bool) -> tuple[Array, Array]:
     """Three rows ``W (G - G_0)`` per observed control point."""
     observed = np.flatnonzero(problem.observed)
-    whitening = problem.control_records[observed, :9].reshape(-1, 3, 3)
-    difference = state.ground[observed] - problem.control_records[observed, 9:]
-    residual = np.einsum("nij,nj->ni", whitening, difference).ravel()
+    residual, whitening = problem.control_residuals(state, observed).ravel(), problem.control_weights(observed)
     out = np.zeros((len(observed) if jacobian else 0, 3, len(columns)))
     for row, j in enumerate(observed if jacobian else ()):
         out[row, :, columns.point(int(j))] = whitening[row]

@@ -138,8 +138,7 @@ def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFact
 
 def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) -> None:
     for j in np.flatnonzero(problem.observed):
-        whitening = problem.control_records[j, :9].reshape(3, 3)
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(whitening)
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(problem.control_weights(int(j)))
         if loss is not None:
             noise = gtsam.noiseModel.Robust.Create(loss, noise)
         graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, 9:], noise)

@@ -187,7 +187,7 @@ def _part(problem: Problem, state: State, places: slice, points: Index, first: I
         _, d_image[own, :, : size[k]], d_ground[own] = image_rows(problem, state, int(k), rows[own], jacobian=True)
     normal = np.add.reduceat(np.einsum("nri,nrj->nij", d_ground, d_ground), first[:-1])
     known = np.flatnonzero(problem.observed[points])
-    w = problem.control_records[points[known], :9].reshape(-1, 3, 3)
+    w = problem.control_weights(points[known])
     normal[known] += np.swapaxes(w, 1, 2) @ w
     inverse, free = np.zeros_like(normal), problem.active[points]
     inverse[free] = np.linalg.inv(normal[free])

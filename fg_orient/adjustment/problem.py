@@ -28,6 +28,8 @@ from fg_orient.names import Role
 from fg_orient.parameters import ImageParameters
 
 Array = npt.NDArray[np.float64]
+#: One ground point by its number, or several by numbers or by True.
+Points = int | npt.NDArray[np.intp] | npt.NDArray[np.bool_]
 
 
 #: What holds a free datum: as much as priors a thousand times as wide as the given ones. It acts on steps, not on the
@@ -151,6 +153,32 @@ class Problem:
         """Elements (M, k) of ``State.image`` that are unknowns."""
         size = np.diff(self.first)
         return np.asarray(np.arange(size.max()) < size[:, None])
+
+    def control_weights(self, points: Points) -> Array:
+        """Square roots W of the weights of control points (3, 3), or (m, 3, 3): W^T W inverts their covariance."""
+        records = self.control_records[points]
+        return np.asarray(records[..., :9].reshape(*records.shape[:-1], 3, 3))
+
+    def control_residuals(self, state: State, points: Points) -> Array:
+        """Whitened residuals of control points (3,), or (m, 3): adjusted minus measured."""
+        difference = state.ground[points] - self.control_records[points, 9:]
+        return np.asarray(np.einsum("...ij,...j->...i", self.control_weights(points), difference))
+
+    def point_normals(self, points: npt.NDArray[np.intp], d_ground: Array) -> Array:
+        """Normal matrices (N, 3, 3) of the ground points, the images held.
+
+        Parameters
+        ----------
+        points : (n,) int array
+            Ground point of each image point.
+        d_ground : (n, 2, 3) array
+            Derivatives of its whitened residuals.
+        """
+        normal = np.zeros((len(self.active), 3, 3))
+        np.add.at(normal, points, np.einsum("nri,nrj->nij", d_ground, d_ground))
+        w = self.control_weights(self.observed)
+        normal[self.observed] += np.einsum("nri,nrj->nij", w, w)
+        return normal
 
     @property
     def least_damping(self) -> float:

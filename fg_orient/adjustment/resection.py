@@ -124,7 +124,7 @@ class _Pass:
         self.rows = rows_by_image(compiled)
         self.ground, self.cofactors = compiled.start.ground.copy(), np.zeros((len(compiled.active), 3, 3))
         self.known = compiled.observed | ~compiled.active
-        w = compiled.control_records[compiled.observed, :9].reshape(-1, 3, 3)
+        w = compiled.control_weights(compiled.observed)
         self.cofactors[compiled.observed] = np.linalg.inv(w.transpose(0, 2, 1) @ w)
         self.resections: dict[int, Resection] = {}
 
@@ -184,7 +184,7 @@ class _Pass:
                 if len(points):
                     own = order[first[points, None] + np.arange(rays)]
                     a = c[own].reshape(len(points), -1, 3)
-                    w = compiled.control_records[points, :9].reshape(-1, 3, 3) if observed else None
+                    w = compiled.control_weights(points) if observed else None
                     ground[points] += _located(v[own], c[own], w, scale, rng)
                     cofactors[points] = np.linalg.pinv(a.transpose(0, 2, 1) @ a, rcond=1e-12, hermitian=True)
         return ground, cofactors

@@ -142,10 +142,7 @@ def inlier_limit(probability: float, dimension: int) -> float:
 
 def control_squares(problem: Problem, state: State) -> Array:
     """Squared whitened norms (m,) of the observed control points, in their order."""
-    rows = np.flatnonzero(problem.observed)
-    w = problem.control_records[rows, :9].reshape(-1, 3, 3)
-    residual = np.einsum("nij,nj->ni", w, state.ground[rows] - problem.control_records[rows, 9:])
-    return np.asarray(np.sum(residual**2, axis=1))
+    return np.asarray(np.sum(problem.control_residuals(state, np.flatnonzero(problem.observed)) ** 2, axis=1))
 
 
 def weights_at(problem: Problem, state: State, robust: Robust) -> tuple[Weights, float]:

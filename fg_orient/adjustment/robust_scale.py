@@ -48,11 +48,8 @@ def robust_scale(problem: Problem, state: State) -> tuple[float, float]:
 
 def _ground_cofactors(problem: Problem, blocks: list[tuple[npt.NDArray[np.intp], Array]]) -> Array:
     """Cofactors (N, 3, 3) of the unknown ground points with the orientation held; zero for all others."""
-    normal = np.zeros((len(problem.active), 3, 3))
-    for rows, c in blocks:
-        np.add.at(normal, problem.observations.point[rows], np.einsum("nri,nrj->nij", c, c))
-    w = problem.control_records[problem.observed, :9].reshape(-1, 3, 3)
-    normal[problem.observed] += np.einsum("nri,nrj->nij", w, w)
+    rows, c = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    normal = problem.point_normals(problem.observations.point[rows], c)
     out = np.zeros_like(normal)
     out[problem.active] = np.linalg.pinv(normal[problem.active], rcond=1e-14, hermitian=True)
     return out
@@ -70,8 +67,7 @@ def _of_image(problem: Problem, ground: Array, rows: npt.NDArray[np.intp], v: Ar
 def _of_control(problem: Problem, state: State, ground: Array) -> Array:
     """The same of the control points."""
     rows = np.flatnonzero(problem.observed)
-    w = problem.control_records[rows, :9].reshape(-1, 3, 3)
-    v = np.einsum("nij,nj->ni", w, state.ground[rows] - problem.control_records[rows, 9:])
+    w, v = problem.control_weights(rows), problem.control_residuals(state, rows)
     return _ratios(v, np.eye(3) - np.einsum("nij,njk,nlk->nil", w, ground[rows], w))
 
 

@@ -61,7 +61,7 @@ class SummedCofactors(ReducedCofactors):
         problem, rows = self._problem, self._order[self._first[j] : self._first[j + 1]]
         normal, sums = np.zeros((3, 3)), dict[int, Array]()
         if problem.observed[j]:
-            w = problem.control_records[j, :9].reshape(3, 3)
+            w = problem.control_weights(j)
             normal += w.T @ w
         for r in rows[np.argsort(problem.observations.image[rows], kind="stable")].tolist():
             k = int(problem.observations.image[r])

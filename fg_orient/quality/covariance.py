@@ -220,7 +220,7 @@ class GraphCofactors:
             a = np.vstack([j_ground[r] for r in rows])
             n = a.T @ a
             if problem.observed[j]:
-                w = problem.control_records[j, :9].reshape(3, 3)
+                w = problem.control_weights(j)
                 n += w.T @ w
             inverse = np.linalg.inv(n)
             images = [int(problem.observations.image[r]) for r in rows]

@@ -126,7 +126,7 @@ def _complement(problem: Problem, rows: Rows, rays: Index, control: Index) -> Ar
         return np.tile(np.eye(2), (n, 1, 1))
     a = rows.ground[rays].reshape(n, 2 * m, 3)
     if control[0] >= 0:
-        a = np.concatenate([a, problem.control_records[control, :9].reshape(-1, 3, 3)], axis=1)
+        a = np.concatenate([a, problem.control_weights(control)], axis=1)
     return np.asarray(np.linalg.qr(a, mode="complete")[0][:, : 2 * m, 3:])
 
 
@@ -162,12 +162,8 @@ def followed_by_ground(problem: Problem, rows: Rows, directions: Array) -> Array
     at = np.where(np.arange(width) < size[:, None], at, problem.n_image_unknowns)
     moved = np.einsum("nij,njd->nid", rows.image, np.vstack([directions, np.zeros((1, d))])[at])
     n_points = len(problem.active)
-    normal, right = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3, d))
-    np.add.at(normal, o.point, np.einsum("nik,nil->nkl", rows.ground, rows.ground))
+    normal, right = problem.point_normals(o.point, rows.ground), np.zeros((n_points, 3, d))
     np.add.at(right, o.point, np.einsum("nik,nid->nkd", rows.ground, moved))
-    observed = np.flatnonzero(problem.observed)
-    w = problem.control_records[observed, :9].reshape(-1, 3, 3)
-    normal[observed] += np.einsum("nik,nil->nkl", w, w)
     out = np.zeros((n_points, 3, d))
     seen = np.flatnonzero(problem.active)
     out[seen] = -np.linalg.solve(normal[seen], right[seen])

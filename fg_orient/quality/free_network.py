@@ -301,11 +301,7 @@ def _all_cofactors(problem: Problem, state: State, minimal: Cofactors) -> Array:
     rows, u = Rows.of(problem, state), problem.n_image_unknowns
     follow = np.vstack([np.eye(u), followed_by_ground(problem, rows, np.eye(u))[ground].reshape(-1, u)])
     q = follow @ minimal.joint(images, ()) @ follow.T
-    normal = np.zeros((len(problem.active), 3, 3))
-    np.add.at(normal, problem.observations.point, np.einsum("nik,nil->nkl", rows.ground, rows.ground))
-    observed = np.flatnonzero(problem.observed)
-    w = problem.control_records[observed, :9].reshape(-1, 3, 3)
-    normal[observed] += np.einsum("nik,nil->nkl", w, w)
+    normal = problem.point_normals(problem.observations.point, rows.ground)
     for n, j in enumerate(ground):
         part = slice(u + 3 * n, u + 3 * n + 3)
         q[part, part] += np.linalg.inv(normal[j])

@@ -191,7 +191,7 @@ def _felt(problem: Problem, rows: Rows, rest: Array | None, part: _Part, motions
     if rest is not None:
         return np.asarray(rest @ motions.moves)
     observed = part.control[problem.observed[part.control]]
-    w = problem.control_records[observed, :9].reshape(-1, 3, 3)
+    w = problem.control_weights(observed)
     at_control = np.einsum("nij,njd->nid", w, motions.shift[observed]).reshape(-1, 7)
     held = part.rows[~problem.active[problem.observations.point[part.rows]]]
     at_fixed = [

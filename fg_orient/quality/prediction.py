@@ -111,9 +111,9 @@ def _columns(full: Problem, point: int, rows: Sequence[int], control: bool, susp
         return whole
     if suspect.part == "image":
         return whole[:, [k for i, r in enumerate(rows) if r == suspect.row for k in (2 * i, 2 * i + 1)]]
-    record = full.control_records[point]
+    axes = full.axes(full.control_records[None, point, 9:] + full.origin_m)[0]
     out = np.zeros((len(whole), 3))
-    out[-3:] = record[:9].reshape(3, 3) @ full.axes(record[None, 9:] + full.origin_m)[0].T
+    out[-3:] = full.control_weights(point) @ axes.T
     return out[:, :2] if suspect.part == "position" else out[:, 2:]
 
 
@@ -149,7 +149,7 @@ def _rows(
         v[part], d_ground[part] = values[i], j_ground[i]
         d_image[part, first[at] : first[at + 1]] = j_image[i]
     if control:
-        w = full.control_records[point, :9].reshape(3, 3)
+        w = full.control_weights(point)
         v[-3:], d_ground[-3:] = w @ (x - full.control_records[point, 9:]), w
     return v, d_image, d_ground, images
 

@@ -164,7 +164,7 @@ def reliability(
 def _control(problem: Problem, state: State, cofactors: ResidualCofactors) -> tuple[Array, Array, Array, Array, Array]:
     """Cofactors, residuals (adjusted minus observed) and sigmas of control points in their axes; effects on them."""
     rows = np.flatnonzero(problem.observed)
-    w = problem.control_records[rows, :9].reshape(-1, 3, 3)
+    w = problem.control_weights(rows)
     measured = problem.control_records[rows, 9:]
     columns = w @ np.swapaxes(problem.axes(measured + problem.origin_m), 1, 2)  # errors of 1 m in whitened rows
     length = np.linalg.norm(columns, axis=1)

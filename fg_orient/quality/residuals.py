@@ -76,7 +76,7 @@ def residual_cofactors(problem: Problem, state: State, cofactors: Cofactors) -> 
     )
     if problem.block.extra:
         _through_own_observations(problem, state, cofactors, rays)
-    w = problem.control_records[problem.observed, :9].reshape(-1, 3, 3)
+    w = problem.control_weights(problem.observed)
     return ResidualCofactors(
         np.eye(2) - rays.fitted,
         np.eye(3) - w @ rays.points[problem.observed] @ np.swapaxes(w, 1, 2),

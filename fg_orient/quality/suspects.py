@@ -104,10 +104,10 @@ def suspects(
     scale = np.zeros((len(o), 2, 2))
     scale[:, 0, 0], scale[:, 1, 1] = 1.0 / o.sigma_line_px, 1.0 / o.sigma_sample_px
     image = (o.point, rows, residuals(problem, state), found.image)
-    w = problem.control_records[given, :9].reshape(-1, 3, 3)
+    w = problem.control_weights(given)
     at = problem.control_records[given, 9:]
     columns = -w @ np.swapaxes(problem.axes(at + problem.origin_m), 1, 2)  # the residual is adjusted minus observed
-    v = np.einsum("nij,nj->ni", w, state.ground[given] - at)
+    v = problem.control_residuals(state, given)
     control = (given, np.full(len(given), -1), v, found.control)
     east, north, up = problem.axis_names
     if kind == "coordinates":
@@ -183,6 +183,5 @@ def _point_rows(
         b[2 * i : 2 * i + 2, begin[k] : begin[k] + d_image[r].shape[1]] = d_image[r]
         g[2 * i : 2 * i + 2] = d_ground[r][:, :free]
     if problem.observed[j]:
-        w = problem.control_records[j, :9].reshape(3, 3)
-        v[-3:], g[-3:] = w @ (state.ground[j] - problem.control_records[j, 9:]), w
+        v[-3:], g[-3:] = problem.control_residuals(state, j), problem.control_weights(j)
     return v, b, g, columns, images

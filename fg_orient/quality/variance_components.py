@@ -154,11 +154,8 @@ class Residuals:
         self._problem, self._state, self.groups = problem, state, groups
         self._turns = turn = self._turn()
         self.observed = np.flatnonzero(problem.observed)
-        records = problem.control_records[self.observed]
-        difference = state.ground[self.observed] - records[:, 9:]
-        w = records[:, :9].reshape(-1, 3, 3)
         self.image, self.image_cofactors = problem.image_residuals(state)[0], found.image
-        self.control = np.einsum("nij,njk,nk->ni", turn, w, difference)
+        self.control = np.einsum("nij,nj->ni", turn, problem.control_residuals(state, self.observed))
         self.control_cofactors = turn @ found.control @ np.swapaxes(turn, 1, 2)
         self.prior = problem.image_vector(state) if problem.block.options.priors else np.zeros(0)
         self.prior_redundancy = found.prior
@@ -167,10 +164,9 @@ class Residuals:
     def _turn(self) -> Array:
         """Rotations (m, 3, 3) from the rows of the control factors to East, North, Up in sigmas."""
         problem = self._problem
-        records = problem.control_records[problem.observed]
-        axes = problem.axes(records[:, 9:] + problem.origin_m)
+        axes = problem.axes(problem.control_records[problem.observed, 9:] + problem.origin_m)
         sigma = problem.block.points.known.sigma_enu_m[problem.observed]
-        return np.asarray(axes / sigma[:, :, None] @ np.linalg.inv(records[:, :9].reshape(-1, 3, 3)))
+        return np.asarray(axes / sigma[:, :, None] @ np.linalg.inv(problem.control_weights(problem.observed)))
 
     @cached_property
     def labels(self) -> Index:

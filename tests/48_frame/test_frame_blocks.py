@@ -16,13 +16,13 @@ from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints
+from fg_orient.block import Block, Coordinates, GroundPoints
 from fg_orient.errors import InputError
-from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.names import Role, Status
-from fg_orient.sensors.frame import HALF_TURN, UNKNOWNS, FrameCamera, FrameSensor
+from fg_orient.sensors.frame import UNKNOWNS, FrameSensor
 from fg_orient.simulate.frames import SIGMA, FrameTruth, pinhole_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.frame_above import with_frame_above
 
 
 @lru_cache
@@ -47,39 +47,9 @@ def all_unknown(block: Block) -> Block:
     return replace(block, images=images)
 
 
-def beside_pushbroom() -> Block:
-    """The twin with a frame camera on a satellite above it, and half of its unknowns."""
-    block = zonguldak_block(ZonguldakOptions(seed=1))[0]
-    problem = compile_problem(block)
-    ground = problem.start.ground + problem.origin_m
-    lon, lat, _ = ecef_to_geodetic(problem.origin_m[None])
-    up = enu_from_ecef(lon, lat)[0]
-    sigma = {
-        "rotation_x": 1e-5,
-        "rotation_y": 1e-5,
-        "rotation_z": 1e-4,
-        "centre_x": 5.0,
-        "centre_z": 5.0,
-        "focal": 20.0,
-    }
-    camera = FrameCamera(HALF_TURN @ up, problem.origin_m + 5e5 * up[2], 1e5, sigma=sigma)
-    sensor = FrameSensor(camera, 16001, 16001, first_line=-8000, first_sample=-8000)
-    seen = np.unique(block.observations.point)
-    rng = np.random.default_rng(4)
-    pixels = np.stack(sensor.project(ground[seen])) + rng.normal(scale=0.5, size=(2, len(seen)))
-    o, half = block.observations, np.full(len(seen), 0.5)
-    columns = [
-        np.concatenate([a, b])
-        for a, b in zip(
-            (o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px),
-            (np.full(len(seen), 2), seen, *pixels, half, half), strict=True,
-        )
-    ]  # fmt: skip
-    return replace(block, images=(*block.images, Image("frame", sensor)), observations=ImagePoints(*columns))
-
-
 def blocks() -> dict[str, Block]:
-    return {"nine": small()[0], "fourteen": all_unknown(small()[0]), "beside pushbroom": beside_pushbroom()}
+    beside = with_frame_above(zonguldak_block(ZonguldakOptions(seed=1))[0])
+    return {"nine": small()[0], "fourteen": all_unknown(small()[0]), "beside pushbroom": beside}
 
 
 def largest(problem: Problem, a: State, b: State) -> tuple[float, float]:

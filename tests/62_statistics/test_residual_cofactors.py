@@ -9,16 +9,15 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.problem import compile_problem, whitened_records
+from fg_orient.adjustment.problem import whitened_records
 from fg_orient.adjustment.robust import weighted_problem
-from fg_orient.block import Block, Image, ImagePoints
-from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
+from fg_orient.block import Block
 from fg_orient.names import Role
 from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.residuals import residual_cofactors
 from fg_orient.quality.variance_components import Residuals
-from fg_orient.sensors.frame import FrameCamera, FrameSensor
 from fg_orient.solution import Solution
+from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import Full, fixed, measured_twice, options, own_observations
 
 #: Rounding of Q from normal equations whose scaled condition is some 1e4.
@@ -81,30 +80,7 @@ def test_fixed_points_only(grid: Block) -> None:
 
 def test_images_of_different_kinds(twin: Block) -> None:
     """A frame camera above the pushbroom pair: another equation, 6 unknowns beside 12."""
-    block = options(twin, eop_set=16)
-    problem = compile_problem(block)
-    ground = problem.start.ground + problem.origin_m
-    lon, lat, _ = ecef_to_geodetic(problem.origin_m[None])
-    up = enu_from_ecef(lon, lat)[0]
-    sigma = {
-        "rotation_x": 1e-5,
-        "rotation_y": 1e-5,
-        "rotation_z": 1e-4,
-        "centre_x": 5.0,
-        "centre_z": 5.0,
-        "focal": 20.0,
-    }
-    camera = FrameCamera(np.diag([1.0, -1.0, -1.0]) @ up, problem.origin_m + 5e5 * up[2], 1e5, sigma=sigma)
-    sensor = FrameSensor(camera, 16001, 16001, first_line=-8000, first_sample=-8000)
-    seen, o = np.unique(block.observations.point), block.observations
-    pixels = np.stack(sensor.project(ground[seen]))
-    own, half = np.full(len(seen), 2), np.full(len(seen), 0.5)
-    both = zip((o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px),
-               (own, seen, *pixels, half, half), strict=True)  # fmt: skip
-    observations = ImagePoints(*(np.concatenate(pair) for pair in both))
-    assert_equal_to_full_matrix(
-        fg.adjust(replace(block, images=(*block.images, Image("frame", sensor)), observations=observations))
-    )
+    assert_equal_to_full_matrix(fg.adjust(with_frame_above(options(twin, eop_set=16))))
 
 
 def test_shared_priors_and_their_variance_component(twin: Block) -> None:
