@@ -1,4 +1,4 @@
-"""Commands ``simulate zonguldak`` and ``simulate block``: synthetic data in the real file formats."""
+"""Commands ``simulate zonguldak``, ``block`` and ``mixed``: synthetic data in the real file formats."""
 
 from __future__ import annotations
 
@@ -95,6 +95,33 @@ def block(
             max_height_m=max_height,
         )  # fmt: skip
         _tell(simulate_block(out, options, overwrite=overwrite), as_json)
+
+
+@app.command("mixed")
+def mixed(
+    points: Annotated[int, typer.Option(help="Ground points in all.")] = 90,
+    control: Annotated[int, typer.Option(help="Of them control points.")] = 8,
+    check: Annotated[int, typer.Option(help="Of them check points; the rest are tie points.")] = 12,
+    seed: Seed = 1,
+    spot_noise: Annotated[float, typer.Option(metavar="PX", help="Noise of the SPOT-5 images, pixels.")] = 0.4,
+    rpc_noise: Annotated[float, typer.Option(metavar="PX", help="Noise of the RPC images, pixels.")] = 0.3,
+    frame_noise: Annotated[float, typer.Option(metavar="PX", help="Noise of the frame images, pixels.")] = 0.5,
+    errors: Annotated[str, typer.Option(metavar="prior|none", help="Errors of the orientation.")] = "prior",
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("mixed"),
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Write a mixed block, two SPOT-5, two RPC and four frame images over one window, and its truth."""
+    with outcome(as_json, debug):
+        from fg_orient.simulate.mixed import MixedOptions
+        from fg_orient.simulate.mixed_files import simulate_mixed
+
+        options = MixedOptions(
+            seed=seed, points=points, control=control, check=check, spot_noise_px=spot_noise, rpc_noise_px=rpc_noise,
+            frame_noise_px=frame_noise, errors=errors,
+        )  # fmt: skip
+        _tell(simulate_mixed(out, options, overwrite=overwrite), as_json)
 
 
 def _three(text: str) -> tuple[float, float, float]:

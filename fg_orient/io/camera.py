@@ -92,7 +92,7 @@ def write_camera(path: str | Path, interior: Interior) -> None:
     name = interior.name.replace("\\", "\\\\").replace('"', '\\"')
     text = [
         "schema = 1", f'name = "{name}"', f'model = "{interior.model}"', f"lines = {interior.n_lines}",
-        f"samples = {interior.n_samples}", *unit, f"focal = {interior.focal_px / px!r}",
+        f"samples = {interior.n_samples}", *unit, f"focal = {float(interior.focal_px) / px!r}",
         f"principal = [{sample / px!r}, {line / px!r}]", "first_pixel = 0.0",
         *(f"{key} = {value!r}" for key, value in zip(("k1", "k2", "k3", "p1", "p2"), (k1, k2, k3, *p), strict=True)),
         f"aspect = {interior.aspect!r}", "",

@@ -8,8 +8,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,23 +24,45 @@ from fg_orient.parameters import COMPONENTS, UNITS, parameter_name
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    from fg_orient.block import Options
+    from fg_orient.sensors.metadata import PushbroomMetadata
     from fg_orient.simulate.simulation import Simulation, Truth
 
     #: Writes further files of a simulation into its folder.
-    More = Callable[[Path, Simulation], None]
+    More = Callable[[Path, Any], None]
+    Rows = list[list[str]]
 
 PROJECT_FILE = "project.toml"
 #: Only a folder that a simulation wrote may be replaced: a real project has no ``truth/options.json``.
 CONTENTS: Final = Contents(
     "truth/options.json",
     (PROJECT_FILE, "points.csv", "observations.csv", "*.DIM", "truth/points.csv", "truth/eop.csv",
-     "truth/options.json", "*.tif"),
+     "truth/options.json", "*.tif", "*_RPC.TXT", "camera.toml", "frame*.toml"),
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ImageWriter:
+    """How the images of a kind of simulation stand in files.
+
+    Parameters
+    ----------
+    images : callable
+        Writes their metadata into a folder; gives ids and file names.
+    orientation : callable
+        Rows of ``truth/eop.csv``.
+    options : Options or None
+        Options of the project file; None: all at their defaults.
+    """
+
+    images: Callable[[Path, Any], list[tuple[str, str]]]
+    orientation: Callable[[Truth], Rows]
+    options: Options | None = None
 
 
 def write_simulation(
     out: str | Path, simulation: Simulation, options: DataclassInstance, command: str, *, overwrite: bool = False,
-    more: More | None = None,
+    more: More | None = None, writer: ImageWriter | None = None,
 ) -> Path:  # fmt: skip
     """Write a simulated block.
 
@@ -48,7 +70,7 @@ def write_simulation(
     ----------
     out : str or Path
         Folder to make.
-    simulation : Simulation
+    simulation : Simulation or MixedSimulation
     options : dataclass
         Options of the simulator, for the headers and ``truth/options.json``.
     command : str
@@ -58,6 +80,8 @@ def write_simulation(
         nothing else.
     more : callable, optional
         Writes further files into the folder.
+    writer : ImageWriter, optional
+        Default: DIMAP 1.1 of a ``Simulation``.
 
     Returns
     -------
@@ -69,13 +93,13 @@ def write_simulation(
     InputError
         The folder exists, or cannot be written; nothing is left behind.
     """
-    target = Path(out)
+    target, form = Path(out), writer or DIMAP
     values = {"command": command, **asdict(options)}
     with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder:
-        _write_block(folder, simulation, values)
+        _write_block(folder, simulation, values, form)
         with writing(target):
             (folder / "truth").mkdir()
-        _write_truth(folder / "truth", simulation, values)
+        _write_truth(folder / "truth", simulation, values, form)
         if more is not None:
             more(folder, simulation)
     return target / PROJECT_FILE
@@ -83,17 +107,16 @@ def write_simulation(
 
 def simulate_to(
     out: str | Path, draw: Callable[[], Simulation], options: DataclassInstance, command: str, *, overwrite: bool,
-    more: More | None = None,
+    more: More | None = None, writer: ImageWriter | None = None,
 ) -> Path:  # fmt: skip
     """Do :func:`write_simulation` of what ``draw`` gives; an unusable folder is refused before anything is drawn."""
     require_free(Path(out), overwrite=overwrite, contents=CONTENTS)
-    return write_simulation(out, draw(), options, command, overwrite=overwrite, more=more)
+    return write_simulation(out, draw(), options, command, overwrite=overwrite, more=more, writer=writer)
 
 
-def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any]) -> None:
+def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any], writer: ImageWriter) -> None:
     made = [f"simulated by fg_orient: {values['command']}", f"options: {json.dumps(values, sort_keys=True)}"]
-    for metadata in simulation.metadata:
-        write_dimap1(folder / metadata.file, metadata, dataset_name=f"{simulation.name}, simulated")
+    images = writer.images(folder, simulation)
     ground, truth = simulation.ground, simulation.truth
     known = ground.known[:, None]
     write_points(
@@ -106,11 +129,24 @@ def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any]) -
         [ground.ids[j] for j in simulation.point], simulation.observed, np.array(simulation.sigma_px),
         comments=[*made, "(0, 0) is the centre of the first pixel"],
     )  # fmt: skip
-    images = [(image, metadata.file) for image, metadata in zip(truth.image_ids, simulation.metadata, strict=True)]
-    write_project(folder / PROJECT_FILE, name=simulation.name, images=images, comments=made)
+    write_project(
+        folder / PROJECT_FILE, name=simulation.name, images=images, options=writer.options, comments=made
+    )  # fmt: skip
 
 
-def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any]) -> None:
+def write_dimaps(folder: Path, name: str, images: Sequence[PushbroomMetadata]) -> list[str]:
+    """Write DIMAP 1.1 of images; give the file names."""
+    for metadata in images:
+        write_dimap1(folder / metadata.file, metadata, dataset_name=f"{name}, simulated")
+    return [metadata.file for metadata in images]
+
+
+def _images_of(folder: Path, simulation: Simulation) -> list[tuple[str, str]]:
+    files = write_dimaps(folder, simulation.name, simulation.metadata)
+    return list(zip(simulation.truth.image_ids, files, strict=True))
+
+
+def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any], writer: ImageWriter) -> None:
     truth = simulation.truth
     rows = [
         [name, str(role), *map(repr, lonlat.tolist()), *map(repr, xyz.tolist())]
@@ -120,13 +156,13 @@ def _write_truth(folder: Path, simulation: Simulation, values: dict[str, Any]) -
     ]
     write_text(folder / "points.csv", _csv(["id", "role", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m"], rows))
     header = ["image", "parameter", "component", "degree", "unit", "value_per_tau"]
-    write_text(folder / "eop.csv", _csv(header, _eop_rows(truth)))
+    write_text(folder / "eop.csv", _csv(header, writer.orientation(truth)))
     write_text(folder / "options.json", json.dumps(values, indent=2, sort_keys=True) + "\n")
 
 
-def _eop_rows(truth: Truth) -> list[list[str]]:
+def eop_rows(truth: Truth) -> Rows:
     """True minus metadata of all 27 coefficients, then of the look polynomial (per s^degree) if there is one."""
-    rows = []
+    rows: Rows = []
     for image, correction in zip(truth.image_ids, truth.corrections, strict=True):
         for c, (name, unit) in enumerate(zip(COMPONENTS, UNITS, strict=True)):
             for k in range(3):
@@ -140,3 +176,7 @@ def _eop_rows(truth: Truth) -> list[list[str]]:
 
 def _csv(header: list[str], rows: list[list[str]]) -> str:
     return "\n".join(",".join(cells) for cells in [header, *rows]) + "\n"
+
+
+#: A ``Simulation``: one DIMAP 1.1 for each image.
+DIMAP: Final = ImageWriter(_images_of, eop_rows)

@@ -91,6 +91,7 @@ def find_pass(
     *,
     attitude_rad: tuple[float, float, float] = (0.0, 0.0, 0.0),
     radial_velocity_m_s: float = 0.0,
+    height_m: float = HEIGHT_M,
 ) -> CircularPass:
     """Find the descending SPOT-like pass whose look direction meets a ground point at time 0.
 
@@ -104,6 +105,8 @@ def find_pass(
         Attitude in the orbital frame of convention B, full rotations.
     radial_velocity_m_s : float
         Rate of the distance from the geocentre.
+    height_m : float
+        Height of the orbit above the mean Earth radius.
 
     Returns
     -------
@@ -115,24 +118,25 @@ def find_pass(
     ValueError
         No such pass: the point lies beyond the orbit's latitudes or the horizon.
     """
-    x = _start(target_m)
+    x, motion = _start(target_m), (radial_velocity_m_s, height_m)
     for _ in range(_NEWTON_STEPS):
-        f, jacobian = _pointing(x, target_m, psi_y_rad, attitude_rad, radial_velocity_m_s), np.empty((2, 2))
+        f, jacobian = _pointing(_pass(x, *motion), target_m, psi_y_rad, attitude_rad), np.empty((2, 2))
         for k in range(2):
             shift = 1e-6 * np.eye(2)[k]
-            pair = [_pointing(x + s * shift, target_m, psi_y_rad, attitude_rad, radial_velocity_m_s) for s in (1, -1)]
+            ends = [_pass(x + s * shift, *motion) for s in (1, -1)]
+            pair = [_pointing(end, target_m, psi_y_rad, attitude_rad) for end in ends]
             jacobian[:, k] = (pair[0] - pair[1]) / 2e-6
         step = np.linalg.solve(jacobian, -f)
         x = x + step
         if not np.isfinite(x).all():
             break
         if np.abs(step).max() < _NEWTON_TOLERANCE_RAD:
-            return _pass(x, radial_velocity_m_s)
+            return _pass(x, *motion)
     raise ValueError(f"no descending pass sees the point {target_m} with psi_y = {psi_y_rad} rad")
 
 
-def _pass(x: Array, radial_velocity_m_s: float) -> CircularPass:
-    radius = MEAN_EARTH_RADIUS_M + HEIGHT_M
+def _pass(x: Array, radial_velocity_m_s: float, height_m: float) -> CircularPass:
+    radius = MEAN_EARTH_RADIUS_M + height_m
     return CircularPass(radius, INCLINATION_RAD, float(x[0]), float(x[1]), radial_velocity_m_s)
 
 
@@ -147,10 +151,10 @@ def _start(target_m: Array) -> Array:
 
 
 def _pointing(
-    x: Array, target_m: Array, psi_y_rad: float, attitude_rad: tuple[float, float, float], radial_velocity_m_s: float
+    orbit: CircularPass, target_m: Array, psi_y_rad: float, attitude_rad: tuple[float, float, float]
 ) -> Array:
     """Conditions (2,) of the point at time 0: zero if it is seen at psi_y, psi_x = 0 (docs/equations.md 3)."""
-    position, velocity = _pass(x, radial_velocity_m_s).states(0.0)
+    position, velocity = orbit.states(0.0)
     ecef_from_orbital = rotations.orbital_frames(position, velocity)[0]
     ecef_from_body = ecef_from_orbital @ rotations.attitude_matrices(np.array([attitude_rad]), False)[0]
     w = ecef_from_body.T @ (target_m - position[0])

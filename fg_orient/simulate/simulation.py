@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -85,8 +86,8 @@ class Truth:
     Parameters
     ----------
     image_ids : tuple of str
-    corrections : tuple of Correction
-        True minus metadata, per image; the look-angle part is what the files do not contain.
+    corrections : tuple of Correction or arrays
+        True minus metadata, per image, as its sensor takes it; the look-angle part is what the files do not contain.
     point_ids : tuple of str
     lon_lat_height : (n, 3) array
         Degrees, degrees, m.
@@ -96,7 +97,7 @@ class Truth:
     """
 
     image_ids: tuple[str, ...]
-    corrections: tuple[Correction, ...]
+    corrections: tuple[Any, ...]
     point_ids: tuple[str, ...]
     lon_lat_height: Array
     ecef_m: Array
@@ -148,7 +149,7 @@ class Simulation:
         Image and ground point of each observation.
     observed : (k, 2) array
         Line and sample with noise.
-    sigma_px : float
+    sigma_px : float or (k, 2) array
         Sigma of line and of sample, given to the adjustment.
     truth : Truth
     """
@@ -159,25 +160,23 @@ class Simulation:
     image: Index
     point: Index
     observed: Array
-    sigma_px: float
+    sigma_px: float | Array
     truth: Truth
 
     def block(self) -> Block:
         """Give the block that reading the written files gives (without sources and notes)."""
-        sigma = np.full(len(self.image), self.sigma_px)
-        points, withheld = _points_of(self.ground)
+        sigma = np.broadcast_to(self.sigma_px, self.observed.shape)
+        points, withheld = points_of(self.ground)
         return Block(
             name=self.name,
             images=tuple(Image(i, as_read(m)) for i, m in zip(self.truth.image_ids, self.metadata, strict=True)),
             points=points,
-            observations=ImagePoints(
-                self.image, self.point, self.observed[:, 0].copy(), self.observed[:, 1].copy(), sigma, sigma
-            ),
+            observations=ImagePoints(self.image, self.point, *self.observed.T, *sigma.T),
             withheld=withheld,
         )
 
 
-def _points_of(ground: Ground) -> tuple[GroundPoints, WithheldCoordinates]:
+def points_of(ground: Ground) -> tuple[GroundPoints, WithheldCoordinates]:
     """Control points with coordinates, the others without; check coordinates sealed."""
     has = {role: np.array([r is role for r in ground.roles]) for role in Role}
     ecef = geodetic_to_ecef(*ground.measured.T)

@@ -1,0 +1,303 @@
+"""A mixed block over one window of 5 km: rigorous SPOT-5 images, RPC images of 0.7 m, frame images of 0.2 m.
+
+Two SPOT-5 HRG passes look from both sides; two images of one pass of a Pléiades-like satellite look ahead and back
+and have RPC, fitted to their rigorous model; a large-format camera took four frames from 4 km above the ground. All of
+them measured the same tie points and a few control points. The errors of every orientation are drawn from the prior
+sigmas that the adjustment is given; truth is exact in the model of each sensor (:mod:`fg_orient.simulate.simulation`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import frame_camera
+from fg_orient.block import Block, Image, ImagePoints, Index, Options
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.names import Role
+from fg_orient.rfm.virtual_grid import fit_sensor
+from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.frame import HALF_TURN, UNKNOWNS, FrameCamera, FrameSensor
+from fg_orient.sensors.interior import Interior
+from fg_orient.sensors.metadata import AngleAttitude, Ephemeris, LineTiming, LookAngleTable, PushbroomMetadata
+from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.sensors.rpc import RpcModel
+from fg_orient.sensors.rpc_sensor import RpcSensor
+from fg_orient.simulate.orbit import find_pass
+from fg_orient.simulate.scene import Scene, as_read
+from fg_orient.simulate.simulation import (
+    NOMINAL_IMAGE_SIGMA_PX,
+    Simulation,
+    Truth,
+    draw_errors,
+    ground_points,
+    points_of,
+    random_streams,
+    require,
+)
+from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
+
+Array = npt.NDArray[np.float64]
+
+#: Side of the window and range of heights, m.
+WINDOW_M: Final = 5000.0
+HEIGHT_RANGE_M: Final = (0.0, 500.0)
+#: SPOT-5: mirror angles (degrees), days, half minutes of the day.
+SPOT: Final = ((-18.0, "2004-07-05", 1041), (20.0, "2004-07-06", 1003))
+#: RPC images: pitch of the looks (degrees), height of the orbit (m), pixels along a side, ground pixel at nadir (m).
+PITCH_DEG: Final = (-12.0, 14.0)
+RPC_ORBIT_M: Final = 694e3
+RPC_SIDE_PX: Final = 14000
+RPC_PIXEL_M: Final = 0.7
+#: Speed of the point below the satellite, m/s: makes pixels about square.
+GROUND_SPEED_M_S: Final = 6.77e3
+#: Heights that the RPC are fitted to, m, beyond those of the points.
+RPC_HEIGHTS_M: Final = (-200.0, 1000.0)
+RPC_SHIFT_SIGMA_PX: Final = 15.0
+RPC_LINEAR_SIGMA_PX: Final = 2.0
+#: Frames: East and North of their projection centres from that of the window, their height, m; tilts (rad).
+FRAMES: Final = ((-650.0, 650.0), (650.0, 650.0), (-650.0, -650.0), (650.0, -650.0))
+FRAME_HEIGHT_M: Final = 4250.0
+FRAME_SIDE_PX: Final = 16000
+FOCAL_PX: Final = 20000.0
+TILTS_RAD: Final = ((0.01, -0.02), (-0.015, 0.01), (0.02, 0.015), (-0.01, -0.01))
+#: Unknowns of a frame and their prior sigmas; the interior orientation is common to all frames.
+FRAME_SIGMA: Final = {
+    "rotation_x": 1e-4, "rotation_y": 1e-4, "rotation_z": 1e-4, "centre_x": 0.2, "centre_y": 0.2, "centre_z": 0.2,
+    "focal": 2.0, "principal_sample": 1.0, "principal_line": 1.0,
+}  # fmt: skip
+CAMERA: Final = "camera"
+CAMERA_FILE: Final = "camera.toml"
+#: Points are not measured closer than this to a border of a frame: noise never leaves the image.
+MARGIN_PX: Final = 50.0
+#: What the adjustment is told of the unknowns; that of the images stands in their files.
+OPTIONS: Final = Options(
+    rpc_compensation="shift_drift", rpc_shift_sigma_px=RPC_SHIFT_SIGMA_PX, rpc_linear_sigma_px=RPC_LINEAR_SIGMA_PX
+)
+
+
+@dataclass(frozen=True)
+class MixedOptions:
+    """Options of a mixed block.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all random numbers.
+    points : int
+        Ground points in all.
+    control, check : int
+        Of them control and check points; the rest are tie points.
+    spot_noise_px, rpc_noise_px, frame_noise_px : float
+        Sigma of the noise in line and in sample; the adjustment is given the same sigma, or 0.3 px if it is 0.
+    errors : str
+        Errors of the orientation: "prior" (drawn from the prior sigmas) or "none".
+    ground_noise_m : (east, north, up)
+        Sigmas of the noise of control and check coordinates.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+
+    seed: int = 1
+    points: int = 90
+    control: int = 8
+    check: int = 12
+    spot_noise_px: float = 0.4
+    rpc_noise_px: float = 0.3
+    frame_noise_px: float = 0.5
+    errors: str = "prior"
+    ground_noise_m: tuple[float, float, float] = (0.05, 0.05, 0.08)
+
+    def __post_init__(self) -> None:
+        require(self.seed >= 0, "seed", self.seed, "a whole number from 0")
+        require(10 <= self.points <= 100_000, "points", self.points, "10 to 100000")
+        require(self.control >= 3, "control", self.control, "3 points or more")
+        named = self.control + self.check
+        require(self.check >= 0 and named <= self.points, "control, check", named, f"at most {self.points} points")
+        for name in ("spot_noise_px", "rpc_noise_px", "frame_noise_px"):
+            require(0.0 <= getattr(self, name) <= 10.0, name, getattr(self, name), "0 to 10 px")
+        require(self.errors in ("prior", "none"), "errors", self.errors, "prior or none")
+        noise = self.ground_noise_m
+        good = len(noise) == 3 and all(0.0 <= v <= 100.0 for v in noise)
+        require(good, "ground_noise_m", noise, "three numbers from 0 to 100")
+
+
+@dataclass(frozen=True)
+class MixedSimulation(Simulation):
+    """Everything the files of a mixed block are made of; ``metadata`` are those of the SPOT-5 images.
+
+    Parameters
+    ----------
+    images : tuple of Image
+        All images, with the sensors that reading the files gives.
+    interior : Interior
+        Of the frames, as written.
+    """
+
+    images: tuple[Image, ...]
+    interior: Interior
+
+    def block(self) -> Block:
+        """Give the block that reading the written files gives (without sources and notes)."""
+        points, withheld = points_of(self.ground)
+        observations = ImagePoints(self.image, self.point, *self.observed.T, *np.transpose(self.sigma_px))
+        return Block(self.name, self.images, points, observations, withheld, OPTIONS)
+
+
+def mixed_block(options: MixedOptions | None = None) -> tuple[Block, Truth]:
+    """Give the block in memory: the one that reading its files gives, and its truth."""
+    simulation = simulate(options or MixedOptions())
+    return simulation.block(), simulation.truth
+
+
+def simulate(options: MixedOptions) -> MixedSimulation:
+    """Draw the mixed block of these options."""
+    streams = random_streams(options.seed)
+    ground = ground_points(
+        tuple(f"{k + 1:0{len(str(options.points))}d}" for k in range(options.points)),
+        _roles(options, streams["roles"]), _lon_lat_height(options.points, streams["points"]),
+        options.ground_noise_m, streams["ground_noise"],
+    )  # fmt: skip
+    size = 1.0 if options.errors == "prior" else 0.0
+    metadata, of_spot = _spot(size, streams["orientation"])
+    of_rpc = _compensations(size, streams["orientation"])
+    interior, frames, of_frame = _frames(size, streams["orientation"])
+    images = (
+        *(Image(m.file.removesuffix(".DIM"), as_read(m)) for m in metadata),
+        *(Image(f"pleiades{k + 1}", RpcSensor(model)) for k, model in enumerate(rpc_models())),
+        *(Image(f"frame{k + 1}", sensor) for k, sensor in enumerate(frames)),
+    )
+    noise = (options.spot_noise_px,) * 2 + (options.rpc_noise_px,) * 2 + (options.frame_noise_px,) * 4
+    corrections = (*of_spot, *of_rpc, *of_frame)
+    image, point, pixels = _measured(images, corrections, ground.ecef_m)
+    sigma = np.array(noise)[image][:, None] * np.ones(2)
+    observed = pixels + sigma * streams["image_noise"].standard_normal(pixels.shape)
+    truth = Truth(
+        tuple(i.id for i in images), corrections, ground.ids, ground.lon_lat_height, ground.ecef_m, pixels
+    )  # fmt: skip
+    given = np.where(sigma > 0.0, sigma, NOMINAL_IMAGE_SIGMA_PX)
+    name = "mixed block"
+    return MixedSimulation(name, metadata, ground, image, point, observed, given, truth, images, interior)
+
+
+def _measured(
+    images: tuple[Image, ...], corrections: tuple[Any, ...], ecef_m: Array
+) -> tuple[Index, Index, Array]:  # fmt: skip
+    """Image, ground point and true pixels (k, 2) of everything that lies inside an image."""
+    parts = []
+    for k, (image, correction) in enumerate(zip(images, corrections, strict=True)):
+        line, sample = image.sensor.project(ecef_m, correction)
+        inside = np.flatnonzero(image.sensor.is_inside(line - MARGIN_PX, sample - MARGIN_PX)
+                                & image.sensor.is_inside(line + MARGIN_PX, sample + MARGIN_PX))  # fmt: skip
+        parts.append((np.full(len(inside), k), inside, np.stack([line, sample], axis=1)[inside]))
+    image_, point, pixels = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return image_.astype(np.intp), point.astype(np.intp), pixels
+
+
+def _roles(options: MixedOptions, rng: np.random.Generator) -> tuple[Role, ...]:
+    tie = options.points - options.control - options.check
+    roles = [Role.CONTROL] * options.control + [Role.CHECK] * options.check + [Role.TIE] * tie
+    return tuple(roles[k] for k in rng.permutation(options.points))
+
+
+def _lon_lat_height(n: int, rng: np.random.Generator) -> Array:
+    """Points uniform in the window: longitude, latitude (degrees), height (m)."""
+    unit = rng.random((n, 3))
+    low, high = HEIGHT_RANGE_M
+    place = _at(np.column_stack([(unit[:, :2] - 0.5) * WINDOW_M, np.zeros(n)]))
+    lon, lat, _ = ecef_to_geodetic(place)
+    return np.column_stack([lon, lat, low + (high - low) * unit[:, 2]])
+
+
+def _at(enu_m: Array) -> Array:
+    """ECEF m (n, 3) of places given by East, North, Up (m) from the centre of the window."""
+    return np.asarray(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0) + enu_m @ enu_from_ecef(*CENTRE_LON_LAT_DEG)[0])
+
+
+def _spot(size: float, rng: np.random.Generator) -> tuple[tuple[PushbroomMetadata, ...], tuple[Correction, ...]]:
+    """Metadata with errors of position and attitude, the unknowns of the set, and what corrects them."""
+    errors = size * draw_errors("prior", rng, len(SPOT))
+    errors[:, 3:6] = 0.0
+    metadata = []
+    for k, (mirror_deg, day, half_minutes) in enumerate(SPOT):
+        mirror = math.radians(mirror_deg)
+        orbit = find_pass(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)[0], mirror)
+        scene = Scene(f"spot{k + 1}", orbit, mirror, np.datetime64(day), half_minutes, full_look_table=False)
+        metadata.append(scene.metadata(errors[k]))
+    return tuple(metadata), tuple(Correction(error) for error in errors)
+
+
+def _compensations(size: float, rng: np.random.Generator) -> tuple[Array, ...]:
+    """Shift and drift (6,) px of both RPC images."""
+    sigma = np.array([RPC_SHIFT_SIGMA_PX] * 2 + [RPC_LINEAR_SIGMA_PX] * 2 + [0.0] * 2)
+    return tuple(size * sigma * rng.standard_normal((len(PITCH_DEG), 6)))
+
+
+@cache
+def rpc_models() -> tuple[RpcModel, ...]:
+    """RPC of both looks, fitted to their rigorous models; as read from a file that has no inverse coefficients."""
+    found = []
+    for k, pitch in enumerate(PITCH_DEG):
+        sensor = _metre_sensor(math.radians(pitch), 40_000.0 + 30.0 * k)
+        model = fit_sensor(sensor, RPC_HEIGHTS_M, shape=(12, 12, 5)).model()
+        found.append(replace(
+            model, direct=None, notes=(), stated_validity=None, n_lines=None, n_samples=None,
+            file=f"pleiades{k + 1}_RPC.TXT",
+        ))  # fmt: skip
+    return tuple(found)
+
+
+def _metre_sensor(pitch_rad: float, centre_s: float) -> PushbroomSensor:
+    """The rigorous model of a look: no errors, attitude constant."""
+    attitude = (0.0, pitch_rad, 0.0)
+    orbit = find_pass(geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)[0], 0.0, attitude_rad=attitude, height_m=RPC_ORBIT_M)
+    time_s = centre_s + 10.0 * np.arange(-4.0, 5.0)
+    sample, middle = np.array([0.0, RPC_SIDE_PX - 1.0]), (RPC_SIDE_PX - 1.0) / 2.0
+    period_s = RPC_PIXEL_M / GROUND_SPEED_M_S
+    across = np.arctan((sample - middle) * RPC_PIXEL_M / RPC_ORBIT_M)
+    return as_read(PushbroomMetadata(
+        file="", mission="simulated", instrument="", format="simulated", epoch=np.datetime64("2012-06-01"),
+        n_lines=RPC_SIDE_PX, n_samples=RPC_SIDE_PX, timing=LineTiming(middle, centre_s, period_s),
+        ephemeris=Ephemeris(time_s, *orbit.states(time_s - centre_s)),
+        attitude=AngleAttitude(time_s, np.tile(attitude, (len(time_s), 1))),
+        look=LookAngleTable(sample, np.zeros(2), across),
+    ))  # fmt: skip
+
+
+def _frames(size: float, rng: np.random.Generator) -> tuple[Interior, list[FrameSensor], list[Array]]:
+    """The camera and its images with errors, and what corrects them (15,)."""
+    sigma = np.array(list(FRAME_SIGMA.values()))
+    common = size * sigma[6:] * rng.standard_normal(3)
+    true = Interior(
+        FRAME_SIDE_PX, FRAME_SIDE_PX, FOCAL_PX, np.full(2, (FRAME_SIDE_PX - 1) / 2.0),
+        np.array([-1e-3, 0.0, 0.0, 0.0, 0.0]), name="large format",
+    )  # fmt: skip
+    given = replace(true, focal_px=float(FOCAL_PX - common[0]), principal_px=true.principal_px - common[[2, 1]])
+    shared = dict.fromkeys(list(FRAME_SIGMA)[6:], CAMERA)
+    sensors, corrections = [], []
+    for k, (rotation, centre) in enumerate(true_orientations()):
+        error = size * sigma[:6] * rng.standard_normal(6)
+        turned = np.empty(frame_camera.CAMERA_SIZE)
+        frame_camera.turned(-error[:3], rotation.ravel(), turned)
+        camera: FrameCamera = given.camera(turned[:9].reshape(3, 3), centre - error[3:], FRAME_SIGMA, shared)
+        sensors.append(FrameSensor(camera, FRAME_SIDE_PX, FRAME_SIDE_PX, file=f"frame{k + 1}.toml"))
+        corrections.append(np.concatenate([error, common, np.zeros(len(UNKNOWNS) - 9)]))
+    return given, sensors, corrections
+
+
+def true_orientations() -> list[tuple[Array, Array]]:
+    """True rotation and projection centre of each frame."""
+    enu, out = enu_from_ecef(*CENTRE_LON_LAT_DEG)[0], []
+    for (east, north), tilt in zip(FRAMES, TILTS_RAD, strict=True):
+        turned = np.empty(frame_camera.CAMERA_SIZE)
+        frame_camera.turned(np.array([*tilt, 0.0]), HALF_TURN.ravel(), turned)
+        out.append((turned[:9].reshape(3, 3) @ enu, _at(np.array([[east, north, FRAME_HEIGHT_M]]))[0]))
+    return out
