@@ -6,11 +6,13 @@ Messages are JSON, each ended by a zero byte; the browser reads from file descri
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import select
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,6 +20,8 @@ from pathlib import Path
 from typing import Any
 
 VARIABLE = "FG_ORIENT_CHROMIUM"
+#: Becomes the browser, with the ends of the pipes where it looks for them.
+_EXEC = "import os, sys; a, b, *c = sys.argv[1:]; os.dup2(int(a), 3); os.dup2(int(b), 4); os.execv(c[0], c)"
 #: Seconds until a browser that does not answer is given up.
 PATIENCE = 60.0
 
@@ -172,13 +176,13 @@ def open_browser(program: str, profile: Path) -> Iterator[Browser]:
              "--disable-component-update", "--disable-sync", "--force-color-profile=srgb"]  # fmt: skip
     if os.geteuid() == 0:
         flags.append("--no-sandbox")  # Chromium does not run as root with its sandbox
-    shell = f'exec "$0" "$@" 3<&{theirs_in} 4>&{theirs_out}'
+    ends = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (theirs_in, theirs_out)]  # clear of 3 and 4
     process = subprocess.Popen(
-        ["/bin/sh", "-c", shell, program, *flags], pass_fds=(theirs_in, theirs_out), stdout=subprocess.DEVNULL,
+        [sys.executable, "-c", _EXEC, *map(str, ends), program, *flags], pass_fds=ends, stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
-    os.close(theirs_in)
-    os.close(theirs_out)
+    for end in (theirs_in, theirs_out, *ends):
+        os.close(end)
     browser = Browser(process, to, from_)
     try:
         yield browser

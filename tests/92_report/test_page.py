@@ -1,0 +1,212 @@
+"""The report without a browser: its size, its policy, and that every drawing says what the tables say."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fg_orient.report import charts, payload, residual_plots
+from fg_orient.report.data import Result, residual_summary
+from fg_orient.report.html import render
+from fg_orient.report.orientation import corrections, short_names
+from fg_orient.report.page import script
+from fg_orient.report.panel import Panel, powers, ticks
+from tests.support.page import structure
+
+
+def elements(text: str) -> list[tuple[str, str]]:
+    """Attributes and text of the script elements."""
+    return re.findall(r"<script([^>]*)>(.*?)</script>", text, re.DOTALL)
+
+
+def unpacked(column: dict[str, Any]) -> Any:
+    """Read a packed column as the script does."""
+    if "one" in column:
+        return np.full(column["n"], column["one"])
+    return np.frombuffer(base64.b64decode(column["base64"]), f"<{column['kind']}")
+
+
+@pytest.fixture(scope="session")
+def text(folder: Path) -> str:
+    return (folder / "report.html").read_text("utf-8")
+
+
+@pytest.fixture(scope="session")
+def data(text: str) -> Any:
+    return json.loads(elements(text)[0][1])
+
+
+def test_one_small_script_and_a_policy_that_names_it(text: str) -> None:
+    (data, _), (attributes, run) = elements(text)
+    assert 'type="application/json"' in data and attributes == ""
+    assert run == script() and len(run.encode()) < 60_000
+    digest = base64.b64encode(hashlib.sha256(run.encode()).digest()).decode()
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert policy is not None
+    rules = dict(rule.split(" ", 1) for rule in policy.group(1).split("; "))
+    assert rules["default-src"] == "'none'" and rules["script-src"] == f"'sha256-{digest}'"
+    assert "unsafe-eval" not in policy.group(1) and "http" not in policy.group(1)
+    assert text.index("Content-Security-Policy") < text.index("<style>")
+
+
+@pytest.mark.parametrize("word", ["eval(", "Function(", "innerHTML", "outerHTML", "insertAdjacent", "document.write",
+                                  "import", "fetch", "XMLHttp", "WebSocket", "http:", "https:"])  # fmt: skip
+def test_the_script_makes_no_code_and_asks_nobody(word: str) -> None:
+    assert word not in script()
+
+
+def test_hostile_ids_are_words(folder: Path, text: str, data: Any) -> None:
+    found = structure(folder / "report.html")
+    assert found.tags.count("script") == 2 and "img" not in found.tags
+    assert "<img src=x" not in text and "document.title = 'broken'</script>" not in text
+    assert any("onerror" in name for name in data["points"]["id"])
+
+
+def test_packed_columns_are_the_tables(result: Result, data: Any) -> None:
+    table, rays = result.residuals, data["rays"]
+    image = unpacked(rays["image"]).astype(int)
+    names = [data["images"][k]["id"] for k in image]
+    ids = [data["points"]["id"][k] for k in unpacked(rays["point"]).astype(int)]
+    assert (names, ids) == (table.words["image"], table.words["id"])
+    for packed, column in (("line", "line"), ("vs", "v_sample_px"), ("wl", "w_line")):
+        np.testing.assert_allclose(unpacked(rays[packed]), table.figures[column], rtol=6e-8)
+    place = {name: k for k, name in enumerate(result.points.words["id"])}
+    rows = [place[name] for name in data["points"]["id"]]
+    degrees = np.stack([unpacked(data["points"][axis]) / data["kmPerDegree"][k] + data["centre"][k]
+                        for k, axis in enumerate("xy")])  # fmt: skip
+    np.testing.assert_allclose(degrees.T, result.points.numbers("lon_deg", "lat_deg")[rows], atol=1e-7)
+    up = unpacked(data["points"]["up"])
+    np.testing.assert_allclose(up, result.points.figures["difference_up_m"][rows][: len(up)], rtol=6e-8)
+    assert len(up) == sum(role != "tie" for role in result.points.words["role"])
+
+
+def test_constant_columns_are_one_value() -> None:
+    assert payload.pack([0.3, 0.3, 0.3]) == {"one": float(np.float32(0.3)), "n": 3}
+    for values in ([], [1.5], [1.5, 2.5], [np.nan, np.nan]):
+        np.testing.assert_array_equal(unpacked(payload.pack(values)), np.array(values, np.float32))
+
+
+def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = result.residuals
+    figures = {**table.figures, "w_line": table.figures["w_line"].copy()}
+    figures["w_line"][[3, 50, 90]] = [4.0, -3.5, 9.0]
+    planted = dataclasses.replace(result, residuals=dataclasses.replace(table, figures=figures))
+    monkeypatch.setattr(payload, "LIMIT", 20)
+    rows, words = payload.chosen_rays(planted)
+    assert {3, 50, 90} <= set(rows.tolist()) and len(rows) == 20 == len(set(rows.tolist()))
+    assert rows.tolist() == payload.chosen_rays(planted)[0].tolist()
+    assert "20 of 94 image points: all 3 with a residual beyond 3 σ" in words and "seed 1" in words
+    page = render(planted)
+    drawn = json.loads(elements(page)[0][1])
+    assert drawn["rays"]["line"]["n"] == 20 and words in page
+    roles = [drawn["roles"][k] for k in unpacked(drawn["points"]["role"]).astype(int)]
+    assert (roles.count("control"), roles.count("check")) == (37, 10)
+    monkeypatch.setattr(payload, "LIMIT", 2)
+    assert payload.chosen_rays(planted)[0].tolist() == [3, 50, 90]
+
+
+def test_histogram_and_quantiles(result: Result) -> None:
+    ratio, tested = residual_plots.normalised(result, np.arange(94))
+    assert tested
+    drawing = residual_plots.histogram(ratio, "left", tested)
+    columns = re.findall(r'class="column" d="M([\d.]+) ([\d.]+)V([\d.]+)', drawing)
+    top = [float(m) for m in re.findall(r'<path class="grid" d="M50.0 ([\d.]+)H', drawing)]
+    labels = [float(v) for v in re.findall(r'text-anchor="end">(\d+)</text>', drawing)]
+    unit = (top[0] - top[-1]) / (labels[len(top) - 1] - labels[0])
+    counts = [(float(zero) - float(y)) / unit for _, zero, y in columns]
+    assert sum(counts) == pytest.approx(np.isfinite(ratio).sum(), abs=0.1 * len(counts) / unit)
+    points = residual_plots.quantiles(ratio[:, :1] * np.array([[1.0, np.nan]]), "left", tested)
+    first = re.search(r'class="line-dot" d="M([\d.]+) ([\d.]+)a', points)
+    assert first is not None
+    frame = Panel((-5.0, 5.0), (-5.0, 5.0), "")
+    assert float(first.group(1)) + 2.2 == pytest.approx(frame.px(stats.norm.ppf(0.5 / 94)), abs=0.11)
+    assert float(first.group(2)) == pytest.approx(frame.py(float(np.nanmin(ratio[:, 0]))), abs=0.06)
+
+
+def test_what_lies_beyond_the_axis_is_counted(result: Result) -> None:
+    table = result.residuals
+    figures = {**table.figures, "w_line": table.figures["w_line"].copy()}
+    figures["w_line"][:3] = [5.5, -7.0, 40.0]
+    planted = dataclasses.replace(result, residuals=dataclasses.replace(table, figures=figures))
+    panels = residual_plots.residual_panels(planted, residual_summary(planted))
+    assert [p["words"] for p in panels] == ["3 beyond ±5 σ", ""]
+    worst = residual_plots.largest_residuals(planted)
+    assert worst is not None
+    assert [row["w_line"] for row in worst["rows"][:3]] == [40.0, -7.0, 5.5]
+    assert (worst["n"], worst["beyond"], worst["expected"]) == (188, 3, f"{188 * 2 * stats.norm.sf(3):.1f}")
+
+
+def test_without_redundancy_numbers_residuals_are_divided_by_the_given_sigmas(result: Result) -> None:
+    table = result.residuals
+    figures = {
+        name: column for name, column in table.figures.items() if not name.startswith(("w_", "redundancy", "mdb"))
+    }
+    plain = dataclasses.replace(result, residuals=dataclasses.replace(table, figures=figures))
+    ratio, tested = residual_plots.normalised(plain, np.arange(94))
+    assert not tested
+    np.testing.assert_array_equal(ratio[:, 0], figures["v_line_px"] / figures["sigma_line_px"])
+    page = render(plain)
+    assert "over the standard deviations of the observations" in page and "Largest residuals" not in page
+    assert charts.redundancy_chart(plain) == ""
+
+
+def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
+    q = np.array([[4.0, -1.9, 0.0], [-1.9, 1.0, 0.1], [0.0, 0.1, 0.0]])
+    np.testing.assert_allclose(charts.correlations(q)[:2, :2], [[1.0, -0.95], [-0.95, 1.0]])
+    assert np.isnan(charts.correlations(q)[2, 2])
+    names = short_names(result)
+    assert names["left"][:3] == ["X", "X τ", "X τ²"] and len(names["right"]) == 18
+    maps = charts.heat_maps(result, names)
+    assert [m["image"] for m in maps] == ["left", "right"]
+    strong = next(c for c in result.record["correlations"]["largest"] if c["a"] == "right.y_0")
+    written = f"roll with Y: {strong['correlation']:+.3f}".replace("-", "−")
+    assert written in maps[1]["drawing"] and 'class="cell m5"' in maps[1]["drawing"]
+    assert charts.heat_maps(dataclasses.replace(result, cofactors=None), names) == []
+
+
+def test_corrections_stand_at_their_share_of_the_prior(result: Result) -> None:
+    rows = [{"name": "roll", "degree": "constant", "value": -3.0, "sigma": 0.5, "prior": 2.0}]
+    drawing = charts.correction_chart("left", rows)
+    dot = re.search(r'class="line-dot" d="M([\d.]+) ', drawing)
+    whisker = re.search(r'class="whisker" d="M([\d.]+) [\d.]+L([\d.]+)', drawing)
+    assert dot is not None and whisker is not None
+    reach = 1.05 * 1.75
+    frame = Panel((-reach, reach), (0.0, 1.0), "", width=560.0, left=190.0)
+    assert float(dot.group(1)) + 3.2 == pytest.approx(frame.px(-1.5), abs=0.11)
+    assert [float(v) for v in whisker.groups()] == [frame.px(-1.75), frame.px(-1.25)]
+    assert charts.correction_chart("left", [{**rows[0], "prior": None}]) == ""
+    assert len(corrections(result)) == 2
+
+
+def test_iterations_are_drawn_and_rejected_steps_are_not() -> None:
+    taken = {"accepted": True, "chi2": 1e4, "chi2_after": 1e2, "step": 1e-3}
+    log = [
+        {**taken, "iteration": 1},
+        {**taken, "iteration": 2, "accepted": False},
+        {**taken, "iteration": 3, "chi2": 1e2},
+    ]
+    squares, steps = charts.iteration_charts(log)
+    assert (squares.count(" 0 1 0 6 0"), steps.count(" 0 1 0 6 0")) == (3, 2)
+    assert charts.iteration_charts([]) == []
+
+
+def test_ticks() -> None:
+    assert ticks(-5.0, 5.0, 5) == [-4.0, -2.0, 0.0, 2.0, 4.0]
+    assert ticks(0.0, 12000.0, 3) == [0.0, 5000.0, 10000.0]
+    assert ticks(1.0, 1.0) == [1.0]
+    assert powers(-8.0, 2.0) == [1e-8, 1e-6, 1e-4, 1e-2, 1.0, 1e2]
+
+
+def test_a_folder_without_arrays_has_no_heat_map(result: Result, folder: Path) -> None:
+    page = render(dataclasses.replace(result, cofactors=None))
+    assert "Correlations of the unknowns" not in page
+    assert "Correlations of the unknowns" in (folder / "report.html").read_text("utf-8")
