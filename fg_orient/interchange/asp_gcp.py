@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Problem, problem
 from fg_orient.geodesy import crs_kind, enu_from_ecef
 from fg_orient.interchange.ground import decided_crs
 from fg_orient.interchange.registry import Format, Holds, Settings, register
@@ -74,7 +74,7 @@ def _ecef(survey: Survey, k: int, axes: str) -> Array:
     return np.asarray(np.sqrt(enu_from_ecef(*survey.coordinates[k, :2])[0].T ** 2 @ given**2))
 
 
-def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Problem, ...]:
     """Write the points with coordinates; those of the CRS of the file have to be geographic."""
     path, o = paths[0], survey.observed
     if crs_kind(survey.crs) != "geographic":
@@ -92,6 +92,9 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
         ground = [survey.ids[k], *map(digits, (lat, lon, height, *_ecef(survey, k, settings.sigma_axes)))]
         lines.append(" ".join([*ground, *marks.get(k, [])]))
     write_text(path, "\n".join([*lines, ""]))
+    given = survey.sigma_enu_m[survey.located]
+    turned = 0 if settings.sigma_axes == "enu" else int((np.ptp(given, axis=1) > 0.0).sum())
+    return (problem("lost.sigma_axes", file=path, value=f"{turned} point(s)"),) if turned else ()
 
 
 FORMAT = register(
@@ -104,8 +107,8 @@ FORMAT = register(
         pixel_axes="column, row (pixels)",
         ground_axes="latitude, longitude (degrees), height (m)",
         holds=frozenset(
-            {Holds.GROUND, Holds.IMAGE, Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_UP, Holds.SIGMA_EAST_NORTH,
-             Holds.SIGMA_IMAGE}
+            {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.HEIGHTS, Holds.SIGMA_GROUND,
+             Holds.SIGMA_UP, Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE}
         ),
         needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
         read=read,

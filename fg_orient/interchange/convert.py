@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import ImagePoints
+from fg_orient.crs import WGS84
 from fg_orient.errors import InputError, Problem, problem
 from fg_orient.interchange.ground import check_ground, transformed
 from fg_orient.interchange.losses import losses
@@ -145,15 +146,23 @@ def write_survey(
     for path in wanted:
         if path.exists() and not overwrite:
             raise InputError.of("output.exists", file=path, place="--out")
-    crs = settings.crs or format_.crs
-    if crs and survey.crs != crs:
-        if not survey.crs:
-            raise InputError.of("interchange.no_crs", file=paths[0], place="CRS")
-        survey = transformed(survey, crs, str(paths[0]))
+    survey = _placed(survey, format_, settings.crs, str(paths[0]))
     _require(survey, format_, str(paths[0]))
     lost = losses(survey, format_, str(paths[0]))
-    format_.write(survey, targets, settings)
-    return tuple(path for path in wanted if path.exists()), lost
+    lost = (*lost, *(format_.write(survey, targets, settings) or ()))
+    return tuple(wanted), lost
+
+
+def _placed(survey: Survey, format_: Format, wanted: str, file: str) -> Survey:
+    """Survey in the CRS of the output; without coordinates any CRS will do."""
+    crs = wanted or format_.crs
+    if Holds.GROUND not in format_.holds or (survey.crs and survey.crs == (crs or survey.crs)):
+        return survey
+    if not survey.located.any():
+        return replace(survey, crs=crs or survey.crs or WGS84)
+    if not survey.crs:
+        raise InputError.of("interchange.no_crs", file=file, place="CRS")
+    return transformed(survey, crs, file)
 
 
 def _require_few(paths: Sequence[Path], format_: Format) -> None:

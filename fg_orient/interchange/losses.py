@@ -27,12 +27,33 @@ def losses(survey: Survey, format_: Format, file: str) -> tuple[Problem, ...]:
     """
     found = []
     for what, (code, count) in _COUNTED.items():
-        n = 0 if what in format_.holds else count(survey)
+        implied = _IMPLIED.get(what)
+        if what is Holds.IDS and Holds.NUMBERS in format_.holds:
+            count = _no_numbers
+        n = 0 if what in format_.holds or (implied and implied not in format_.holds) else count(survey)
         if n:
             found.append(problem(code, file=file, value=f"{n} points" if n > 1 else "1 point", format=format_.name))
-    if Holds.CRS not in format_.holds and not format_.crs and survey.crs:
+    if Holds.CRS not in format_.holds and Holds.GROUND in format_.holds and survey.crs:
         found.append(problem("lost.crs", file=file, value=survey.crs, format=format_.name))
+    elif Holds.HEIGHTS in format_.holds and Holds.VERTICAL_CRS not in format_.holds and "+" in survey.crs:
+        found.append(problem("lost.vertical_crs", file=file, value=survey.crs, format=format_.name))
     return tuple(found)
+
+
+def _measured(survey: Survey) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    return np.asarray(np.bincount(survey.observed.point, minlength=len(survey.ids)) > 0)
+
+
+def _numbered(survey: Survey) -> bool:
+    """Tell whether numbering the image points in their order gives the ids that the points have."""
+    _, first = np.unique(survey.observed.point, return_index=True)
+    order = survey.observed.point[np.sort(first)]
+    return [survey.ids[k] for k in order] == [str(k + 1) for k in range(len(survey.ids))]
+
+
+def _no_numbers(survey: Survey) -> int:
+    """Count the ids, unless all are whole numbers as they are printed."""
+    return 0 if all(name.isdecimal() and name == str(int(name)) for name in survey.ids) else len(survey.ids)
 
 
 def _weighted(survey: Survey) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -44,10 +65,19 @@ def _unequal(survey: Survey, first: int, second: int) -> int:
     return int((rows[:, first] != rows[:, second]).sum())
 
 
+#: Losses that are none of their own if something greater is lost.
+_IMPLIED: Final = {
+    Holds.BARE_TIES: Holds.TIES, Holds.UNMEASURED: Holds.GROUND, Holds.ROLES: Holds.GROUND,
+    Holds.HEIGHTS: Holds.GROUND, Holds.SIGMA_GROUND: Holds.GROUND, Holds.FIXED: Holds.GROUND,
+    Holds.SIGMA_EAST_NORTH: Holds.SIGMA_GROUND, Holds.SIGMA_UP: Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE: Holds.IMAGE,
+}  # fmt: skip
 #: Message and count of each kind of information.
 _COUNTED: Final[dict[Holds, tuple[str, Callable[[Survey], int]]]] = {
     Holds.GROUND: ("lost.ground", lambda s: int(s.located.sum())),
     Holds.IMAGE: ("lost.image", lambda s: len(s.observed)),
+    Holds.IDS: ("lost.ids", lambda s: 0 if _numbered(s) else len(s.ids)),
+    Holds.UNMEASURED: ("lost.unmeasured", lambda s: int((s.located & ~_measured(s)).sum())),
+    Holds.BARE_TIES: ("lost.bare_ties", lambda s: int((~s.located & ~_measured(s)).sum())),
     Holds.TIES: ("lost.ties", lambda s: int((~s.located).sum())),
     Holds.ROLES: ("lost.roles", lambda s: int((s.of_role(Role.CHECK) & s.located).sum())),
     Holds.HEIGHTS: ("lost.heights", lambda s: int((s.located & np.isfinite(s.coordinates[:, 2])).sum())),

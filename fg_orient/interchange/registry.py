@@ -6,7 +6,7 @@ the rest needs: ``fg-orient convert``, the project file and the tables of the do
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib import import_module
@@ -14,22 +14,30 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Problem
 from fg_orient.interchange.survey import Survey
 from fg_orient.io.tables import did_you_mean
 
-#: Modules of this package that hold formats, in the order of the documentation.
+#: Modules of this package that hold formats.
 _MODULES: Final = (
-    "own_csv",
     "asp_gcp",
     "asp_match",
+    "bal",
+    "bundler",
     "colmap_database",
     "colmap_text",
-    "bundler",
-    "bal",
-    "micmac_csv",
-    "photomodeler",
     "dbat",
+    "geojson",
+    "geopackage",
+    "metashape_csv",
+    "metashape_xml",
+    "micmac",
+    "micmac_csv",
+    "odm",
+    "own_csv",
+    "photomodeler",
+    "pix4d",
+    "qgis_points",
 )
 
 
@@ -38,7 +46,12 @@ class Holds(StrEnum):
 
     GROUND = "ground points"
     IMAGE = "image points"
+    IDS = "ids of points"
+    NUMBERS = "ids that are whole numbers"
+    IMAGES = "several images"
+    UNMEASURED = "ground points that no image shows"
     TIES = "points without coordinates"
+    BARE_TIES = "points with neither coordinates nor image points"
     ROLES = "roles"
     HEIGHTS = "heights"
     SIGMA_GROUND = "standard deviations of ground points"
@@ -47,6 +60,7 @@ class Holds(StrEnum):
     SIGMA_IMAGE = "standard deviations of image points"
     FIXED = "points without uncertainty"
     CRS = "the CRS"
+    VERTICAL_CRS = "the vertical CRS"
 
 
 @dataclass(frozen=True)
@@ -72,7 +86,8 @@ class Settings:
 
 
 Reader = Callable[[tuple[Path, ...], Settings], Survey]
-Writer = Callable[[Survey, tuple[Path, ...], Settings], None]
+#: A writer may give further losses, of which only it knows.
+Writer = Callable[[Survey, tuple[Path, ...], Settings], "Sequence[Problem] | None"]
 
 
 @dataclass(frozen=True)
@@ -148,10 +163,10 @@ def register(format_: Format) -> Format:
 
 
 def formats() -> dict[str, Format]:
-    """All formats by name."""
+    """All formats by name, in alphabetical order."""
     for module in _MODULES:
         import_module(f"fg_orient.interchange.{module}")
-    return dict(_REGISTRY)
+    return dict(sorted(_REGISTRY.items()))
 
 
 def format_named(name: str, *, place: str = "format") -> Format:
@@ -169,7 +184,7 @@ def format_named(name: str, *, place: str = "format") -> Format:
 
 
 def format_of(path: Path, *, place: str) -> Format:
-    """Find the only format whose files end like this one.
+    """Find the only format whose files end like this one; the longer end wins.
 
     Raises
     ------
@@ -177,7 +192,8 @@ def format_of(path: Path, *, place: str) -> Format:
         None or several do.
     """
     name = path.name.lower()
-    found = [f for f in formats().values() if any(name.endswith(suffix) for suffix in f.suffixes)]
+    fit = {f: max((len(s) for s in f.suffixes if name.endswith(s)), default=0) for f in formats().values()}
+    found = [f for f, length in fit.items() if length and length == max(fit.values())]
     if len(found) != 1:
         names = ", ".join(f.name for f in (found or formats().values()))
         raise InputError.of("interchange.which", file=path, place=place, value=path.suffix or path.name, known=names)

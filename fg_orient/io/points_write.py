@@ -183,10 +183,10 @@ def _comments(comments: Sequence[str]) -> list[str]:
 
 
 def _text(name: str) -> str:
-    """Cell of an id; quoted where a reader would take it for something else."""
+    """Cell of an id; quoted where a reader, or a spreadsheet, would take it for something else."""
     if not name or name != name.strip() or any(mark in name for mark in "\n\r\0"):
         raise ValueError(f"the id {name!r} cannot be written: it is empty, or has outer blanks or line breaks")
-    return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ',"#') else name
+    return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ',"#') or name[0] in "=@" else name
 
 
 def _numbers(values: Iterable[float]) -> list[str]:

@@ -35,6 +35,29 @@ INTERCHANGE: Final = {
         "the format holds latitude and longitude: the CRS has to be geographic",
         "give for instance EPSG:4979 (WGS84)",
     ),
+    "interchange.which_image": (
+        "the format holds the points of one image, the survey has {count}",
+        "say which one: --image NAME",
+    ),
+    "interchange.columns": (
+        "the header lacks the column {column}",
+        "name the columns as docs/formats shows, or give the right format",
+    ),
+    "interchange.rows_positive": (
+        "rows are counted downwards, as negative numbers, in this format",
+        "export the points again from QGIS: sourceY of a pixel is minus its row",
+    ),
+    "interchange.two_places": ("the same name has other coordinates on line {first}", "give every point its own name"),
+    "interchange.json": ("the file is no JSON", "export it again"),
+    "interchange.geojson": ("not a GeoJSON FeatureCollection of points: {what}", "export a layer of points"),
+    "interchange.layer": ("the file has no layer {layer} of points", "name the layer {layer}, or export it again"),
+    "interchange.no_pyogrio": (
+        "GeoPackage needs pyogrio and shapely",
+        "install the extra: pip install 'fg-orient[geo]'",
+    ),
+    "interchange.gpkg": ("the file cannot be read as a GeoPackage", "export it again"),
+    "interchange.xml_name": ("XML cannot hold this name: it has control characters", "rename it"),
+    "interchange.unknown_camera": ("no camera or marker has this id", "export the markers again"),
     "interchange.swapped_range": (
         "longitude and latitude look swapped: this is no latitude",
         "check which one the format puts first (docs/formats)",
@@ -56,6 +79,21 @@ INTERCHANGE: Final = {
     "interchange.image_size": ("not the size of an image", "write NAME=LINES,SAMPLES, for instance left=12000,6000"),
     "lost.ground": ("{format} holds image points only: coordinates are lost", "keep a file that holds them"),
     "lost.image": ("{format} holds no image points: they are lost", "keep a file that holds them"),
+    "lost.ids": ("{format} has no ids of points: they are numbered in their order", "keep a file that holds them"),
+    "lost.images": ("{format} holds one image: image points of the others are lost", "write one file for each image"),
+    "lost.unmeasured": ("{format} holds no ground points without image points: they are lost", "keep a file with them"),
+    "lost.bare_ties": (
+        "{format} holds no tie points that no image shows: they are lost",
+        "measure them, if they should count",
+    ),
+    "lost.vertical_crs": (
+        "{format} does not say what heights refer to: the vertical CRS is lost",
+        "tell it to the program that reads the file, or transform with --to-crs",
+    ),
+    "lost.sigma_axes": (
+        "standard deviations are turned to geocentric axes: their correlations are lost",
+        "write --sigma-axes enu, and give bundle_adjust the option for sigmas of longitude, latitude, height",
+    ),
     "lost.ties": ("{format} holds no points without coordinates: tie points are lost", "keep a file that holds them"),
     "lost.roles": (
         "{format} has no roles: check points become control",

@@ -27,6 +27,8 @@ def random_survey(rng: np.random.Generator, format_: Format, crs: str = "EPSG:32
     holds, n = format_.holds, int(rng.integers(3, 8))
     ids = tuple(rng.permutation(PLAIN if plain else NAMES)[:n].tolist())
     roles = [Role.CONTROL] * n
+    if Holds.IDS not in holds:
+        ids = tuple(map(str, range(1, n + 1)))
     if Holds.ROLES in holds:
         roles[1] = Role.CHECK
     if Holds.TIES in holds:
@@ -62,6 +64,10 @@ def _measured(
 ) -> tuple[tuple[str, ...], ImagePoints]:
     if Holds.IMAGE not in holds:
         return (), no_image_points()
+    if Holds.IMAGES not in holds:
+        return ("left.tif",), ImagePoints(
+            np.zeros(n, int), np.arange(n), *rng.uniform(-0.5, 11999.5, (2, n)), *np.full((2, n), np.nan)
+        )
     images = ("left.tif", "right.tif") if plain else ("left image.tif", "sağ,2.tif")
     image, point = np.repeat([0, 1], n), np.tile(np.arange(n), 2)
     line, sample = rng.uniform(-0.5, 11999.5, (2, 2 * n))
