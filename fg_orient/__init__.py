@@ -23,13 +23,14 @@ if not getattr(factors, "FG_ORIENT_FACTORS", False):
     )
 
 if TYPE_CHECKING:
+    from fg_orient.adjustment.models.contract import register_model
     from fg_orient.adjustment.regression import fit_curve
     from fg_orient.block import Block, ExtraObservation, GroundPoints, Image, ImagePoints, Options
     from fg_orient.comparison.compare import compare
     from fg_orient.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
     from fg_orient.initial import intersect
     from fg_orient.io.project import read_project
-    from fg_orient.io.sensor import read_sensor
+    from fg_orient.io.sensor import read_sensor, register_reader
     from fg_orient.linear.registry import register_solver
     from fg_orient.linear.system import LinearSystem
     from fg_orient.names import Role, Status
@@ -60,6 +61,8 @@ _HOME: Final[dict[str, str]] = {
     "intersect": "fg_orient.initial",
     "read_project": "fg_orient.io.project",
     "read_sensor": "fg_orient.io.sensor",
+    "register_model": "fg_orient.adjustment.models.contract",
+    "register_reader": "fg_orient.io.sensor",
     "register_solver": "fg_orient.linear.registry",
 }
 
@@ -85,6 +88,8 @@ __all__ = [
     "intersect",
     "read_project",
     "read_sensor",
+    "register_model",
+    "register_reader",
     "register_solver",
 ]
 

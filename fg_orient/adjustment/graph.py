@@ -99,6 +99,8 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss:
     makers: dict[int, Callable[[int, int, int], gtsam.CustomFactor]] = {}
     for images in groups(models):
         equation, parameters = models[images[0]].equation, models[images[0]].parameters
+        if equation.fill is None:  # a user's equation: one factor of the general kind for each row
+            continue
         make = image_point_factors(
             equation, len(parameters), records, parameters.setup, lambda n: problem.label(rows[n]), loss=loss
         )
@@ -110,7 +112,7 @@ def _add_image_points(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss:
         if j != last:
             key, last = point_key(j), j
         own = image_keys[i]
-        if problem.active[j] and isinstance(own, int):
+        if problem.active[j] and isinstance(own, int) and i in makers:
             graph.add(makers[i](own, key, n))
         elif problem.active[j] or not isinstance(own, np.ndarray):
             point = key if problem.active[j] else np.ascontiguousarray(problem.start.ground[j])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+from pathlib import Path
 from types import FrameType
 from typing import Annotated, NoReturn
 
@@ -27,7 +28,7 @@ from fg_orient.cli import (
     simulate,
     viewing,
 )
-from fg_orient.cli.common import INTERRUPTED, emit_errors, note
+from fg_orient.cli.common import INTERRUPTED, emit_errors, note, outcome
 from fg_orient.errors import InputError
 
 app = typer.Typer(
@@ -68,10 +69,25 @@ def root(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
     ] = False,
+    plugin: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--plugin",
+            metavar="FILE.py",
+            envvar="FG_ORIENT_PLUGIN",
+            help="Load your own sensor, equation, solver or loss.",
+        ),
+    ] = None,
 ) -> None:
     """Orient optical satellite images by bundle adjustment on a factor graph."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
+    if plugin:
+        from fg_orient.plugins import load_plugin
+
+        with outcome(as_json="--json" in sys.argv):
+            for path in plugin:
+                load_plugin(path)
 
 
 def main() -> NoReturn:

@@ -2,22 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
     from fg_orient.sensors.frame import FrameSensor
     from fg_orient.sensors.pushbroom import PushbroomSensor
-    from fg_orient.sensors.rpc_sensor import RpcSensor
 
 MODELS: Final = ("auto", "rigorous", "rpc")
 
 
-def read_sensor(
-    path: str | Path, *, model: str = "auto", extrapolate_attitude_s: float = 0.0
-) -> PushbroomSensor | RpcSensor | FrameSensor:
+@dataclass(frozen=True)
+class Reader:
+    """Reader of a user's own files: ``claims(path)`` tells whether it is one, ``read(path)`` gives its sensor."""
+
+    name: str
+    claims: Callable[[Path], bool]
+    read: Callable[[Path], Any]
+
+
+_READERS: dict[str, Reader] = {}
+
+
+def register_reader(name: str, claims: Callable[[Path], bool], read: Callable[[Path], Any]) -> None:
+    """Add a reader of metadata files; it is asked before those of fg_orient. See docs/extending/sensor.md.
+
+    Parameters
+    ----------
+    name : str
+        Of the format, unique.
+    claims : callable
+        Tells, by name or first bytes, whether a path is a file of this format. It must not raise.
+    read : callable
+        Gives its sensor; faults of the file are ``InputError``.
+
+    Raises
+    ------
+    ValueError
+        Another reader has this name.
+    """
+    present = _READERS.get(name)
+    if present is not None and present.read.__qualname__ != read.__qualname__:
+        raise ValueError(f"a reader named {name!r} is registered already")
+    _READERS[name] = Reader(name, claims, read)
+
+
+def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s: float = 0.0) -> Any:
     """Read a metadata file of any supported format and bind it to its sensor model.
 
     Parameters
@@ -35,7 +69,7 @@ def read_sensor(
 
     Returns
     -------
-    PushbroomSensor, RpcSensor or FrameSensor
+    PushbroomSensor, RpcSensor, FrameSensor, or what a reader of your own gives (:func:`register_reader`)
         Pixels (line, sample) with (0, 0) = centre of the first pixel, ECEF metres.
 
     Raises
@@ -45,6 +79,9 @@ def read_sensor(
     """
     if model not in MODELS:
         raise InputError.of("sensor.model", file=path, place="model", value=model, known=", ".join(MODELS))
+    own = next((reader for reader in _READERS.values() if reader.claims(Path(path))), None)
+    if own is not None:
+        return own.read(Path(path))
     if Path(path).suffix.lower() == ".toml":
         return _described(Path(path))
     from fg_orient.io.rpc import read_rpc, rpc_format

@@ -50,7 +50,7 @@ ADJUST: Final = {
     "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
     "adjust.no_model": (
         "images of this sensor cannot be adjusted",
-        "known sensors: {known}; a further one is a model in fg_orient.adjustment.models",
+        "known sensors: {known}; a further one is registered by a file of its own (docs/extending)",
     ),
     "adjust.relative_priors": (
         "without control points and without priors nothing holds the block in the world",
@@ -204,6 +204,9 @@ OUTPUT: Final = {
 }
 
 CLI: Final = {
+    "plugin.file": ("there is no such Python file", "give a file such as my_sensor.py, its name being a module's name"),
+    "plugin.name": ("another module has this name already", "rename the file"),
+    "plugin.failed": ("the plugin cannot be loaded", "mend the file; from Python, import it to see more"),
     "cli.no_pixel": ("no pixel is given", "give --line L --sample S, or --points FILE, or --frame"),
     "cli.no_height": (
         "no height to locate at",

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.models.contract import own_model
 from fg_orient.errors import InputError
+from fg_orient.options import Options
 from fg_orient.parameters import CURVE, CURVES, N_EOP, parameter_name
 from fg_orient.raster.models import Sensor
 from fg_orient.sensors.correction import Correction
@@ -98,6 +100,11 @@ def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, ima
 
 def _correction(values: dict[str, float], sensor: Sensor, small_angle: bool, n_curves: int) -> Correction | Array:
     """What ``sensor.project`` takes; KeyError for names of another kind of sensor."""
+    own = own_model(sensor, Options())
+    if own is not None:
+        x = np.zeros(len(own.parameters))
+        _place(x, values, {name: k for k, name in enumerate(own.parameters.names)})
+        return np.asarray(own.correction(x / own.parameters.sigma))
     if isinstance(sensor, FrameSensor):
         unknowns = np.zeros(len(UNKNOWNS))
         _place(unknowns, values, {name: k for k, name in enumerate(UNKNOWNS)})

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-import sys
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,63 +14,6 @@ BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 def blocks(path: Path, language: str) -> list[str]:
     """Fenced code of a language in a Markdown file."""
     return [code for name, code in BLOCK.findall(path.read_text("utf-8")) if name == language]
-
-
-def test_own_equation_solver_and_rule_of_the_extending_page_work(
-    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Runs the page top to bottom as one module, checks its Jacobian by complex step, its solvers against LAPACK."""
-    import numpy as np
-
-    from factors import _contract, losses
-    from fg_orient.linear import kappa, registry
-
-    registry.solvers(), kappa.kappa_rules(), losses.losses()  # all loaded before the copies
-    for module in (_contract, registry, kappa, losses):
-        monkeypatch.setattr(module, "_REGISTRY", dict(module._REGISTRY))
-    path = tmp_path / "extending_page.py"
-    path.write_text("\n".join(blocks(repository / "docs" / "extending.md", "python")), "utf-8")
-    spec = importlib.util.spec_from_file_location("extending_page", path)
-    assert spec is not None and spec.loader is not None
-    page = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "extending_page", page)
-    spec.loader.exec_module(page)
-    equation = _contract.registered()["docs_distance"]
-    state = equation.example(np.random.default_rng(3))
-    ground, step = state.unknowns[0], 1e-30
-    value, jacobian = equation.kernel(state.record, state.setup, ground, True)
-    numeric = [
-        equation.residual(state.record, state.setup, ground + step * 1j * np.eye(3)[k])[0].imag / step for k in range(3)
-    ]
-    # the complex step has no truncation error at 1e-30: a few roundings of the row's largest element remain
-    assert np.abs(jacobian[0] - numeric).max() <= 1e-14 * np.abs(jacobian).max()
-    assert equation.kernel(state.record, state.setup, ground, False)[0] == value
-    _check_linear(np.random.default_rng(4))
-    u = np.linspace(0.0, 6.0, 6001)
-    own = losses.losses()["docs_fair"]
-    assert np.abs(np.gradient(own.cost(u), u, edge_order=2) - u * own.weight(u)).max() <= 1e-6  # step 1e-3, squared
-
-
-def _check_linear(rng: Any) -> None:
-    """The page's solver equals least squares; its rule is Mallows' prediction error, from matrices formed here."""
-    import numpy as np
-
-    from fg_orient.linear.kappa import Given, choose_kappa
-    from fg_orient.linear.registry import solve
-    from fg_orient.linear.system import LinearSystem
-
-    design, observed = rng.normal(size=(12, 4)), rng.normal(size=12)
-    system = LinearSystem.from_design(design, observed)
-    assert np.abs(solve("docs_cgls", system).x - np.linalg.lstsq(design, observed, rcond=None)[0]).max() <= 1e-12
-    choice = choose_kappa("docs_mallows", system, Given(sigma_observed=0.5))
-
-    def risk(parameter: float) -> float:
-        hat = design @ np.linalg.solve(design.T @ design + parameter * np.eye(4), design.T)
-        return float(np.sum((observed - hat @ observed) ** 2) + 2.0 * 0.25 * np.trace(hat))
-
-    assert choice.grid is not None
-    assert risk(choice.kappa) <= min(risk(parameter) for parameter in choice.grid) + 1e-12
-    assert solve("docs_tikhonov", system).kappa == choose_kappa("docs_mallows", system, Given(sigma_observed=1.0)).kappa
 
 
 def test_eop_table_of_the_concepts_page_is_that_of_the_code(repository: Path) -> None:
@@ -122,9 +62,9 @@ def test_project_file_of_the_readme_is_valid(repository: Path) -> None:
 
 
 def test_links_between_pages_exist(repository: Path) -> None:
-    pages = [*repository.glob("*.md"), *(repository / "docs").glob("*.md")]
+    pages = [*repository.glob("*.md"), *(repository / "docs").rglob("*.md")]
     missing = [
-        f"{page.name}: {target}"
+        f"{page.relative_to(repository)}: {target}"
         for page in pages
         for target in re.findall(r"\]\(([^)#:]+?)(?:#[^)]*)?\)", page.read_text("utf-8"))
         if not (page.parent / target).exists()

@@ -2,7 +2,8 @@
 
 An image model binds a sensor to one registered observation equation with the arguments (image unknowns,
 ground point). A further sensor is one file with a class of this contract and one row in :data:`MODELS`:
-backends, observability, covariance, tables and report know nothing else of it.
+backends, observability, covariance, tables and report know nothing else of it. A user's own sensor comes to
+:func:`register_model`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from fg_orient.errors import InputError
 from fg_orient.parameters import ImageParameters
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from factors._contract import Equation
     from fg_orient.block import Image, ImagePoints, Options
@@ -31,6 +32,38 @@ MODELS: Final[dict[str, tuple[str, str]]] = {
     "RpcSensor": ("fg_orient.adjustment.models.rpc", "RpcImageModel"),
     "FrameSensor": ("fg_orient.adjustment.models.frame", "FrameImageModel"),
 }
+
+
+#: Models of users' own sensors, by the name of the sensor's class.
+_OWN: dict[str, Callable[[Any, Options], ImageModel]] = {}
+
+
+def register_model(sensor: type, model: Callable[[Any, Options], ImageModel]) -> None:
+    """Add the image model of a sensor of your own; see docs/extending/sensor.md.
+
+    Parameters
+    ----------
+    sensor : type
+        Class of the sensor; its name is not that of another one.
+    model : callable
+        ``model(sensor, options)`` gives an :class:`ImageModel`; a class of that contract.
+
+    Raises
+    ------
+    ValueError
+        Another sensor has this name.
+    """
+    name, present = sensor.__name__, _OWN.get(sensor.__name__)
+    taken = present is not None and getattr(present, "__qualname__", "") != getattr(model, "__qualname__", "")
+    if name in MODELS or taken:
+        raise ValueError(f"a sensor named {name!r} has a model already")
+    _OWN[name] = model
+
+
+def own_model(sensor: Any, options: Options) -> ImageModel | None:
+    """Model of an image of a user's own sensor; None for the sensors of fg_orient."""
+    make = _OWN.get(type(sensor).__name__)
+    return None if make is None else make(sensor, options)
 
 
 class ImageModel(Protocol):
@@ -80,8 +113,13 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
     found: list[ImageModel] = []
     for image in images:
         kind = type(image.sensor).__name__
+        own = own_model(image.sensor, options)
+        if own is not None:
+            found.append(own)
+            continue
         if kind not in MODELS:
-            raise InputError.of("adjust.no_model", place=f"image {image.id}", value=kind, known=", ".join(MODELS))
+            known = ", ".join((*MODELS, *_OWN))
+            raise InputError.of("adjust.no_model", place=f"image {image.id}", value=kind, known=known)
         module, name = MODELS[kind]
         found.append(getattr(import_module(module), name)(image.sensor, options))
     if any(not model.parameters.own.all() for model in found):

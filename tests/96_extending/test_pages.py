@@ -1,0 +1,266 @@
+"""The pages on extending: the code of each is one file outside the package, loaded and used as a reader would."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from factors import _contract, losses
+from fg_orient.adjustment.models import contract
+from fg_orient.block import Block
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.io import sensor as sensor_reader
+from fg_orient.io.points_write import write_observations, write_points, write_project
+from fg_orient.linear import kappa, registry
+from fg_orient.linear.kappa import Given, choose_kappa
+from fg_orient.linear.registry import solve
+from fg_orient.linear.system import LinearSystem
+from fg_orient.options import Options
+from fg_orient.plugins import load_plugin
+from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
+from tests.support.command import in_process
+
+PAGES = ("sensor", "equation", "solver", "kappa-rule", "loss")
+
+
+@pytest.fixture(scope="module")
+def registries() -> Iterator[pytest.MonkeyPatch]:
+    """Copies of all registries, of the modules and their path: what a page adds goes with them."""
+    registry.solvers(), kappa.kappa_rules(), losses.losses()  # all loaded before the copies
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (_contract, registry, kappa, losses):
+            patch.setattr(module, "_REGISTRY", dict(module._REGISTRY))
+        patch.setattr(contract, "_OWN", {})
+        patch.setattr(sensor_reader, "_READERS", {})
+        patch.setattr(sys, "path", list(sys.path))
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def files(
+    repository: Path, tmp_path_factory: pytest.TempPathFactory, registries: pytest.MonkeyPatch
+) -> dict[str, Path]:
+    """The only Python block of each page as a file."""
+    folder, out = tmp_path_factory.mktemp("own"), {}
+    for page in PAGES:
+        text = (repository / "docs" / "extending" / f"{page}.md").read_text("utf-8")
+        (code,) = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+        out[page] = folder / f"docs_{page.replace('-', '_')}.py"
+        out[page].write_text(code, "utf-8")
+        registries.delitem(sys.modules, out[page].stem, raising=False)
+    return out
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulate_zonguldak(tmp_path_factory.mktemp("twin") / "zonguldak", ZonguldakOptions(seed=3))
+
+
+@pytest.fixture(scope="module")
+def block(twin: Path) -> Block:
+    return fg.read_project(twin)
+
+
+def check_jacobians(equation: _contract.Equation) -> None:
+    """Complex step has no truncation error: a few roundings of the largest element remain."""
+    rng, step = np.random.default_rng(3), 1e-30
+    for _ in range(5):
+        e = equation.example(rng)
+        value, *jacobians = equation.kernel(e.record, e.setup, *e.unknowns, True)
+        for k, jacobian in enumerate(jacobians):
+            for c in range(jacobian.shape[1]):
+                z = [u.astype(complex) for u in e.unknowns]
+                z[k][c] += 1j * step
+                numeric = equation.residual(e.record, e.setup, *z).imag / step
+                assert np.abs(jacobian[:, c] - numeric).max() <= 1e-14 * np.abs(jacobian).max()
+        assert np.array_equal(equation.kernel(e.record, e.setup, *e.unknowns, False)[0], value)
+
+
+# --- a sensor ------------------------------------------------------------------------------------
+
+LON, LAT = 31.8, 41.4
+SHIFTS = {"left": (12.0, -7.0), "right": (-9.0, 15.0)}
+#: Pixels per metre by East, North, Up of two images that look from the West and from the East.
+MATRICES = {"left": [[0.0, -0.5, 0.0], [0.5, 0.0, -0.25]], "right": [[0.02, -0.5, 0.0], [0.5, 0.02, 0.3]]}
+
+
+@pytest.fixture(scope="module")
+def parallel(files: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Project of two images of the page's sensor, their shifts unknown; noise of 0.2 px."""
+    folder, rng = tmp_path_factory.mktemp("parallel"), np.random.default_rng(8)
+    for name, matrix in MATRICES.items():
+        given = {"lines": 2000, "samples": 2400, "place": [LON, LAT, 100.0], "matrix": matrix}
+        (folder / f"{name}.parallel").write_text(json.dumps(given))
+    enu = np.column_stack([rng.uniform(-1500.0, 1500.0, (20, 2)), rng.uniform(-80.0, 300.0, 20)])
+    axes = enu_from_ecef(LON, LAT)[0]
+    ground = geodetic_to_ecef(LON, LAT, 100.0)[0] + enu @ axes
+    roles, ids = [fg.Role.CONTROL] * 6 + [fg.Role.CHECK] * 14, [f"P{j}" for j in range(20)]
+    write_points(folder / "points.csv", ids, roles, np.stack(ecef_to_geodetic(ground), axis=1), np.full((20, 3), 0.05))
+    pixels = [enu @ np.array(MATRICES[name]).T + [999.5, 1199.5] + shift + rng.normal(0.0, 0.2, (20, 2))
+              for name, shift in SHIFTS.items()]  # fmt: skip
+    write_observations(folder / "observations.csv", [name for name in SHIFTS for _ in ids], ids * 2,
+                       np.concatenate(pixels), np.full((40, 2), 0.2))  # fmt: skip
+    write_project(folder / "project.toml", name="parallel", options=Options(),
+                  images=[(name, f"{name}.parallel") for name in SHIFTS])  # fmt: skip
+    return folder
+
+
+def test_sensor_in_a_project_file(parallel: Path, files: dict[str, Path]) -> None:
+    """Adjusted by the command line: the planted shifts are found, and locate takes them from the result."""
+    own = ("--plugin", files["sensor"])
+    ended = in_process(*own, "adjust", parallel / "project.toml", "--out", parallel / "result", "--json")
+    assert ended.code == 0, ended.stderr
+    assert ended.json["backend"] == "graph"
+    assert ended.json["sigma0_interval_99_9"][0] < ended.json["sigma0"] < ended.json["sigma0_interval_99_9"][1]
+    solution = fg.adjust(fg.read_project(parallel / "project.toml"), backend="dense")
+    for name, shift in SHIFTS.items():
+        sigma = np.sqrt(np.diag(solution.covariance(f"image:{name}").values))
+        assert np.abs(solution.correction(name) - shift).max() < 4.0 * sigma.max() < 1.0
+        pixel = ("--line", 400, "--sample", 1700, "--height", 250)
+        words = (*own, "locate", parallel / f"{name}.parallel", *pixel, "--result", parallel / "result", "--json")
+        place = in_process(*words).json["points"][0]
+        true = place_of(name, (400.0, 1700.0), 250.0)
+        assert np.linalg.norm([place["x_m"], place["y_m"], place["z_m"]] - true) < 3.0
+    outside = in_process(*own, "project", parallel / "left.parallel", "--lon", LON, "--lat", LAT, "--height", 100)
+    assert "999.500" in outside.stdout
+    check_jacobians(_contract.registered()["docs_parallel"])
+
+
+def place_of(name: str, pixel: tuple[float, float], height_m: float) -> np.ndarray:
+    """Ground point by Newton on East, North, Up, its height being that above the ellipsoid."""
+    enu, axes = np.zeros(3), enu_from_ecef(LON, LAT)[0]
+    centre, matrix = geodetic_to_ecef(LON, LAT, 100.0)[0], np.array(MATRICES[name])
+    for _ in range(10):
+        height = ecef_to_geodetic((centre + enu @ axes)[None])[2][0]
+        miss = np.array([*(pixel - np.array([999.5, 1199.5]) - SHIFTS[name] - matrix @ enu), height_m - height])
+        enu = enu + np.linalg.solve(np.vstack([matrix, [0.0, 0.0, 1.0]]), miss)
+    return np.asarray(centre + enu @ axes)
+
+
+# --- an equation -----------------------------------------------------------------------------------
+
+
+def test_equation_in_a_block(files: dict[str, Path], block: Block) -> None:
+    """A distance to a check point, 5 m longer than it was, pulls the point along it."""
+    page = load_plugin(files["equation"])
+    check_jacobians(page.DISTANCE)
+    before = fg.adjust(block, backend="graph")
+    j = int(block.points.where(fg.Role.CHECK)[0])
+    up = before.problem.axes(before.ground_m[j][None])[0, 2]
+    station = before.ground_m[j] + 2000.0 * up
+    record = np.array([*(station - before.problem.origin_m), 2005.0, 0.01])
+    name = block.points.ids[j]
+    tape = fg.ExtraObservation(page.DISTANCE, (f"point:{name}",), record, np.zeros((2, 0)), 1, f"distance to {name}")
+    after = fg.adjust(replace(block, extra=(tape,)), backend="dense")
+    assert after.redundancy == before.redundancy + 1
+    assert np.linalg.norm(after.ground_m[j] - station) == pytest.approx(2005.0, abs=0.05)
+    with pytest.raises(fg.InputError, match="own observations"):
+        fg.adjust(replace(block, extra=(tape,)), backend="schur")
+
+
+# --- solver and kappa rule -------------------------------------------------------------------------
+
+
+def test_solver_in_a_comparison(files: dict[str, Path], twin: Path, tmp_path: Path) -> None:
+    """The page's solver gives the accuracy of QR, published procedure and iterated; its Tikhonov solver another one."""
+    words = ("compare", twin, "--solvers", "qr,docs_cgls,docs_tikhonov", "--eop-sets", "2", "--types", "2",
+             "--backends", "faithful,dense", "--out", tmp_path / "comparison", "--json")  # fmt: skip
+    ended = in_process("--plugin", files["solver"], "--plugin", files["kappa-rule"], *words)
+    assert ended.code == 0, ended.stderr
+    rmse = {(row["backend"], row["solver"]): row["check_rmse_m"] for row in ended.json["rows"]}
+    for backend in ("faithful", "dense"):
+        assert rmse[backend, "docs_cgls"] == pytest.approx(rmse[backend, "qr"], rel=1e-6)
+    assert 0.01 < abs(rmse["faithful", "docs_tikhonov"] - rmse["faithful", "qr"]) < 1.0
+    assert rmse["dense", "docs_tikhonov"] is None
+    assert "docs_tikhonov: left out" in ended.stdout
+    unknown = in_process(*words[:3], "qr,docs_nothing", "--out", tmp_path / "none")
+    assert (unknown.code, "docs_nothing" in unknown.stderr) == (2, True)
+
+
+def test_solver_and_rule_against_formed_matrices(files: dict[str, Path]) -> None:
+    """The page's solver equals least squares; its rule is Mallows' prediction error."""
+    load_plugin(files["solver"]), load_plugin(files["kappa-rule"])
+    rng = np.random.default_rng(4)
+    design, observed = rng.normal(size=(12, 4)), rng.normal(size=12)
+    system = LinearSystem.from_design(design, observed)
+    assert np.abs(solve("docs_cgls", system).x - np.linalg.lstsq(design, observed, rcond=None)[0]).max() <= 1e-12
+    choice = choose_kappa("docs_mallows", system, Given(sigma_observed=0.5))
+
+    def risk(parameter: float) -> float:
+        hat = design @ np.linalg.solve(design.T @ design + parameter * np.eye(4), design.T)
+        return float(np.sum((observed - hat @ observed) ** 2) + 2.0 * 0.25 * np.trace(hat))
+
+    assert choice.grid is not None
+    assert risk(choice.kappa) <= min(risk(parameter) for parameter in choice.grid) + 1e-12
+    assert solve("docs_tikhonov", system).kappa == choose_kappa("docs_mallows", system, Given(sigma_observed=1.0)).kappa
+
+
+# --- a loss ----------------------------------------------------------------------------------------
+
+
+def test_loss_in_an_adjustment(files: dict[str, Path], twin: Path, tmp_path: Path) -> None:
+    """By the command line: the weights of the table are those of the page at the residuals of the table."""
+    out = tmp_path / "result"
+    ended = in_process("--plugin", files["loss"], "adjust", twin, "--loss", "docs_fair", "--out", out, "--json")
+    assert ended.code == 0, ended.stderr
+    assert ended.json["loss"] == "docs_fair"
+    with (out / "residuals.csv").open() as stream:
+        for row in csv.DictReader(stream):
+            u = np.hypot(*(float(row[f"v_{a}_px"]) / float(row[f"sigma_{a}_px"]) for a in ("line", "sample"))) / 1.223
+            assert float(row["weight"]) == pytest.approx(1.0 / (1.0 + u), abs=1e-4)
+    u = np.linspace(0.0, 6.0, 6001)
+    for name in ("docs_fair", "docs_halving"):
+        own = losses.losses()[name]
+        inside = np.abs(u - 1.0) > 2e-3  # the corner of the second one
+        slope = np.gradient(own.cost(u), u, edge_order=2) - u * own.weight(u)
+        assert np.abs(slope[inside]).max() <= 2e-6  # step 1e-3, squared
+
+
+# --- loading ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("absent.py", None, "no such Python file"),
+        ("two words.py", "", "no such Python file"),
+        ("numpy.py", "", "another module has this name"),
+        ("docs_fails.py", "x = 1\ny = 1 / 0\n", "docs_fails.py, line 2"),
+        ("docs_wrong.py", "x = 1\nif x\n", "docs_wrong.py, line 2"),
+    ],
+)
+def test_files_that_cannot_be_loaded(name: str, text: str | None, said: str, tmp_path: Path) -> None:
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    ended = in_process("--plugin", tmp_path / name, "doctor", "--json")
+    assert ended.code == 2
+    assert len(ended.stderr.strip().splitlines()) == 1
+    assert said in ended.stderr
+    assert Path(name).stem not in sys.modules or name == "numpy.py"
+
+
+def test_the_environment_names_files_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FG_ORIENT_PLUGIN", str(tmp_path / "absent.py"))
+    ended = in_process("report", tmp_path)
+    assert (ended.code, "absent.py" in ended.stderr) == (2, True)
+
+
+def test_a_file_is_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    path = tmp_path / "docs_counts.py"
+    path.write_text("loaded = object()\n")
+    first: ModuleType = load_plugin(path)
+    again: Any = load_plugin(path)
+    monkeypatch.delitem(sys.modules, "docs_counts")
+    assert first.loaded is again.loaded
