@@ -1,0 +1,183 @@
+"""Every command and code block of README and documentation is run, or the reason why not stands here.
+
+How blocks are written: ``tests/support/pages.py``. A page begins with the files of :func:`prepared` (or none, if it
+simulates its own data) and with the names fg, np, block, solution and folder. Each line of a ``sh`` block is an
+alternative and may replace what another one wrote.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import shutil
+from collections.abc import Callable
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support import page_files, pages
+from tests.support.pages import Command, Fence
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PAGES = {
+    path.relative_to(REPOSITORY).as_posix(): path
+    for path in (*sorted(REPOSITORY.glob("*.md")), *sorted((REPOSITORY / "docs").rglob("*.md")))
+    if "api" not in path.relative_to(REPOSITORY).parts and "_build" not in path.parts
+}
+
+#: (page or pattern, part of the command or block): why it is not run. Options are read all the same.
+NOT_RUN: dict[tuple[str, str], str] = {
+    ("README.md", "make "): "makes an environment of its own, minutes; docs/newcomer.sh runs make demo",
+    (
+        "README.md",
+        "rpc refine",
+    ): "points.csv is another table than that of rectify; docs/rpc-commands.md runs it",
+    ("CONTRIBUTING.md", "make "): "the check of every change is made of these",
+    ("CONTRIBUTING.md", ".ci/run"): "the check of every change itself",
+    (
+        "docs/quickstart.md",
+        "env",
+    ): "makes an environment of its own, minutes; docs/newcomer.sh does so",
+    ("docs/formats/*", "fg-orient convert"): "needs files of other programs; tests/22_interchange converts such",
+    ("docs/geometry.md", "--dem-vertical-crs EPSG:5773"): "needs a grid of PROJ that its wheel does not bring",
+    ("docs/parallel.md", "head:8786"): "needs a cluster of several machines",
+    ("docs/parallel.md", "partial(rmse_of"): "the task is the reader's own; tests/57_parallel runs studies",
+    ("docs/quickstart.md", "convert markers.xml"): "needs a file of another program; tests/22_interchange reads them",
+    ("docs/rfm.md", "--data SPOT6_"): "reads a file that is not published; tests/45_rfm reproduces these tables",
+}
+
+#: (page, part of the command or block): run by the slow tests only, with the processor seconds it takes.
+SLOW: dict[tuple[str, str], float] = {
+    ("README.md", "reproduce"): 60,
+    ("README.md", "compare PROJECT.toml"): 60,
+    ("README.md", "--workers"): 20,
+    ("README.md", "--loss tls"): 3,
+    ("README.md", "--backend dense"): 3,
+    ("README.md", "adjust PROJECT.toml --snoop"): 1,
+    ("README.md", "reduce"): 2,
+    ("README.md", "ortho"): 20,
+    ("docs/closerange.md", "reproduce"): 15,
+    ("docs/compare.md", "compare"): 60,
+    ("docs/ill-conditioning.md", "fg-orient compare"): 40,
+    ("docs/ill-conditioning.md", "fg-orient reproduce"): 60,
+    ("docs/ill-conditioning.md", "ill_conditioning.py"): 30,
+    ("docs/parallel.md", "workers"): 20,
+    ("docs/rectification.md", "reproduce"): 15,
+    ("docs/rectification.md", "ortho"): 20,
+    ("docs/reproduce.md", "reproduce"): 60,
+    ("docs/significance.md", "loo"): 12,
+}
+
+#: Pages whose Python blocks another test runs.
+RUN_ELSEWHERE = {"docs/extending.md": "as one module, with more checks: tests/00_repository/test_documentation.py"}
+
+#: What is written for a page beside the prepared files, or in their place.
+OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
+    "README.md": (page_files.map_points, page_files.photos_and_control),
+    "docs/rpc-commands.md": (page_files.rpc_points,),
+    "docs/rectification.md": (page_files.map_points,),
+    "docs/rfm.md": (page_files.gcp_file,),
+    "docs/closerange.md": (page_files.photos_and_control, page_files.surface_points),
+}
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the folder of files that pages without data of their own speak of."""
+    folder = tmp_path_factory.mktemp("pages")
+    page_files.satellite_files(folder)
+    return folder
+
+
+def listed(table: dict[tuple[str, str], Any], item: Command | Fence) -> bool:
+    """Tell whether a command or block stands in a table, or is run elsewhere."""
+    if isinstance(item, Fence) and item.language == "python" and item.page in RUN_ELSEWHERE:
+        return True
+    return any(fnmatchcase(item.page, page) and part in item.text for page, part in table)
+
+
+def test_no_list_names_what_is_no_longer_there() -> None:
+    items = [item for name, path in PAGES.items() for fence in pages.fences(path, name) for item in parts(fence)]
+    for table in (NOT_RUN, SLOW):
+        for page, part in table:
+            assert any(listed({(page, part): None}, item) for item in items), (page, part)
+    assert set(OWN_FILES) | set(RUN_ELSEWHERE) <= set(PAGES)
+    assert not set(NOT_RUN) & set(SLOW)
+
+
+def parts(fence: Fence) -> list[Command | Fence]:
+    """Give what is taken or left as one: a Python block, a command."""
+    return [fence] if fence.language in ("python", "toml") else list(pages.commands(fence))
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_options_of_every_command_exist(name: str) -> None:
+    for fence in pages.fences(PAGES[name], name):
+        for item in parts(fence):
+            if isinstance(item, Command) and item.words and item.words[0] == "fg-orient":
+                pages.parse_command(item)
+
+
+def start(name: str, prepared: Path, folder: Path) -> dict[str, Any]:
+    """Fill the folder of a page and give the names that it begins with."""
+    import fg_orient as fg
+
+    names: dict[str, Any] = {"__name__": "page", "fg": fg, "np": np, "folder": folder}
+    text = PAGES[name].read_text("utf-8")
+    if "fg-orient simulate" not in text or name in OWN_FILES:
+        shutil.copytree(prepared, folder, dirs_exist_ok=True)
+        for write in OWN_FILES.get(name, ()):
+            write(folder)
+    if re.search(r"\b(block|solution)\b", "".join(f.text for f in pages.fences(PAGES[name], name))):
+        names |= block_and_solution(prepared)
+    return names
+
+
+@functools.cache
+def block_and_solution(prepared: Path) -> dict[str, Any]:
+    """Give the prepared project as read and adjusted."""
+    import fg_orient as fg
+
+    block = fg.read_project(prepared / "project.toml")
+    return {"block": block, "solution": fg.adjust(block)}
+
+
+def run_page(name: str, prepared: Path, folder: Path, *, slow: bool) -> None:
+    """Run what the fast or the slow tests run of a page."""
+
+    def take(item: Command | Fence) -> bool:
+        return not listed(NOT_RUN, item) and (slow or not listed(SLOW, item))
+
+    pages.run_page(pages.fences(PAGES[name], name), start(name, prepared, folder), REPOSITORY, take)
+
+
+def with_blocks(*, slow: bool) -> list[str]:
+    """Give the pages of which the fast, or only the slow, tests run something."""
+    found = []
+    for name, path in PAGES.items():
+        items = [item for fence in pages.fences(path, name) for item in parts(fence) if not listed(NOT_RUN, item)]
+        if items and any(listed(SLOW, item) for item in items) >= slow:
+            found.append(name)
+    return found
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give the folder that a page is run in, the current one; terminals are 80 columns wide."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", with_blocks(slow=False))
+def test_page(name: str, prepared: Path, folder: Path) -> None:
+    run_page(name, prepared, folder, slow=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", with_blocks(slow=True))
+def test_whole_page(name: str, prepared: Path, folder: Path) -> None:
+    run_page(name, prepared, folder, slow=True)
