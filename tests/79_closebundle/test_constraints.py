@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -89,28 +90,33 @@ def test_every_kind_has_a_shape() -> None:
     assert set(SHAPES) == set(KINDS)
 
 
-def network(kind: str, shape: Array, rng: np.random.Generator, sigma: float | None) -> Network:
-    """Points (rotation vectors for attitudes) observed with noise and the constraint, which the true ones meet."""
-    if kind == "equal attitude":
-        start, offset = [shape[:3], shape[3:]], shape[3:] @ shape[:3].T
-        true, names, noise = np.zeros((2, 3)), ("1", "2"), rng.normal(scale=NOISE, size=(2, 3))
-        stated = Constraint(kind, names, sigma=sigma, offset=offset)
-    else:
-        true, names, noise = shape, tuple(map(str, range(len(shape)))), rng.normal(scale=NOISE, size=shape.shape)
-        value = float(np.linalg.norm(shape[1] - shape[0])) if kind in ("distance", "base") else None
-        start, stated = list(shape + noise), Constraint(kind, names, value, sigma)
-    measured = true + noise
-    variables = [Variable(n, at, POINT, kind != "equal attitude") for n, at in zip(names, measured, strict=True)]
-    rows = [observed_place(k, at, np.full(3, NOISE), "") for k, at in enumerate(measured)]
+def networks(kind: str, shape: Array, rng: np.random.Generator, sigmas: Sequence[float | None]) -> list[Network]:
+    """Points (rotation vectors for attitudes) observed with noise and the constraint, which the true ones meet.
+
+    One network for each sigma of the constraint; None: hard.
+    """
+    n = 2 if kind == "equal attitude" else len(shape)
+    noise, names = rng.normal(scale=NOISE, size=(n, 3)), tuple(map(str, range(n)))
     if kind == "equal attitude":  # vectors, not points
+        measured, start = noise, [shape[:3], shape[3:]]
         rows = [observed_element(k, j, float(v), NOISE, "") for k, at in enumerate(measured) for j, v in enumerate(at)]
-    if kind in FIGURES:
-        figure = figure_of(stated, measured)
-        variables.append(variable_of(stated, figure))
-        rows += figure_observations(stated, figure, len(names), list(range(len(names))))
+        stated = Constraint(kind, names, offset=shape[3:] @ shape[:3].T)
     else:
-        rows.append(plain_observation(stated, list(range(len(names))), start))
-    return Network(tuple(variables), tuple(rows))
+        measured, start = shape + noise, list(shape + noise)
+        rows = [observed_place(k, at, np.full(3, NOISE), "") for k, at in enumerate(measured)]
+        size = float(np.linalg.norm(shape[1] - shape[0])) if kind in ("distance", "base") else None
+        stated = Constraint(kind, names, size)
+    variables = [Variable(n, at, POINT, kind != "equal attitude") for n, at in zip(names, measured, strict=True)]
+    figure = figure_of(stated, measured) if kind in FIGURES else None
+    out = []
+    for sigma in sigmas:
+        one = replace(stated, sigma=sigma)
+        if figure is None:
+            more, own = [], [plain_observation(one, list(range(n)), start)]
+        else:
+            more, own = [variable_of(one, figure)], figure_observations(one, figure, n, list(range(n)))
+        out.append(Network((*variables, *more), (*rows, *own)))
+    return out
 
 
 def solved(net: Network, backend: type = DenseNetwork) -> Array:
@@ -119,37 +125,65 @@ def solved(net: Network, backend: type = DenseNetwork) -> Array:
     return np.asarray(found.state)
 
 
-def check(kind: str, seed: int) -> None:
-    """One configuration."""
+def worst_derivative(net: Network) -> float:
+    """Largest difference of the hard conditions' derivatives from central ones, beside 1 and their own size.
+
+    Error of a central difference: h^2 + rounding/h.
+    """
+    out, h = 0.0, 1e-6
+    for o in (o for o in net.observations if o.hard):
+        x = [np.array(u if isinstance(u, np.ndarray) else net.start[net.part(u)], float) for u in o.unknowns]
+        blocks = o.equation.kernel(o.record, o.setup, *x, True)[1:]
+        for argument, block in zip(x, blocks, strict=True):
+            for j in range(len(argument)):
+                ends = []
+                for step in (h, -h):
+                    kept, argument[j] = argument[j], argument[j] + step
+                    ends.append(o.equation.kernel(o.record, o.setup, *x, False)[0])
+                    argument[j] = kept
+                apart = np.abs((ends[0] - ends[1]) / (2.0 * h) - block[:, j]).max()
+                out = max(out, float(apart / (1.0 + np.abs(block).max())))
+    return out
+
+
+@dataclass(frozen=True)
+class Found:
+    """Of one configuration: largest residual before and after, of the derivatives, of hard against soft ones."""
+
+    before: float
+    after: float
+    derivative: float
+    away: tuple[float, float]
+
+
+def examined(kind: str, seed: int) -> Found:
+    """One configuration, hard and with two sigmas."""
     shape = SHAPES[kind](np.random.default_rng(seed))
-    hard = network(kind, shape, np.random.default_rng(seed + 1), None)
-    state, rows = solved(hard), hard.rows(hard.start)
-    assert np.abs(hard.rows(state).condition).max() <= 1e-12  # zero at the solution
-    assert np.abs(rows.condition).max() > 1e-7  # and not before
-    for k in range(hard.n_unknowns):  # derivatives: error h^2 + rounding/h
-        ends = [hard.rows(hard.start + s * 1e-6 * np.eye(hard.n_unknowns)[k], jacobian=False) for s in (1.0, -1.0)]
-        numeric = (ends[0].condition - ends[1].condition) / 2e-6
-        assert np.abs(numeric - rows.border[:, k]).max() <= 1e-7 * (1.0 + np.abs(rows.border).max())
-    points = hard.n_soft
-    away = []
-    for sigma in (NOISE * 1e-1, NOISE * 1e-2):
-        soft = network(kind, shape, np.random.default_rng(seed + 1), sigma)
-        away.append(float(np.abs(solved(soft) - state)[:points].max()))
+    hard, *soft = networks(kind, shape, np.random.default_rng(seed + 1), (None, NOISE * 1e-1, NOISE * 1e-2))
+    state = solved(hard)
+    away = [float(np.abs(solved(net) - state)[: 3 * len(shape)].max()) for net in soft]
+    before, after = (float(np.abs(hard.rows(x, jacobian=False).condition).max()) for x in (hard.start, state))
+    return Found(before, after, worst_derivative(hard), (away[0], away[1]))
+
+
+def check(found: Found) -> None:
+    assert found.after <= 1e-12 and found.before > 1e-7  # zero at the solution, and not before
+    assert found.derivative <= 1e-7
     # the difference falls with the square of the sigma
-    assert away[0] <= 0.1 * NOISE and away[1] <= 0.03 * away[0] + 1e-12
+    assert found.away[0] <= 0.1 * NOISE and found.away[1] <= 0.03 * found.away[0] + 1e-12
 
 
 @pytest.mark.parametrize("runs", [3, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_configurations(kind: str, runs: int) -> None:
     for seed in range(runs):
-        check(kind, 2 * seed)
+        check(examined(kind, 2 * seed))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_graph_equals_correlates(kind: str) -> None:
     """States and standard deviations of every variable, figures included."""
-    net = network(kind, SHAPES[kind](np.random.default_rng(5)), np.random.default_rng(6), None)
+    (net,) = networks(kind, SHAPES[kind](np.random.default_rng(5)), np.random.default_rng(6), [None])
     dense, graph = solved(net), solved(net, GraphNetwork)
     roots = np.sqrt(bordered_inverse(net.rows(dense)).diagonal())
     assert np.abs(dense - graph).max() <= 1e-9 * NOISE
