@@ -2,9 +2,10 @@
 
     e = (x' + dx - c X/Z,  y' + dy - s c Y/Z) Z^p,    (X, Y, Z) = R (P - O),    x' = x - x0,  y' = y - y0
 
-(Ayhan 1996, eqs. 76-77, with the derivatives that print has wrong corrected.) dx, dy: ``factors.image_corrections`` and
-``factors.additional_parameters``. Camera axes X right, Y down, Z along the view; s = -1 where image y points up. With
-p = 0 the residual is one of the image, with p = 1 the thesis' F, in image units times metres.
+(Ayhan 1996, eqs. 76-77, with the derivatives that print has wrong corrected.) dx, dy: ``factors.image_corrections``,
+``factors.additional_parameters`` and ``factors.image_variants``. Camera axes X right, Y down, Z along the view; s = -1
+where image y points up. With p = 0 the residual is one of the image, with p = 1 the thesis' F, in image units times
+metres.
 
 Unknowns: an image's own camera parameters, those it shares with others (photo-variant and block-invariant
 calibration), the rotation vector w of R = exp([w]x) R_0 in rad, the projection centre O and the point P, m.
@@ -18,20 +19,22 @@ import numpy as np
 
 from factors import additional_parameters as brown
 from factors import image_corrections as lens
+from factors import image_variants as variants
 from factors._contract import Argument, Array, Equation, Example, compiled, register
 from factors.frame_camera import CAMERA_SIZE, turned
 
-#: Camera parameters by code: principal distance, principal point, then those of both modules.
-NAMES: Final = ("c", "x0", "y0", *lens.NAMES, *brown.NAMES)
-SIZE: Final = 31
-#: Record: x y 0:2, w11 w12 w22 of the whitening 2:5, p 5, s 6, held c of Brown's terms 7, camera 8:39, R_0 39:48.
-RECORD_SIZE: Final = 48
+#: Camera parameters by code: principal distance, principal point, then those of the three modules.
+NAMES: Final = ("c", "x0", "y0", *lens.NAMES, *brown.NAMES, *variants.NAMES)
+SIZE: Final = 40
+#: Record: x y 0:2, w11 w12 w22 of the whitening 2:5, p 5, s 6, held c of Brown's terms 7, camera 8:48, R_0 48:57,
+#: held radius of the orthogonal polynomials 57.
+RECORD_SIZE: Final = 58
 
 
 @compiled
 def camera(record: Any, setup: Any, own: Any, shared: Any) -> Any:
-    """Camera parameters (31,): the record's plus steps times the unknowns; own ones stand first in the setup."""
-    out = record[8:39] + 0.0 * (own.sum() + shared.sum())
+    """Camera parameters (40,): the record's plus steps times the unknowns; own ones stand first in the setup."""
+    out = record[8:48] + 0.0 * (own.sum() + shared.sum())
     n = own.shape[0]
     for j in range(setup.shape[1]):
         out[int(setup[0, j])] += setup[1, j] * (own[j] if j < n else shared[j - n])
@@ -42,7 +45,7 @@ def camera(record: Any, setup: Any, own: Any, shared: Any) -> Any:
 def _seen(record: Any, w: Any, centre: Any, point: Any) -> Any:
     """Rotation and J (29,), point in camera axes (3,)."""
     turn, q = np.empty(CAMERA_SIZE, w.dtype), np.empty(3, w.dtype)
-    turned(w, record[39:48], turn)
+    turned(w, record[48:57], turn)
     d = point - centre
     for i in range(3):
         q[i] = turn[3 * i] * d[0] + turn[3 * i + 1] * d[1] + turn[3 * i + 2] * d[2]
@@ -58,6 +61,10 @@ def _difference(record: Any, c: Any, q: Any) -> Any:
     terms = brown.terms(x, y, record[7])
     for j in range(21):
         u, v = u + c[10 + j] * terms[0, j], v + c[10 + j] * terms[1, j]
+    if np.any(c[31:40] != 0.0):
+        terms = variants.terms(x, y, record[57])
+        for j in range(9):
+            u, v = u + c[31 + j] * terms[0, j], v + c[31 + j] * terms[1, j]
     return u, v
 
 
@@ -78,7 +85,10 @@ def _by_camera(record: Array, setup: Array, c: Array, q: Array, scale: float) ->
     x, y = record[0] - c[1], record[1] - c[2]
     xx, xy, yx, yy = lens.slopes(c[3:10], x, y)
     ax, ay, bx, by = brown.slopes(c[10:31], x, y, record[7])
-    terms, out = brown.terms(x, y, record[7]), np.empty((2, setup.shape[1]))
+    ux, uy, vx, vy = variants.slopes(c[31:40], x, y, record[57])
+    ax, ay, bx, by = ax + ux, ay + uy, bx + vx, by + vy
+    terms, others = brown.terms(x, y, record[7]), variants.terms(x, y, record[57])
+    out = np.empty((2, setup.shape[1]))
     for j in range(setup.shape[1]):
         code = int(setup[0, j])
         if code == 0:
@@ -89,8 +99,10 @@ def _by_camera(record: Array, setup: Array, c: Array, q: Array, scale: float) ->
             u, v = -(xy + ay), -(yy + by)
         elif code < 10:
             u, v = lens.by_coefficient(code - 3, x, y)
-        else:
+        elif code < 31:
             u, v = terms[0, code - 10], terms[1, code - 10]
+        else:
+            u, v = others[0, code - 31], others[1, code - 31]
         out[0, j], out[1, j] = scale * setup[1, j] * u, scale * setup[1, j] * v
     return out
 
@@ -151,7 +163,7 @@ def _example(rng: np.random.Generator) -> Example:
                             2.0, 2.1], rng.normal(scale=0.02, size=SIZE - 1)])  # fmt: skip
     setup = np.ascontiguousarray(np.stack([codes.astype(float), rng.uniform(0.01, 0.1, len(codes))]))
     x = rng.normal(scale=0.3, size=len(codes))
-    return Example(np.concatenate([given, start.ravel()]), setup,
+    return Example(np.concatenate([given, start.ravel(), rng.uniform(0.8, 2.0, 1)]), setup,
                    (x[:n], x[n:], rng.normal(scale=0.02, size=3), centre, centre + start.T @ seen))  # fmt: skip
 
 
@@ -159,5 +171,5 @@ EXTENDED_COLLINEARITY = register(Equation(
     "extended_collinearity_measured_to_ideal", kernel, residual,
     (Argument("own camera", "steps"), Argument("shared camera", "steps"), Argument("rotation", "rad"),
      Argument("centre", "m", is_point=True), Argument("point", "m", is_point=True)), _example,
-    "Brown 1971, 1976; Ayhan 1996, eqs. 2, 48, 71-80",
+    "Brown 1971, 1976; Ayhan 1996, eqs. 2, 44-55, 71-80",
 ))  # fmt: skip

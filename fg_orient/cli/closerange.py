@@ -106,7 +106,12 @@ def bundle(
     ] = None,
     constraints: Annotated[Path | None, typer.Option(metavar="TOML", help="[[constraints]] between points.")] = None,
     unknown: Annotated[
-        str, typer.Option(metavar="NAMES", help="Unknown camera parameters of each photo: c,x0,y0,k1,k2,k3,p1,p2, ...")
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Unknown camera parameters of each photo: c,x0,y0,k1,k2,k3,p1,p2, a1 to a21, or "
+            "sets: radial-even, film, brown, ... (docs/closerange.md).",
+        ),
     ] = "",
     shared: Annotated[str, typer.Option(metavar="NAMES", help="Unknown ones that all photos share.")] = "",
     sigma: Sigma = 1.0,

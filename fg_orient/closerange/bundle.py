@@ -47,8 +47,9 @@ class BundlePhoto:
     centre_m : (3,) array
         Start.
     unknown : tuple of str
-        Camera parameters of this photo alone (photo-variant): c, x0, y0, the names of ``factors.image_corrections``
-        and a1 to a21 of ``factors.additional_parameters``.
+        Camera parameters of this photo alone (photo-variant): c, x0, y0, the names of ``factors.image_corrections``,
+        a1 to a21 of ``factors.additional_parameters``, and the names of ``factors.image_variants``, whose radius is
+        that of the camera's outermost image point. ``closerange.corrections`` has sets of them.
     camera : str
         Photos of one camera have its ``shared`` unknowns in common.
     shared : tuple of str
@@ -90,6 +91,11 @@ class BundlePhoto:
                 if not (np.isfinite(spread).all() and (spread > 0.0).all()):
                     raise self.fault(place, spread.tolist(), "numbers above 0")
                 object.__setattr__(self, place, spread)
+
+    @property
+    def key(self) -> str:
+        """Name of its camera; a photo that names none has one of its own."""
+        return self.camera or self.name
 
     def fault(self, place: str, value: object, expected: str) -> InputError:
         """What is wrong with the photo."""
@@ -136,7 +142,7 @@ class Bundle:
     cameras : tuple of Adjustment
         Parameters that photos of a camera share.
     interiors, rotations, centres_m
-        Of the photos. An interior has what :class:`Interior` can hold: not a1 to a21.
+        Of the photos. An interior has what :class:`Interior` can hold: k1 to affinity_b.
     ids : tuple of str
         Of the points.
     points_m, sigma_m : (n, 3) arrays
@@ -173,19 +179,23 @@ class Bundle:
     iterations: int
     backend: str
 
+    @property
+    def beyond(self) -> list[str]:
+        """Parameters of cameras that no photo file holds."""
+        names = (name for part in (*self.photos, *self.cameras) for name in part.names)
+        return list(dict.fromkeys(name for name in names if name in NAMES[10:]))
+
     def oriented(self) -> list[Photo]:
         """Photos for intersection.
 
         Raises
         ------
         InputError
-            A photo has parameters a1 to a21.
+            Cameras have parameters that a photo file cannot hold.
         """
-        for photo in (*self.photos, *self.cameras):
-            beyond = [name for name in photo.names if name in NAMES[10:]]
-            if beyond:
-                raise InputError.of("closerange.bundle", place=photo.name, value=", ".join(beyond),
-                                    expected="corrections that a photo file can hold: k1 to affinity_b")  # fmt: skip
+        if self.beyond:
+            raise InputError.of("closerange.bundle", place="photos", value=", ".join(self.beyond),
+                                expected="corrections that a photo file can hold: k1 to affinity_b")  # fmt: skip
         parts = zip(self.photos, self.interiors, self.rotations, self.centres_m, strict=True)
         return [Photo.of(photo.name, interior, turn, centre) for photo, interior, turn, centre in parts]
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from factors.image_corrections import NAMES as CORRECTIONS
+from factors.extended_collinearity import NAMES
 from fg_orient.closerange.bundle import Adjustment, Bundle, BundlePhoto, adjust_bundle
 from fg_orient.closerange.constraints import Constraint
+from fg_orient.closerange.corrections import parameters_of
 from fg_orient.closerange.files import Observed, interiors, photo_text, read_ground_points, read_image_points
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.job import (
@@ -33,9 +34,6 @@ from fg_orient.linear.threads import one_blas_thread
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-
-#: Camera parameters that a photo file can hold.
-KNOWN = ("c", "x0", "y0", *CORRECTIONS)
 
 
 def run_bundle(
@@ -61,7 +59,8 @@ def run_bundle(
     sigma, sigma_control_m : float
         Of image coordinates and control points without a sigma of their own; 0: control points are exact.
     unknown, shared : sequence of str
-        Unknown camera parameters of each photo, and those that all photos share.
+        Unknown camera parameters of each photo, and those that all photos share: names, and sets of them
+        (``closerange.corrections``).
     backend : str
         "dense" or "graph".
     out, overwrite, command
@@ -75,10 +74,7 @@ def run_bundle(
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
     table = read_image_points(path)
-    for name in (*unknown, *shared):
-        if name not in KNOWN:
-            raise InputError.of("closerange.bundle", place="--unknown, --shared", value=name,
-                                expected=", ".join(KNOWN))  # fmt: skip
+    own, common = parameters_of(unknown, "--unknown"), parameters_of(shared, "--shared")
     known, begun = _control(control, sigma_control_m), _control(start, 0.0)
     places = begun | known
     names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys((*table.ids, *begun)))
@@ -88,16 +84,16 @@ def run_bundle(
     stated = [_constraint(entry) for entry in read_constraints(constraints)] if constraints else []
     with one_blas_thread():
         starts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma))
-        given = [
-            BundlePhoto(n, i, r, c, tuple(unknown), "all", tuple(shared))
-            for n, (i, r, c) in zip(names, starts, strict=True)
-        ]
+        given = [BundlePhoto(n, i, r, c, own, "all", common) for n, (i, r, c) in zip(names, starts, strict=True)]
         found = adjust_bundle(
             given, ids, _points(starts, names, table, which, of, ids, places), which, of, table.image,
             sigma=weights_of(table, sigma), control={i: known[i] for i in ids if i in known}, constraints=stated,
             backend=backend,
         )  # fmt: skip
-    texts = [photo_text(p, i, r) for p, i, r in zip(found.oriented(), found.interiors, found.rotations, strict=True)]
+    photos_of = [] if found.beyond else found.oriented()
+    texts = [
+        photo_text(p, i, r) for p, i, r in zip(photos_of, found.interiors, found.rotations, strict=bool(photos_of))
+    ]
     return finished(_record(found, table, known, which, of), path, table, out, overwrite, command, texts)
 
 
@@ -173,7 +169,7 @@ def _record(
     for k, (one, rotation, centre) in enumerate(zip(found.photos, found.rotations, found.centres_m, strict=True)):
         sigma = [one[n][1] for n in ("X0", "Y0", "Z0")]
         turns = [one[n][1] for n in ("turn_x", "turn_y", "turn_z")]
-        own = [n for n in one.names if n in KNOWN]
+        own = [n for n in one.names if n in NAMES]
         photos.append({
             "photo": one.name, "parameters": _numbers(one, own) if own else [], "interior": None, "points": [],
             "exterior": exterior_record(rotation, centre, turns, sigma),
@@ -205,4 +201,8 @@ def _warnings(found: Bundle, known: Mapping[str, tuple[Array, Array]]) -> list[s
     """What the user should know."""
     out = [] if found.m0 is not None else [NO_REDUNDANCY]
     unseen = [name for name in known if name not in found.ids]
-    return out + ([f"control points measured in no photo: {', '.join(unseen)}"] if unseen else [])
+    if unseen:
+        out.append(f"control points measured in no photo: {', '.join(unseen)}")
+    if found.beyond:
+        out.append(f"photos.toml is not written: it cannot hold {', '.join(found.beyond)}")
+    return out

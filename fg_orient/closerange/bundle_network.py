@@ -59,6 +59,7 @@ class Built:
     turns: list[int | Array] = field(default_factory=list)
     centres: list[int | Array] = field(default_factory=list)
     points: list[int | Array] = field(default_factory=list)
+    rims: dict[str, float] = field(default_factory=dict)
     camera_variables: dict[str, int] = field(default_factory=dict)
     point_variables: dict[int, int] = field(default_factory=dict)
     figure_variables: list[int] = field(default_factory=list)
@@ -160,7 +161,7 @@ class Built:
 
 
 def _camera(interior: Interior) -> Array:
-    """Camera parameters (31,) of an interior orientation."""
+    """Camera parameters (40,) of an interior orientation."""
     out = np.zeros(SIZE)
     out[0], out[1:3], out[3:10] = interior.focal, interior.principal, interior.corrections
     return out
@@ -175,7 +176,11 @@ def build(
     origin = start.mean(axis=0)
     extent = float(np.linalg.norm(start - origin, axis=1).max()) or 1.0
     built = Built(tuple(photos), ids, start.copy(), origin, extent)
-    reach = [float(np.abs(image[which == k] - p.interior.principal).max(initial=1e-9)) for k, p in enumerate(photos)]
+    reduced = [image[which == k] - p.interior.principal for k, p in enumerate(photos)]
+    reach = [float(np.abs(xy).max(initial=1e-9)) for xy in reduced]
+    for photo, xy in zip(photos, reduced, strict=True):
+        rim = float(np.linalg.norm(xy, axis=1).max(initial=1e-9))
+        built.rims[photo.key] = max(rim, built.rims.get(photo.key, 0.0))
     extras: list[Observation] = []
     for k, photo in enumerate(photos):
         _add_photo(built, photo, reach[k], extras)
@@ -206,13 +211,15 @@ def camera_steps(names: Sequence[str], reach: float) -> Array:
     power = {"c": 0, "x0": 0, "y0": 0, "k1": 3, "k2": 5, "k3": 7, "p1": 2, "p2": 2, "affinity_a": 1, "affinity_b": 1}
     brown = (1, 1, 2, 2, 3, 3, 4, 2, 2, 3, 3, 4, 2, 4, 4, 3, 5, 7, 0, 0, 0)
     power |= {f"a{j + 1}": p for j, p in enumerate(brown)}
+    power |= {f"radial_{j}": j for j in (1, 2, 4, 6)} | {f"orthogonal_{i}": 0 for i in (1, 2, 3)}
+    power |= {"film_xx": 1, "film_yx": 1}
     return np.array([1e-3 * reach ** (1 - power[name]) for name in names])
 
 
 def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Observation]) -> None:
     start = _camera(photo.interior)
     built.own.append(_camera_variable(built, f"photo {photo.name}", photo.unknown, start, reach, photo, extras))
-    key = photo.camera or photo.name
+    key = photo.key
     if photo.shared and key not in built.camera_variables:
         made = _camera_variable(built, f"camera {key}", photo.shared, start, reach, photo, extras)
         assert not isinstance(made, np.ndarray)
@@ -300,7 +307,7 @@ def _add_image_point(
     setup = np.ascontiguousarray(np.array([[NAMES.index(n) for n in names], steps], float).reshape(2, len(names)))
     record = np.concatenate([
         image, [1.0 / sigma[0], 0.0, 1.0 / sigma[1], float(is_condition), photo.interior.sign, photo.interior.focal],
-        start, np.asarray(photo.rotation, float).ravel(),
+        start, np.asarray(photo.rotation, float).ravel(), [built.rims[photo.key]],
     ])  # fmt: skip
     unknowns = (built.own[k], built.shared[k], built.turns[k], built.centres[k], built.points[j])
     if all(isinstance(u, np.ndarray) for u in unknowns):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import gtsam
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from fg_orient.closerange.bundle import Bundle, BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_determined import motions
 from fg_orient.closerange.bundle_network import build
 from fg_orient.closerange.constraints import Constraint, observed_element
+from fg_orient.closerange.corrections import SETS, parameters_of
 from fg_orient.errors import FgOrientError, InputError
 from fg_orient.reproduce import ayhan1996_bundle as thesis
 from fg_orient.reproduce.ayhan1996_photos import CONTROL, PHOTOS, points_of
@@ -112,21 +115,83 @@ def test_bundle_equals_scipy() -> None:
     assert np.linalg.norm(found.points_m[5] - found.points_m[7]) == pytest.approx(hard, abs=1e-12)
 
 
+def distorted(scene: Scene, displacement: Callable[[Array], Array]) -> None:
+    """Measure the photos with a displacement that is to be added; corrections are a hundredth of the coordinates."""
+    ideal = ideal_points(scene.interior.corrections, scene.image - scene.interior.principal)
+    at = ideal
+    for _ in range(40):
+        at = at + ideal - displacement(at) - ideal_points(scene.interior.corrections, at)
+    scene.image = at + scene.interior.principal
+
+
 def test_brown_parameters_are_recovered() -> None:
     """A photo measured with a2 and a13: the bundle finds them, and refuses to write what no photo file holds."""
     scene = make(2, 40, 2, noise=0.0)
-    ideal = ideal_points(scene.interior.corrections, scene.image - scene.interior.principal)
-    at = ideal
-    for _ in range(40):  # corrections are a hundredth of the coordinates: a fixed point
+
+    def brown(at: Array) -> Array:
         s = 3e-5 * (at[:, 0] ** 2 - at[:, 1] ** 2) / 60.0
-        brown = np.column_stack([1e-4 * at[:, 1] + at[:, 0] * s, at[:, 1] * s])
-        at = at + ideal - brown - ideal_points(scene.interior.corrections, at)
-    scene.image = at + scene.interior.principal
+        return np.column_stack([1e-4 * at[:, 1] + at[:, 0] * s, at[:, 1] * s])
+
+    distorted(scene, brown)
     found = adjusted(scene, scene.photos(shared=("a2", "a13"), camera="one"))
     assert found.cameras[0]["a2"][0] == pytest.approx(1e-4, rel=1e-6)
     assert found.cameras[0]["a13"][0] == pytest.approx(3e-5, rel=1e-6)
     with pytest.raises(InputError, match="a2, a13"):
         found.oriented()
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("radial-even", [2e-4, 3e-8, 4e-12]),
+        ("radial-odd", [1e-3, 3e-6, 2e-9]),
+        ("radial-full", [1e-3, 1e-4, 2e-6, 3e-8, 2e-9, 1e-11]),
+        ("film-turned", [1e-3, -5e-4, 2e-3]),
+        ("film-affine", [0.01, -0.02, 1e-3, -5e-4, 3e-4, 2e-3]),
+        ("film-scales", [1e-3, 2e-3]),
+    ],
+)
+def test_forms_of_corrections_are_recovered(name: str, values: list[float]) -> None:
+    """Photos measured with the formulas of eqs. 44 to 55; c is known, so that all are determined."""
+    scene, names = make(2, 40, 2, noise=0.0), SETS[name]
+    coefficient = dict(zip(names, values, strict=True))
+    power = {"k1": 3, "k2": 5} | {f"radial_{j}": j for j in (1, 2, 4, 6)}
+    film = np.array([[coefficient.get("film_xx", 0.0), coefficient.get("affinity_a", 0.0)],
+                     [coefficient.get("film_yx", 0.0), coefficient.get("affinity_b", 0.0)]])  # fmt: skip
+
+    def formula(at: Array) -> Array:
+        r = np.linalg.norm(at, axis=1, keepdims=True)
+        along = sum(v * r ** (power[n] - 1) for n, v in coefficient.items() if n in power)
+        return np.asarray(at * along + at @ film.T)
+
+    distorted(scene, formula)
+    shift = np.array([coefficient.get("x0", 0.0), coefficient.get("y0", 0.0)])
+    scene.image = scene.image + shift  # the principal point stands there
+    found = adjusted(scene, scene.photos(shared=names, camera="one"))
+    start = dict(zip(("x0", "y0", "k1"), (*scene.interior.principal, scene.interior.corrections[0]), strict=True))
+    for n, value in coefficient.items():
+        assert found.cameras[0][n][0] - start.get(n, 0.0) == pytest.approx(value, rel=2e-5), n
+
+
+def test_orthogonal_and_odd_powers_span_the_same() -> None:
+    """R_3, R_5, R_7 with a scale are r, r^3, r^5, r^7: same points, same m0; better separated."""
+    scene = make(5, 40, 3)
+    one, two = (
+        adjusted(scene, scene.photos(shared=names, camera="one"))
+        for names in (("radial_1", *SETS["radial"]), ("radial_1", *SETS["radial-orthogonal"]))
+    )
+    assert one.m0 == pytest.approx(two.m0, rel=1e-9)
+    assert np.abs(one.points_m - two.points_m).max() <= 1e-8
+
+
+def test_sets_are_named() -> None:
+    assert parameters_of(("c", "film", "affinity_b", "decentring"), "--shared") == ("c", *NAMES[8:10], *NAMES[6:8])
+    with pytest.raises(InputError, match="radial-orthogonal, decentring"):
+        parameters_of(("radial-9",), "--shared")
+    scene = make(3, 20, 2)
+    with pytest.raises(InputError, match="not determined") as caught:
+        adjusted(scene, scene.photos(shared=("c", *SETS["radial-odd"]), camera="one"))
+    assert "c" in str(caught.value) and "radial_1" in str(caught.value)
 
 
 def test_what_nothing_determines_is_named() -> None:

@@ -53,10 +53,25 @@ def test_bundle_from_tables(tmp_path: Path) -> None:
     assert "2 photos, 14 points, 31 unknowns" in text
 
 
+def test_what_cannot_be_written_or_was_not_measured_is_said(tmp_path: Path) -> None:
+    written(tmp_path)
+    with (tmp_path / "control.csv").open("a", encoding="utf-8") as file:
+        file.write("far,1000.0,2000.0,50.0\n")
+    done = run("closerange", "bundle", tmp_path / "image.csv", tmp_path / "cameras.toml", "--control",
+               tmp_path / "control.csv", "--shared", "k1,film-scales", "--out", tmp_path / "out", "--json")  # fmt: skip
+    assert done.code == 0, done.stderr
+    assert done.json["warnings"] == [
+        "control points measured in no photo: far", "photos.toml is not written: it cannot hold film_xx",
+    ]  # fmt: skip
+    assert [n["name"] for n in done.json["cameras"][0]["parameters"]] == ["k1", "film_xx", "affinity_b"]
+    assert not (tmp_path / "out" / "photos.toml").exists() and (tmp_path / "out" / "points.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
         (("--shared", "k9"), "k9"),
+        (("--unknown", "radial-9"), "radial-orthogonal"),
         (("--constraints", "kind.toml"), "one of distance, parallel"),
         (("--constraints", "field.toml"), "did you mean value_m?"),
         (("--constraints", "member.toml"), "not there (found p99)"),

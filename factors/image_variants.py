@@ -1,0 +1,69 @@
+"""Further forms of radial distortion and of film deformation, as corrections added to measured coordinates.
+
+    radial_j        dr = radial_j r^j                     j = 1, 2, 4, 6: what k1 to k3 (r^3, r^5, r^7) leave out
+    orthogonal_i    dr = orthogonal_i R_n(r/R),           n = 3, 5, 7: Zernike's radial polynomials of order 1
+    film_xx         dx = film_xx x
+    film_yx         dy = film_yx x
+
+    R_3 = 3 u^3 - 2 u,  R_5 = 10 u^5 - 12 u^3 + 3 u,  R_7 = 35 u^7 - 60 u^5 + 30 u^3 - 4 u
+
+(Ayhan 1996, eqs. 44 to 46, 49 to 55, which names no family of orthogonal polynomials; Born, Wolf 1999, section 9.2.)
+The displacements of R_3, R_5, R_7 and of a change of scale (R_1 = u) are orthogonal over the disk of radius R, and
+R_n(1) = 1: an ``orthogonal_i`` is the displacement at the rim. ``radial_1`` is a scale, as the principal distance is.
+``image_corrections`` has dx = affinity_a y and dy = affinity_b y.
+
+x, y are reduced to the principal point and r^2 = x^2 + y^2; R is held. In the unit of the coordinates radial_j has its
+power 1 - j, orthogonal_i its power 1, film_xx and film_yx none.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Array, compiled
+
+NAMES: Final = (
+    "radial_1", "radial_2", "radial_4", "radial_6", "orthogonal_1", "orthogonal_2", "orthogonal_3", "film_xx",
+    "film_yx",
+)  # fmt: skip
+SIZE: Final = 9
+
+
+@compiled
+def _factors(x: Any, y: Any, radius: float) -> Any:
+    """Factors dr/r (7,) of the radial terms."""
+    rr = x * x + y * y
+    r, v = np.sqrt(rr), rr / radius**2
+    out = np.zeros(7, np.array([r]).dtype)
+    out[0], out[1], out[2], out[3] = 1.0, r, r * rr, r * rr * rr
+    out[4] = (3.0 * v - 2.0) / radius
+    out[5] = ((10.0 * v - 12.0) * v + 3.0) / radius
+    out[6] = (((35.0 * v - 60.0) * v + 30.0) * v - 4.0) / radius
+    return out
+
+
+@compiled
+def terms(x: Any, y: Any, radius: float) -> Any:
+    """Derivatives of dx and dy with respect to the coefficients: array (2, 9)."""
+    radial = _factors(x, y, radius)
+    out = np.zeros((2, 9), radial.dtype)
+    for j in range(7):
+        out[0, j], out[1, j] = x * radial[j], y * radial[j]
+    out[0, 7], out[1, 8] = x, x
+    return out
+
+
+@compiled
+def slopes(c: Array, x: float, y: float, radius: float) -> tuple[float, float, float, float]:
+    """Derivatives dx_x, dx_y, dy_x, dy_y of the corrections with respect to the point."""
+    rr, own, slope = x * x + y * y, 0.0, 0.0
+    r, v, radial = np.sqrt(rr), rr / radius**2, _factors(x, y, radius)
+    for j in range(7):
+        own += c[j] * radial[j]
+    # (d own/dr)/r; r itself has no slope at 0, where it is multiplied by x and y
+    slope = (c[1] / r if r > 0.0 else 0.0) + 3.0 * c[2] * r + 5.0 * c[3] * r * rr
+    by_v = 3.0 * c[4] + (20.0 * v - 12.0) * c[5] + ((105.0 * v - 120.0) * v + 30.0) * c[6]
+    slope += 2.0 * by_v / radius**3
+    return own + x * x * slope + c[7], x * y * slope, x * y * slope + c[8], own + y * y * slope

@@ -1,0 +1,71 @@
+"""Alternatives of radial distortion and film deformation: printed formulas, derivatives, orthogonality."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import film
+from factors import image_variants as variants
+
+RADIUS = 2.0
+
+
+def displacement(c: np.ndarray, x: complex, y: complex) -> np.ndarray:
+    return variants.terms(x, y, RADIUS) @ c
+
+
+def test_terms_are_those_of_the_formulas() -> None:
+    x, y = 0.7, -1.1
+    r = np.hypot(x, y)
+    u = r / RADIUS
+    along = [r, r**2, r**4, r**6, 3 * u**3 - 2 * u, 10 * u**5 - 12 * u**3 + 3 * u,
+             35 * u**7 - 60 * u**5 + 30 * u**3 - 4 * u]  # fmt: skip
+    found = variants.terms(x, y, RADIUS)
+    assert found[:, :7] == pytest.approx(np.outer([x / r, y / r], along), rel=1e-14)
+    assert found[:, 7:].tolist() == [[x, 0.0], [0.0, x]]
+    rim = variants.terms(RADIUS, 0.0, RADIUS)
+    assert rim[0, 4:7].tolist() == [1.0, 1.0, 1.0]
+
+
+def test_slopes_by_complex_step(rng: np.random.Generator) -> None:
+    for _ in range(20):
+        c, (x, y) = rng.normal(size=9), rng.normal(size=2)
+        by_x, by_y = (displacement(c, x + dx, y + dy).imag / 1e-30 for dx, dy in ((1e-30j, 0j), (0j, 1e-30j)))
+        assert variants.slopes(c, x, y, RADIUS) == pytest.approx([by_x[0], by_y[0], by_x[1], by_y[1]], rel=1e-12)
+    centre = variants.slopes(np.ones(9), 0.0, 0.0, RADIUS)  # only what is linear in x and y has a slope there
+    assert centre == pytest.approx([1.0 + (-2.0 + 3.0 - 4.0) / RADIUS + 1.0, 0.0, 1.0, 1.0 - 3.0 / RADIUS])
+
+
+def test_displacements_are_orthogonal_on_the_disk() -> None:
+    """Gauss's quadrature is exact for the products: degree 15 in r."""
+    at, weight = np.polynomial.legendre.leggauss(12)
+    r = RADIUS * 0.5 * (at + 1.0)
+    rows = np.array([variants.terms(v, 0.0, RADIUS)[0, [0, 4, 5, 6]] for v in r])
+    gram = rows.T @ (rows * (weight * r)[:, None])
+    scale = np.sqrt(np.outer(gram.diagonal(), gram.diagonal()))
+    assert np.abs(gram / scale - np.eye(4)).max() <= 1e-14
+
+
+def test_film_matrix_and_parameters(rng: np.random.Generator) -> None:
+    for _ in range(20):
+        p = np.array([0.0, 0.0, 1.0, 1.0]) + rng.normal(scale=0.1, size=4)
+        turn, skew, across, up = p
+        s = [[np.cos(turn), np.sin(turn + skew)], [-np.sin(turn), np.cos(turn + skew)]]
+        a = film.matrix(p)
+        assert a == pytest.approx(s @ np.diag([across, up]), abs=1e-15)
+        assert film.parameters(a) == pytest.approx(p, abs=1e-15)
+        steps = 1e-30j * np.eye(4)
+        by_step = np.stack([film.matrix(p + step).imag / 1e-30 for step in steps], axis=2)
+        assert film.matrix_derivatives(p) == pytest.approx(by_step, abs=1e-14)
+        back = film.parameter_derivatives(a).reshape(4, 4) @ film.matrix_derivatives(p).reshape(4, 4)
+        assert back == pytest.approx(np.eye(4), abs=1e-13)
+
+
+def test_film_without_fiducial_marks() -> None:
+    """Eqs. 53 and 54: with a = 0 and lx = 1 the matrix is I + [0, A_p; 0, B_p]."""
+    a_p, b_p = -2.94061e-3, 1.93571e-3
+    turn, skew, across, up = film.parameters(np.array([[1.0, a_p], [0.0, 1.0 + b_p]]))
+    assert (turn, across) == (0.0, 1.0)
+    assert skew == pytest.approx(np.arctan(a_p / (b_p + 1.0)), abs=1e-16)
+    assert up == pytest.approx(np.sqrt(a_p**2 + (b_p + 1.0) ** 2), abs=1e-15)
