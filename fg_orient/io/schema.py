@@ -177,6 +177,8 @@ def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tup
 
 def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, root: type[BaseModel]) -> Problem:
     path, field, siblings = _walk(loc, root)
+    if kind == "extra_forbidden" and path == "constraints":
+        return problem("project.constraints", file=file, place=path)
     if kind == "extra_forbidden":
         hint = did_you_mean(path.rpartition(".")[2], siblings)
         return problem("project.unknown_key", file=file, place=path, value=value, hint=hint)

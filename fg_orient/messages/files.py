@@ -283,6 +283,11 @@ PROJECT: Final = {
     "project.schema": ("unknown schema of the project file", "this version reads schema = 1"),
     "project.missing": ("a required entry is missing", "add it: {expected}"),
     "project.unknown_key": ("unknown entry", "{hint}"),
+    "project.constraints": (
+        "a project takes no constraints: they have no form in the backends of satellite images",
+        "adjust photos with them by fg-orient closerange bundle --constraints FILE; in Python one with a sigma is an "
+        "observation of Block.extra",
+    ),
     "project.value": ("the value is not allowed", "give {expected}"),
     "project.image_twice": ("the image id is used twice", "give every image its own id"),
 }

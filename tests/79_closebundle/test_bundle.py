@@ -124,6 +124,22 @@ def distorted(scene: Scene, displacement: Callable[[Array], Array]) -> None:
     scene.image = at + scene.interior.principal
 
 
+@pytest.mark.parametrize("backend", ["dense", "graph"])
+def test_equal_attitude_and_base_hold_in_the_bundle(backend: str) -> None:
+    """Eqs. 111 and 112: two photos of a stereo camera whose rotations and distance are known of each other."""
+    scene = make(6, 15, 2)
+    offset = scene.rotations[1] @ scene.rotations[0].T
+    size = float(np.linalg.norm(scene.centres[1] - scene.centres[0]))
+    stated = [Constraint("base", ("ph0", "ph1"), size), Constraint("equal attitude", ("ph0", "ph1"), offset=offset)]
+    free, found = (adjusted(scene, scene.photos(), constraints=c, backend=backend) for c in ([], stated))
+    assert np.abs(found.rotations[1] @ found.rotations[0].T - offset).max() <= 1e-12
+    assert np.linalg.norm(found.centres_m[1] - found.centres_m[0]) == pytest.approx(size, abs=1e-12)
+    assert np.abs(free.rotations[1] @ free.rotations[0].T - offset).max() > 1e-6
+    assert found.redundancy == free.redundancy + 4
+    assert found.sigma_m is not None and free.sigma_m is not None
+    assert (found.cofactors <= free.cofactors * (1.0 + 1e-9)).all()  # conditions only add
+
+
 def test_brown_parameters_are_recovered() -> None:
     """A photo measured with a2 and a13: the bundle finds them, and refuses to write what no photo file holds."""
     scene = make(2, 40, 2, noise=0.0)
