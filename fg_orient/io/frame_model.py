@@ -115,8 +115,8 @@ def frame_block(
     unknowns : sequence of str, optional
         What is unknown of each image (``fg_orient.sensors.frame.UNKNOWNS``), each for itself; the rest is held.
     """
-    usable = ~in_one_image(model.image, model.point, len(model.points_m))[model.point]
-    images = []
+    alone = in_one_image(model.image, model.point, len(model.points_m))
+    usable, images = ~alone[model.point], []
     for k, (pose, sensor) in enumerate(zip(model.poses, model.sensors, strict=True)):
         own = np.flatnonzero((model.image == k) & usable)
         place = model.line[own], model.sample[own]
@@ -127,7 +127,43 @@ def frame_block(
     seen = ImagePoints(
         model.image[usable], model.point[usable], model.line[usable], model.sample[usable], sigma, sigma
     )  # fmt: skip
-    return free_block(name, tuple(images), model.point_ids, model.points_m, seen, sources, model.notes)
+    told = (f"{int(alone.sum())} point(s) measured in one image only are left out",) if alone.any() else ()
+    return free_block(name, tuple(images), model.point_ids, model.points_m, seen, sources, (*model.notes, *told))
+
+
+def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Array) -> FrameModel:
+    """Give a model its adjusted poses, cameras and points.
+
+    Parameters
+    ----------
+    model : FrameModel
+    corrections : sequence of (15,) arrays
+        Of each image, as ``Solution.correction`` gives them; an interior orientation that was adjusted is a camera of
+        its own for each image.
+    ground_m : (N, 3) array
+        Adjusted points (``Solution.ground_m``); those that are nan are left out, and a note counts them.
+    """
+    cameras, poses = dict(model.cameras), []
+    for pose, sensor, correction in zip(model.poses, model.sensors, corrections, strict=True):
+        full, name, interior = sensor.camera.corrected(correction), pose.camera, model.cameras[pose.camera]
+        if np.any(np.asarray(correction)[6:] != 0.0):
+            name = f"{pose.camera} of {pose.name}"
+            # the unit of a polynomial of measured coordinates is the focal length as given, unless it is stated
+            cameras[name] = replace(
+                interior, focal_px=float(full[12]), principal_px=full[[14, 13]], distortion=full[15:20],
+                unit_px=sensor.camera.unit_px, name=name,
+                aspect=float(full[29]) if sensor.camera.corrects_measured else 0.0,
+            )  # fmt: skip
+        poses.append(Pose(pose.name, name, full[:9].reshape(3, 3), full[9:12]))
+    used = {pose.camera for pose in poses}
+    known = np.asarray(np.isfinite(ground_m).all(axis=1), bool)
+    seen, number = known[model.point], np.cumsum(known) - 1
+    left_out = (f"{int((~known).sum())} point(s) that were not adjusted are left out",) if not known.all() else ()
+    return FrameModel(
+        {name: camera for name, camera in cameras.items() if name in used}, tuple(poses),
+        tuple(i for i, k in zip(model.point_ids, known.tolist(), strict=True) if k), ground_m[known],
+        model.image[seen], number[model.point[seen]], model.line[seen], model.sample[seen], (*model.notes, *left_out),
+    )  # fmt: skip
 
 
 def free_block(
