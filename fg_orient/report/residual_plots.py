@@ -24,8 +24,9 @@ MAX_QUANTILES: Final = 120
 MAX_IMAGES: Final = 16
 #: Ends of the axis of residuals in sigmas; what lies beyond is counted in words.
 ENDS: Final = 5.0
-#: A long residual (90 % quantile) as a share of the drawing's width.
+#: A long residual (90 % quantile) as a share of the drawing's width; of more than a few, less.
 _SHARE: Final = 0.09
+_FEW: Final = 100
 
 
 def residual_panels(result: Result, summaries: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -107,7 +108,8 @@ def vectors(result: Result, name: str, rows: Index, size: tuple[float, float]) -
     panel.axes("sample, px", "line, px", ticks(0.0, samples, 3), ticks(0.0, lines, 4))
     lengths = np.hypot(*v[rows].T)
     long = float(np.quantile(lengths, 0.9)) if len(rows) else 0.0
-    unit = _SHARE * panel.width / long if long > 0.0 else 0.0  # drawing units per pixel of residual
+    share = _SHARE * min(1.0, math.sqrt(_FEW / max(len(shown), 1)))
+    unit = share * panel.width / long if long > 0.0 else 0.0  # drawing units per pixel of residual
     path = "".join(f"M{panel.px(x)} {panel.py(y)}l{unit * dx:.1f} {unit * dy:.1f}"
                    for (x, y), (dx, dy) in zip(place[shown].tolist(), v[shown].tolist(), strict=True))  # fmt: skip
     panel.dots(place[shown].tolist(), "dot-foot", 1.2)

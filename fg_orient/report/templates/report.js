@@ -272,8 +272,10 @@
       this.drawAreas(paint);
       const order = this.kinds.map((_, k) => k).filter((k) => this.shown[k]).reverse(); // the rarer the higher
       const seen = order.map((k) => this.seen(k));
+      const few = this.x.length <= MANY; // names may not hide one of a few points, nor many points the names
+      if (few) this.drawNames(paint);
       for (const act of ["drawVectors", "drawPoints"]) order.forEach((k, m) => this[act](paint, this.kinds[k], seen[m]));
-      this.drawNames(paint);
+      if (!few) this.drawNames(paint);
       this.drawChosen(paint);
       this.drawBars(paint);
       this.canvas.dataset.frames = ++this.frames;
@@ -360,13 +362,8 @@
     drawPoints(paint, kind, { rows, xs, ys }) {
       const many = rows.length > MANY;
       paint.fillStyle = paint.strokeStyle = this.colour(kind.colour);
-      if (many || kind.shape === "dot") {
-        const side = many ? (kind.shape === "dot" ? 1.6 : 2.4) : 3.5;
-        paint.globalAlpha = many && kind.shape === "dot" ? 0.6 : 1;
-        rows.forEach((_, m) => paint.fillRect(xs[m] - side / 2, ys[m] - side / 2, side, side));
-        paint.globalAlpha = 1;
-        return;
-      }
+      if (many) return this.drawCloud(paint, xs, ys, kind.shape === "dot" ? 150 : 255);
+      if (kind.shape === "dot") return rows.forEach((_, m) => paint.fillRect(xs[m] - 1.75, ys[m] - 1.75, 3.5, 3.5));
       paint.beginPath();
       const r = kind.shape === "ring" ? (rows.length > 200 ? 3 : 4) : rows.length > 200 ? 4 : 6;
       rows.forEach((_, m) => {
@@ -386,6 +383,28 @@
         paint.lineWidth = rows.length > 200 ? 1.4 : 2;
         paint.stroke();
       }
+    }
+
+    // Very many points: squares of two pixels written into a picture, ten times as quick as so many shapes.
+    drawCloud(paint, xs, ys, opacity) {
+      const { width, height } = this.canvas;
+      if (this.cloud?.width !== width || this.cloud.height !== height) {
+        this.cloud = Object.assign(document.createElement("canvas"), { width, height });
+        this.image = new ImageData(width, height);
+        this.words32 = new Uint32Array(this.image.data.buffer);
+      }
+      const [r, g, b] = [1, 3, 5].map((k) => parseInt(paint.fillStyle.slice(k, k + 2), 16)); // #rrggbb, as the canvas says it
+      const word = ((opacity << 24) | (b << 16) | (g << 8) | r) >>> 0;
+      this.words32.fill(0);
+      const side = Math.max(2, Math.round(1.6 * this.ratio));
+      for (let m = 0; m < xs.length; m++) {
+        const x0 = Math.round(xs[m] * this.ratio - side / 2);
+        const y0 = Math.round(ys[m] * this.ratio - side / 2);
+        if (x0 < 0 || y0 < 0 || x0 + side > width || y0 + side > height) continue;
+        for (let y = y0; y < y0 + side; y++) for (let x = x0; x < x0 + side; x++) this.words32[y * width + x] = word;
+      }
+      this.cloud.getContext("2d").putImageData(this.image, 0, 0);
+      paint.drawImage(this.cloud, 0, 0, this.width, this.height);
     }
 
     drawChosen(paint) {

@@ -1,0 +1,104 @@
+"""The report of a large block in a browser: size of the file, seconds to the map, milliseconds of a frame.
+
+    python -m benchmarks.report_browser RESULTDIR [--runs 5]
+
+RESULTDIR is a result folder of ``adjust``; without one a block of 16 images with 1e5 image points is simulated and
+adjusted.
+A frame is the time from one pan or zoom to the second animation frame after it, when its picture has been shown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from fg_orient.report import write_report
+from fg_orient.run import run_project
+from fg_orient.simulate.block import BlockOptions, simulate_block
+from tests.support.browser import Page, executable, open_browser
+
+#: Image points per ground point in this block are 3.2.
+BLOCK = BlockOptions(rows=4, columns=4, points=31_200, seed=1)
+#: Pans and zooms that are timed.
+STEPS = 40
+_FRAMES = """new Promise((done) => {
+  const canvas = document.querySelector('#live-map canvas');
+  const keys = ['+', 'ArrowLeft', 'ArrowUp', '-', 'ArrowRight', 'ArrowDown', '-', '+'];
+  const times = [];
+  const step = (k) => {
+    if (k === %d) return done(times);
+    const began = performance.now();
+    canvas.dispatchEvent(new KeyboardEvent('keydown', {key: keys[k %% keys.length], cancelable: true}));
+    requestAnimationFrame(() => requestAnimationFrame(() => { times.push(performance.now() - began); step(k + 1); }));
+  };
+  step(0);
+})"""
+#: Searches every id, and counts the tips that name it.
+_SEARCH = """(() => {
+  const ids = JSON.parse(document.getElementById('report-data').textContent).points.id;
+  const box = document.querySelector('#live-map input[type=search]');
+  const tip = document.querySelector('#live-map .tip');
+  const some = ids.filter((_, k) => k %% %d === 0);
+  return [ids.length, some.length, some.filter((id) => {
+    box.value = id;
+    box.dispatchEvent(new KeyboardEvent('keydown', {key: 'Enter'}));
+    return tip.textContent.split('\\n')[0].endsWith(' ' + id);
+  }).length];
+})()"""
+
+
+def measure(page: Page, report: Path, runs: int, every: int = 50) -> dict[str, Any]:
+    """Open a report some times and time it.
+
+    Parameters
+    ----------
+    page : Page
+    report : Path
+        The HTML file.
+    runs : int
+        Loads; medians are given.
+    every : int
+        Each so manieth id is searched.
+    """
+    page.size(1100, 900)
+    loads, frames = [], []
+    for _ in range(runs):
+        page.open(report, wait="performance.getEntriesByName('drawn').length > 0")
+        loads.append(page.value("performance.getEntriesByName('map')[0].startTime"))
+        frames += page.value(_FRAMES % STEPS)
+    points, sought, found = page.value(_SEARCH % every)
+    return {
+        "bytes": report.stat().st_size, "runs": runs, "seconds_to_the_map": [load / 1e3 for load in loads],
+        "median_seconds_to_the_map": statistics.median(loads) / 1e3, "median_frame_ms": statistics.median(frames),
+        "frame_ms_95": sorted(frames)[int(0.95 * len(frames))], "points": points, "sought": sought, "found": found,
+        "troubles": page.troubles,
+    }  # fmt: skip
+
+
+def large_result(folder: Path) -> Path:
+    """Simulate and adjust the block; give its result folder."""
+    project = simulate_block(folder / "block", BLOCK)
+    run_project(project, folder / "result")
+    return folder / "result"
+
+
+def main() -> None:
+    """Print the figures as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("result", nargs="?", type=Path, help="result folder of adjust")
+    parser.add_argument("--runs", type=int, default=5)
+    given = parser.parse_args()
+    program = executable()
+    if program is None:
+        parser.error("no browser found")
+    with tempfile.TemporaryDirectory() as folder, open_browser(program, Path(folder) / "profile") as browser:
+        report, _ = write_report(given.result or large_result(Path(folder)))
+        print(json.dumps(measure(browser.page(), report, given.runs), indent=1))
+
+
+if __name__ == "__main__":
+    main()
