@@ -131,6 +131,8 @@ def _plain(line: str) -> str:
 def _leaf(command: Command) -> tuple[Any, list[str]]:
     """The command of the command line that is meant, and the words after its name."""
     words, leaf = command.words[1:], command_line()
+    while words[:1] == ["--plugin"]:  # stands before the command
+        del words[:2]
     while hasattr(leaf, "commands"):
         assert words and words[0] in leaf.commands, f"{command.page}: no such command: {command.text}"
         leaf = leaf.commands[words.pop(0)]
