@@ -15,6 +15,7 @@ import fg_orient
 from fg_orient.cli import (
     accuracy,
     adjust,
+    camera,
     checks,
     closerange,
     compare,
@@ -48,6 +49,7 @@ app.command("intersect")(geometry.intersect)
 app.command("footprint")(viewing.footprint)
 app.add_typer(simulate.app, name="simulate")
 app.add_typer(rpc.app, name="rpc")
+app.add_typer(camera.app, name="camera")
 app.add_typer(rectify.app, name="rectify")
 app.add_typer(closerange.app, name="closerange")
 app.command("convert")(convert.convert)

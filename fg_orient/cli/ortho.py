@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, progress_bar, say
+from fg_orient.cli.common import Debug, Extrapolate, Json, Overwrite, emit, outcome, progress_bar, say
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ def ortho(
         bool, typer.Option("--allow-holes", help="Leave pixels empty where the DEM has no height.")
     ] = False,
     cog: Annotated[bool, typer.Option("--cog", help="Cloud optimised GeoTIFF, with overviews.")] = False,
+    extrapolate_attitude: Extrapolate = 0.0,
     overwrite: Overwrite = False,
     as_json: Json = False,
     debug: Debug = False,
@@ -62,6 +63,7 @@ def ortho(
             record = rectify_image(
                 image, model, out, dem=dem, height_m=height, result=result, image_id=image_id, crs=crs,
                 resolution=resolution, bounds=limits, options=options, overwrite=overwrite, progress=progress,
+                extrapolate_attitude_s=extrapolate_attitude,
             )  # fmt: skip
         if as_json:
             emit(record)

@@ -24,7 +24,7 @@ def rectify_image(
     image: Path, model: Path, out: Path, *, dem: Path | None = None, height_m: float | None = None,
     result: Path | None = None, image_id: str = "", crs: str = "", resolution: float | None = None,
     bounds: Bounds | None = None, options: OrthoOptions | None = None, overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: Progress | None = None, extrapolate_attitude_s: float = 0.0,
 ) -> dict[str, Any]:  # fmt: skip
     """Orthorectify an image.
 
@@ -44,11 +44,13 @@ def rectify_image(
         Of the map; default that of the transformation or of the DEM.
     resolution, bounds, options, overwrite, progress
         See :func:`fg_orient.raster.ortho.orthorectify`.
+    extrapolate_attitude_s : float
+        See :func:`fg_orient.io.sensor.read_sensor`.
 
     Returns
     -------
     dict
-        See :func:`fg_orient.raster.ortho.orthorectify`.
+        See :func:`fg_orient.raster.ortho.orthorectify`; of a sensor also its ``notes``, extrapolation among them.
 
     Raises
     ------
@@ -66,11 +68,12 @@ def rectify_image(
     if surface is None:
         raise InputError.of("ortho.no_heights", file=model, place="--dem")
     chosen = _system(crs or (surface.crs if isinstance(surface, RasterDem) else ""), image)
-    sensor = read_sensor(model)
+    sensor = read_sensor(model, extrapolate_attitude_s=extrapolate_attitude_s)
     correction = None if result is None else read_correction(result, sensor, image_id)
     bound = SensorModel(sensor, correction, chosen, surface.range_m[1])
-    return orthorectify(image, bound, surface, out, crs=chosen, resolution=resolution, bounds=bounds, options=options,
-                        overwrite=overwrite, progress=progress)  # fmt: skip
+    record = orthorectify(image, bound, surface, out, crs=chosen, resolution=resolution, bounds=bounds, options=options,
+                          overwrite=overwrite, progress=progress)  # fmt: skip
+    return {**record, "notes": list(sensor.notes)}
 
 
 def _require_other(out: Path, *inputs: Path) -> None:

@@ -48,7 +48,7 @@ def test_frame_points(real_data: Path, name: str) -> None:
     assert missed.max() <= FRAME_LIMIT_M[name]
 
 
-@pytest.mark.parametrize("height_m", [0.0, 3000.0])
+@pytest.mark.parametrize("height_m", [0.0, 5000.0])
 @pytest.mark.parametrize(
     "name", [f"geocosicorr3d/{n}" for n in [*V1_FILES, "SPOT6.XML"]] + [f"geoetrim-pleiades/{n}" for n in PLEIADES]
 )

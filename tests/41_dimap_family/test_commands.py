@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -115,6 +116,24 @@ def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: P
     assert np.abs(np.array(rigorous.project(ground)) - [line, sample]).max() > 0.5
     ended = run("rpc", "fit", twin / "points.csv", "--result", result, "--json")
     assert ended.code == 2 and "--result" in ended.json["errors"][0]["place"]
+
+
+def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refused without the option; with it the model that fills the map has all lines, and the record says so."""
+    lines = []
+
+    def rectified(image: Path, model: Any, *_: Any, **__: Any) -> dict[str, Any]:
+        lines.append(model.sensor.last_line)
+        return {}
+
+    monkeypatch.setattr("fg_orient.raster.job.orthorectify", rectified)
+    words = ("rectify", "ortho", tmp_path / "image.tif", short.parent / "left.DIM", "--height", 0, "--crs",
+             "EPSG:32636", "--out", tmp_path / "map.tif", "--json")  # fmt: skip
+    refused = run(*words)
+    assert (refused.code, refused.json["errors"][0]["code"]) == (2, "sensor.attitude_span")
+    record = run(*words, "--extrapolate-attitude", 0.2).json
+    assert any("extrapolated with the last rate" in note for note in record["notes"])
+    assert lines == [11999.0]
 
 
 def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path) -> None:

@@ -10,7 +10,9 @@ import pytest
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
+from fg_orient import initial
 from fg_orient.errors import InputError
+from fg_orient.io.bal import read_bal
 from fg_orient.io.camera import read_camera, write_camera
 from fg_orient.sensors.frame import (
     HALF_TURN,
@@ -22,6 +24,8 @@ from fg_orient.sensors.frame import (
     rotation_of_opk,
 )
 from fg_orient.sensors.interior import Interior, converted, direct_orientation
+from tests.support import dbat
+from tests.support.command import in_process
 
 TEXT = """schema = 1
 name = "Olympus C4040Z"
@@ -138,6 +142,59 @@ def test_conversion_tells_its_error() -> None:
     with pytest.raises(InputError):
         converted(weak, "brown")
     assert converted(weak, weak.model).max_px == 0.0
+
+
+def test_command_converts_and_says_what_is_left(tmp_path: Path) -> None:
+    """The figures are those between the two files that lie there afterwards."""
+    source, out = write(tmp_path, TEXT), tmp_path / "opencv.toml"
+    words = ("camera", "convert", source, "--to", IDEAL_TO_MEASURED, "--out", out, "--json")
+    ended = in_process(*words)
+    assert ended.code == 0, ended.stderr
+    line, sample = (g.ravel() for g in np.meshgrid(np.linspace(0, 1703, 41), np.linspace(0, 2271, 41)))
+    there, here = (read_camera(path) for path in (out, source))
+    apart = np.linalg.norm(there.ideal(line, sample) - here.ideal(line, sample), axis=1) * here.focal_px
+    assert there.model == IDEAL_TO_MEASURED
+    assert ended.json["max_px"] == pytest.approx(apart.max(), rel=1e-9)
+    assert ended.json["rms_px"] == pytest.approx(np.sqrt(np.mean(apart**2)), rel=1e-9)
+    assert 0.01 < ended.json["max_px"] < 2.0  # its aspect of 3.9e-4 alone is 0.44 px at the border
+    assert in_process(*words).code == 2
+    over = in_process(*words[:5], "--out", source, "--overwrite")
+    assert (over.code, read_camera(source).model) == (2, MEASURED_TO_IDEAL)
+    assert in_process("camera", "convert", source, "--to", "brown", "--out", tmp_path / "x.toml").code == 2
+
+
+@pytest.mark.parametrize("model", [IDEAL_TO_MEASURED, MEASURED_TO_IDEAL])
+def test_round_trips_over_the_whole_image_and_depth(tmp_path: Path, model: str) -> None:
+    """Below 1e-6 px from border to border, half a metre to a kilometre away; converted cameras too."""
+    interior = read_camera(write(tmp_path, TEXT))
+    for one in (interior, converted(interior, IDEAL_TO_MEASURED).interior):
+        camera = (one if model == one.model else converted(one, model).interior).camera(
+            rotation_of_opk(0.3, -0.2, 1.1), np.array([5.0, -3.0, 20.0])
+        )
+        sensor = FrameSensor(camera, 1704, 2272, georeferenced=False)
+        line, sample = (g.ravel() for g in np.meshgrid(np.linspace(-0.5, 1703.5, 41), np.linspace(-0.5, 2271.5, 41)))
+        centre, direction = sensor.rays(line, sample)
+        for depth_m in (0.5, 5.0, 50.0, 1000.0):
+            back = sensor.project(centre + depth_m * direction)
+            assert np.abs(np.array(back) - [line, sample]).max() <= 1e-6
+
+
+@pytest.mark.real_data
+def test_round_trips_of_real_frames_over_their_objects(real_data: Path) -> None:
+    """Every measured pixel of Ladybug 49 and of camcal, at the nearest and farthest points of its image."""
+    ladybug = read_bal(real_data / "bal" / "problem-49-7776-pre.txt.gz", keep_behind=False)
+    camcal = dbat.camcal(real_data / "dbat" / "script" / "camcaldemo")
+    for block in (ladybug, camcal):
+        o, worst = block.observations, 0.0
+        ground = initial.ground_points(block.images, o, block.points.ids, block.points.known.ecef_m)
+        for k, image in enumerate(block.images):
+            rows = o.image == k
+            centre, direction = image.sensor.rays(o.line[rows], o.sample[rows])
+            depth = np.linalg.norm(ground[o.point[rows]] - centre, axis=1)
+            for there in (depth.min(), depth.max()):
+                back = np.array(image.sensor.project(centre + there * direction))
+                worst = max(worst, float(np.abs(back - [o.line[rows], o.sample[rows]]).max()))
+        assert worst <= 1e-6
 
 
 def test_angles_and_their_derivatives() -> None:
