@@ -1,4 +1,4 @@
-"""Renders the report of a comparison: one HTML file without scripts or anything from elsewhere."""
+"""Renders the report of a comparison: one HTML file on the shell of all reports."""
 
 from __future__ import annotations
 
@@ -7,24 +7,28 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
+from fg_orient.comparison import heat
 from fg_orient.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison
 from fg_orient.comparison.plots import row_name
 from fg_orient.comparison.words import ranges, summaries, verdict
 from fg_orient.figures.style import INK, PAPER
-from fg_orient.report.words import number, printable, scientific
+from fg_orient.report.page import environment
 
-#: Heading and explanation of each figure.
-CAPTIONS: Final = {
-    "heatmap_control.svg": (
+#: Heading and explanation of each heat map; their drawings lie beside the report for papers.
+HEAT_MAPS: Final = {
+    "control": (
         "Control points",
-        "RMSE of the worst ECEF axis. Blue is better than the target, orange worse, hatched without solution. The "
+        "RMSE of the worst ECEF axis, metres. Blue is at the target, orange beyond, hatched without solution. The "
         "published procedure holds control points fixed and intersects them again with its own orientation and look "
         "angles; dense and graph adjust them with their standard deviations.",
     ),
-    "heatmap_check.svg": (
+    "check": (
         "Check points",
         "The same at check points. In the published procedure they absorb what the orientation gets wrong.",
     ),
+}
+#: Heading and explanation of each drawing.
+CAPTIONS: Final = {
     "conditions.svg": (
         "Condition numbers",
         "Of N = A\u1d40A, as the square of A's. At the upper line the smallest singular value of A is rounding.",
@@ -39,29 +43,38 @@ CAPTIONS: Final = {
 
 def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> str:
     """Give the HTML text of a comparison."""
-    import jinja2
     from markupsafe import Markup
 
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("fg_orient.report"), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    environment.filters |= {
-        "number": number,
-        "short": short,
-        "scientific": scientific,
-        "printable": printable,
-        "ranges": ranges,
-    }
+    shell = environment()
+    shell.filters |= {"short": short, "ranges": ranges}
     drawn = [
         (name, *CAPTIONS[name], Markup(inline(figures[name], name.partition(".")[0]))) for name in CAPTIONS
         if name in figures
     ]  # fmt: skip
+    heats = [(f"heat-{role}", *words, heat.heat_map(comparison, role)) for role, words in HEAT_MAPS.items()]
+    heats = [shown for shown in heats if shown[-1]]
     sets = {number: (name, _lines(comparison, number)) for number, name in _names(comparison).items()}
-    return environment.get_template("compare.html.j2").render(
-        r=record, verdict=verdict(comparison), figures=drawn, summaries=summaries(comparison), sets=sets,
-        conditions=_conditions(comparison), failures=_failures(comparison),
+    conditions, failures = _conditions(comparison), _failures(comparison)
+    return shell.get_template("compare.html.j2").render(
+        r=record, verdict=verdict(comparison), problems=record["warnings"], figures=drawn, heats=heats,
+        summaries=summaries(comparison), sets=sets, conditions=conditions, failures=failures,
+        condition_heads=[str(n) for n in comparison.eop_sets], outcomes=heat.OUTCOMES, counts=heat.counts(comparison),
+        steps=heat.steps(comparison.target_m), sections=_sections(heats, drawn, bool(conditions), bool(failures)),
     )  # fmt: skip
+
+
+def _sections(heats: list[Any], drawn: list[Any], conditions: bool, failures: bool) -> list[tuple[str, str]]:
+    """Parts of the page that are there, and their words."""
+    return [
+        ("outcomes", "Outcomes"),
+        *((shown[0], shown[1]) for shown in heats),
+        ("summary", "Solvers"),
+        *([("failures", "Without solution")] if failures else []),
+        *((f"{name[:-4]}-section", title) for name, title, _, _ in drawn),
+        *([("condition-table", "Condition numbers of N")] if conditions else []),
+        ("sets", "Set by set"),
+        ("provenance", "Provenance"),
+    ]
 
 
 def short(value: float | None) -> str:
@@ -88,9 +101,12 @@ def _names(comparison: Comparison) -> dict[int, str]:
 
 
 def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
-    """Rows of one set with their name for people."""
+    """Rows of one set with their name and outcome for people."""
+    words = {key: (sign, name) for key, sign, name, _ in heat.OUTCOMES}
     return [
-        row.as_dict() | {"name": row_name(comparison, row.backend, row.type, row.solver)}
+        row.as_dict()
+        | {"name": row_name(comparison, row.backend, row.type, row.solver)}
+        | dict(zip(("sign", "outcome"), words[heat.outcome(row)], strict=True))
         for row in comparison.select(eop_set=eop_set)
     ]
 
@@ -106,10 +122,11 @@ def _conditions(comparison: Comparison) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _condition(value: float | None) -> str:
+def _condition(value: float | None) -> tuple[str, str]:
+    """Words and the number to sort by."""
     if value is None:
-        return "–"
-    return f"≥ {value:.0e}" if value >= LARGEST_CONDITION else f"{value:.0e}"
+        return "–", ""
+    return f"≥ {value:.0e}" if value >= LARGEST_CONDITION else f"{value:.0e}", f"{value:.9g}"
 
 
 def _failures(comparison: Comparison) -> list[tuple[str, int, list[int]]]:

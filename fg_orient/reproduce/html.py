@@ -1,11 +1,13 @@
-"""Renders a reproduction: one HTML file without scripts or anything from elsewhere."""
+"""Renders a reproduction: one HTML file on the shell of all reports."""
 
 from __future__ import annotations
 
 from typing import Any, Final
 
-from fg_orient.report.words import printable, scientific
+from fg_orient.report.page import environment
+from fg_orient.reproduce.grid import grid
 from fg_orient.reproduce.reproduction import Reproduction
+from fg_orient.reproduce.scatter import scatter
 from fg_orient.reproduce.verdict import KINDS
 
 #: Sign and meaning of each verdict; signs carry it without colour.
@@ -28,23 +30,33 @@ def render(found: Reproduction, record: dict[str, Any]) -> str:
     record : dict
         Content of ``result.json``.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("fg_orient.reproduce"), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    environment.filters |= {"scientific": scientific, "printable": printable}
-    tables = [
-        {"id": table, "name": table_name(table), "title": title, "counts": found.counts(table),
-         "rows": [row for row in found.rows if row.table == table]}
-        for table, title in found.titles.items()
-    ]  # fmt: skip
+    tables = [_table(found, table, title) for table, title in found.titles.items()]
     legend = {kind: (*words[:2], found.source.meanings.get(kind, words[2])) for kind, words in LEGEND.items()}
-    return environment.get_template("report.html.j2").render(
+    drawn = scatter(found.rows)
+    return environment("fg_orient.reproduce").get_template("reproduction.html.j2").render(
         record=record, legend=legend, kinds=KINDS, tables=tables, claims=found.claims, counts=found.counts(),
-        verdict=verdict(found),
+        verdict=verdict(found), scatter=drawn, problems=problems(found),
+        sections=_sections(bool(drawn), bool(found.claims)),
     )  # fmt: skip
+
+
+def _table(found: Reproduction, table: str, title: str) -> dict[str, Any]:
+    rows = [row for row in found.rows if row.table == table]
+    return {"id": table, "name": table_name(table), "title": title, "counts": found.counts(table), "rows": rows,
+            "grid": grid(rows, found.keys)}  # fmt: skip
+
+
+def problems(found: Reproduction) -> list[str]:
+    """Claims that are not met, with the reason."""
+    return [f"Claim {c.id} is not met: {c.reason or c.text}" for c in found.claims if not c.met]
+
+
+def _sections(drawn: bool, claims: bool) -> list[tuple[str, str]]:
+    """Parts of the page that are there, and their words."""
+    parts = (("verdicts", "Verdicts", True), ("scatter", "Published against reproduced", drawn),
+             ("claims", "Claims", claims), ("summary", "Tables", True), ("cells", "Cell by cell", True),
+             ("provenance", "Made with", True))  # fmt: skip
+    return [(name, words) for name, words, there in parts if there]
 
 
 def table_name(table: str) -> str:

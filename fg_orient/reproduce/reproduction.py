@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -78,6 +78,8 @@ class Reproduction:
         ``tables``, ``seeds``, ``as_run``.
     sha256 : dict
         Of the files of published values.
+    keys : dict
+        (table, address) of a row to the fields of its address.
     """
 
     source: Source
@@ -86,6 +88,7 @@ class Reproduction:
     claims: tuple[ClaimResult, ...]
     options: dict[str, Any]
     sha256: dict[str, str]
+    keys: dict[tuple[str, str], CellKey] = field(default_factory=dict)
 
     def counts(self, table: str | None = None) -> dict[str, int]:
         """Number of rows with each verdict, of one table or of all."""
@@ -156,7 +159,8 @@ def reproduce(
         options["permutations"] = permutations
     titles = {table: printed.titles[table] for table in chosen}
     rows = pair(printed, computed, source, chosen, on_points)
-    return Reproduction(source, titles, rows, tuple(judged), options, printed.sha256)
+    keys = {(cell.key.table, str(cell.key)): cell.key for cell in printed.cells if cell.key.table in chosen}
+    return Reproduction(source, titles, rows, tuple(judged), options, printed.sha256, keys)
 
 
 def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:

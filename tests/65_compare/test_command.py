@@ -17,11 +17,12 @@ import numpy as np
 import pytest
 
 from fg_orient.comparison import folder as comparison_folder
-from fg_orient.comparison import plots
+from fg_orient.comparison import heat, plots
 from fg_orient.comparison.model import COLUMNS, Comparison
 from fg_orient.comparison.report import render, short
 from fg_orient.comparison.words import ranges, verdict
 from fg_orient.figures import style
+from fg_orient.report.page import script_hash
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 
 FIGURES = {"heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "seconds.svg"}
@@ -120,8 +121,10 @@ def test_spectra_table(written: tuple[Path, Any]) -> None:
 def test_report_is_one_safe_file(written: tuple[Path, Any]) -> None:
     text = (written[0] / "report.html").read_text("utf-8")
     found = structure(text)
-    assert found.tags.count("svg") == len(FIGURES)
-    assert not {"script", "link", "iframe", "object", "embed"} & set(found.tags)
+    assert found.tags.count("svg") == len(FIGURES) - 2  # the heat maps are tables
+    assert not {"link", "iframe", "object", "embed"} & set(found.tags)
+    assert found.tags.count("script") == 1 and script_hash() in text.replace("&#39;", "'")
+    assert not [name for name, _ in found.attributes if name.startswith("on")]
     links = [v for name, v in found.attributes if name in ("src", "href", "xlink:href")]
     assert all(v.startswith(("#", "data:image/png;base64,")) for v in links)
     ids = [v for name, v in found.attributes if name == "id"]
@@ -129,7 +132,7 @@ def test_report_is_one_safe_file(written: tuple[Path, Any]) -> None:
     assert {v[1:] for v in links if v.startswith("#")} <= set(ids)
     assert set(re.findall(r"url\(#([^)]+)\)", text)) <= set(ids)
     assert "prefers-color-scheme: dark" in text and style.INK not in text.split("</style>", 1)[1]
-    assert text.index('id="verdict"') < text.index('id="summary"') < text.index("<svg")
+    assert text.index('id="verdict"') < text.index('id="outcomes"') < text.index("<svg")
 
 
 def test_report_and_figures_escape_what_others_wrote(comparison: Comparison, written: tuple[Path, Any]) -> None:
@@ -140,7 +143,7 @@ def test_report_and_figures_escape_what_others_wrote(comparison: Comparison, wri
     assert "&lt;script&gt;$x_1$&amp;" in figures["seconds.svg"]
     record = written[1].json | {"name": "<script>alert(1)</script>"}
     html = render(spoiled, record, figures)
-    assert "script" not in structure(html).tags
+    assert structure(html).tags.count("script") == 1 and "alert(1)</script>" not in html
 
 
 def test_figures_show_the_numbers(written: tuple[Path, Any], comparison: Comparison) -> None:
@@ -149,6 +152,31 @@ def test_figures_show_the_numbers(written: tuple[Path, Any], comparison: Compari
     assert f">{graph.check_rmse_m:.2g}</text>" in text
     assert "graph · GTSAM" in text and "published 2 · Moore-Penrose" in text
     assert "dense · Cramer" not in text  # never tried
+
+
+def test_heat_maps_and_outcomes_are_the_rows(comparison: Comparison, written: tuple[Path, Any]) -> None:
+    """Each adjustment that was tried stands in its field, on the side of the target where its number lies."""
+    counted = heat.counts(comparison)
+    assert sum(counted.values()) == len(comparison.rows) and counted["left_out"] == 6
+    assert counted["reached"] == sum(r.reached for r in comparison.rows)
+    shown = {name: dict(zip(comparison.eop_sets, cells, strict=True))
+             for name, _, cells in heat.heat_map(comparison, "check")}  # fmt: skip
+    for row in comparison.rows:
+        name = plots.row_name(comparison, row.backend, row.type, row.solver)
+        if row.left_out:
+            assert name not in shown
+            continue
+        cell = shown[name][row.eop_set]
+        if row.failure:
+            assert (cell.kind, cell.text) == ("none", "–") and row.failure in cell.words
+        else:
+            assert (cell.kind[0] == "b") == (row.check_rmse_m <= comparison.target_m)
+            assert cell.text == style.short(row.check_rmse_m)
+    assert [name for _, name, _ in heat.STEPS] == [kind for kind, _ in heat.steps(5.0)]
+    assert dict(heat.steps(5.0)) | {"b1": "≤ 5 m", "o3": "> 500 m"} == dict(heat.steps(5.0))
+    page = (written[0] / "report.html").read_text("utf-8")
+    for key, sign, words, meaning in heat.OUTCOMES:
+        assert f"<b>{sign} {counted[key]}</b> {words}<span>{meaning}</span>" in page
 
 
 def test_verdict_in_words(comparison: Comparison) -> None:

@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fg_orient.cli import app
+from fg_orient.report.page import script_hash
 from fg_orient.reproduce.verdict import KINDS
 
 QUICK = ("--tables", "eq4.1-4.2", "--seeds", "1", "--no-claims")
@@ -61,12 +62,13 @@ def test_folder_holds_tables_record_and_report(written: tuple[Path, dict[str, An
 def test_report_is_one_static_file_with_every_cell(written: tuple[Path, dict[str, Any]]) -> None:
     out, record = written
     html = (out / "report.html").read_text("utf-8")
-    assert "<script" not in html
-    assert not re.search(r"(src|href)=\"(?!#)", html)
+    assert html.count("<script") == 1 and script_hash() in html
+    assert not re.search(r" (src|href|on[a-z]+)=\"(?!#)", html)
     assert html.count('data-label="published"') == len(record["rows"])
     for kind in KINDS:
         counted = sum(row["verdict"] == kind for row in record["rows"])
-        assert html.count(f'<i class="{kind}" title=') >= counted
+        assert html.count(f'<span class="badge {kind}">') >= counted
+        assert f"<b>{counted}</b>" in html
 
 
 def test_an_altered_cell_is_found_by_the_command_and_text_is_escaped(

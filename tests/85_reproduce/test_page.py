@@ -1,0 +1,69 @@
+"""Parts of the page: the grid holds every cell of a table once, the scatter stands where the numbers are."""
+
+from __future__ import annotations
+
+import math
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from fg_orient.cells import CellKey
+from fg_orient.published.tables import load
+from fg_orient.reproduce.grid import grid
+from fg_orient.reproduce.reproduction import Row
+from fg_orient.reproduce.scatter import BOTTOM, EDGE, LEFT, SIZE, scatter
+
+
+def row(key: CellKey, published: float = 1.0, reproduced: float = 1.0, verdict: str = "equal") -> Row:
+    return Row(key.table, str(key), published, reproduced, 0.0, 0.0, verdict, "", f"{published:g}", "m", "")
+
+
+@pytest.mark.parametrize("name", ["terlemezoglu2019", "topan2010"])
+def test_grids_lose_no_cell(name: str) -> None:
+    """Each published cell of each table stands in its grid once, below its own solver or set."""
+    printed = load(name)
+    keys = {(c.key.table, str(c.key)): c.key for c in printed.cells}
+    drawn = 0
+    for table in printed.titles:
+        rows = [row(c.key) for c in printed.cells if c.key.table == table]
+        found = grid(rows, keys)
+        if found is None:
+            assert len({keys[table, r.cell].method for r in rows} - {""}) < 2
+            continue
+        drawn += 1
+        cells = [cell for _, line in found.rows for cell in line if cell is not None]
+        assert sorted(map(id, cells)) == sorted(map(id, rows)), table
+        for _, line in found.rows:
+            for column, cell in zip(found.columns, line, strict=True):
+                key = None if cell is None else keys[table, cell.cell]
+                if key is not None and key.method and not column.startswith("set "):
+                    assert key.method.replace("_", " ") == column
+    assert drawn > 1 or name == "topan2010"
+
+
+def test_scatter_places_sizes_on_logarithmic_axes() -> None:
+    keys = [CellKey("1", quantity=q) for q in "abcde"]
+    rows = [
+        row(keys[0], 1.0, -100.0, "differs"), row(keys[1], 1e-2, 1e-2), row(keys[2], 100.0, 1e2, "order"),
+        row(keys[3], 0.0, 1.0), row(keys[4], 1.0, math.nan),
+    ]  # fmt: skip
+    root = ElementTree.fromstring(str(scatter(rows)))
+    dots = {e.get("class"): (float(e.get("cx")), float(e.get("cy"))) for e in root.iter("circle")}
+    room = SIZE - LEFT - EDGE
+    assert set(dots) == {"dot differs", "dot equal", "dot order"}  # neither zero nor a number that is not there
+    assert dots["dot equal"] == pytest.approx((LEFT, EDGE + room), abs=0.1)
+    assert dots["dot order"] == pytest.approx((LEFT + room, EDGE), abs=0.1)
+    assert dots["dot differs"] == pytest.approx((LEFT + room / 2.0, EDGE), abs=0.1)  # sizes: the sign does not count
+    words = [e.text for e in root.iter("text")]
+    assert words.count("1e−2") == words.count("1e2") == words.count("1e0") == 2 and "published" in words
+    assert root.get("viewBox") == f"0 0 {SIZE} {EDGE + room + BOTTOM}"
+    assert scatter(rows[3:]) == ""
+
+
+def test_scatter_is_small_and_escaped(rng: np.random.Generator) -> None:
+    values = 10.0 ** rng.uniform(-3.0, 3.0, (5_000, 2))
+    text = str(scatter([row(CellKey("<b>", quantity="&"), *pair.tolist()) for pair in values]))
+    ElementTree.fromstring(text)
+    assert "<b>" not in text and len(re.findall("<circle", text)) < 5_000
