@@ -196,6 +196,7 @@ def test_dlt_of_the_thesis(values: dict[CellKey, float], reference: Reference) -
     assert np.abs(found - reference("dlt11_points_49", "x_m", "y_m", "z_m"))[others].max() <= 5e-5
     all_printed = thesis.points_of(values, "ek2.points", thesis.DLT_POINT)
     assert 1e3 * np.sqrt(np.mean((found - all_printed) ** 2, axis=0)) == pytest.approx([0.37, 1.90, 1.09], abs=0.02)
+    assert 1e3 * np.abs(found - all_printed).max() == pytest.approx(6.7, abs=0.05)
 
 
 # --- resection -----------------------------------------------------------------------------------

@@ -84,6 +84,21 @@ def test_land_spheroid_to_four_decimals(land: Array) -> None:
     assert max(abs(fit[name] - value) for name, value in printed.items()) <= 0.5e-4
 
 
+def test_table_3_has_another_depth_than_appendix_1(values: Values) -> None:
+    """b 0.84426 and Y0 1005.50077 for 0.8437 and 1005.5012: the other three agree."""
+    fit = fit_surface(thesis.points_of(values, "3", ("x_m", "y_m", "z_m")), "spheroid", method="algebraic").parameters
+    expected = {"a": 0.9418, "b": 0.84426, "x0": 999.9917, "y0": 1005.50077, "z0": 2.3622}
+    assert fit == pytest.approx(expected, abs=0.5e-4)
+    assert (fit["b"], fit["y0"]) == pytest.approx((0.84426, 1005.50077), abs=0.6e-5)
+
+
+def test_sums_follow_from_the_printed_differences(values: Values) -> None:
+    """0.3924/2.0093/0.4857 to a unit of the last digit, the differences being rounded to 1 um."""
+    found = np.sum(thesis.points_of(values, "ek1.points", ("dx_cm", "dy_cm", "dz_cm")) ** 2, axis=0)
+    printed = [values[CellKey("text", quantity=q, parameter="sums")] for q in ("fxfx", "fyfy", "fzfz")]
+    assert np.abs(found - printed).max() <= 1.5e-4
+
+
 def test_refined_coordinates_come_back(values: Values) -> None:
     """59 of 60 to 0.01 um with the P2 term doubled; without it they are up to 1 um off."""
     printed = thesis.points_of(values, "ek1.refined", thesis.REFINED, thesis.CONTROL)

@@ -20,9 +20,10 @@ from fg_orient.closerange.bundle_determined import motions
 from fg_orient.closerange.bundle_network import build
 from fg_orient.closerange.constraints import Constraint, observed_element
 from fg_orient.closerange.corrections import SETS, parameters_of
+from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.errors import FgOrientError, InputError
 from fg_orient.reproduce import ayhan1996_bundle as thesis
-from fg_orient.reproduce.ayhan1996_photos import CONTROL, PHOTOS, points_of
+from fg_orient.reproduce.ayhan1996_photos import CONTROL, PHOTOS, POINTS, comparator, points_of
 
 from .conftest import SIGMA, Array, Scene, make
 
@@ -78,6 +79,19 @@ def test_parameters_of_the_thesis(values: Values, held: Bundle) -> None:
     printed = points_of(values, "ek1.bundle", ("x_adjusted_m", "y_adjusted_m", "z_adjusted_m"), CONTROL)
     rms = 1e3 * np.sqrt(np.mean((held.points_m - printed) ** 2, axis=0))
     assert (rms <= [0.08, 0.08, 0.16]).all()
+
+
+def test_sums_of_the_thesis_from_the_comparator(values: Values, held: Bundle) -> None:
+    """0.375/2.070/0.587 for 0.392/2.009/0.486 printed: a pattern, as the weights are inferred."""
+    land = points_of(values, "ek1.points", ("x_geodetic_m", "y_geodetic_m", "z_geodetic_m"))
+    raw, n = comparator(values), len(land)
+    both, ids = np.concatenate([raw[:, :2], raw[:, 2:]]), [str(k) for k in POINTS]
+    found = intersect_photos(held.oriented(), np.repeat([0, 1], n), np.tile(np.arange(n), 2), both, ids=ids).points_m
+    found[np.isin(POINTS, CONTROL)] = held.points_m  # the thesis compares its adjusted control points
+    sums = 1e4 * np.sum((land - found) ** 2, axis=0)
+    assert sums == pytest.approx([0.375, 2.070, 0.587], abs=0.001)
+    printed = [values[CellKey("text", quantity=q, parameter="sums")] for q in ("fxfx", "fyfy", "fzfz")]
+    assert sums[:2] == pytest.approx(printed[:2], rel=0.05) and sums[2] == pytest.approx(printed[2], rel=0.25)
 
 
 def test_bundle_equals_scipy() -> None:
@@ -156,21 +170,22 @@ def test_brown_parameters_are_recovered() -> None:
         found.oriented()
 
 
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        ("radial-even", [2e-4, 3e-8, 4e-12]),
-        ("radial-odd", [1e-3, 3e-6, 2e-9]),
-        ("radial-full", [1e-3, 1e-4, 2e-6, 3e-8, 2e-9, 1e-11]),
-        ("film-turned", [1e-3, -5e-4, 2e-3]),
-        ("film-affine", [0.01, -0.02, 1e-3, -5e-4, 3e-4, 2e-3]),
-        ("film-scales", [1e-3, 2e-3]),
-    ],
-)
-def test_forms_of_corrections_are_recovered(name: str, values: list[float]) -> None:
+FORMS = {
+    "radial-even": {"radial_2": 2e-4, "radial_4": 3e-8, "radial_6": 4e-12},
+    "radial-odd": {"radial_1": 1e-3, "k1": 3e-6, "k2": 2e-9},
+    "radial-full": {"radial_1": 1e-3, "radial_2": 1e-4, "k1": 2e-6, "radial_4": 3e-8, "k2": 2e-9, "radial_6": 1e-11},
+    "film-turned": {"film_xx": 1e-3, "affinity_a": -5e-4, "affinity_b": 2e-3},
+    "film-affine": {"x0": 0.01, "y0": -0.02, "film_xx": 1e-3, "affinity_a": -5e-4, "film_yx": 3e-4, "affinity_b": 2e-3},
+    "film-scales": {"film_xx": 1e-3, "affinity_b": 2e-3},
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_forms_of_corrections_are_recovered(name: str) -> None:
     """Photos measured with the formulas of eqs. 44 to 55; c is known, so that all are determined."""
-    scene, names = make(2, 40, 2, noise=0.0), SETS[name]
-    coefficient = dict(zip(names, values, strict=True))
+    scene, coefficient = make(2, 40, 2, noise=0.0), FORMS[name]
+    names = SETS[name]
+    assert set(names) == set(coefficient)
     power = {"k1": 3, "k2": 5} | {f"radial_{j}": j for j in (1, 2, 4, 6)}
     film = np.array([[coefficient.get("film_xx", 0.0), coefficient.get("affinity_a", 0.0)],
                      [coefficient.get("film_yx", 0.0), coefficient.get("affinity_b", 0.0)]])  # fmt: skip
