@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +13,7 @@ from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
     from fg_orient.errors import Problem
+    from fg_orient.interchange.registry import Format, Settings
     from fg_orient.interchange.survey import Survey
 
 
@@ -84,6 +86,9 @@ def convert(
         reader = format_named(source, place="--from") if source else format_of(files[0], place="--from")
         writer = format_named(target, place="--to") if target else format_of(out[0], place="--to")
         settings = Settings(crs, image, sigma_axes, _sizes(image_size or []))
+        if reader.read_model is not None and writer.write_model is not None:
+            _convert_model(files, reader, out[0], writer, settings, accept_unverified, overwrite, as_json)
+            return
         survey, remarks = read_survey(
             files, reader, settings, accept_unverified=accept_unverified, scenes=_scenes(metadata or [])
         )
@@ -91,6 +96,21 @@ def convert(
         settings = Settings(to_crs, image, sigma_axes, settings.image_sizes)
         written, lost = write_survey(survey, out, writer, settings, overwrite=overwrite)
         _show(survey, [reader.name, writer.name], written, remarks, lost, as_json)
+
+
+def _convert_model(
+    files: list[Path], reader: Format, out: Path, writer: Format, settings: Settings, accept: bool, overwrite: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Between formats that hold cameras and poses, the whole model."""
+    from fg_orient.interchange.models import convert_model
+    from fg_orient.interchange.ties import model_survey
+
+    model, lost = convert_model(
+        files, reader, out, writer, settings, accept_unverified=accept, overwrite=overwrite
+    )  # fmt: skip
+    survey = replace(model_survey(model), notes=model.notes)
+    _show(survey, [reader.name, writer.name], (out,), (), lost, as_json)
 
 
 def _sizes(words: list[str]) -> dict[str, tuple[int, int]]:

@@ -118,6 +118,12 @@ def write_bal(path: str | Path, data: BalData, *, overwrite: bool = False) -> No
     write_bytes(path, bz2.compress(raw) if path.suffix == ".bz2" else raw)
 
 
+def sized_model(data: BalData, names: Sequence[str], settings: Settings, notes: tuple[str, ...] = ()) -> FrameModel:
+    """Frame model of a bundle, with the sizes of the settings if these name all images."""
+    sizes = [settings.image_sizes[name] for name in names if name in settings.image_sizes]
+    return frame_model_of(data, names, sizes if len(sizes) == len(names) else None, notes)
+
+
 def bundle_survey(data: BalData, names: Sequence[str], settings: Settings, notes: tuple[str, ...], file: str) -> Survey:
     """Tie points of a bundle; the sizes of its images are those of the settings.
 
@@ -129,13 +135,26 @@ def bundle_survey(data: BalData, names: Sequence[str], settings: Settings, notes
     for name in names:
         if name not in settings.image_sizes:
             raise InputError.of("ties.size", file=file, place=name, option=f"--image-size {name}=LINES,SAMPLES")
-    return model_survey(frame_model_of(data, names, [settings.image_sizes[name] for name in names], notes))
+    return model_survey(sized_model(data, names, settings, notes))
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read the tie points of a file; its images are named by numbers from 0."""
     data = read_bal_data(paths[0])
     return bundle_survey(data, tuple(map(str, range(len(data.cameras)))), settings, (), paths[0].name)
+
+
+def read_model(paths: tuple[Path, ...], settings: Settings) -> FrameModel:
+    """Read a whole file."""
+    data = read_bal_data(paths[0])
+    return sized_model(data, tuple(map(str, range(len(data.cameras)))), settings)
+
+
+def write_model(out: Path, model: FrameModel, overwrite: bool) -> tuple[str, ...]:
+    """Write a whole file."""
+    data, lost = bal_data_of(model, out.name)
+    write_bal(out, data, overwrite=overwrite)
+    return lost
 
 
 FORMAT: Final = register(
@@ -151,6 +170,8 @@ FORMAT: Final = register(
         needs=frozenset(),
         read=read,
         write=None,
+        read_model=read_model,
+        write_model=write_model,
         evidence="the published problem Ladybug 49",
     )
 )

@@ -14,12 +14,13 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from fg_orient.errors import InputError
-from fg_orient.interchange.bal import bundle_survey
+from fg_orient.interchange.bal import bal_data_of, bundle_survey, sized_model
 from fg_orient.interchange.files import read_lines, require_free
 from fg_orient.interchange.registry import Format, Holds, Settings, register
 from fg_orient.interchange.survey import Survey
 from fg_orient.io.atomic import write_bytes
 from fg_orient.io.bal import BalData
+from fg_orient.io.frame_model import FrameModel
 from fg_orient.io.tables import finite
 from fg_orient.sensors.frame import ORTHONORMAL
 
@@ -146,8 +147,8 @@ def write_bundler(path: str | Path, data: BalData, *, overwrite: bool = False) -
     write_bytes(path, "\n".join([*lines, ""]).encode())
 
 
-def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read the tie points of a file; its images are named by the list, or by numbers from 0."""
+def _named(paths: tuple[Path, ...]) -> tuple[BalData, list[str], tuple[str, ...]]:
+    """Numbers of a file, names of its images by the list, or by numbers from 0, and notes."""
     data, images, notes = read_bundler(paths[0])
     names = [str(k) for k in images]
     if len(paths) > 1:
@@ -155,7 +156,26 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
         if images and images[-1] >= len(listed):
             raise InputError.of("bundle.list", file=paths[1].name, value=f"{len(listed)} names", last=images[-1] + 1)
         names = [listed[k] for k in images]
+    return data, names, notes
+
+
+def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read the tie points of a file."""
+    data, names, notes = _named(paths)
     return bundle_survey(data, names, settings, notes, paths[0].name)
+
+
+def read_model(paths: tuple[Path, ...], settings: Settings) -> FrameModel:
+    """Read a whole file."""
+    data, names, notes = _named(paths)
+    return sized_model(data, names, settings, notes)
+
+
+def write_model(out: Path, model: FrameModel, overwrite: bool) -> tuple[str, ...]:
+    """Write a whole file."""
+    data, lost = bal_data_of(model, out.name)
+    write_bundler(out, data, overwrite=overwrite)
+    return lost
 
 
 FORMAT: Final = register(
@@ -171,5 +191,7 @@ FORMAT: Final = register(
         needs=frozenset(),
         read=read,
         write=None,
+        read_model=read_model,
+        write_model=write_model,
     )
 )

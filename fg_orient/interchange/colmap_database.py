@@ -18,7 +18,7 @@ from urllib.parse import quote
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Problem, problem
 from fg_orient.interchange.colmap_cameras import FIRST_PIXEL, MODEL_IDS, interior_of, parameters_of
 from fg_orient.interchange.registry import Format, Holds, Settings, register
 from fg_orient.interchange.survey import Survey
@@ -253,9 +253,12 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     return read_colmap_database(paths[0]).survey()
 
 
-def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write a database."""
-    write_colmap_database(paths[0], survey, settings.image_sizes, overwrite=True)
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Problem, ...]:
+    """Write a database; what single precision rounds is lost."""
+    rounding = write_colmap_database(paths[0], survey, settings.image_sizes, overwrite=True)
+    if rounding == 0.0:
+        return ()
+    return (problem("lost.single", file=paths[0], value=f"up to {rounding:.1g} px", format=FORMAT.name),)
 
 
 FORMAT: Final = register(

@@ -255,6 +255,8 @@ FORMAT: Final = register(
         needs=frozenset(),
         read=read,
         write=None,
+        read_model=lambda paths, settings: read_colmap_text(paths[0]),
+        write_model=lambda out, model, overwrite: write_colmap_text(out, model, overwrite=overwrite),
         evidence="models written by pycolmap 4.2; ours are read by it",
     )
 )

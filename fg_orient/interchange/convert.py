@@ -65,14 +65,25 @@ def read_survey(
     file = paths[0]
     if format_.read is None:
         raise InputError.of("interchange.no_reader", file=file, place="--from", value=format_.name)
-    _require_few(paths, format_)
-    if not (format_.verified or accept_unverified):
-        raise InputError.of("interchange.unverified", file=file, place="--from", value=format_.name)
+    require_accepted(paths, format_, accept_unverified)
     survey = format_.read(tuple(paths), settings)
     remarks = check_ground(survey, str(file), scenes) if survey.crs else ()
     if not format_.verified:
         remarks = (problem("remark.unverified", file=file, value=format_.name), *remarks)
     return survey, remarks
+
+
+def require_accepted(paths: Sequence[Path], format_: Format, accept_unverified: bool) -> None:
+    """Refuse more files than a format has, and a format that was never tried unless that is accepted.
+
+    Raises
+    ------
+    InputError
+        Either of these.
+    """
+    _require_few(paths, format_)
+    if not (format_.verified or accept_unverified):
+        raise InputError.of("interchange.unverified", file=paths[0], place="--from", value=format_.name)
 
 
 def filled(survey: Survey, fill: Fill) -> Survey:

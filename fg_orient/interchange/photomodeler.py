@@ -183,6 +183,7 @@ FORMAT: Final = register(
         needs=frozenset(),
         read=read,
         write=None,
+        read_model=lambda paths, settings: read_photomodeler(paths[0]),
         evidence="the projects published with DBAT; the pixel origin is an assumption",
     )
 )

@@ -16,6 +16,7 @@ from typing import Final
 
 from fg_orient.errors import InputError, Problem
 from fg_orient.interchange.survey import Survey
+from fg_orient.io.frame_model import FrameModel
 from fg_orient.io.tables import did_you_mean
 
 #: Modules of this package that hold formats.
@@ -88,6 +89,9 @@ class Settings:
 Reader = Callable[[tuple[Path, ...], Settings], Survey]
 #: A writer may give further losses, of which only it knows.
 Writer = Callable[[Survey, tuple[Path, ...], Settings], "Sequence[Problem] | None"]
+ModelReader = Callable[[tuple[Path, ...], Settings], FrameModel]
+#: Gives what the format cannot hold, in words; the flag allows to overwrite.
+ModelWriter = Callable[[Path, FrameModel, bool], tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,8 @@ class Format:
         What the reader was tried on besides our own files; "" makes the format unverified.
     crs : str
         The CRS that the format demands; "" if any will do.
+    read_model, write_model : callables
+        Reader and writer of a whole frame model (cameras, poses, points, image points); None where there is none.
     """
 
     name: str
@@ -133,6 +139,8 @@ class Format:
     write: Writer | None
     evidence: str = ""
     crs: str = ""
+    read_model: ModelReader | None = None
+    write_model: ModelWriter | None = None
 
     @property
     def verified(self) -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 TIES: Final = {
+    "lost.model": ("{format} cannot hold all of the model", "keep a file that holds it"),
+    "lost.single": ("{format} holds single precision: pixels are rounded", "keep a file that holds them"),
     "ties.unreadable": ("the file cannot be read", "check the path and its permissions"),
     "ties.missing": ("the file does not exist", "check the path; {needed}"),
     "ties.not_text": ("the file is not UTF-8 text", "copy it again, or save it as UTF-8"),

@@ -1,0 +1,100 @@
+"""The command ``convert`` on tie points and models of other programs: losses told, unverified formats asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fg_orient.interchange.asp_match import write_match
+from fg_orient.interchange.bal import frame_model_of
+from fg_orient.interchange.bundler import read_bundler
+from fg_orient.interchange.colmap_database import read_colmap_database
+from fg_orient.interchange.colmap_text import read_colmap_text, write_colmap_text
+from fg_orient.interchange.micmac_csv import read_image
+from fg_orient.interchange.registry import formats
+from tests.support.command import in_process
+from tests.support.frame_models import frame_model
+
+
+def matches(folder: Path) -> Path:
+    left, right = np.array([[10.25, 20.5], [30.0, 40.0]]), np.array([[11.25, 21.5], [31.0, 41.0]])
+    write_match(folder / "run-a__b.match", left, right)
+    return folder / "run-a__b.match"
+
+
+def test_an_unverified_format_is_asked_for_once_with_a_sentence(tmp_path: Path) -> None:
+    ended = in_process("convert", matches(tmp_path), "--to", "micmac-ties", "--out", tmp_path / "out")
+    assert ended.code == 2
+    assert "--accept-unverified" in ended.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_matches_become_tables_and_a_database(tmp_path: Path) -> None:
+    path = matches(tmp_path)
+    ended = in_process("convert", path, "--accept-unverified", "--to", "micmac-ties", "--out", tmp_path / "out")
+    assert ended.code == 0, ended.stderr
+    assert read_image(tmp_path / "out" / "PMUL-a.csv")[0].tolist() == [[10.25, 20.5], [30.0, 40.0]]
+    words = ["convert", tmp_path / "out", "--from", "micmac-ties", "--out", tmp_path / "ties.db"]
+    refused = in_process(*words)
+    assert refused.code == 2
+    assert "--image-size a=LINES,SAMPLES" in refused.stderr
+    ended = in_process(*words, "--image-size", "a=100,200", "--image-size", "b=100,200", "--json")
+    assert (ended.code, ended.json["image_points"], ended.json["tie"]) == (0, 4, 2)
+    survey = read_colmap_database(tmp_path / "ties.db").survey()
+    assert sorted(survey.observed.line.tolist()) == [10.25, 11.25, 30.0, 31.0]
+
+
+def test_rounding_to_single_precision_is_told(tmp_path: Path) -> None:
+    (tmp_path / "t").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "t" / f"PMUL-{name}.csv").write_text("Pt.x,Pt.y,Id\n1000.1,2000.3,0\n")
+    sizes = ["--image-size", "a=9000,9000", "--image-size", "b=9000,9000"]
+    ended = in_process("convert", tmp_path / "t", "--from", "micmac-ties", "--out", tmp_path / "t.db", *sizes, "--json")
+    (lost,) = (p for p in ended.json["lost"] if p["code"] == "lost.single")
+    assert lost["value"].endswith("px")
+
+
+def test_a_model_goes_from_colmap_to_bundler_and_back_with_its_residuals(tmp_path: Path) -> None:
+    model = frame_model(("none", "radial"))
+    write_colmap_text(tmp_path / "sparse", model)
+    words = ["convert", tmp_path / "sparse", "--from", "colmap-text", "--out", tmp_path / "bundle.out"]
+    ended = in_process(*words)
+    assert ended.code == 0, ended.stderr
+    assert "names of images" in ended.stderr
+    data, _, _ = read_bundler(tmp_path / "bundle.out")
+    assert np.sum(frame_model_of(data).residuals_px() ** 2) == pytest.approx(
+        np.sum(model.residuals_px() ** 2), rel=1e-9
+    )
+    assert in_process(*words).code == 2  # nothing is overwritten
+    back = ["convert", tmp_path / "bundle.out", "--to", "colmap-text", "--out", tmp_path / "back"]
+    assert in_process(*back).code == 2  # unverified
+    assert in_process(*back, "--accept-unverified").code == 0
+    again = read_colmap_text(tmp_path / "back")
+    assert np.sum(again.residuals_px() ** 2) == pytest.approx(np.sum(model.residuals_px() ** 2), rel=1e-9)
+
+
+def test_cameras_that_bundler_cannot_hold_are_refused_by_name(tmp_path: Path) -> None:
+    write_colmap_text(tmp_path / "sparse", frame_model(("brown",)))
+    ended = in_process("convert", tmp_path / "sparse", "--from", "colmap-text", "--out", tmp_path / "bundle.out")
+    assert ended.code == 2
+    assert "camera 1" in ended.stderr
+    assert not (tmp_path / "bundle.out").exists()
+
+
+def test_formats_with_a_model_say_which_was_tried() -> None:
+    found = formats()
+    assert {name for name, f in found.items() if f.read_model} == {"colmap-text", "bundler", "bal", "photomodeler"}
+    assert {name for name, f in found.items() if f.write_model} == {"colmap-text", "bundler", "bal"}
+    tie_formats = (
+        "asp-match",
+        "colmap-database",
+        "colmap-text",
+        "bundler",
+        "bal",
+        "micmac-ties",
+        "photomodeler",
+        "dbat",
+    )
+    assert [name for name in tie_formats if not found[name].verified] == ["asp-match", "bundler"]
