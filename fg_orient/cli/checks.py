@@ -17,12 +17,22 @@ if TYPE_CHECKING:
 
 
 def validate(
-    project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    project: Annotated[
+        Path,
+        typer.Argument(metavar="PROJECT.toml", help="Project file; or, with --format, points.", show_default=False),
+    ],
+    format_name: Annotated[
+        str, typer.Option("--format", metavar="FORMAT", help="Check a file of points of another program instead.")
+    ] = "",
+    crs: Annotated[str, typer.Option(metavar="EPSG:N", help="Its CRS, where the file does not say it.")] = "",
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Check a project and all its files: errors (exit code 2) and remarks."""
     with outcome(as_json, debug):
+        if format_name:
+            _validate_points(project, format_name, crs, as_json)
+            return
         from fg_orient.io.validate import checked_project, is_remark
 
         block, found = checked_project(project)
@@ -48,6 +58,21 @@ def validate(
                 say("no errors")
         if errors:
             raise typer.Exit(InputError.exit_code)
+
+
+def _validate_points(path: Path, format_name: str, crs: str, as_json: bool) -> None:
+    """Check points of another program; unverified formats are remarked."""
+    from fg_orient.interchange.convert import read_survey
+    from fg_orient.interchange.registry import Settings, format_named
+
+    found = format_named(format_name, place="--format")
+    survey, remarks = read_survey([path], found, Settings(crs), accept_unverified=True)
+    if as_json:
+        emit({"errors": [], "remarks": [p.as_dict() for p in remarks], "points": len(survey.ids), "crs": survey.crs})
+        return
+    for p in remarks:
+        say(f"remark: {p}")
+    say(f"{len(survey.ids)} points, {len(survey.observed)} image points, no errors")
 
 
 def _impossible(block: Block, project: Path) -> list[Problem]:

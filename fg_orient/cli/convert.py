@@ -73,7 +73,7 @@ def convert(
     What the new format cannot hold is said, one line each.
     """
     with outcome(as_json, debug):
-        from fg_orient.interchange.convert import Fill, filled, read_survey, write_survey
+        from fg_orient.interchange.convert import Fill, filled, placed, read_survey, write_survey
         from fg_orient.interchange.registry import Settings, format_named, format_of
 
         if formats:
@@ -93,6 +93,7 @@ def convert(
             files, reader, settings, accept_unverified=accept_unverified, scenes=_scenes(metadata or [])
         )
         survey = filled(survey, Fill(sigma_ground, sigma_image, height, tuple(check or ())))
+        survey = placed(survey, writer, to_crs, str(out[0]))
         settings = Settings(to_crs, image, sigma_axes, settings.image_sizes)
         written, lost = write_survey(survey, out, writer, settings, overwrite=overwrite)
         _show(survey, [reader.name, writer.name], written, remarks, lost, as_json)

@@ -157,20 +157,26 @@ def write_survey(
     for path in wanted:
         if path.exists() and not overwrite:
             raise InputError.of("output.exists", file=path, place="--out")
-    survey = _placed(survey, format_, settings.crs, str(paths[0]))
+    survey = placed(survey, format_, settings.crs, str(paths[0]))
     _require(survey, format_, str(paths[0]))
     lost = losses(survey, format_, str(paths[0]))
     lost = (*lost, *(format_.write(survey, targets, settings) or ()))
     return tuple(wanted), lost
 
 
-def _placed(survey: Survey, format_: Format, wanted: str, file: str) -> Survey:
-    """Survey in the CRS of the output; without coordinates any CRS will do."""
+def placed(survey: Survey, format_: Format, wanted: str, file: str) -> Survey:
+    """Survey in the CRS that a user wants, or the format; the operation is among its notes.
+
+    Raises
+    ------
+    InputError
+        The survey's CRS is unknown, or no exact operation leads to the other one.
+    """
     crs = wanted or format_.crs
     if Holds.GROUND not in format_.holds or (survey.crs and survey.crs == (crs or survey.crs)):
         return survey
     if not survey.located.any():
-        return replace(survey, crs=crs or survey.crs or WGS84)
+        return replace(survey, crs=crs or survey.crs or WGS84)  # without coordinates any will do
     if not survey.crs:
         raise InputError.of("interchange.no_crs", file=file, place="CRS")
     return transformed(survey, crs, file)

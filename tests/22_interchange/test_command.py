@@ -1,0 +1,131 @@
+"""``fg-orient convert``: exit codes, files, what it says; the same points through several formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.command import in_process
+
+POINTS = """\
+# crs: EPSG:32636
+id,role,easting_m,northing_m,height_m,sigma_east_m,sigma_north_m,sigma_up_m
+01,control,400000.5,4580000.25,120.5,0.02,0.02,0.05
+k1,check,401000.0,4581000.0,99.0,0.1,0.2,0.3
+t1,tie,,,,,,
+"""
+OBSERVATIONS = """\
+image,id,line,sample,sigma_line_px,sigma_sample_px
+left.tif,01,1034.25,512.0,0.3,0.3
+left.tif,t1,10.0,20.0,0.3,0.3
+right.tif,t1,30.0,40.0,0.3,0.3
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "points.csv").write_text(POINTS, encoding="utf-8")
+    (tmp_path / "observations.csv").write_text(OBSERVATIONS, encoding="utf-8")
+    return tmp_path
+
+
+def convert(folder: Path, *words: object):  # type: ignore[no-untyped-def]
+    return in_process("convert", folder / "points.csv", folder / "observations.csv", "--from", "csv", *words)
+
+
+def test_files_written_and_information_lost_are_said(folder: Path) -> None:
+    ended = convert(folder, "--to", "pix4d", "--out", folder / "gcp.csv", "--json")
+    assert ended.code == 0
+    record = ended.json
+    assert record["out"] == [str(folder / "gcp.csv"), str(folder / "gcp_marks.csv")]
+    assert {p["code"] for p in record["lost"]} == {
+        "lost.crs",
+        "lost.roles",
+        "lost.sigma_east_north",
+        "lost.sigma_image",
+    }
+    assert (folder / "gcp.csv").read_text().splitlines()[0] == "01,400000.5,4580000.25,120.5,0.02,0.05"
+    assert (folder / "gcp_marks.csv").read_text().splitlines()[0] == "left.tif,01,512.5,1034.75"
+    said = convert(folder, "--to", "pix4d", "--out", folder / "b.csv", "--out", folder / "c.csv")
+    assert said.code == 0 and said.stderr.count("lost: ") == 4 and (folder / "c.csv").exists()
+    assert said.stdout.count("written: ") == 2
+
+
+def test_nothing_is_overwritten_unless_asked(folder: Path) -> None:
+    out = folder / "a.gpkg"
+    assert convert(folder, "--out", out).code == 0
+    ended = convert(folder, "--out", out)
+    assert ended.code == 2 and "--overwrite" in ended.stderr
+    assert convert(folder, "--out", out, "--overwrite").code == 0
+    # the second file of a pair is looked at, too
+    (folder / "x_images.txt").write_text("mine", encoding="utf-8")
+    ended = convert(folder, "--to", "micmac", "--out", folder / "x.txt")
+    assert ended.code == 2 and not (folder / "x.txt").exists()
+
+
+def test_unverified_formats_are_read_on_request_only(folder: Path) -> None:
+    assert convert(folder, "--out", folder / "a.xml", "--to", "metashape-xml").code == 0
+    words = ["convert", folder / "a.xml", "--from", "metashape-xml", "--to", "csv", "--out", folder / "b.csv",
+             "--sigma-image", 0.3, 0.3]  # fmt: skip
+    refused = in_process(*words)
+    assert refused.code == 2 and "--accept-unverified" in refused.stderr
+    ended = in_process(*words, "--accept-unverified")
+    assert ended.code == 0 and "remark: " in ended.stderr
+    assert (folder / "b.csv").read_text() == POINTS
+    assert (folder / "b_observations.csv").read_text() == OBSERVATIONS
+
+
+def test_points_in_another_crs(folder: Path) -> None:
+    ended = convert(folder, "--to-crs", "EPSG:4979", "--to", "csv", "--out", folder / "a.csv")
+    assert ended.code == 0 and "coordinates: EPSG:32636 to EPSG:4978" in ended.stderr
+    line = (folder / "a.csv").read_text().splitlines()[2].split(",")
+    from pyproj import Transformer  # independent of the package's guards
+
+    lon, lat = Transformer.from_crs(32636, 4326, always_xy=True).transform(400000.5, 4580000.25)
+    np.testing.assert_allclose([float(v) for v in line[2:5]], [lon, lat, 120.5], rtol=0, atol=2e-6)
+    assert abs(float(line[2]) - lon) < 1e-11 and abs(float(line[3]) - lat) < 1e-11
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--to", "pix5d", "--out", "x"], "did you mean pix4d"),
+        (["--to", "pix4d"], "Give IN"),
+        (["--out", "x.csv"], "name it: one of csv, metashape-csv, pix4d"),
+        (["--to", "csv", "--out", "x", "--sigma-axes", "xyz"], "ecef or enu"),
+        (["--to", "csv", "--out", "x", "--image-size", "left"], "NAME=LINES,SAMPLES"),
+        (["--to", "csv", "--out", "x", "--crs", "EPSG:32635"], "not the one given"),
+        (["--to", "csv", "--out", "x", "--check", "nobody"], "no point with coordinates"),
+        (["--to", "geojson", "--out", "x", "--out", "y"], "other files"),
+        (["--to", "dbat", "--out", "x"], "only read"),
+        (["--to", "odm", "--out", "no/such/folder/x"], "cannot be written"),
+    ],
+)
+def test_bad_options_end_with_two(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
+) -> None:
+    monkeypatch.chdir(folder)
+    ended = convert(folder, *words)
+    assert ended.code == 2 and message in ended.stderr, ended.stderr
+    assert sorted(p.name for p in folder.iterdir()) == ["observations.csv", "points.csv"]
+
+
+def test_formats_are_listed() -> None:
+    record = in_process("convert", "--formats", "--json").json
+    names = {f["name"]: f["verified"] for f in record["formats"]}
+    assert names["csv"] and not names["pix4d"] and not names["qgis-points"]
+    assert "metashape-xml" in in_process("convert", "--formats").stdout
+
+
+def test_validate_marks_unverified_formats(folder: Path) -> None:
+    (folder / "gcp.csv").write_text("01,400000.5,4580000.25,120.5\n", encoding="utf-8")
+    words = ["validate", folder / "gcp.csv", "--format", "pix4d"]
+    record = in_process(*words, "--crs", "EPSG:32636", "--json").json
+    assert [p["code"] for p in record["remarks"]] == ["remark.unverified"] and record["points"] == 1
+    ended = in_process(*words, "--crs", "EPSG:32636")
+    assert ended.code == 0 and "never tried" in ended.stdout
+    assert in_process(*words).code == 2
+    own = in_process("validate", folder / "points.csv", "--format", "csv", "--json")
+    assert own.json["remarks"] == [] and own.json["crs"] == "EPSG:32636"
