@@ -43,7 +43,7 @@ def everything() -> Survey:
     roles = (Role.CONTROL, Role.CHECK, Role.TIE, Role.TIE, Role.CONTROL, Role.CONTROL)
     known = np.array([role is not Role.TIE for role in roles])[:, None]
     coordinates = np.where(known, np.array([4e5, 458e4, 100.0]) + rng.uniform(0.0, 1e3, (n, 3)), np.nan)
-    observed = full.observed.take(np.isin(full.observed.point, (0, 1, 2)))
+    observed = full.observed.take(np.isin(full.observed.point, (0, 2)))
     return replace(
         full, crs=UTM + "+5773", ids=tuple("abcdef"), roles=roles, coordinates=coordinates, observed=observed,
         sigma_enu_m=np.where(known, rng.uniform(0.1, 1.0, (n, 3)), np.nan), fixed=np.zeros(n, bool),
@@ -67,6 +67,16 @@ def test_everything_lost_is_named(name: str, everything: Survey, tmp_path: Path)
     assert all(p.value and p.remedy for p in lost)
 
 
+def test_what_is_lost_is_counted(everything: Survey, tmp_path: Path) -> None:
+    """b, e and f are located and unseen, c and d are tie points, only d of them unseen."""
+    _, lost = write_survey(everything, [tmp_path / "gcp_list.txt"], formats()["odm"], Settings())
+    counts = {p.code: p.value for p in lost}
+    assert counts["lost.unmeasured"] == "3 points" and counts["lost.ties"] == "2 points"
+    assert counts["lost.roles"] == "1 point" and counts["lost.sigma_ground"] == "4 points"
+    _, lost = write_survey(everything, [tmp_path / "gcp.csv"], formats()["pix4d"], Settings())
+    assert {p.code: p.value for p in lost}["lost.bare_ties"] == "1 point"
+
+
 @pytest.mark.parametrize("name", ["pix4d", "micmac"])
 def test_one_horizontal_sigma_is_the_root_mean_square(name: str, everything: Survey, tmp_path: Path) -> None:
     format_ = formats()[name]
@@ -82,7 +92,7 @@ def test_one_horizontal_sigma_is_the_root_mean_square(name: str, everything: Sur
 def test_points_of_another_image_are_lost_and_counted(everything: Survey, tmp_path: Path) -> None:
     format_ = formats()["qgis-points"]
     _, lost = write_survey(everything, [tmp_path / "left.tif.points"], format_, Settings(image="left.tif"))
-    assert [p.value for p in lost if p.code == "lost.images"] == ["3 points"]
+    assert [p.value for p in lost if p.code == "lost.images"] == ["2 points"]
     with pytest.raises(InputError, match="--image"):
         write_survey(everything, [tmp_path / "b.points"], format_, Settings())
 
@@ -223,9 +233,9 @@ def test_tie_points_alone_need_no_crs(name: str, everything: Survey, tmp_path: P
 
 def test_ids_that_are_numbers_are_not_lost_where_numbers_are_kept(everything: Survey, tmp_path: Path) -> None:
     format_ = formats()["micmac-ties"]
-    for ids, codes in ((("7", "3", "12"), set()), (("7", "3", "012"), {"lost.ids"})):
-        ties = replace(everything.take(np.array([k < 3 for k in range(6)])), ids=ids)
-        lost = {p.code for p in write_survey(ties, [tmp_path / ids[2]], format_, Settings())[1]}
+    for ids, codes in ((("7", "12"), set()), (("7", "012"), {"lost.ids"})):
+        ties = replace(everything.take(np.array([k in (0, 2) for k in range(6)])), ids=ids)
+        lost = {p.code for p in write_survey(ties, [tmp_path / ids[1]], format_, Settings())[1]}
         assert lost & {"lost.ids"} == codes
-        found, _ = read_survey([tmp_path / ids[2]], format_, Settings())
+        found, _ = read_survey([tmp_path / ids[1]], format_, Settings())
         assert (set(found.ids) == set(ids)) is not bool(codes)
