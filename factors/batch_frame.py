@@ -22,7 +22,7 @@ def frame_rows(
     """Frame collinearity of members lo to hi; see :func:`factors.batch_pushbroom.pushbroom_rows`."""
     c, bad = setup.shape[1], -1
     table, known = np.empty((len(wide), CAMERA_SIZE)), np.zeros(len(wide), np.bool_)
-    column, sigma, d = setup[0].astype(np.int64), setup[1].copy(), np.zeros((2, frame.N_UNKNOWNS + 3))
+    column, sigma, d = frame.columns_of(setup), setup[1].copy(), np.zeros((2, frame.N_COLUMNS))
     for m in range(lo, hi):
         a = members[m]
         i, k, p = image[a], row[a], point[a]
@@ -56,7 +56,7 @@ def measured_frame_rows(
     """Frame collinearity with corrected observations of members lo to hi; see :func:`frame_rows`."""
     c, bad = setup.shape[1], -1
     table, known = np.empty((len(wide), frame_measured.CAMERA_SIZE)), np.zeros(len(wide), np.bool_)
-    column, sigma, d = setup[0].astype(np.int64), setup[1].copy(), np.zeros((2, frame.N_UNKNOWNS + 3))
+    column, sigma, d = frame.columns_of(setup), setup[1].copy(), np.zeros((2, frame.N_COLUMNS))
     for m in range(lo, hi):
         a = members[m]
         i, k, p = image[a], row[a], point[a]

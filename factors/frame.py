@@ -32,8 +32,11 @@ RECORD_SIZE: Final = 24
 #: centre (m), 6 focal length, 7 and 8 sample and line of the principal point (px), 9-13 k1 k2 k3 p1 p2; 14 the aspect
 #: of ``factors.frame_measured``, which no pixel here feels.
 N_UNKNOWNS: Final = 15
-#: Column of the ground point behind those of the unknowns.
+#: Column of the ground point behind those of the unknowns; and one that stays zero, for unknowns of an image that no
+#: pixel feels: codes from N_UNKNOWNS on (``factors.navigation``).
 GROUND: Final = N_UNKNOWNS
+SILENT: Final = GROUND + 3
+N_COLUMNS: Final = SILENT + 1
 
 
 @compiled
@@ -41,10 +44,21 @@ def camera(record: Any, setup: Any, x: Any) -> Any:
     """Camera (29,) of unknowns (k,) in prior sigmas; see ``factors.frame_camera``."""
     d, out = np.zeros(N_UNKNOWNS, x.dtype), np.empty(CAMERA_SIZE, x.dtype)
     for j in range(setup.shape[1]):
-        d[int(setup[0, j])] += setup[1, j] * x[j]
+        if setup[0, j] < N_UNKNOWNS:
+            d[int(setup[0, j])] += setup[1, j] * x[j]
     turned(d, record[4:13], out)
     for k in range(11):
         out[9 + k] = record[13 + k] + d[3 + k]
+    return out
+
+
+@compiled
+def columns_of(setup: Any) -> Any:
+    """Column (k,) of each unknown among the derivatives."""
+    out = setup[0].astype(np.int64)
+    for j in range(len(out)):
+        if out[j] >= N_UNKNOWNS:
+            out[j] = SILENT
     return out
 
 
@@ -96,11 +110,11 @@ def sight_row(c: Any, own: float, direction: Any, u: float, v: float, weight: fl
 
 @compiled
 def derivatives(c: Any, ray: Any, a_line: float, a_sample: float, out: Array) -> float:
-    """Write the whitened derivatives of the residual into ``out`` (2, 18); 0 if they are finite.
+    """Write the whitened derivatives of the residual into ``out`` (2, 19); 0 if they are finite.
 
     ``c`` is the camera, an array or a tuple; ``ray`` what :func:`factors.frame_camera.direction` gives; ``a_line`` and
     ``a_sample`` are the weights, 1/px. Columns: the 15 unknowns in physical units, then the ground point;
-    column 14 is left as it is.
+    columns 14 and 18 are left as they are.
     """
     x, y, _ = ray
     mx, my = brown_ideal_to_measured(c, x, y)
@@ -121,7 +135,7 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
 
     Returns False if the sizes do not fit or a value is not finite.
     """
-    k, record, d = setup.shape[1], records[row], np.zeros((2, N_UNKNOWNS + 3))
+    k, record, d = setup.shape[1], records[row], np.zeros((2, N_COLUMNS))
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
     c = camera(record, setup, x)
@@ -131,9 +145,10 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
     zero = 0.0 * (out[0, 0] + out[1, 0])
     if want:
         zero += derivatives(c, ray, record[2], record[3], d)
+        column = columns_of(setup)
         for i in range(2):
             for j in range(k):
-                out[i, 1 + j] = d[i, int(setup[0, j])] * setup[1, j]
+                out[i, 1 + j] = d[i, column[j]] * setup[1, j]
             for j in range(3):
                 out[i, 1 + k + j] = d[i, GROUND + j]
     return bool(zero == 0.0)
@@ -163,7 +178,11 @@ def example(rng: np.random.Generator) -> Example:
     )
     sigma = np.repeat([rng.choice([1e-5, 1e-3, 0.1]), 0.3, 3.0, 2.0, 1e-2, 1e-4], [3, 3, 1, 2, 3, 2])
     codes = np.sort(rng.permutation(14)[: rng.integers(1, 15)])
-    setup = np.ascontiguousarray(np.stack([codes.astype(float), sigma[codes]]))
+    setup = np.stack([codes.astype(float), sigma[codes]])
+    if rng.random() < 0.3:
+        codes = np.append(codes, N_UNKNOWNS + 2)
+        setup = np.column_stack([setup, [codes[-1], 1.0]])
+    setup = np.ascontiguousarray(setup)
     return Example(record, setup, (rng.normal(size=len(codes)), ground + rng.normal(scale=1.0, size=3)))
 
 

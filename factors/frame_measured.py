@@ -20,7 +20,7 @@ import numpy as np
 
 from factors import frame
 from factors._contract import Argument, Array, Equation, Example, compiled, register
-from factors.frame import GROUND, N_UNKNOWNS, sight_row
+from factors.frame import GROUND, N_COLUMNS, columns_of, sight_row
 from factors.frame_camera import brown_derivatives, brown_ideal_to_measured, direction
 
 #: Record: 0:24 as in ``factors.frame``, aspect 24, unit 25 (px).
@@ -67,7 +67,7 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
 
 @compiled
 def derivatives(c: Any, ray: Any, line: float, sample: float, a_line: float, a_sample: float, out: Array) -> float:
-    """Write the whitened derivatives of the residual into ``out`` (2, 18), as ``factors.frame.derivatives``."""
+    """Write the whitened derivatives of the residual into ``out`` (2, 19), as ``factors.frame.derivatives``."""
     x, y = measured(c, line, sample)
     a, b, d = brown_derivatives(c, x, y)
     zero = sight_row(c, ray[1], ray, 0.0, 1.0, -a_line, out, 0) + sight_row(c, ray[0], ray, 1.0, 0.0, -a_sample, out, 1)
@@ -88,7 +88,7 @@ def derivatives(c: Any, ray: Any, line: float, sample: float, a_line: float, a_s
 @compiled
 def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
     """Write residual, image and ground Jacobian of one row into ``out``; see :func:`factors.frame.fill`."""
-    k, record, d = setup.shape[1], records[row], np.zeros((2, N_UNKNOWNS + 3))
+    k, record, d = setup.shape[1], records[row], np.zeros((2, N_COLUMNS))
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
     c = camera(record, setup, x)
@@ -98,9 +98,10 @@ def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: A
     zero = 0.0 * (out[0, 0] + out[1, 0])
     if want:
         zero += derivatives(c, ray, record[0], record[1], record[2], record[3], d)
+        column = columns_of(setup)
         for i in range(2):
             for j in range(k):
-                out[i, 1 + j] = d[i, int(setup[0, j])] * setup[1, j]
+                out[i, 1 + j] = d[i, column[j]] * setup[1, j]
             for j in range(3):
                 out[i, 1 + k + j] = d[i, GROUND + j]
     return bool(zero == 0.0)

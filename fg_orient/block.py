@@ -203,8 +203,11 @@ class ExtraObservation:
     unknowns : tuple of str
         One per argument of the equation: "image:left" (its coefficients in prior sigmas) or
         "point:12" (metres relative to the block's local origin, axes parallel to ECEF).
-    record, setup : arrays
+    record : array
         Constants of the observation, see ``factors._contract``.
+    setup : array or None
+        What all observations of a group share; None: that of the image that it names first, the codes and prior
+        sigmas of the unknowns in force (``ImageParameters.setup``).
     n_residuals : int
         Length of the residual.
     label : str
@@ -214,7 +217,7 @@ class ExtraObservation:
     equation: Equation
     unknowns: tuple[str, ...]
     record: Array
-    setup: Array
+    setup: Array | None
     n_residuals: int
     label: str
 

@@ -167,8 +167,8 @@ class Solution:
 
     @property
     def unobservable(self) -> tuple[str, ...]:
-        """One sentence per dead direction, and per shift of the whole block that no control point fixes."""
-        datum = () if self.block_view is None else self.block_view.datum
+        """One sentence per dead direction, per free shift of the block, per observation on board that priors hold."""
+        datum = () if self.block_view is None else (*self.block_view.datum, *self.block_view.on_board)
         return (*(sentence for o in self.observability for sentence in o.sentences), *datum)
 
     def correction(self, image: str) -> Any:

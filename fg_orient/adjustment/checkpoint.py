@@ -160,7 +160,7 @@ def fingerprint(problem: Problem, scope: str = "") -> str:
     for array in (
         problem.records, problem.control_records, problem.active, problem.observed, problem.origin_m, o.image, o.point,
         problem.start.image, problem.start.ground,
-        *(part for extra in problem.block.extra for part in (extra.record, extra.setup)),
+        *(part for extra in problem.block.extra for part in (extra.record, problem.extra_setup(extra))),
     ):  # fmt: skip
         digest.update(repr(array.shape).encode())
         digest.update(np.ascontiguousarray(array).data)

@@ -151,7 +151,7 @@ def extra_blocks(
         problem.unknowns(state, a.index) if a.is_image else np.ascontiguousarray(state.ground[a.index])
         for a in arguments
     ]
-    blocks = extra.equation.kernel(extra.record, extra.setup, *x, jacobian)
+    blocks = extra.equation.kernel(extra.record, problem.extra_setup(extra), *x, jacobian)
     sizes = tuple(a.size for a in arguments) if jacobian else ()
     check_blocks(extra.equation.name, extra.label, blocks if jacobian else blocks[:1], sizes, extra.n_residuals)
     if not jacobian:

@@ -133,7 +133,7 @@ def _extra_factor(extra: ExtraObservation, problem: Problem) -> gtsam.CustomFact
         else:
             unknowns.append(image_unknown(problem, argument.index) if argument.is_image else point_key(argument.index))
     return factor(
-        extra.equation, unknowns, [a.size for a in arguments], extra.record, extra.setup,
+        extra.equation, unknowns, [a.size for a in arguments], extra.record, problem.extra_setup(extra),
         label=extra.label, n_residuals=extra.n_residuals,
     )  # fmt: skip
 

@@ -259,6 +259,13 @@ class Problem:
             raise InputError.of("adjust.extra_constant", place=extra.label, value=", ".join(extra.unknowns))
         return found
 
+    def extra_setup(self, extra: ExtraObservation) -> Array:
+        """Setup of an own observation: its own, or that of the image that it names first."""
+        if extra.setup is not None:
+            return extra.setup
+        first = next(a for a in self.extra_arguments(extra) if a.is_image)
+        return self.parameters[first.index].setup
+
     def corrections(self, state: State) -> list[Any]:
         """Corrections of all images as their sensors take them: ``Correction``, or RPC compensation (6,) px."""
         return [model.correction(self.unknowns(state, k)) for k, model in enumerate(self.models)]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -24,6 +23,7 @@ from factors.batch_weights import scale_rows
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
+from fg_orient.adjustment.schur_own import OwnOfImages, SchurStep
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_rows import Buffers, Rows, row_arrays
 from fg_orient.adjustment.schur_structure import (
@@ -42,28 +42,6 @@ Array = npt.NDArray[np.float64]
 MAX_THREADS: Final = 2
 
 
-@dataclass(frozen=True)
-class SchurStep:
-    """A step; see ``loop.Step``. ``image`` (u,) prior sigmas, ``ground`` (P, 3) m, the states before and after it."""
-
-    image: Array
-    ground: Array
-    length: float
-    predicted_error: float
-    before: State
-    after: State
-
-    @property
-    def data(self) -> tuple[Array, Array]:
-        """Both parts."""
-        return self.image, self.ground
-
-    @property
-    def norm(self) -> float:
-        """Euclidean norm."""
-        return float(np.sqrt(np.sum(self.image**2) + np.sum(self.ground**2)))
-
-
 class SchurSystem:
     """One linearisation; see ``loop.System``. It shares memory with its backend and is renewed when it has lost it."""
 
@@ -72,6 +50,7 @@ class SchurSystem:
         self._newton: SchurStep | None = None
         self._robust, self._excess = backend.robust, 0.0
         self._eliminated_at: float | None = None
+        self._own = backend.own.rows(state)
         self._fill()
         self.error = self._excess + backend.half_squares(backend.buffers.value, state, backend.buffers.control)
 
@@ -190,6 +169,7 @@ class SchurSystem:
             gather_blocks, s.block_begin, s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, b.sums,
             s.wide, s.scale, s.size, s.n_basis, s.n_components, b.blocks,
         )  # fmt: skip
+        self._own.add_blocks(b.blocks)
         return b.blocks
 
     def _eliminate(self, damping: float) -> None:
@@ -213,7 +193,7 @@ class SchurSystem:
             0, len(s.block_row), s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column,
             s.n_basis, s.n_components, b.gradients, wide,
         )  # fmt: skip
-        problem, own = self._backend.problem, s.narrowed(wide)
+        problem, own = self._backend.problem, s.narrowed(wide) + self._own.gradient
         free = own if problem.ties is None else problem.ties.summed(own)
         return free + self._backend.prior * problem.image_vector(self.state)
 
@@ -284,7 +264,7 @@ class SchurSystem:
 
     def curvature(self, image: Array, ground: Array) -> float:
         """Squares of the whitened Jacobian times a direction (u,), (P, 3)."""
-        own = self._backend.prior * np.sum(image**2)
+        own = self._backend.prior * np.sum(image**2) + self._own.squares_along(image, 0.0)
         return float(self._squares_along(image, ground, 0.0) + own + self._whitened_squares(ground))
 
     def _squares_along(self, image: Array, ground: Array, share: float) -> float:
@@ -312,7 +292,8 @@ class SchurSystem:
     def _step(self, image: Array, ground: Array, squares: float) -> SchurStep:
         backend = self._backend
         moved = backend.moved(self.state, image, ground)
-        error = self._excess + backend.half_rest(moved, self.buffers().control) + 0.5 * squares
+        own = self._own.squares_along(image, 1.0)
+        error = self._excess + backend.half_linear(moved, self.buffers().control) + 0.5 * (squares + own)
         length = max(float(np.abs(image).max()), float(np.abs(ground).max(initial=0.0)))
         return SchurStep(image, ground, length, error, self.state, moved)
 
@@ -331,7 +312,7 @@ class SchurBackend:
     Raises
     ------
     InputError
-        The block has own observations, or a sensor whose equation has no batch.
+        Own observations name ground points or several images, or a sensor's equation has no batch.
     """
 
     name = "schur"
@@ -347,6 +328,7 @@ class SchurBackend:
         automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
         self.workers = Workers(automatic if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
+        self.own = OwnOfImages(problem, self.structure)
         self.reduced = ReducedSystems(self.structure, problem.first, reduced, problem.ties)
         self.buffers = Buffers(self.structure, problem.control_records)
         self.robust: Robust | None = None
@@ -371,7 +353,7 @@ class SchurBackend:
         if self.robust is None:
             return self.half_rest(state) + 0.5 * sum(float(np.vdot(v, v)) for v in self._values(state))
         _, _, cost = self.robust.weigh(*self.squares(state))
-        return cost + 0.5 * self.prior * self.problem.prior_squares(state)
+        return cost + 0.5 * self.prior * self.problem.prior_squares(state) + self.own.half_squares(state)
 
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``; image points in the order of the structure."""
@@ -439,6 +421,10 @@ class SchurBackend:
         )
 
     def half_rest(self, state: State, records: Array | None = None) -> float:
+        """Half the weighted sum of squares of control points, priors and own observations."""
+        return self.half_linear(state, records) + self.own.half_squares(state)
+
+    def half_linear(self, state: State, records: Array | None = None) -> float:
         """Half the weighted sum of squares of control points and priors."""
         control = self._control_residuals(state, self.problem.control_records if records is None else records)
         return 0.5 * float(np.sum(control**2) + self.prior * self.problem.prior_squares(state))

@@ -50,8 +50,8 @@ RECORDS: Final = 32_768
 
 def reason_against(block: Block, models: Sequence[ImageModel]) -> str:
     """Why the Schur backend cannot take a block; empty if it can."""
-    if block.extra:
-        return "the block has own observations"
+    if any(len(extra.unknowns) > 1 or not extra.unknowns[0].startswith("image:") for extra in block.extra):
+        return "own observations name ground points or several images"
     unknown = sorted({m.equation.name for m in models if not has_batch(m.equation)})
     return f"no batch for the equation {', '.join(unknown)}" if unknown else ""
 

@@ -118,7 +118,30 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         sources=(_source(path), *sources, *_table_sources(project, folder, points, observations)),
         notes=_notes(known, points, [p for p in remarks if p.code != FEW_CHECK_CODE]),
     )
-    return block, remarks
+    return _navigated(block, project, folder, str(path)), remarks
+
+
+def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> Block:
+    """The block with what was observed on board of its frame images, if the project names it."""
+    entry = project.navigation
+    if entry is None:
+        return block
+    from fg_orient.io.navigation import mounting_of, read_navigation
+    from fg_orient.sensors.navigation import with_navigation
+
+    path = folder / entry.file
+    if not path.is_file():
+        raise InputError.of("project.missing_file", file=file, place="navigation.file", value=entry.file, folder=folder)
+    try:
+        crs_kind(entry.crs)
+    except InputError as error:
+        raise InputError(*(dataclasses.replace(p, file=file, place="navigation.crs") for p in error.problems)) from None
+    fixes, sha256 = read_navigation(path, entry.crs)
+    try:
+        block = with_navigation(block, fixes, mounting_of(entry))
+    except InputError as error:
+        raise InputError(*(dataclasses.replace(p, file=str(path)) for p in error.problems)) from None
+    return dataclasses.replace(block, sources=(*block.sources, Source(str(path), sha256)))
 
 
 # --- the TOML file -------------------------------------------------------------------------------

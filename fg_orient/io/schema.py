@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 from pydantic.fields import FieldInfo
 
@@ -29,11 +30,14 @@ from fg_orient.options import (
     RpcCompensation,
     StatisticsChoice,
 )
+from fg_orient.sensors.frame import ORTHONORMAL
 from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
 Three = tuple[Positive, Positive, Positive]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Row = tuple[Number, Number, Number]
 Switch = Annotated[bool, Field(strict=True)]
 
 
@@ -66,6 +70,32 @@ class ObservationsEntry(_Table):
     """The ``[observations]`` table."""
 
     file: Text = Field(description="the path of the observation table in quotes")
+
+
+def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None:
+    """Refuse a matrix that turns nothing: columns that are not orthonormal, or a reflection."""
+    if value is not None:
+        m = np.array(value)
+        if np.abs(m @ m.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(m) < 0.0:
+            raise ValueError
+    return value
+
+
+class NavigationEntry(_Table):
+    """The ``[navigation]`` table: what a receiver and an inertial unit observed on board of frame images."""
+
+    file: Text = Field(description="the path of the navigation table in quotes")
+    crs: Text = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
+    lever_m: Row = Field(default=(0.0, 0.0, 0.0), description="three numbers, m: receiver to projection centre")
+    camera_from_body: Annotated[tuple[Row, Row, Row] | None, AfterValidator(_rotation)] = Field(
+        default=None, description="three rows of three numbers, a rotation"
+    )
+    shift_sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
+    drift_sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
+    attitude_shift_sigma_deg: Three | None = Field(default=None, description="three numbers above zero, degrees")
+    attitude_drift_sigma_deg: Three | None = Field(default=None, description="three numbers above zero, degrees")
+    lever_sigma_m: Three | None = Field(default=None, description="three numbers above zero, m")
+    boresight_sigma_deg: Three | None = Field(default=None, description="three numbers above zero, degrees")
 
 
 class Orientation(_Table):
@@ -154,6 +184,7 @@ class ProjectFile(_Table):
     )
     points: PointsEntry = Field(description="a table [points] with file and crs")
     observations: ObservationsEntry = Field(description="a table [observations] with file")
+    navigation: NavigationEntry | None = Field(default=None, description="a table [navigation] with file and crs")
     orientation: Orientation = Field(default_factory=Orientation, description="a table [orientation]")
     adjustment: Adjustment = Field(default_factory=Adjustment, description="a table [adjustment]")
 

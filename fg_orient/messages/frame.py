@@ -47,6 +47,13 @@ FRAME: Final = {
         "a sensor description or frame image must say what it is",
         "give kind = {known}",
     ),
+    "navigation.image": ("the project has no such image", "name the images as the project does"),
+    "navigation.twice": ("the image was observed twice on board", "keep one record for each image"),
+    "navigation.sigma": ("the standard deviation is not above zero", "give metres or degrees, as the column says"),
+    "navigation.kind": (
+        "only frame images in Earth-fixed coordinates take observations from on board",
+        "leave the image out of the navigation table",
+    ),
     "frame.mixed": (
         "images in a local coordinate system and Earth-fixed ones cannot stand in one block",
         "transform them to one system",

@@ -53,6 +53,7 @@ def divide(problem: Problem, parts: int) -> list[Index]:
         More parts than ground points, or less than one; a block that the Schur backend cannot take.
     """
     reason = reason_against(problem.block, problem.models)
+    reason = "the block has own observations" if problem.block.extra else reason
     if reason:
         raise InputError.of("adjust.schur", place="parts", value=reason)
     o = problem.observations

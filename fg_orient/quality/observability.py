@@ -29,6 +29,7 @@ from fg_orient.linear.system import MAX_UNKNOWNS
 from fg_orient.parameters import ImageParameters
 from fg_orient.quality.elimination import Rows, eliminated, eliminated_with_own
 from fg_orient.quality.motions import SHIFT_M, UNOBSERVABLE, FreeMotions, free_motions
+from fg_orient.quality.on_board import held_on_board
 from fg_orient.quality.structure import Structure, analyse_structure, named
 
 Array = npt.NDArray[np.float64]
@@ -211,6 +212,8 @@ class BlockObservability:
         Parts of the block, and what lacks observations.
     unexplained : int
         Unobservable directions that are no motions of the block.
+    on_board : tuple of str
+        One per shift, drift, lever arm or boresight of what was observed on board that the priors hold.
     """
 
     singular_values: Array
@@ -220,6 +223,7 @@ class BlockObservability:
     motions: tuple[FreeMotions, ...]
     structure: Structure
     unexplained: int = 0
+    on_board: tuple[str, ...] = ()
 
     @property
     def counts(self) -> dict[str, int] | None:
@@ -311,7 +315,8 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
     dead = s <= UNOBSERVABLE
     sentences, unexplained = _dead_sentences(problem, vt[dead].T, motions, structure)
     weak = int(((s < WEAK_WITHOUT_PRIORS) & ~dead).sum())
-    return BlockObservability(s, sentences, weak, datum, motions, structure, unexplained)
+    on_board = held_on_board(problem, s, vt, DETERMINED)
+    return BlockObservability(s, sentences, weak, datum, motions, structure, unexplained, on_board)
 
 
 def _dead_sentences(

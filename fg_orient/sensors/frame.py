@@ -29,7 +29,14 @@ UNKNOWNS: Final = (
     "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "principal_sample",
     "principal_line", "k1", "k2", "k3", "p1", "p2", "aspect",
 )  # fmt: skip
-#: Of these, the interior orientation: what images of one camera may have in common.
+#: Further ones that no pixel feels, of a receiver and an inertial unit on board (``factors.navigation``), behind these:
+#: shift and drift of the position in the axes of the strip, of the attitude about those of the body, lever, boresight.
+NAVIGATION: Final = (
+    "gnss_shift_east", "gnss_shift_north", "gnss_shift_up", "gnss_drift_east", "gnss_drift_north", "gnss_drift_up",
+    "ins_shift_roll", "ins_shift_pitch", "ins_shift_heading", "ins_drift_roll", "ins_drift_pitch", "ins_drift_heading",
+    "lever_x", "lever_y", "lever_z", "boresight_x", "boresight_y", "boresight_z",
+)  # fmt: skip
+#: Of the first, the interior orientation: what images of one camera may have in common.
 INTERIOR: Final = UNKNOWNS[6:]
 #: The two distortion equations, by the direction in which the polynomial leads.
 IDEAL_TO_MEASURED: Final = "brown_ideal_to_measured"
@@ -64,8 +71,8 @@ class FrameCamera:
     aspect : float
         Measured to ideal: samples are stretched by 1 + aspect.
     sigma : mapping
-        Unknowns of the adjustment by name (:data:`UNKNOWNS`) with their prior sigmas (rad, m, px; k and p have
-        no unit). What is not named is held.
+        Unknowns of the adjustment by name (:data:`UNKNOWNS`, :data:`NAVIGATION`) with their prior sigmas (rad, m, px;
+        k and p have no unit). What is not named is held.
     shared : mapping
         Unknowns that this image has in common with others, by name, and with whom: all images that give a name the
         same id have one unknown ({"focal": "camera 1"}). Their start values and sigmas must agree.
@@ -112,7 +119,7 @@ class FrameCamera:
         self._require_unknowns()
 
     def _require_unknowns(self) -> None:
-        known = UNKNOWNS if self.model == MEASURED_TO_IDEAL else UNKNOWNS[:-1]
+        known = (*(UNKNOWNS if self.model == MEASURED_TO_IDEAL else UNKNOWNS[:-1]), *NAVIGATION)
         for name, sigma in self.sigma.items():
             if name not in known or not (np.isfinite(sigma) and sigma > 0.0):
                 raise InputError.of("frame.unknown", place=name, value=sigma, known=", ".join(known))

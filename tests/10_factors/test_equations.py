@@ -14,6 +14,7 @@ import factors.extended_collinearity
 import factors.frame
 import factors.height_control
 import factors.line_scanner
+import factors.navigation
 import factors.plane
 import factors.pushbroom
 import factors.rfm_equation

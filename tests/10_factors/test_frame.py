@@ -41,7 +41,7 @@ def test_residual_equals_the_printed_formulas() -> None:
     for _ in range(40):
         e = frame.example(rng)
         (observed, weight), start, interior = e.record[:4].reshape(2, 2), e.record[4:13].reshape(3, 3), e.record[13:24]
-        d = np.zeros(frame.N_UNKNOWNS)
+        d = np.zeros(frame.N_UNKNOWNS + 3)  # some draws have an unknown that no pixel feels
         d[e.setup[0].astype(int)] = e.setup[1] * e.unknowns[0]
         centre, (f, cx, cy, k1, k2, k3, p1, p2) = interior[:3] + d[3:6], interior[3:] + d[6:14]
         q = Rotation.from_rotvec(d[:3]).apply(start @ (e.unknowns[1] - centre))

@@ -14,25 +14,33 @@ from factors.frame_measured import FRAME_BROWN_MEASURED_TO_IDEAL
 from fg_orient.block import ImagePoints, Options
 from fg_orient.errors import InputError
 from fg_orient.parameters import ImageParameters, require_unknowns
-from fg_orient.sensors.frame import INTERIOR, UNKNOWNS, FrameCamera, FrameSensor
+from fg_orient.sensors.frame import INTERIOR, NAVIGATION, UNKNOWNS, FrameCamera, FrameSensor
 
 Array = npt.NDArray[np.float64]
 
-_UNITS: Final = ("rad",) * 3 + ("m",) * 3 + ("px",) * 3 + ("",) * 6
+_UNITS: Final = (
+    ("rad",) * 3 + ("m",) * 3 + ("px",) * 3 + ("",) * 6 + ("m",) * 6 + ("rad",) * 6 + ("m",) * 3 + ("rad",) * 3
+)  # fmt: skip
 _WORDS: Final = (
     "rotation about the camera's X (rad)", "rotation about the camera's Y (rad)",
     "rotation about the camera's Z (rad)", "projection centre X (m)", "projection centre Y (m)",
     "projection centre Z (m)", "focal length (px)", "sample of the principal point (px)",
     "line of the principal point (px)", "radial distortion k1", "radial distortion k2", "radial distortion k3",
     "decentring distortion p1", "decentring distortion p2", "aspect",
+    *(f"{kind} of the receiver {axis} (m)" for kind in ("shift", "drift") for axis in ("East", "North", "Up")),
+    *(f"{kind} of the attitude, {axis} (rad)" for kind in ("shift", "drift") for axis in ("roll", "pitch", "heading")),
+    *(f"lever arm {axis} (m)" for axis in "XYZ"),
+    *(f"boresight about the camera's {axis} (rad)" for axis in "XYZ"),
 )  # fmt: skip
+#: Names by code.
+_NAMES: Final = (*UNKNOWNS, *NAVIGATION)
 
 
 def camera_parameters(camera: FrameCamera, only: tuple[str, ...] = ()) -> ImageParameters:
     """Unknowns of a frame image: what the camera gives a prior sigma, or the named ones of them, by code."""
-    codes = tuple(k for k, name in enumerate(UNKNOWNS) if name in camera.sigma and (not only or name in only))
-    sigma = np.array([camera.sigma[UNKNOWNS[k]] for k in codes])
-    names = tuple(UNKNOWNS[k] for k in codes)
+    codes = tuple(k for k, name in enumerate(_NAMES) if name in camera.sigma and (not only or name in only))
+    sigma = np.array([camera.sigma[_NAMES[k]] for k in codes])
+    names = tuple(_NAMES[k] for k in codes)
     shared = tuple(camera.shared.get(name, "") for name in names) if camera.shared else ()
     return ImageParameters(
         codes, sigma, names, tuple(_UNITS[k] for k in codes), tuple(_WORDS[k] for k in codes), shared
@@ -89,10 +97,10 @@ class FrameImageModel:
         return out
 
     def correction(self, x: Array) -> Array:
-        """Corrections (15,) in physical units, in the order of the codes of ``factors.frame``."""
-        out = np.zeros(N_UNKNOWNS)
+        """Corrections (15,) in physical units, in the order of the codes of ``factors.frame``: what a pixel feels."""
+        out = np.zeros(len(_NAMES))
         out[list(self.parameters.codes)] = x * self.parameters.sigma
-        return out
+        return out[:N_UNKNOWNS]
 
     def silent_directions(self) -> list[tuple[str, Array]]:
         """None: every unknown moves the image."""

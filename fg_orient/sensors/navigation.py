@@ -1,0 +1,182 @@
+"""Positions of a receiver and attitudes of an inertial unit on board, as observations of frame images.
+
+Direct georeferencing takes them as they are; here they are observed, with shift and drift of each strip, lever arm and
+boresight as unknowns where they have a prior sigma (``factors.navigation``). Body axes: X forward, Y right, Z down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.navigation import ANTENNA_POSITION, INERTIAL_ATTITUDE
+from fg_orient.block import Block, ExtraObservation, Image
+from fg_orient.errors import InputError
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
+from fg_orient.sensors.frame import NAVIGATION, FrameCamera, FrameSensor
+
+Array = npt.NDArray[np.float64]
+Three = tuple[float, float, float]
+
+#: Camera axes (X right, Y down the lines, Z along the view) from body axes, the upper edge of the image being forward.
+TOP_FORWARD: Final = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+#: Id under which all images share lever arm and boresight.
+MOUNTING: Final = "mounting"
+
+
+@dataclass(frozen=True, eq=False)
+class Fix:
+    """What was observed on board at the exposure of one image.
+
+    Parameters
+    ----------
+    image, strip : str
+    time_s : float
+        Any time scale, the same for a strip.
+    position_m : (3,) array
+        Of the receiver, ECEF.
+    position_sigma_m : (3,) array
+        East, North, Up.
+    ground_from_body : (3, 3) array, optional
+        Attitude: ECEF axes from body axes; None where none was observed.
+    attitude_sigma_rad : (3,) array, optional
+        Of turns about the body's X (roll), Y (pitch) and Z (heading).
+    """
+
+    image: str
+    strip: str
+    time_s: float
+    position_m: Array
+    position_sigma_m: Array
+    ground_from_body: Array | None = None
+    attitude_sigma_rad: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """How receiver, inertial unit and camera are mounted, and what is unknown of them; None: held, or zero.
+
+    Parameters
+    ----------
+    lever_m : (3,) array
+        From the receiver to the projection centre, body axes.
+    camera_from_body : (3, 3) array
+        Boresight.
+    shift_sigma_m, drift_sigma_m : three floats or None
+        Prior sigmas of the error of a strip's positions, East, North, Up: constant, and at the ends of the strip.
+    turn_sigma_rad, turn_drift_sigma_rad : three floats or None
+        The same of its attitudes, roll, pitch, heading.
+    lever_sigma_m, boresight_sigma_rad : three floats or None
+        Of lever arm (body axes) and boresight (turns about the camera's axes), common to all images.
+    """
+
+    lever_m: Array = field(default_factory=lambda: np.zeros(3))
+    camera_from_body: Array = field(default_factory=lambda: TOP_FORWARD)
+    shift_sigma_m: Three | None = None
+    drift_sigma_m: Three | None = None
+    turn_sigma_rad: Three | None = None
+    turn_drift_sigma_rad: Three | None = None
+    lever_sigma_m: Three | None = None
+    boresight_sigma_rad: Three | None = None
+
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """Prior sigmas of the unknowns by name."""
+        given = (self.shift_sigma_m, self.drift_sigma_m, self.turn_sigma_rad, self.turn_drift_sigma_rad,
+                 self.lever_sigma_m, self.boresight_sigma_rad)  # fmt: skip
+        pairs = zip(NAVIGATION, (value for three in given for value in (three or (None,) * 3)), strict=True)
+        return {name: float(value) for name, value in pairs if value is not None}
+
+
+def body_attitude(roll_rad: float, pitch_rad: float, heading_rad: float, place_m: Array) -> Array:
+    """ECEF axes from body axes (3, 3) of roll, pitch and heading from North at a place (3,) ECEF m.
+
+    ``Rz(heading) Ry(pitch) Rx(roll)`` leads from the body to North, East, Down.
+    """
+    (sr, cr), (sp, cp), (sh, ch) = ((np.sin(a), np.cos(a)) for a in (roll_rad, pitch_rad, heading_rad))
+    rx = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    ry = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    rz = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]])
+    east, north, up = _enu(place_m)
+    return np.asarray(np.column_stack([north, east, -up]) @ rz @ ry @ rx)
+
+
+def with_navigation(block: Block, fixes: Sequence[Fix], mounting: Mounting) -> Block:
+    """The block with what was observed on board as own observations, and its unknowns.
+
+    Parameters
+    ----------
+    block : Block
+    fixes : sequence of Fix
+        At most one of each image; images without one keep their priors alone.
+    mounting : Mounting
+
+    Raises
+    ------
+    InputError
+        No such image, not a georeferenced frame image, one that has two.
+    """
+    images, extra = list(block.images), list(block.extra)
+    seen: set[str] = set()
+    for fix, tau, axes in _in_strips(fixes):
+        place = block.find(f"image:{fix.image}")
+        if place is None or fix.image in seen:
+            code = "navigation.image" if place is None else "navigation.twice"
+            raise InputError.of(code, place="image", value=fix.image)
+        seen.add(fix.image)
+        sensor = images[place[1]].sensor
+        if not (isinstance(sensor, FrameSensor) and sensor.georeferenced):
+            raise InputError.of("navigation.kind", place=f"image {fix.image}", value=type(sensor).__name__)
+        images[place[1]] = Image(fix.image, _with_unknowns(sensor, fix, mounting))
+        extra += _observations(fix, tau, axes, sensor.camera, mounting)
+    return replace(block, images=tuple(images), extra=tuple(extra))
+
+
+def _in_strips(fixes: Sequence[Fix]) -> list[tuple[Fix, float, Array]]:
+    """Each fix with its tau in [-1, 1] and the axes East, North, Up (3, 3) of its strip."""
+    out = []
+    for fix in fixes:
+        strip = [other for other in fixes if other.strip == fix.strip]
+        first, last = min(f.time_s for f in strip), max(f.time_s for f in strip)
+        tau = 2.0 * (fix.time_s - first) / (last - first) - 1.0 if last > first else 0.0
+        out.append((fix, tau, _enu(np.mean([f.position_m for f in strip], axis=0))))
+    return out
+
+
+def _with_unknowns(sensor: FrameSensor, fix: Fix, mounting: Mounting) -> FrameSensor:
+    """The sensor with the unknowns of strip and mounting; those that its observations do not feel are left out."""
+    camera, known = sensor.camera, mounting.sigmas
+    names = [n for n in known if fix.ground_from_body is not None or not n.startswith(("ins_", "boresight"))]
+    sigma = {**camera.sigma, **{name: known[name] for name in names}}
+    of_strip = {name: f"strip {fix.strip}" for name in names if name.startswith(("gnss_", "ins_"))}
+    of_all = {name: MOUNTING for name in names if name not in of_strip}
+    camera = replace(camera, sigma=sigma, shared={**camera.shared, **of_strip, **of_all})
+    return FrameSensor(
+        camera, sensor.n_lines, sensor.n_samples, first_line=sensor.first_line, first_sample=sensor.first_sample,
+        file=sensor.file, notes=sensor.notes,
+    )  # fmt: skip
+
+
+def _observations(
+    fix: Fix, tau: float, axes: Array, camera: FrameCamera, mounting: Mounting
+) -> list[ExtraObservation]:  # fmt: skip
+    """Position, and attitude if there is one; records of ``factors.navigation``."""
+    common = [*camera.rotation.ravel(), *mounting.camera_from_body.ravel(), tau]
+    weight = axes / fix.position_sigma_m[:, None]
+    own = [*(fix.position_m - camera.centre_m), *mounting.lever_m, *axes.T.ravel()]
+    record, image = np.array([*weight.ravel(), *common, *own]), (f"image:{fix.image}",)
+    out = [ExtraObservation(ANTENNA_POSITION, image, record, None, 3, f"position of the receiver, image {fix.image}")]
+    if fix.ground_from_body is not None and fix.attitude_sigma_rad is not None:
+        record = np.array([*np.diag(1.0 / fix.attitude_sigma_rad).ravel(), *common, *fix.ground_from_body.T.ravel()])
+        out.append(ExtraObservation(INERTIAL_ATTITUDE, image, record, None, 3, f"attitude on board, image {fix.image}"))
+    return out
+
+
+def _enu(place_m: Array) -> Array:
+    """Axes East, North, Up (3, 3), rows, at a place (3,) ECEF m."""
+    lon, lat, _ = ecef_to_geodetic(place_m[None])
+    return np.asarray(enu_from_ecef(lon, lat)[0])

@@ -1,0 +1,226 @@
+"""Strips of frame images with a receiver and an inertial unit on board, whose errors drift along each strip.
+
+Parallel strips, flown to and fro, 1500 m above rough ground, pixels of 0.15 m. Everything that the adjustment is told
+has a prior sigma, and the truth is drawn from it: start values of the orientation, shift and drift of position and
+attitude of each strip, lever arm, boresight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import frame_camera
+from factors.navigation import BORESIGHT, DRIFT, LEVER, SHIFT, TURN, TURN_DRIFT
+from fg_orient.block import Block, Image, ImagePoints, Options
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.names import Role
+from fg_orient.sensors.frame import NAVIGATION, UNKNOWNS, FrameCamera, FrameSensor
+from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude, with_navigation
+from fg_orient.simulate.simulation import ground_points, points_of, random_streams, require
+from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
+
+Array = npt.NDArray[np.float64]
+
+#: Flying height, distance of exposures and of strips, range of the ground's heights, m; seconds between exposures.
+HEIGHT_M: Final = 1500.0
+BASE_M: Final = 600.0
+SPACING_M: Final = 1000.0
+RELIEF_M: Final = 200.0
+INTERVAL_S: Final = 10.0
+SIDE_PX: Final = 10000
+FOCAL_PX: Final = 10000.0
+MARGIN_PX: Final = 50.0
+#: Prior sigmas of the exterior orientation: errors of its start values.
+EXTERIOR: Final = dict(zip(UNKNOWNS[:6], (5e-3,) * 3 + (2.0,) * 3, strict=True))
+#: Sigmas of what is observed on board (m, rad) and of image points (px).
+POSITION_SIGMA_M: Final = np.array([0.05, 0.05, 0.08])
+ATTITUDE_SIGMA_RAD: Final = np.array([5e-5, 5e-5, 1e-4])
+IMAGE_SIGMA_PX: Final = 0.4
+GROUND_SIGMA_M: Final = (0.03, 0.03, 0.05)
+LEVER_M: Final = np.array([0.3, -0.2, 1.5])
+MOUNTED: Final = Mounting(
+    LEVER_M, TOP_FORWARD, (0.3,) * 3, (0.1,) * 3, (5e-4,) * 3, (2e-4,) * 3, (0.02,) * 3, (2e-3,) * 3
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class StripOptions:
+    """Options: strips of so many images each, ground points, of them control points, seed.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+
+    seed: int = 1
+    strips: int = 2
+    images: int = 5
+    points: int = 60
+    control: int = 5
+
+    def __post_init__(self) -> None:
+        require(self.seed >= 0, "seed", self.seed, "a whole number from 0")
+        require(1 <= self.strips <= 20 and 2 <= self.images <= 50, "strips, images", (self.strips, self.images),
+                "1 to 20, 2 to 50")  # fmt: skip
+        require(0 <= self.control <= self.points, "control", self.control, f"0 to {self.points} points")
+
+
+@dataclass(frozen=True, eq=False)
+class StripTruth:
+    """True unknowns of the images in prior sigmas (M, k), as ``State.image``, and ground points (N, 3) ECEF m."""
+
+    image: Array
+    ground_m: Array
+
+
+def strip_block(options: StripOptions | None = None, mounting: Mounting = MOUNTED) -> tuple[Block, StripTruth]:
+    """A block of strips with its observations from on board, and its truth.
+
+    Parameters
+    ----------
+    options : StripOptions, optional
+    mounting : Mounting
+        What is unknown; the truth of what is not is the given value.
+    """
+    chosen = options or StripOptions()
+    streams = random_streams(chosen.seed)
+    n = chosen.strips * chosen.images
+    errors = _errors(chosen, mounting, streams["orientation"])
+    place, axes = _exposures(chosen)
+    cameras, fixes = [], []
+    for k in range(n):
+        true, camera = _cameras(place[k], axes[k], errors[k], mounting)
+        cameras.append((true, camera))
+        strip, number = divmod(k, chosen.images)
+        tau = 2.0 * number / (chosen.images - 1) - 1.0
+        fixes.append((k, strip, number * INTERVAL_S, tau))
+    observed = _fixes(fixes, [true for true, _ in cameras], errors, mounting, streams["orientation"])
+    block, ground = _block(chosen, cameras, streams)
+    block = with_navigation(block, observed, mounting)
+    return block, StripTruth(_unknowns(block, errors), ground)
+
+
+def _errors(options: StripOptions, mounting: Mounting, rng: np.random.Generator) -> Array:
+    """True minus given of all unknowns of each image (M, 33), physical units; equal where images share them."""
+    sigma = np.array([EXTERIOR.get(name, 0.0) for name in UNKNOWNS] + [mounting.sigmas.get(n, 0.0) for n in NAVIGATION])
+    drawn = sigma * rng.standard_normal((options.strips * options.images, len(sigma)))
+    drawn[:, LEVER:] = drawn[0, LEVER:]
+    for strip in range(options.strips):
+        rows = slice(strip * options.images, (strip + 1) * options.images)
+        drawn[rows, SHIFT:LEVER] = drawn[rows, SHIFT:LEVER][0]
+    return np.asarray(drawn)
+
+
+def _exposures(options: StripOptions) -> tuple[Array, list[Array]]:
+    """Projection centres (M, 3) ECEF m, and the body's axes in ECEF of each."""
+    enu = enu_from_ecef(*CENTRE_LON_LAT_DEG)[0]
+    middle, places, axes = geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)[0], [], []
+    for strip in range(options.strips):
+        way = 1.0 if strip % 2 == 0 else -1.0
+        for number in range(options.images):
+            east = way * BASE_M * (number - (options.images - 1) / 2.0)
+            north = SPACING_M * (strip - (options.strips - 1) / 2.0)
+            places.append(middle + np.array([east, north, HEIGHT_M + RELIEF_M / 2.0]) @ enu)
+            roll, pitch = 0.01 * np.sin(1.0 + number), 0.01 * np.cos(2.0 * number)
+            axes.append(body_attitude(roll, pitch, way * np.pi / 2.0, places[-1]))
+    return np.array(places), axes
+
+
+def _turn(w: Array) -> Array:
+    """``exp([w]x)``."""
+    out = np.empty(frame_camera.CAMERA_SIZE)
+    frame_camera.turned(w, np.eye(3).ravel(), out)
+    return np.asarray(out[:9].reshape(3, 3))
+
+
+def _cameras(place_m: Array, body: Array, error: Array, mounting: Mounting) -> tuple[FrameCamera, FrameCamera]:
+    """The true camera of an exposure, and the one given, with the errors of its start values."""
+    principal = np.full(2, (SIDE_PX - 1) / 2.0)
+    rotation = mounting.camera_from_body @ body.T
+    true = FrameCamera(rotation, place_m, FOCAL_PX, principal)
+    return true, FrameCamera(
+        _turn(-error[:3]) @ rotation, place_m - error[3:6], FOCAL_PX, principal, sigma=EXTERIOR
+    )  # fmt: skip
+
+
+def _fixes(
+    when: list[tuple[int, int, float, float]], cameras: list[FrameCamera], errors: Array, mounting: Mounting,
+    rng: np.random.Generator,
+) -> list[Fix]:  # fmt: skip
+    """What was observed on board: truth, errors of strip and mounting, noise."""
+    out = []
+    axes = {
+        strip: _enu(np.mean([cameras[j].centre_m for j, other, _, _ in when if other == strip], axis=0))
+        for strip in {strip for _, strip, _, _ in when}
+    }
+    for k, strip, time_s, tau in when:
+        d, camera, enu = errors[k], cameras[k], axes[strip]
+        body = camera.rotation.T @ _turn(d[BORESIGHT:]) @ mounting.camera_from_body
+        noise = POSITION_SIGMA_M * rng.standard_normal(3), ATTITUDE_SIGMA_RAD * rng.standard_normal(3)
+        wrong = d[SHIFT : SHIFT + 3] + tau * d[DRIFT : DRIFT + 3] + noise[0]
+        turn = d[TURN : TURN + 3] + tau * d[TURN_DRIFT : TURN_DRIFT + 3] + noise[1]
+        position = camera.centre_m - body @ (mounting.lever_m + d[LEVER:BORESIGHT]) + enu.T @ wrong
+        out.append(Fix(
+            _name(k), str(strip + 1), time_s, position, POSITION_SIGMA_M, body @ _turn(turn).T, ATTITUDE_SIGMA_RAD
+        ))  # fmt: skip
+    return out
+
+
+def _name(k: int) -> str:
+    return f"image{k + 1:02d}"
+
+
+def _enu(place_m: Array) -> Array:
+    lon, lat, _ = ecef_to_geodetic(place_m[None])
+    return np.asarray(enu_from_ecef(lon, lat)[0])
+
+
+def _block(
+    options: StripOptions, cameras: list[tuple[FrameCamera, FrameCamera]], streams: dict[str, np.random.Generator]
+) -> tuple[Block, Array]:  # fmt: skip
+    """Images, points seen twice or more, and their true coordinates."""
+    sensors = [FrameSensor(true, SIDE_PX, SIDE_PX) for true, _ in cameras]
+    lon_lat_height, pixels, seen = _points(options, sensors, streams["points"])
+    control = streams["roles"].permutation(options.points) < options.control
+    roles = tuple(Role.CONTROL if yes else Role.TIE for yes in control)
+    ids = tuple(str(j + 1) for j in range(options.points))
+    ground = ground_points(ids, roles, lon_lat_height, GROUND_SIGMA_M, streams["ground_noise"])
+    image, point = (a.astype(np.intp) for a in np.nonzero(seen))
+    noisy = pixels[image, point] + IMAGE_SIGMA_PX * streams["image_noise"].standard_normal((len(image), 2))
+    sigma = np.full(len(image), IMAGE_SIGMA_PX)
+    images = tuple(
+        Image(_name(k), FrameSensor(given, SIDE_PX, SIDE_PX, file=_name(k))) for k, (_, given) in enumerate(cameras)
+    )
+    known, withheld = points_of(ground)
+    observations = ImagePoints(image, point, noisy[:, 0], noisy[:, 1], sigma, sigma)
+    datum = "control" if options.control else "priors"
+    made = Options(datum="priors") if datum == "priors" else Options()
+    return Block("strips", images, known, observations, withheld, made), ground.ecef_m
+
+
+def _points(
+    options: StripOptions, sensors: list[FrameSensor], rng: np.random.Generator
+) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """Points seen twice or more: longitude, latitude, height (n, 3); pixels (M, n, 2); who sees them (M, n)."""
+    half = 0.5 * np.array([BASE_M * options.images, SPACING_M * options.strips]) + 300.0
+    enu, middle = enu_from_ecef(*CENTRE_LON_LAT_DEG)[0], geodetic_to_ecef(*CENTRE_LON_LAT_DEG, 0.0)
+    unit = rng.random((20 * options.points + 100, 3))
+    place = middle + np.column_stack([(2.0 * unit[:, :2] - 1.0) * half, RELIEF_M * unit[:, 2]]) @ enu
+    pixels = np.stack([np.stack(sensor.project(place), axis=1) for sensor in sensors])
+    seen = np.asarray(((pixels > MARGIN_PX) & (pixels < SIDE_PX - 1 - MARGIN_PX)).all(axis=2))
+    kept = np.flatnonzero(seen.sum(axis=0) >= 2)[: options.points]
+    return np.stack(ecef_to_geodetic(place[kept]), axis=1), pixels[:, kept], seen[:, kept]
+
+
+def _unknowns(block: Block, errors: Array) -> Array:
+    """True unknowns of each image in prior sigmas, in the order of its parameters."""
+    names, out = (*UNKNOWNS, *NAVIGATION), []
+    for image, error in zip(block.images, errors, strict=True):
+        sigma = image.sensor.camera.sigma  # type: ignore[attr-defined]  # a frame image
+        out.append([error[j] / sigma[name] for j, name in enumerate(names) if name in sigma])
+    return np.array(out)
