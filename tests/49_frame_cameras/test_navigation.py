@@ -91,11 +91,13 @@ def test_against_scipy() -> None:
     block, _ = strip_block(StripOptions(seed=2, strips=1, images=2, points=10, control=4))
     solution = fg.adjust(block)
     problem = solution.problem
+    moved = solution.ground_m[problem.active] - (problem.start.ground + problem.origin_m)[problem.active]
+    near = np.concatenate([problem.image_vector(solution.state), moved.ravel()])
+    away = near + 0.1 * np.random.default_rng(1).standard_normal(len(near))  # soon there, but by its own way
     reference = least_squares(
-        lambda x: _residuals(problem, block, x), np.concatenate([np.zeros(problem.n_free_unknowns),
-                                                                np.zeros(3 * int(problem.active.sum()))]),
-        jac="3-point", x_scale="jac", max_nfev=8, xtol=1e-14, ftol=1e-14, gtol=1e-14,
-    )  # fmt: skip
+        lambda x: _residuals(problem, block, x), away, x_scale="jac", max_nfev=60, xtol=1e-11, ftol=1e-12, gtol=1e-14
+    )
+    assert reference.status > 0
     assert 2.0 * reference.cost == pytest.approx(solution.chi2, rel=1e-7)
     found = problem.image_matrix(reference.x[: problem.n_free_unknowns])
     np.testing.assert_allclose(found, solution.state.image, atol=2e-4)  # numerical derivatives, prior sigmas
