@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -273,3 +274,7 @@ def test_what_dem_control_refuses(sigma: float) -> None:
         adjust_with_dem(block, Hills(), sigma)
     with pytest.raises(InputError, match="no point to be observed"):
         adjust_with_dem(block, Hills(), 1.0, roles=(Role.CONTROL,))
+    for refused, options in ((replace(block, options=replace(block.options, backend="schur")), {}),
+                             (block, {"backend": "schur"})):  # fmt: skip
+        with pytest.raises(InputError, match="no form for heights of single points"):
+            adjust_with_dem(refused, Hills(), 1.0, **options)
