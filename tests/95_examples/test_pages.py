@@ -71,6 +71,8 @@ SLOW: dict[tuple[str, str], float] = {
     ("docs/figures.md", ""): 20,
     ("docs/mixed-blocks.md", ""): 15,
     ("docs/significance.md", "loo"): 12,
+    ("docs/tutorials/calibrate.md", "closerange bundle"): 8,
+    ("docs/how-to/eop-set.md", "reduce"): 2,
     ("docs/variance-components.md", ""): 15,
 }
 
