@@ -79,9 +79,19 @@ SLOW: dict[tuple[str, str], float] = {
 #: Pages that another test runs.
 RUN_ELSEWHERE = {"docs/extending*": "code as plugins outside the package, with more checks: tests/96_extending"}
 
+
+def camera_file(folder: Path) -> None:
+    """Write camera.toml, the camera file that its page shows."""
+    page = "docs/frame-cameras.md"
+    text = next(f.text for f in pages.fences(PAGES[page], page) if f.language == "toml" and "focal" in f.text)
+    (folder / "camera.toml").write_text(text, "utf-8")
+
+
 #: What is written for a page beside the prepared files, or in their place.
 OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "README.md": (page_files.map_points, page_files.photos_and_control),
+    "docs/frame-cameras.md": (camera_file,),
+    "docs/quickstart.md": (camera_file,),
     "docs/rpc-commands.md": (page_files.rpc_points,),
     "docs/rectification.md": (page_files.map_points,),
     "docs/rfm.md": (page_files.gcp_file,),
