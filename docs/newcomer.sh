@@ -34,5 +34,6 @@ run() {
     step report_is_whole
 }
 
-# lines with file:/// are pip's remarks on where this machine keeps packages; pipefail hands on the code of the first step that failed
+# Lines with file:/// are remarks of pip on where this machine keeps packages.
+# pipefail hands on the code of the first step that failed.
 run | sed -e '/file:\/\/\//d' -e "s#$folder#fg_orient#g" -e "s#$source#REPOSITORY#g" -e "s#$HOME#~#g"
