@@ -10,6 +10,7 @@ import pytest
 
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.solve import solve
+from fg_orient.interchange.photomodeler import read_photomodeler
 from fg_orient.quality.covariance import cofactors_of
 from tests.support import dbat, photomodeler
 
@@ -46,7 +47,7 @@ RUNS = {
 def test_prague_of_dbat(real_data: Path, sigma0: str) -> None:
     run = RUNS[sigma0]
     folder = real_data / "dbat" / "prague2016" / run.folder
-    export = photomodeler.read_export(folder / "pmexports" / f"{run.export}-with-orient-pmexport.txt")
+    export = read_photomodeler(folder / "pmexports" / f"{run.export}-with-orient-pmexport.txt")
     control = photomodeler.read_control(folder / "ref" / f"ctrlpts-{run.control}.txt")
     centres = photomodeler.read_centres(folder / "ref" / "fake-camera-positions.txt") if run.observed else {}
     block = photomodeler.block(export, control, run.sigma_px, centres)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fg_orient.interchange.photomodeler import read_photomodeler
 from tests.support import dbat, photomodeler
 from tests.support.command import Ended
 from tests.support.command import in_process as run
@@ -24,16 +25,17 @@ def _rows(path: Path, head: str, rows: Iterable[Iterable[object]]) -> None:
 def camcal(tmp_path_factory: pytest.TempPathFactory, real_data: Path) -> Path:
     """Photos, points and marks of the export as tables; coordinates in mm, y down."""
     folder, data = tmp_path_factory.mktemp("camcal"), real_data / "dbat" / "dbat"
-    export = photomodeler.read_export(data / "pmexports" / "camcal-pmexport.txt")
+    export = read_photomodeler(data / "pmexports" / "camcal-pmexport.txt")
     control = photomodeler.read_control(data / "ref" / "camcal-fixed.txt")
+    (camera,) = export.cameras.values()
     entry = '[[photos]]\nname = "{}"\nfocal = 7.5\nprincipal = {}\ny_axis = "down"\nrotation = {}\ncentre_m = {}\n'
-    middle = [0.5 * export.form.width / export.form.px_per_mm, 0.5 * export.form.height_mm]
-    photos = [entry.format(k + 1, middle, r.tolist(), c.tolist()) for k, (r, c) in enumerate(export.poses)]
+    middle = [0.5 * camera.n_samples / camera.unit_px, 0.5 * camera.n_lines / camera.unit_px]
+    photos = [entry.format(k, middle, p.rotation.tolist(), p.centre_m.tolist()) for k, p in enumerate(export.poses, 1)]
     (folder / "photos.toml").write_text("schema = 1\n" + "".join(photos), "utf-8")
-    marks = export.marks.tolist()
-    _rows(folder / "image.csv", "id,photo,x,y",
-          ((int(i), int(k), u / export.form.px_per_mm, v / export.form.px_per_mm) for k, i, u, v in marks))  # fmt: skip
-    new = {i: at for i, at in export.points.items() if i not in control}
+    ids, photo = np.array(export.point_ids)[export.point], export.image + 1
+    x, y = export.sample / camera.unit_px, export.line / camera.unit_px
+    _rows(folder / "image.csv", "id,photo,x,y", zip(ids, photo.tolist(), x.tolist(), y.tolist(), strict=True))
+    new = {i: at for i, at in photomodeler.points_of(export).items() if i not in control}
     for name, points in (("control", control), ("start", new)):
         _rows(folder / f"{name}.csv", "id,x_m,y_m,z_m", ((i, *at.tolist()) for i, at in points.items()))
     return folder

@@ -1,77 +1,20 @@
-"""PhotoModeler exports as DBAT reads them, and the runs of Börlin, Grussenmeyer (2016) on them: a reader for tests.
+"""Blocks of the runs of Börlin, Grussenmeyer (2016): DBAT on exports of PhotoModeler, here from our reader.
 
-An export holds one camera, photos (centre, kappa, phi, omega in degrees), known and all points in a shifted system, and
-the marks. DBAT takes image points, camera and start values from it, and control points from a file of its own.
+DBAT takes image points, camera and start values from the export, and control points from a file of its own.
 """
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from factors.constraints import OBSERVED_ELEMENT
 from fg_orient.block import Block, Coordinates, ExtraObservation, GroundPoints, Image, ImagePoints, Options
+from fg_orient.io.frame_model import FrameModel
 from fg_orient.names import Role
-from fg_orient.sensors.frame import FrameSensor, rotation_of_opk
-from tests.support.dbat import EXTERIOR, NOTHING, Format, camera
-
-
-@dataclass(frozen=True, eq=False)
-class Export:
-    """What a PhotoModeler text export says.
-
-    Parameters
-    ----------
-    form : Format
-    camera : (10,) array
-        Focal length, principal point, format, k1 to k3, p1, p2; mm.
-    names : list of str
-        Files of the photos.
-    poses : list of tuple
-        Rotation and projection centre by photo.
-    points : dict
-        Start coordinates of all points by id.
-    marks : (n, 4) array
-        Photo (from 1), point, x, y in pixels.
-    """
-
-    form: Format
-    camera: np.ndarray
-    names: list[str]
-    poses: list[tuple[np.ndarray, np.ndarray]]
-    points: dict[int, np.ndarray]
-    marks: np.ndarray
-
-
-def read_export(path: Path) -> Export:
-    """Read a text export: paragraphs of photos, known points, all points, marks."""
-    text = path.read_text()
-    size, _, inner = (_numbers(line) for line in text.splitlines()[1:4])
-    found = re.findall(r"^ *\d+ \S*/(\S+)\n(.+)$", text, re.MULTILINE)
-    stations = [_numbers(row) for _, row in found]
-    poses = [(rotation_of_opk(*np.radians(s[:3:-1])), s[1:4]) for s in stations]
-    tables = [rows for rows in map(_table, text.split("\n\n")) if rows is not None]
-    points = next(t for t in reversed(tables) if t.shape[1] == 7)
-    marks = next(t for t in tables if t.shape[1] == 6)
-    return Export(
-        Format(int(size[2]), int(size[3]), float(inner[4])), inner, [name for name, _ in found], poses,
-        {int(row[0]): row[1:4] for row in points}, marks[:, :4] + [1.0, 0.0, 0.0, 0.0],
-    )  # fmt: skip
-
-
-def _numbers(line: str) -> np.ndarray:
-    return np.array([float(word) for word in line.split()])
-
-
-def _table(paragraph: str) -> np.ndarray | None:
-    """Numbers of a paragraph without words."""
-    if re.search("[A-Za-df-z]", paragraph):
-        return None
-    rows = [_numbers(line) for line in paragraph.splitlines() if line.strip()]
-    return np.array(rows) if rows and len({len(row) for row in rows}) == 1 else None
+from fg_orient.sensors.frame import FrameSensor
+from tests.support.dbat import EXTERIOR, NOTHING
 
 
 def read_control(path: Path) -> dict[int, np.ndarray]:
@@ -86,36 +29,42 @@ def read_centres(path: Path) -> dict[str, np.ndarray]:
     return {row[0]: np.array([float(word) for word in row[1:]]) for row in rows}
 
 
-def shift_of(export: Export, control: dict[int, np.ndarray]) -> np.ndarray:
+def points_of(export: FrameModel) -> dict[int, np.ndarray]:
+    """Start coordinates of all points by number."""
+    return {int(name): at for name, at in zip(export.point_ids, export.points_m, strict=True)}
+
+
+def shift_of(export: FrameModel, control: dict[int, np.ndarray]) -> np.ndarray:
     """What leads from the export's system to that of the control points: mean difference of the control points."""
-    return np.mean([control[i][:3] - export.points[i] for i in control], axis=0)
+    points = points_of(export)
+    return np.mean([control[i][:3] - points[i] for i in control], axis=0)
 
 
-def block(export: Export, control: dict[int, np.ndarray], sigma_px: float, centres: dict[str, np.ndarray]) -> Block:
+def block(export: FrameModel, control: dict[int, np.ndarray], sigma_px: float, centres: dict[str, np.ndarray]) -> Block:
     """Block of a run: the camera held; control points held or with their sigmas, and so observed centres by photo.
 
     Coordinates are those of the export's system, as in the reports.
     """
     shift = shift_of(export, control)
-    f, x, y, _, _, k1, k2, k3, p1, p2 = export.camera
-    polynomial = (k1, k2, k3, -p2, p1)  # y down
-    cameras = [camera(export.form, f, (x, y), polynomial, pose, EXTERIOR) for pose in export.poses]
+    (interior,) = export.cameras.values()
+    cameras = [interior.camera(pose.rotation, pose.centre_m, EXTERIOR) for pose in export.poses]
     images = tuple(
-        Image(name, FrameSensor(c, export.form.height, export.form.width, georeferenced=False))
-        for name, c in zip(export.names, cameras, strict=True)
+        Image(pose.name, FrameSensor(c, interior.n_lines, interior.n_samples, georeferenced=False))
+        for pose, c in zip(export.poses, cameras, strict=True)
     )
-    ids, at = np.unique(export.marks[:, 1].astype(int), return_inverse=True)
-    seen = export.marks
-    sigma = np.full(len(seen), sigma_px)
-    measured = ImagePoints(seen[:, 0].astype(int) - 1, at, seen[:, 3], seen[:, 2], sigma, sigma)
+    seen, at = np.unique(export.point, return_inverse=True)
+    ids = np.array([int(export.point_ids[k]) for k in seen.tolist()])
+    sigma = np.full(len(at), sigma_px)
+    measured = ImagePoints(export.image, at, export.line, export.sample, sigma, sigma)
     options = Options(priors=False, datum="control", optimizer="gauss-newton", max_iterations=20)
     return Block("dbat", images, _points(export, ids, control, shift), measured, NOTHING, options,
                  extra=_observed(images, centres, shift))  # fmt: skip
 
 
-def _points(export: Export, ids: np.ndarray, control: dict[int, np.ndarray], shift: np.ndarray) -> GroundPoints:
+def _points(export: FrameModel, ids: np.ndarray, control: dict[int, np.ndarray], shift: np.ndarray) -> GroundPoints:
     """Control points held, or observed with sigmas; the others begin at the export's coordinates."""
-    xyz, sigma = np.array([export.points[i] for i in ids.tolist()]), np.full((len(ids), 3), np.nan)
+    start = points_of(export)
+    xyz, sigma = np.array([start[i] for i in ids.tolist()]), np.full((len(ids), 3), np.nan)
     fixed = np.zeros(len(ids), bool)
     for k, i in enumerate(ids.tolist()):
         if i in control:
