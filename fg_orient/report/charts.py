@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, Final
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from fg_orient.report.data import Result
+from fg_orient.report.orientation import image_correlations, short_names
 from fg_orient.report.panel import Panel, powers, ticks
 
 Array = npt.NDArray[np.float64]
@@ -52,29 +54,11 @@ def correction_chart(image: str, rows: Sequence[dict[str, Any]]) -> Markup:
     return panel.svg("panel broad")
 
 
-def correlations(cofactors: Array) -> Array:
-    """Correlation matrix (k, k) of a cofactor matrix; nan where a variance is not positive."""
-    sigma = np.sqrt(np.where(np.diag(cofactors) > 0.0, np.diag(cofactors), np.nan))
-    return np.asarray(np.clip(cofactors / np.outer(sigma, sigma), -1.0, 1.0))
-
-
-def heat_maps(result: Result, unknowns: dict[str, list[str]]) -> list[dict[str, Any]]:
-    """Correlations of each image's unknowns as a triangle of squares; none where covariances are withheld.
-
-    Parameters
-    ----------
-    result : Result
-    unknowns : dict
-        Short names of the unknowns by image, in the order of the cofactors.
-    """
-    if result.cofactors is None:
-        return []
-    out: list[dict[str, Any]] = []
-    for image, names, q in zip(unknowns, unknowns.values(), result.cofactors, strict=False):
-        rho = correlations(q[: len(names), : len(names)])
-        if len(names) > 1 and np.isfinite(rho).any() and len(out) < MAX_HEAT:
-            out.append({"image": image, "drawing": _heat(image, names, rho)})
-    return out
+def heat_maps(result: Result) -> list[dict[str, Any]]:
+    """Correlations of each image's unknowns as a triangle of squares; none where covariances are withheld."""
+    names = short_names(result)
+    chosen = itertools.islice(image_correlations(result).items(), MAX_HEAT)
+    return [{"image": image, "drawing": _heat(image, names[image], rho)} for image, rho in chosen]
 
 
 def _heat(image: str, names: Sequence[str], rho: Array) -> Markup:

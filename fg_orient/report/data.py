@@ -8,7 +8,7 @@ import json
 import math
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -77,8 +77,8 @@ class Result:
         The tables.
     iterations : tuple of dict
         ``iterations.jsonl``.
-    cofactors : (n, k, k) array or None
-        Of each image's unknowns, filled up with nan; None in a folder without ``arrays.npz``.
+    cofactors : dict
+        Cofactors (k, k) of each image's unknowns by image; empty in a folder without ``arrays.npz``.
     """
 
     folder: Path
@@ -87,7 +87,7 @@ class Result:
     residuals: Columns
     eop: Columns
     iterations: tuple[dict[str, Any], ...]
-    cofactors: Array | None = None
+    cofactors: dict[str, Array] = field(default_factory=dict)
 
 
 def read_result(folder: Path) -> Result:
@@ -110,19 +110,20 @@ def read_result(folder: Path) -> Result:
         lines = (folder / name).read_text("utf-8").splitlines()
         iterations = tuple(json.loads(line) for line in lines)
         name = "arrays.npz"
-        cofactors = _cofactors(folder / name)
+        cofactors = _cofactors(folder / name, [str(image["id"]) for image in record["images"]])
         three = (tables["points.csv"], tables["residuals.csv"], tables["eop.csv"])
         return Result(folder, record, *three, iterations, cofactors)
     except (OSError, ValueError, KeyError, csv.Error, zipfile.BadZipFile) as error:
         raise InputError.of("report.damaged", file=folder / name, value=error) from None
 
 
-def _cofactors(path: Path) -> Array | None:
-    """Cofactors of the images' unknowns; None where there is no such file."""
+def _cofactors(path: Path, images: Sequence[str]) -> dict[str, Array]:
+    """Cofactors of the images' unknowns by image, in the order of the record; none where there is no such file."""
     if not path.is_file():
-        return None
+        return {}
     with np.load(path, allow_pickle=False) as arrays:
-        return np.asarray(arrays["image_cofactors"], float)
+        counts, stacked = arrays["n_parameters"].tolist(), np.asarray(arrays["image_cofactors"], float)
+    return {image: q[:n, :n] for image, n, q in zip(images, counts, stacked, strict=True)}
 
 
 def read_columns(path: Path, *wanted: str, optional: Sequence[str] = ()) -> Columns:

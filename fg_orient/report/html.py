@@ -8,7 +8,7 @@ import numpy as np
 
 from fg_orient.report.charts import correction_chart, heat_maps, iteration_charts, redundancy_chart
 from fg_orient.report.data import Result, residual_summary
-from fg_orient.report.orientation import corrections, short_names
+from fg_orient.report.orientation import corrections
 from fg_orient.report.page import environment
 from fg_orient.report.payload import payload
 from fg_orient.report.residual_plots import largest_residuals, normalised, residual_panels
@@ -37,7 +37,7 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
         residuals=summaries, panels=residual_panels(result, summaries), outliers=largest_residuals(result),
         tested=normalised(result, np.arange(len(result.residuals)))[1], redundancy=redundancy_chart(result),
         corrections=[{**c, "chart": correction_chart(**c)} for c in corrections(result)],
-        heat=heat_maps(result, short_names(result)), singular=singular_values(record["observability"]),
+        heat=heat_maps(result), singular=singular_values(record["observability"]),
         held=_not_determined(record), iterations=result.iterations,
         history=iteration_charts(result.iterations), truth=comparison,
     )  # fmt: skip

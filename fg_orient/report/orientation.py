@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
+import numpy as np
+import numpy.typing as npt
+
 from fg_orient.report.data import Result
+
+Array = npt.NDArray[np.float64]
 
 #: Units that people read more easily: name and factor.
 _READABLE: Final = {"rad": ("µrad", 1e6), "m/s": ("mm/s", 1e3), "m": ("m", 1.0)}
@@ -65,3 +70,18 @@ def short_names(result: Result) -> dict[str, list[str]]:
         tail = f"c{power}" if kind == "c" else ("", argument)[power] if power < 2 else argument + _SIGNS[power]
         out.setdefault(image, []).append(f"{name} {tail}".strip())
     return out
+
+
+def correlations(cofactors: Array) -> Array:
+    """Correlation matrix (k, k) of a cofactor matrix; nan where a variance is not positive."""
+    sigma = np.sqrt(np.where(np.diag(cofactors) > 0.0, np.diag(cofactors), np.nan))
+    return np.asarray(np.clip(cofactors / np.outer(sigma, sigma), -1.0, 1.0))
+
+
+def image_correlations(result: Result) -> dict[str, Array]:
+    """Correlations (k, k) of the unknowns by image, of images with two or more; none where covariances are withheld.
+
+    Rows stand in the order of the image's rows of ``eop.csv``.
+    """
+    found = {image: correlations(q) for image, q in result.cofactors.items() if len(q) > 1}
+    return {image: rho for image, rho in found.items() if np.isfinite(rho).any()}

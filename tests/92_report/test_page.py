@@ -17,7 +17,7 @@ from scipy import stats
 from fg_orient.report import charts, payload, residual_plots
 from fg_orient.report.data import Result, residual_summary
 from fg_orient.report.html import render
-from fg_orient.report.orientation import corrections, short_names
+from fg_orient.report.orientation import corrections, correlations, short_names
 from fg_orient.report.page import script
 from fg_orient.report.panel import Panel, powers, ticks
 from tests.support.page import structure
@@ -161,16 +161,18 @@ def test_without_redundancy_numbers_residuals_are_divided_by_the_given_sigmas(re
 
 def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
     q = np.array([[4.0, -1.9, 0.0], [-1.9, 1.0, 0.1], [0.0, 0.1, 0.0]])
-    np.testing.assert_allclose(charts.correlations(q)[:2, :2], [[1.0, -0.95], [-0.95, 1.0]])
-    assert np.isnan(charts.correlations(q)[2, 2])
+    np.testing.assert_allclose(correlations(q)[:2, :2], [[1.0, -0.95], [-0.95, 1.0]])
+    assert np.isnan(correlations(q)[2, 2])
     names = short_names(result)
     assert names["left"][:3] == ["X", "X τ", "X τ²"] and len(names["right"]) == 18
-    maps = charts.heat_maps(result, names)
+    maps = charts.heat_maps(result)
     assert [m["image"] for m in maps] == ["left", "right"]
     strong = next(c for c in result.record["correlations"]["largest"] if c["a"] == "right.y_0")
     written = f"roll with Y: {strong['correlation']:+.3f}".replace("-", "−")
     assert written in maps[1]["drawing"] and 'class="cell m5"' in maps[1]["drawing"]
-    assert charts.heat_maps(dataclasses.replace(result, cofactors=None), names) == []
+    assert charts.heat_maps(dataclasses.replace(result, cofactors={})) == []
+    first = {"fixed": np.zeros((0, 0)), **result.cofactors}  # an image without unknowns moves no other's figures
+    assert charts.heat_maps(dataclasses.replace(result, cofactors=first)) == maps
 
 
 def test_corrections_stand_at_their_share_of_the_prior(result: Result) -> None:
@@ -207,6 +209,6 @@ def test_ticks() -> None:
 
 
 def test_a_folder_without_arrays_has_no_heat_map(result: Result, folder: Path) -> None:
-    page = render(dataclasses.replace(result, cofactors=None))
+    page = render(dataclasses.replace(result, cofactors={}))
     assert "Correlations of the unknowns" not in page
     assert "Correlations of the unknowns" in (folder / "report.html").read_text("utf-8")

@@ -127,7 +127,8 @@ def test_large_residuals_survive_thinning(folder: Folder, rng: np.random.Generat
     n = 30_000
     v = rng.standard_normal((n, 2))
     figures = {"v_line_px": v[:, 0], "v_sample_px": v[:, 1]}
-    many = dataclasses.replace(folder, residuals=Columns({}, figures, n), rows={"left": np.arange(n)})
+    table = Columns({"image": ["left"] * n}, figures, n)
+    many = Folder(dataclasses.replace(folder.result, residuals=table))
     drawn, left_out = residuals.thinned(many, "left")
     assert len(drawn) + left_out == n and len(set(drawn.tolist())) == len(drawn) <= residuals.MAX_VECTORS
     largest = np.argsort(-np.linalg.norm(v, axis=1))[: residuals.MAX_VECTORS // 10]
@@ -195,7 +196,8 @@ def test_share_of_biases_that_are_found(folder: Folder) -> None:
     mdb = folder.residuals.figures["mdb_sample_px"].copy()
     mdb[:47] = np.nan
     spoilt = Columns(folder.residuals.words, {**folder.residuals.figures, "mdb_sample_px": mdb}, len(folder.residuals))
-    axes = checks.redundancy(dataclasses.replace(folder, residuals=spoilt), folder.images).axes[1]
+    planted = Folder(dataclasses.replace(folder.result, residuals=spoilt))
+    axes = checks.redundancy(planted, folder.images).axes[1]
     ends = {line.get_label(): float(line.get_ydata()[-1]) for line in axes.lines}
     assert ends == {"line": 1.0, "sample": pytest.approx(0.5)}
 
