@@ -35,6 +35,8 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "README.md",
         "rpc refine",
     ): "points.csv is another table than that of rectify; docs/rpc-commands.md runs it",
+    ("README.md", "convert "): "needs files of other programs; tests/22_interchange and 23_tie_formats read them",
+    ("README.md", "--figures"): "docs/figures.md runs it",
     ("CONTRIBUTING.md", "make "): "the check of every change is made of these",
     ("CONTRIBUTING.md", ".ci/run"): "the check of every change itself",
     (
