@@ -25,7 +25,7 @@ Measured = Annotated[
     Path,
     typer.Argument(metavar="POINTS", show_default=False, help="CSV: id,photo,x,y; sigma_x and sigma_y if wanted."),
 ]
-Photos = Annotated[Path, typer.Argument(metavar="PHOTOS", show_default=False, help="TOML with [[photos]].")]
+Photos = Annotated[Path, typer.Argument(metavar="PHOTOS", show_default=False, help='TOML: a table "photos" for each.')]
 Sigma = Annotated[
     float, typer.Option(metavar="S", help="Of image coordinates without a sigma of their own, in their unit.")
 ]
@@ -104,7 +104,9 @@ def bundle(
         Path | None,
         typer.Option(metavar="CSV", help="id,x_m,y_m,z_m of new points to begin with; others are intersected."),
     ] = None,
-    constraints: Annotated[Path | None, typer.Option(metavar="TOML", help="[[constraints]] between points.")] = None,
+    constraints: Annotated[
+        Path | None, typer.Option(metavar="TOML", help='TOML: a table "constraints" for each, between points.')
+    ] = None,
     unknown: Annotated[
         str,
         typer.Option(
