@@ -2,6 +2,8 @@
 # PYTHON=/path/to/python3.12 chooses the interpreter (3.11 to 3.13).
 
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
+# without byte code each interpreter that the tests start, and each worker, compiles all modules again
+unexport PYTHONDONTWRITEBYTECODE
 export PYTHONNOUSERSITE := 1
 
 VENV    := .venv

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import string
 from pathlib import Path
@@ -18,9 +19,14 @@ FILE_SUFFIXES = {"csv", "toml", "json", "jsonl", "html", "npz", "txt", "py", "xm
 CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$")
 
 
-def sources(repository: Path) -> list[Path]:
-    """Modules of fg_orient but the catalogue itself."""
-    return [p for p in sorted((repository / "fg_orient").rglob("*.py")) if p.parent.name != "messages"]
+@functools.cache
+def sources(repository: Path) -> dict[str, list[ast.AST]]:
+    """Every node of the modules of fg_orient but the catalogue itself: name of the module, its nodes."""
+    return {
+        path.relative_to(repository).as_posix(): list(ast.walk(ast.parse(path.read_text("utf-8"))))
+        for path in sorted((repository / "fg_orient").rglob("*.py"))
+        if path.parent.name != "messages"
+    }
 
 
 def literal_codes(expression: ast.expr) -> list[str]:
@@ -32,18 +38,19 @@ def literal_codes(expression: ast.expr) -> list[str]:
     return []
 
 
+@functools.cache
 def calls(repository: Path) -> list[tuple[str, str, set[str] | None]]:
     """Every ``problem("code", ...)`` and ``SomeError.of("code", ...)``: place, code, keywords (None = ``**``)."""
     found = []
-    for path in sources(repository):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for module, nodes in sources(repository).items():
+        for node in nodes:
             if not (isinstance(node, ast.Call) and node.args):
                 continue
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             if name not in {"problem", "of"}:
                 continue
             keywords = {k.arg for k in node.keywords if k.arg} if all(k.arg for k in node.keywords) else None
-            place = f"{path.relative_to(repository)}:{node.lineno}"
+            place = f"{module}:{node.lineno}"
             found += [(place, code, keywords) for code in literal_codes(node.args[0])]
     return found
 
@@ -53,18 +60,18 @@ def fields(code: str) -> set[str]:
     return {name.split(".")[0] for text in CATALOGUE[code] for _, name, _, _ in string.Formatter().parse(text) if name}
 
 
+@functools.cache
 def literals(repository: Path) -> set[str]:
     """Every string literal of the sources but places: codes also travel as variables."""
     found = set()
-    for path in sources(repository):
-        tree = ast.parse(path.read_text("utf-8"))
+    for nodes in sources(repository).values():
         places = {
             id(node)
-            for keyword in ast.walk(tree)
+            for keyword in nodes
             if isinstance(keyword, ast.keyword) and keyword.arg == "place"
             for node in ast.walk(keyword.value)
         }
-        constants = [node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in places]
+        constants = [node for node in nodes if isinstance(node, ast.Constant) and id(node) not in places]
         found |= {node.value for node in constants if isinstance(node.value, str)}
     return found
 
