@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -145,22 +146,21 @@ def test_images_of_two_kinds_step_as_the_dense_rows(kind: str) -> None:
     assert_same_step(problem, moved(problem, 2), 0.1)
 
 
-def blocks() -> dict[str, Block]:
-    """What is solved to the end by all backends."""
-    return {
-        "set 20": with_options(grid(2, 2, 60), eop_set=20),
-        "look": with_options(measured_twice(grid(2, 2, 60), 5), eop_set=10, look_polynomial=2),
-        "fixed": with_options(fixed_control(gapped(grid(2, 3, 60), 2), 6), eop_set=15),
-        "RPC": rpc_twin("affine").block,
-        "mixed": with_options(mixed("shift_drift"), eop_set=15),
-    }
+#: What is solved to the end by all backends.
+BLOCKS: dict[str, Callable[[], Block]] = {
+    "set 20": lambda: with_options(grid(2, 2, 60), eop_set=20),
+    "look": lambda: with_options(measured_twice(grid(2, 2, 60), 5), eop_set=10, look_polynomial=2),
+    "fixed": lambda: with_options(fixed_control(gapped(grid(2, 3, 60), 2), 6), eop_set=15),
+    "RPC": lambda: rpc_twin("affine").block,
+    "mixed": lambda: with_options(mixed("shift_drift"), eop_set=15),
+}
 
 
-@pytest.mark.parametrize("name", blocks())
+@pytest.mark.parametrize("name", BLOCKS)
 @pytest.mark.parametrize("optimizer", OPTIMIZERS)
 def test_solutions_equal_those_of_the_graph_and_the_dense_backend(name: str, optimizer: str) -> None:
     """Image unknowns within 1e-9 prior sigma, points within 1e-7 m, chi2 within 1e-11."""
-    problem = compile_problem(blocks()[name])
+    problem = compile_problem(BLOCKS[name]())
     loop, graph = OPTIMIZERS[optimizer], GraphBackend(problem)
     a = loop(SchurBackend(problem), problem.start, 50, tolerance=TOLERANCE)
     b = loop(graph, graph.initial(), 50, tolerance=TOLERANCE)
@@ -196,10 +196,10 @@ def test_dogleg_inside_a_small_region_equals_the_dense_one() -> None:
 
 
 @pytest.mark.parametrize("reduced", ["dense", "banded", "graph"])
-@pytest.mark.parametrize("name", blocks())
+@pytest.mark.parametrize("name", BLOCKS)
 def test_cofactors_equal_the_dense_inverse(name: str, reduced: str) -> None:
     """Images, points, and a joint block in an order of its own, against numpy's inverse of J^T J."""
-    problem = compile_problem(blocks()[name])
+    problem = compile_problem(BLOCKS[name]())
     backend = SchurBackend(problem, reduced=reduced)
     state = OPTIMIZERS["gauss-newton"](backend, problem.start, 50).state
     found = SchurCofactors(problem, backend.linearise(state))
