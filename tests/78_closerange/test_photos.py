@@ -230,6 +230,15 @@ def test_resection_and_its_sigmas(flat: bool, runs: int) -> None:
     assert not low <= 4.0 * total <= high
 
 
+@pytest.mark.parametrize("y_axis", ["up", "down"])
+def test_residuals_of_a_resection_are_computed_minus_ideal(y_axis: str) -> None:
+    camera, photos, _, points = scene(16, 8, y_axis=y_axis)
+    image = photos[0].project(points) + np.random.default_rng(17).normal(scale=0.003, size=(8, 2))
+    found = resect(camera, points, image, sigma=0.003)
+    q = (points - found.photo.origin_m) @ found.photo.matrix[:, :3].T + found.photo.matrix[:, 3]
+    assert np.abs(found.residuals - q[:, :2] / q[:, 2:] + found.photo.ideal(image)).max() <= 1e-9
+
+
 def test_resection_refuses_points_on_a_line() -> None:
     camera, photos, _, points = scene(12, 6)
     line = points[0] + np.linspace(0.0, 1.0, 6)[:, None] * (points[1] - points[0])
@@ -246,9 +255,10 @@ def test_resection_refuses_points_on_a_line() -> None:
 def test_intersection_equals_scipy_and_its_sigmas_hold() -> None:
     _, photos, _, points = scene(13)
     rng, n = np.random.default_rng(14), len(points)
-    image = np.concatenate([p.project(points) for p in photos]) + rng.normal(scale=0.003, size=(2 * n, 2))
+    sigma = rng.uniform(0.001, 0.006, (2 * n, 2))
+    image = np.concatenate([p.project(points) for p in photos]) + rng.normal(scale=sigma)
     which, of = np.repeat([0, 1], n), np.tile(np.arange(n), 2)
-    found = intersect_photos(photos, which, of, image, sigma=0.003)
+    found = intersect_photos(photos, which, of, image, sigma=sigma)
     ideal = [photos[k].ideal(image[which == k]) for k in (0, 1)]
     for j in (0, 7):
 
@@ -257,7 +267,7 @@ def test_intersection_equals_scipy_and_its_sigmas_hold() -> None:
             for photo, seen in zip(photos, ideal, strict=True):
                 q = photo.matrix[:, :3] @ (points[j] + d - photo.origin_m) + photo.matrix[:, 3]
                 out.append(q[:2] / q[2] - seen[j])
-            return np.concatenate(out) / 0.003
+            return np.concatenate(out) / sigma[of == j].ravel()
 
         other = least_squares(away, np.zeros(3), xtol=1e-15, ftol=1e-15, gtol=1e-15)
         assert np.abs(found.points_m[j] - points[j] - other.x).max() <= 1e-9
