@@ -10,13 +10,20 @@ from typing import Any, Final
 from fg_orient.io.folder import Contents
 from fg_orient.rectification.figure import residual_figure
 from fg_orient.rectification.points import PointFit
-from fg_orient.report.words import number, printable, scientific
+from fg_orient.report.words import scientific
 from fg_orient.run.json import dumps
 
 #: What the folder holds; transformation.json is its mark.
 CONTENTS: Final = Contents(
     "transformation.json",
     ("transformation.json", "result.json", "points.csv", "coefficients.csv", "residuals.svg", "report.html"),
+)
+#: Parts of the report and their words.
+SECTIONS: Final = (
+    ("accuracy", "RMSE"),
+    ("figure", "Residuals"),
+    ("points", "Points"),
+    ("coefficients", "Coefficients"),
 )
 
 
@@ -44,14 +51,24 @@ def _table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _report(record: dict[str, Any], figure: str) -> str:
-    """Render the HTML report: one file without scripts or anything from elsewhere."""
-    import jinja2
+    """Render the HTML report: one file on the shell of all reports."""
     from markupsafe import Markup
 
-    loaders = [jinja2.PackageLoader("fg_orient.rectification"), jinja2.PackageLoader("fg_orient.report")]
-    environment = jinja2.Environment(
-        loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
+    from fg_orient.report.page import environment
+
+    heads = [f"residual {axis}, {record['unit']}" for axis in record["axes"]]
+    return environment("fg_orient.rectification").get_template("rectify.html.j2").render(
+        r=record, figure=Markup(figure), heads=heads, verdict=_verdict(record), problems=record["warnings"],
+        sections=SECTIONS,
     )  # fmt: skip
-    environment.filters |= {"number": number, "scientific": scientific, "printable": printable}
-    return environment.get_template("rectify.html.j2").render(r=record, figure=Markup(figure))
+
+
+def _verdict(record: dict[str, Any]) -> dict[str, str]:
+    """Say how good the fit is: ``kind`` (good, warn), ``title`` and ``text``."""
+    unit = "" if record["weighted"] else f" {record['unit']}"
+    text = (
+        f"{record['n_control']} control points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}. "
+        "m0 is per coordinate and divided by the redundancy; RMSE is divided by the number of points."
+    )
+    kind = "warn" if record["warnings"] else "good"
+    return {"kind": kind, "title": f"m0 {scientific(record['m0'])}{unit}", "text": text}

@@ -13,6 +13,7 @@ import pytest
 
 from fg_orient.rectification.transformation import read_transformation
 from tests.support.command import in_process as run
+from tests.support.page import structure
 
 from .conftest import scene, write_points
 
@@ -65,7 +66,11 @@ def test_figure_and_report_are_well_formed_and_escaped(tmp_path: Path, rng: np.r
     assert len(circles) == 12 + 1 + 2  # points, a ring about the bad one, the legend
     html = (out / "report.html").read_text("utf-8")
     assert "<b>&" not in html and "&lt;b&gt;&amp;" in html
-    assert "<script" not in html and "src=" not in html
+    found = structure(out / "report.html")
+    assert found.tags.count("script") == 1 and not {"img", "link", "b"} & set(found.tags)
+    assert len(set(found.ids)) == len(found.ids) and {"problems", "points", "coefficients"} <= set(found.ids)
+    assert "Content-Security-Policy" in html and html.count('class="sortable"') == 2
+    assert not [value for name, value in found.attributes if value.startswith("http") and name != "xmlns"]
 
 
 @pytest.mark.parametrize("model", ["affine", "helmert", "projective", "affine-3d", "parallel", "dlt"])
