@@ -1,6 +1,6 @@
 """The report of a large block in a browser: size of the file, seconds to the map, milliseconds of a frame.
 
-    python -m benchmarks.report_browser RESULTDIR [--runs 5]
+    python -m benchmarks.report_browser RESULTDIR [--runs 5] [--every 50] [--hovered 0]
 
 RESULTDIR is a result folder of ``adjust``; without one a block of 16 images with 1e5 image points is simulated and
 adjusted.
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import random
 import statistics
 import tempfile
 from pathlib import Path
@@ -37,6 +38,16 @@ _FRAMES = """new Promise((done) => {
   };
   step(0);
 })"""
+#: Goes to a point by its id, lets go of it, and tells the middle of the map, where it stands, and what is told.
+_GO = """(() => {
+  const box = document.querySelector('#live-map input[type=search]');
+  const canvas = document.querySelector('#live-map canvas');
+  box.value = %s;
+  box.dispatchEvent(new KeyboardEvent('keydown', {key: 'Enter'}));
+  canvas.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}));
+  const b = canvas.getBoundingClientRect();
+  return [b.x + b.width / 2, b.y + b.height / 2, document.querySelector('#live-map .tip').textContent];
+})()"""
 #: Ids that are searched in one call: the browser answers after seconds, not minutes.
 CHUNK = 200
 #: Searches some ids of those at each so manieth place, and counts the tips that name them.
@@ -62,7 +73,21 @@ def search(page: Page, every: int) -> tuple[int, int, int]:
     return points, sought, found
 
 
-def measure(page: Page, report: Path, runs: int, every: int = 50) -> dict[str, Any]:
+def hover(page: Page, number: int, seed: int = 1) -> int:
+    """Give how many points of a random sample are told when the mouse comes to where they stand."""
+    ids = page.value("JSON.parse(document.getElementById('report-data').textContent).points.id")
+    page.value("document.querySelector('#live-map canvas').scrollIntoView({block: 'center'})")
+    told = 0
+    for name in random.Random(seed).sample(ids, number):
+        page.mouse("mouseMoved", 1, 1)
+        x, y, before = page.value(_GO % json.dumps(name))
+        page.mouse("mouseMoved", x, y)
+        tip = page.value("document.querySelector('#live-map .tip').textContent")
+        told += before == "" and tip.split("\n")[0].endswith(f" {name}")
+    return told
+
+
+def measure(page: Page, report: Path, runs: int, every: int = 50, hovered: int = 0) -> dict[str, Any]:
     """Open a report some times and time it.
 
     Parameters
@@ -74,6 +99,8 @@ def measure(page: Page, report: Path, runs: int, every: int = 50) -> dict[str, A
         Loads; medians are given.
     every : int
         Each so manieth id is searched.
+    hovered : int
+        So many points, drawn at random with a seed, are touched by the mouse.
     """
     page.size(1100, 900)
     loads, frames = [], []
@@ -82,11 +109,12 @@ def measure(page: Page, report: Path, runs: int, every: int = 50) -> dict[str, A
         loads.append(page.value("performance.getEntriesByName('map')[0].startTime"))
         frames += page.value(_FRAMES % STEPS)
     points, sought, found = search(page, every)
+    told = hover(page, hovered)
     return {
         "bytes": report.stat().st_size, "runs": runs, "seconds_to_the_map": [load / 1e3 for load in loads],
         "median_seconds_to_the_map": statistics.median(loads) / 1e3, "median_frame_ms": statistics.median(frames),
         "frame_ms_95": sorted(frames)[int(0.95 * len(frames))], "points": points, "sought": sought, "found": found,
-        "troubles": page.troubles,
+        "hovered": hovered, "told": told, "troubles": page.troubles,
     }  # fmt: skip
 
 
@@ -102,13 +130,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("result", nargs="?", type=Path, help="result folder of adjust")
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--every", type=int, default=50)
+    parser.add_argument("--hovered", type=int, default=0)
     given = parser.parse_args()
     program = executable()
     if program is None:
         parser.error("no browser found")
     with tempfile.TemporaryDirectory() as folder, open_browser(program, Path(folder) / "profile") as browser:
         report, _ = write_report(given.result or large_result(Path(folder)))
-        print(json.dumps(measure(browser.page(), report, given.runs), indent=1))
+        print(json.dumps(measure(browser.page(), report, given.runs, given.every, given.hovered), indent=1))
 
 
 if __name__ == "__main__":
