@@ -144,6 +144,27 @@ def test_narrow_and_dark(tab: Page, folder: Path) -> None:
     assert tab.troubles == []
 
 
+def test_printed_on_white_paper_and_nothing_is_cut(tab: Page, folder: Path) -> None:
+    """As wide as what a sheet of A4 leaves (190 mm), by somebody who reads in the dark."""
+    tab.size(718, 1000, dark=True)
+    tab.open(folder / "report.html", wait="performance.getEntriesByName('drawn').length > 0")
+    tab.call("Emulation.setEmulatedMedia", media="print", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    try:
+        tab.value("dispatchEvent(new Event('beforeprint'))")
+        colours = tab.value(
+            "['--page', '--control'].map((n) => getComputedStyle(document.body).getPropertyValue(n).trim())"
+        )
+        assert colours == ["#fff", "#0067b0"]
+        ends = tab.value("[...document.querySelectorAll('table, svg')].map((e) => e.getBoundingClientRect().right)")
+        assert len(ends) > 20 and max(ends) <= 718
+        assert tab.value("[...document.querySelectorAll('.live')].every((e) => !e.getBoundingClientRect().height)")
+        assert tab.value("[...document.querySelectorAll('details')].every((e) => e.open)")
+        assert tab.troubles == []
+    finally:
+        tab.call("Emulation.setEmulatedMedia", media="")
+        tab.size(1000, 900)
+
+
 def test_readable_without_the_script(tab: Page, folder: Path) -> None:
     tab.size(1000, 900, script=False)
     try:
