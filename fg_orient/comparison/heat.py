@@ -30,7 +30,7 @@ OUTCOMES: Final = (
         "without solution",
         "the solver broke down or the iteration did not converge; reasons below",
     ),
-    ("left_out", "·", "not tried", "too costly or without meaning for this backend; each row says why"),
+    ("left_out", "·", "not tried", "too costly or without meaning for this backend; reasons below"),
 )
 
 

@@ -39,6 +39,8 @@ CAPTIONS: Final = {
     ),
     "seconds.svg": ("Run times", "Wall clock of one adjustment, statistics left out."),
 }
+#: Parts that say why rows have no numbers: id, heading, whether they were left out.
+REASONS: Final = (("failures", "Without solution", False), ("left-out", "Not tried", True))
 
 
 def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> str:
@@ -54,22 +56,25 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
     heats = [(f"heat-{role}", *words, heat.heat_map(comparison, role)) for role, words in HEAT_MAPS.items()]
     heats = [shown for shown in heats if shown[-1]]
     sets = {number: (name, _lines(comparison, number)) for number, name in _names(comparison).items()}
-    conditions, failures = _conditions(comparison), _failures(comparison)
+    condition_heads, conditions = _conditions(comparison)
+    reasons = [(id_, title, found) for id_, title, left_out in REASONS if (found := _reasons(comparison, left_out))]
     return shell.get_template("compare.html.j2").render(
         r=record, verdict=verdict(comparison), problems=record["warnings"], figures=drawn, heats=heats,
-        summaries=summaries(comparison), sets=sets, conditions=conditions, failures=failures,
-        condition_heads=[str(n) for n in comparison.eop_sets], outcomes=heat.OUTCOMES, counts=heat.counts(comparison),
-        steps=heat.steps(comparison.target_m), sections=_sections(heats, drawn, bool(conditions), bool(failures)),
+        summaries=summaries(comparison), sets=sets, conditions=conditions, reasons=reasons,
+        condition_heads=condition_heads, outcomes=heat.OUTCOMES, counts=heat.counts(comparison),
+        steps=heat.steps(comparison.target_m), sections=_sections(heats, drawn, reasons, bool(conditions)),
     )  # fmt: skip
 
 
-def _sections(heats: list[Any], drawn: list[Any], conditions: bool, failures: bool) -> list[tuple[str, str]]:
+def _sections(
+    heats: list[Any], drawn: list[Any], reasons: list[Any], conditions: bool
+) -> list[tuple[str, str]]:  # fmt: skip
     """Parts of the page that are there, and their words."""
     return [
         ("outcomes", "Outcomes"),
         *((shown[0], shown[1]) for shown in heats),
         ("summary", "Solvers"),
-        *([("failures", "Without solution")] if failures else []),
+        *((shown[0], shown[1]) for shown in reasons),
         *((f"{name[:-4]}-section", title) for name, title, _, _ in drawn),
         *([("condition-table", "Condition numbers of N")] if conditions else []),
         ("sets", "Set by set"),
@@ -111,15 +116,12 @@ def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
     ]
 
 
-def _conditions(comparison: Comparison) -> list[dict[str, Any]]:
-    """Condition numbers by set: one column per system and scaling."""
+def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list[tuple[str, str]]]]]:
+    """Heads, one per system and scaling, and condition numbers by set: down the page, twenty sets fit on paper."""
     columns = dict.fromkeys((s.system, s.scaling) for s in comparison.spectra)
     found = {(s.eop_set, s.system, s.scaling): s.condition for s in comparison.spectra}
-    return [
-        {"system": system, "scaling": scaling, "values": [_condition(found.get((n, system, scaling))) for n in
-                                                         comparison.eop_sets]}
-        for system, scaling in columns
-    ]  # fmt: skip
+    rows = [(n, [_condition(found.get((n, *column))) for column in columns]) for n in comparison.eop_sets]
+    return [f"{system}, {scaling}" for system, scaling in columns], rows if columns else []
 
 
 def _condition(value: float | None) -> tuple[str, str]:
@@ -129,11 +131,11 @@ def _condition(value: float | None) -> tuple[str, str]:
     return f"≥ {value:.0e}" if value >= LARGEST_CONDITION else f"{value:.0e}", f"{value:.9g}"
 
 
-def _failures(comparison: Comparison) -> list[tuple[str, int, list[int]]]:
-    """What went wrong, how often, and with which sets; numbers in the texts do not tell failures apart."""
+def _reasons(comparison: Comparison, left_out: bool) -> list[tuple[str, int, list[int]]]:
+    """Why rows were not tried or have no solution, how often, with which sets; numbers do not tell reasons apart."""
     found: dict[str, tuple[str, list[int]]] = {}
     for row in comparison.rows:
-        if row.failure:
+        if row.failure and row.left_out == left_out:
             label = comparison.labels.get(row.solver, GRAPH_SOLVER)
             text = f"{row.backend}, {label}: {row.failure}"
             key = re.sub(r"[0-9.e+-]+", "#", text)

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from markupsafe import escape
 
 from fg_orient.comparison import folder as comparison_folder
 from fg_orient.comparison import heat, plots
@@ -177,6 +178,32 @@ def test_heat_maps_and_outcomes_are_the_rows(comparison: Comparison, written: tu
     page = (written[0] / "report.html").read_text("utf-8")
     for key, sign, words, meaning in heat.OUTCOMES:
         assert f"<b>{sign} {counted[key]}</b> {words}<span>{meaning}</span>" in page
+
+
+def test_rows_without_numbers_have_their_reason_in_the_page(comparison: Comparison, written: tuple[Path, Any]) -> None:
+    page = (written[0] / "report.html").read_text("utf-8")
+    parts = dict(re.findall(r'<section id="([\w-]+)">(.*?)</section>', page, re.DOTALL))
+    untried = [row for row in comparison.rows if row.left_out]
+    assert len(untried) == 6 and all(row.failure for row in untried)
+    assert {
+        (n, sets) for n, sets in re.findall(r'</td><td>(\d+)</td><td class="text">([^<]*)</td>', parts["left-out"])
+    } == {("3", ranges(comparison.eop_sets))}
+    for name in ("cramer_inverse", "tikhonov_od"):
+        reason = next(row.failure for row in untried if row.solver == name)
+        assert str(escape(reason)) in parts["left-out"] and str(escape(reason)) not in parts.get("failures", "")
+
+
+def test_condition_numbers_stand_by_set(comparison: Comparison, written: tuple[Path, Any]) -> None:
+    page = (written[0] / "report.html").read_text("utf-8")
+    part = page.partition('id="condition-table"')[2].partition("</section>")[0]
+    heads = re.findall(r'<th scope="col">([^<]*)</th>', part)[1:]
+    rows = {
+        int(n): re.findall(r'data-v="([^"]*)"', cells) for n, cells in re.findall(r"<tr><td>(\d+)</td>(.*?)</tr>", part)
+    }
+    assert tuple(rows) == comparison.eop_sets
+    for s in comparison.spectra:
+        shown = rows[s.eop_set][heads.index(f"{s.system}, {s.scaling}")]
+        assert float(shown) == pytest.approx(s.condition, rel=1e-8)
 
 
 def test_verdict_in_words(comparison: Comparison) -> None:
