@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+
+from tests.support.pages import run_script
 
 pytestmark = pytest.mark.real_data
 
@@ -71,15 +71,17 @@ def test_too_small_sigmas_are_called_untrustworthy(example: ModuleType, real_dat
 
 
 def test_example_prints_one_json_object(repository: Path, real_data: Path) -> None:
-    command = [sys.executable, str(repository / "examples" / "pleiades_pair.py"), str(real_data / "geoetrim-pleiades")]
-    done = subprocess.run([*command, "--first", "3", "--json"], capture_output=True, text=True, check=True)
+    command = (repository / "examples" / "pleiades_pair.py", real_data / "geoetrim-pleiades", "--first")
+    done = run_script(*command, "3", "--json")
+    assert done.code == 0, done.stderr
     out = json.loads(done.stdout)
     assert set(out["sets"]) == {"2", "10", "9", "16", "1", "15"}
     assert out["details"]["10"]["first"] == "3"
     assert len(out["details"]["10"]["largest"]) == 5
     assert all(row["ratio"] > 3.0 for row in out["details"]["10"]["beyond_3_sigma"])
-    text = subprocess.run([*command, "--first", "3"], capture_output=True, text=True, check=True).stdout
-    assert "direct geolocation" in text
-    unknown = subprocess.run([*command, "--first", "nosuch"], capture_output=True, text=True, check=False)
-    assert unknown.returncode != 0
+    text = run_script(*command, "3")
+    assert text.code == 0, text.stderr
+    assert "direct geolocation" in text.stdout
+    unknown = run_script(*command, "nosuch")
+    assert unknown.code != 0
     assert "no point nosuch" in unknown.stderr

@@ -99,16 +99,18 @@ def run_command(command: Command, repository: Path) -> Ended:
     raise AssertionError(f"{command.page}: nothing here runs '{words[0]}'; list the command in NOT_RUN with its reason")
 
 
-def run_script(path: Path, *arguments: str) -> Ended:
+def run_script(path: Path, *arguments: object) -> Ended:
     """Run a script as ``python PATH ARGUMENTS`` does, in this process."""
     out, err, before = StringIO(), StringIO(), sys.argv
-    sys.argv = [str(path), *arguments]
+    sys.argv = [str(path), *map(str, arguments)]
     try:
         with redirect_stdout(out), redirect_stderr(err):
             runpy.run_path(str(path), run_name="__main__")
         code: object = 0
     except SystemExit as end:
         code = end.code
+        if isinstance(code, str):  # as the interpreter does
+            err.write(f"{code}\n")
     finally:
         sys.argv = before
     return Ended(code if isinstance(code, int) else int(code is not None), out.getvalue(), err.getvalue())
