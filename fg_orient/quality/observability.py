@@ -60,7 +60,7 @@ class ImageObservability:
     sentences : tuple of str
         One per unobservable direction.
     held : tuple of str
-        One per direction held by the prior: the unknown that it is mostly made of.
+        One per direction held by the prior, by falling singular value: the unknown that it is mostly made of.
     condition, raw_condition : float or None
         Condition of the Jacobian with unknowns in prior sigmas, and with unknowns in raw units (coefficients per
         line, as publications write them); None without full rank.
@@ -152,8 +152,8 @@ def _by_components(direction: Array, parameters: ImageParameters) -> str:
 
 
 def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, ...]:
-    """Unknown that each direction (d, k) is mostly made of, no unknown twice, in the order of the unknowns."""
-    return tuple(words[j] for j in np.sort(linear_sum_assignment(-(directions**2))[1]))
+    """Unknown that each direction (d, k) is mostly made of, no unknown twice, in the order of the directions."""
+    return tuple(words[j] for j in linear_sum_assignment(-(directions**2))[1])
 
 
 def _raw_condition(triangle: Array, model: ImageModel) -> float:

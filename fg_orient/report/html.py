@@ -43,11 +43,16 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     )  # fmt: skip
 
 
-def _not_determined(record: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Image, direction in words and what holds it: nothing (unobservable ones first) or the prior."""
-    rows = []
+def _not_determined(record: dict[str, Any]) -> list[tuple[str, str, str, float | None]]:
+    """Image, direction in words, what holds it and its singular value: nothing (unobservable ones first) or the prior.
+
+    Words of unobservable directions may stand for several of them: they have no value of their own.
+    """
+    rows: list[tuple[str, str, str, float | None]] = []
     for image in record["observability"][: MANY["images"]]:
         name = image["image"]
-        rows += [(name, text.removeprefix(f"image {name}: "), "nothing") for text in image["sentences"]]
-        rows += [(name, text, "its prior") for text in image["held_by_the_prior"]]
+        rows += [(name, text.removeprefix(f"image {name}: "), "nothing", None) for text in image["sentences"]]
+        held = image["held_by_the_prior"]
+        values = image["singular_values"][image["determined"] :][: len(held)]
+        rows += [(name, text, "its prior", s) for text, s in zip(held, values, strict=True)]
     return sorted(rows, key=lambda row: row[2] != "nothing")[: MANY["terms"]]

@@ -10,7 +10,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.quality.deficiency import judge_observability
-from fg_orient.quality.observability import NEEDS_SCALING
+from fg_orient.quality.observability import NEEDS_SCALING, analyse
 from tests.support.degenerate_blocks import options, pinhole, pushbroom
 
 WITH_VELOCITY = {5, 6, 7, 8, 13, 14, 17, 18, 19, 20}
@@ -102,6 +102,18 @@ def test_names_of_what_the_prior_holds() -> None:
     coarse = replace(o, sigma_line_px=1e3 * o.sigma_line_px, sigma_sample_px=1e3 * o.sigma_sample_px)
     found = judge_observability(compile_problem(replace(weaker, observations=coarse)))[0]
     assert found.determined == 0 and len(found.held) == 6
+
+
+def test_names_stand_in_the_order_of_their_singular_values(rng: np.random.Generator) -> None:
+    """Columns of planted lengths, each a direction of its own: those below 1 are named from the longest down."""
+    problem = compile_problem(pushbroom())
+    model, words = problem.models[0], problem.parameters[0].words
+    k = len(words)
+    lengths = np.geomspace(50.0, 2e-3, k)[rng.permutation(k)]
+    found = analyse("left", np.linalg.qr(rng.standard_normal((2 * k, k)))[0] * lengths, model)
+    weak = [j for j in np.argsort(-lengths).tolist() if lengths[j] < 1.0]
+    assert weak != sorted(weak) and found.held == tuple(words[j] for j in weak)
+    assert found.singular_values[found.determined :] == pytest.approx(lengths[weak], rel=1e-9)
 
 
 def test_record_of_a_solution() -> None:

@@ -201,6 +201,18 @@ def test_iterations_are_drawn_and_rejected_steps_are_not() -> None:
     assert charts.iteration_charts([]) == []
 
 
+def test_directions_stand_beside_their_singular_values(result: Result, text: str) -> None:
+    part = text.partition("<summary>Directions that the data do not determine</summary>")[2].partition("</table>")[0]
+    shown = re.findall(
+        r'<td class="id">(\w+)</td><td class="text">([^<]*)</td><td class="text">its prior</td><td>(.*?)</td>', part
+    )
+    assert len(shown) == 22
+    for image in result.record["observability"]:
+        mine = [(words, float(value.replace("−", "-"))) for name, words, value in shown if name == image["image"]]
+        assert [words for words, _ in mine] == image["held_by_the_prior"]
+        assert [value for _, value in mine] == pytest.approx([s for s in image["singular_values"] if s < 1.0], rel=6e-3)
+
+
 def test_ticks() -> None:
     assert ticks(-5.0, 5.0, 5) == [-4.0, -2.0, 0.0, 2.0, 4.0]
     assert ticks(0.0, 12000.0, 3) == [0.0, 5000.0, 10000.0]
