@@ -83,7 +83,7 @@ def run_bundle(
     )
     stated = [_constraint(entry) for entry in read_constraints(constraints)] if constraints else []
     with one_blas_thread():
-        starts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma))
+        starts, doubts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma))
         given = [BundlePhoto(n, i, r, c, own, "all", common) for n, (i, r, c) in zip(names, starts, strict=True)]
         found = adjust_bundle(
             given, ids, _points(starts, names, table, which, of, ids, places), which, of, table.image,
@@ -94,7 +94,9 @@ def run_bundle(
     texts = [
         photo_text(p, i, r) for p, i, r in zip(photos_of, found.interiors, found.rotations, strict=bool(photos_of))
     ]
-    return finished(_record(found, table, known, which, of), path, table, out, overwrite, command, texts)
+    record = _record(found, table, known, which, of)
+    record["warnings"] += doubts
+    return finished(record, path, table, out, overwrite, command, texts)
 
 
 def _constraint(entry: ConstraintEntry) -> Constraint:
@@ -118,10 +120,10 @@ Start = tuple[Interior, Array, Array]
 def _starts(
     path: Path, names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
     known: Mapping[str, tuple[Array, Array]], sigma: Array,
-) -> list[Start]:  # fmt: skip
-    """Interior, rotation and centre of each photo: those of the file, else by resection from its known points."""
+) -> tuple[list[Start], list[str]]:  # fmt: skip
+    """Interior, rotation and centre of each photo: those of the file, else by resection; and what to doubt there."""
     file = read_photos(path)
-    cameras, out = interiors(file), list[Start]()
+    cameras, out, doubts = interiors(file), list[Start](), list[str]()
     for k, name in enumerate(names):
         entry, interior = of_name(file.entries, name, path), of_name(cameras, name, path)
         if entry.rotation is not None and entry.centre_m is not None:
@@ -133,7 +135,8 @@ def _starts(
         ground = np.array([known[ids[of[a]]][0] for a in rows])
         found = resect(interior, ground, table.image[rows], sigma=sigma[rows], name=name)
         out.append((interior, found.rotation, found.photo.origin_m))
-    return out
+        doubts += [] if found.rival is None else [f"the bundle begins with a resection of photo {name}: {found.rival}"]
+    return out, doubts
 
 
 def _points(

@@ -129,7 +129,9 @@ def run_resect(
 def _resection_record(found: Resection) -> Record:
     sd = found.sigma
     turns, centre = ([None] * 3, [None] * 3) if sd is None else (sd[:3].tolist(), sd[3:].tolist())
-    return {"photo": found.photo.name, **_fit_facts(found),
+    facts = _fit_facts(found)
+    facts["warnings"] += [] if found.rival is None else [str(found.rival)]
+    return {"photo": found.photo.name, **facts,
             "exterior": exterior_record(found.rotation, found.centre_m, turns, centre)}  # fmt: skip
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import fdtri
 
 from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, camera
 from fg_orient.closerange.dlt import direct_dlt, recover
@@ -33,6 +35,37 @@ LEAST: Final = 4
 SPREAD: Final = 6
 #: Starts that are iterated, the best ones of all.
 TRIED: Final = 4
+#: Two minima whose centres differ by less of the object's distance, and whose axes by less (rad), are one.
+SAME: Final = 1e-5
+#: Level of the test that tells two poses apart.
+LEVEL: Final = 0.05
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A second pose that the points do not tell from the first.
+
+    Parameters
+    ----------
+    rotation : (3, 3) array
+    centre_m : (3,) array
+    ratio : float
+        Its weighted squares by those of the first.
+    limit : float
+        Ratio from which an F test at ``LEVEL`` tells them apart.
+    """
+
+    rotation: Array
+    centre_m: Array
+    ratio: float
+    limit: float
+
+    def __str__(self) -> str:
+        centre = ", ".join(f"{v:.4g}" for v in self.centre_m)
+        return (
+            f"a second pose fits nearly as well, centre at {centre} m: weighted squares {self.ratio:.3g} times as "
+            f"large, an F test at 5 % tells poses apart from {self.limit:.3g}; add control points off the plane"
+        )
 
 
 @dataclass(frozen=True)
@@ -49,11 +82,15 @@ class Resection(Deviations):
         Of turns about the camera axes (rad) and the centre (m); times m0 squared their covariance.
     residuals : (n, 2) array
         Computed minus ideal image coordinates, in their unit.
+    weighted_squares : float
+        v'Pv for the sigmas given.
     m0 : float or None
-        None without redundancy.
     redundancy : int
+        Two or more: four points have eight coordinates.
     condition : float
     iterations : int
+    rival : Rival or None
+        Points of a plane seen from far away fit two poses, mirrored in the line of sight.
     """
 
     photo: Photo
@@ -61,10 +98,12 @@ class Resection(Deviations):
     centre_m: Array
     cofactors: Array
     residuals: Array
+    weighted_squares: float
     m0: float | None
     redundancy: int
     condition: float
     iterations: int
+    rival: Rival | None = None
 
 
 def resect(
@@ -98,7 +137,9 @@ def resect(
     Notes
     -----
     Start: three points at a time (Grunert 1841 in the form of Haralick et al. 1994), and DLT from six points on. The
-    adjustment is that of ``factors.frame`` with the distortion taken off the observations.
+    adjustment is that of ``factors.frame`` with the distortion taken off the observations. Of all minima found the one
+    with the smallest weighted squares is the answer; the mirrored pose of a plane (Schweighofer & Pinz 2006) is always
+    tried, and told if it fits as well.
     """
     ground = as_points(ground_m, 3, "ground", InputError.of)
     measured = as_points(image, 2, "image", InputError.of)
@@ -110,14 +151,54 @@ def resect(
     poses = start_poses(ground, tangents)
     if not poses:
         raise NoSolutionError.of("closerange.no_start", place="resection", value=f"{len(ground)} points")
-    failure: FgOrientError | None = None
-    for pose in poses[:TRIED]:
+    found, failures = list[Resection](), list[FgOrientError]()
+
+    def descend(pose: Pose) -> None:
         try:
-            return _adjusted(interior, ground, tangents, size / interior.focal, pose, name)
+            found.append(_adjusted(interior, ground, tangents, size / interior.focal, pose, name))
         except (NoSolutionError, InputError) as error:
-            failure = failure or error
-    assert failure is not None
-    raise failure
+            failures.append(error)
+
+    for pose in poses[:TRIED]:
+        descend(pose)
+    if not found:
+        raise failures[0]
+    first = min(found, key=attrgetter("weighted_squares"))
+    descend(_mirrored((first.rotation, first.centre_m), ground))
+    return _with_rival(found, ground)
+
+
+def _with_rival(found: list[Resection], ground: Array) -> Resection:
+    """The minimum of all, with the next one if an F test of equal redundancies does not tell the two apart."""
+    first, *others = sorted(found, key=attrgetter("weighted_squares"))
+    distance = float(np.linalg.norm(ground - first.centre_m, axis=1).mean())
+    apart = [
+        one for one in others
+        if np.linalg.norm(one.centre_m - first.centre_m) > SAME * distance
+        or np.abs(one.rotation - first.rotation).max() > SAME
+    ]  # fmt: skip
+    if not apart:
+        return first
+    limit = float(fdtri(first.redundancy, first.redundancy, 1.0 - LEVEL))
+    second, own = apart[0], first.weighted_squares
+    if second.weighted_squares > limit * own:
+        return first
+    ratio = second.weighted_squares / own if own > 0.0 else 1.0
+    return replace(first, rival=Rival(second.rotation, second.centre_m, ratio, limit))
+
+
+def _mirrored(pose: Pose, ground: Array) -> Pose:
+    """Pose from which points of a plane look nearly the same: their plane mirrored across the line of sight.
+
+    A reflection across the line of sight to the middle of the points, after one in their plane, which points of the
+    plane do not feel, is a rotation.
+    """
+    rotation, centre = pose
+    middle = ground.mean(axis=0)
+    seen = rotation @ (middle - centre)
+    along, normal = seen / np.linalg.norm(seen), np.linalg.svd(ground - middle)[2][2]
+    turned = (np.eye(3) - 2.0 * np.outer(along, along)) @ rotation @ (np.eye(3) - 2.0 * np.outer(normal, normal))
+    return np.asarray(turned), np.asarray(middle - turned.T @ seen)
 
 
 def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, start: Pose, name: str) -> Resection:
@@ -147,10 +228,10 @@ def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, 
     moved = centre + turned[9:12]
     photo = Photo.of(name, interior, rotation, moved)
     residuals = -found.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
-    redundancy = len(found.residual) - 6
+    squares, redundancy = float(found.residual @ found.residual), len(found.residual) - 6
     return Resection(
-        photo, rotation, moved, away @ cofactors @ away.T, residuals,
-        unit_weight(float(found.residual @ found.residual), redundancy), redundancy, condition, len(found.log),
+        photo, rotation, moved, away @ cofactors @ away.T, residuals, squares, unit_weight(squares, redundancy),
+        redundancy, condition, len(found.log),
     )  # fmt: skip
 
 

@@ -239,6 +239,53 @@ def test_residuals_of_a_resection_are_computed_minus_ideal(y_axis: str) -> None:
     assert np.abs(found.residuals - q[:, :2] / q[:, 2:] + found.photo.ideal(image)).max() <= 1e-9
 
 
+def flat_scene(
+    seed: int, distance_m: float, n: int, sigma: float, tilt_deg: float
+) -> tuple[Interior, Photo, Array, Array, Array]:
+    """Points of a plane seen from above: camera, true photo and rotation, points, image coordinates with noise."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-1.0, 1.0, (n, 2)), np.zeros(n)])
+    turn = Rotation.from_euler("xz", [180.0 + tilt_deg, rng.uniform(0.0, 360.0)], degrees=True).as_matrix()
+    camera = Interior(60.0, np.zeros(2), y_axis="down")
+    photo = Photo.of("", camera, turn, -turn.T @ [0.0, 0.0, distance_m])
+    return camera, photo, turn, points, photo.project(points) + rng.normal(scale=sigma, size=(n, 2))
+
+
+def _misclosures(x: Array, photo: Photo, rotation: Array, points: Array, image: Array) -> Array:
+    """Computed minus measured coordinates (2 n,) after turns and a shift of a photo."""
+    q = (points - photo.origin_m - x[3:]) @ (Rotation.from_rotvec(x[:3]).as_matrix() @ rotation).T
+    return np.asarray((60.0 * q[:, :2] / q[:, 2:] - image).ravel())
+
+
+def test_resection_on_a_plane_takes_the_better_of_two_minima() -> None:
+    """Eight scenes of four points, the minimum at the true pose by scipy; the one reached first is often the other."""
+    for seed in range(8):
+        camera, photo, rotation, points, image = flat_scene(seed, 10.0, 4, 0.01, 15.0)
+        found = resect(camera, points, image, sigma=0.01)
+
+        own = (
+            2.0
+            * least_squares(
+                _misclosures, np.zeros(6), method="lm", xtol=1e-12, args=(photo, rotation, points, image)
+            ).cost
+        )
+        assert float(np.sum(found.residuals**2)) <= own * (1.0 + 1e-6)
+        assert found.weighted_squares == pytest.approx(np.sum(found.residuals**2) / 0.01**2, rel=1e-9)
+
+
+def test_far_control_in_a_plane_tells_its_second_pose() -> None:
+    """200 m away perspective is half a sigma, so both tilts fit: one is the answer, one its rival; not from 3 m."""
+    for seed in range(4):
+        camera, photo, _, points, image = flat_scene(seed, 200.0, 6, 0.001, 20.0)
+        found = resect(camera, points, image, sigma=0.001)
+        assert found.rival is not None and 1.0 <= found.rival.ratio <= found.rival.limit
+        apart = [float(np.linalg.norm(c - photo.origin_m)) for c in (found.centre_m, found.rival.centre_m)]
+        assert min(apart) < 0.25 * max(apart)
+        assert "a second pose fits nearly as well, centre at" in str(found.rival)
+        camera, _, _, points, image = flat_scene(seed, 3.0, 6, 0.001, 20.0)
+        assert resect(camera, points, image, sigma=0.001).rival is None
+
+
 def test_resection_refuses_points_on_a_line() -> None:
     camera, photos, _, points = scene(12, 6)
     line = points[0] + np.linspace(0.0, 1.0, 6)[:, None] * (points[1] - points[0])
