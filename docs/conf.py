@@ -9,6 +9,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpydoc.docscrape_sphinx as _numpydoc
 from jinja2.sandbox import SandboxedEnvironment
+from sphinx.domains.python import PythonDomain
 
 import fg_orient
 
@@ -17,6 +18,22 @@ _environments = {}
 _numpydoc.SandboxedEnvironment = lambda loader: _environments.setdefault(
     type(loader), SandboxedEnvironment(loader=loader)
 )
+
+# sphinx compares each name of a signature with the end of every object's name; most (float, Any) are none of ours
+_last_words = {}
+_search_all = PythonDomain.find_obj
+
+
+def _find_obj(self, env, modname, classname, name, *arguments):
+    size = len(self.objects)
+    if size not in _last_words:
+        _last_words[size] = {key.rpartition(".")[2] for key in self.objects}
+    if name.removesuffix("()").rpartition(".")[2] not in _last_words[size]:
+        return []
+    return _search_all(self, env, modname, classname, name, *arguments)
+
+
+PythonDomain.find_obj = _find_obj
 
 project = "fg_orient"
 author = "the fg_orient developers"
@@ -30,12 +47,46 @@ myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 nitpicky = False
 
-# Reference pages of every module, made at each build.
+# Reference pages, made at each build, of what users and extenders import. Left out is what stands behind the command
+# line, the loops inside the backends and the printed values; a module takes a third of a second of a processor.
+_ROOT = Path(__file__).resolve().parents[1]
+_INTERNAL = """
+    factors/batch* factors/warmup.py
+    fg_orient/__main__.py fg_orient/adjustment/* fg_orient/cells.py fg_orient/cli fg_orient/closerange/*job.py
+    fg_orient/comparison/* fg_orient/doctor.py fg_orient/experiments/* fg_orient/figures/style* fg_orient/io/assemble.py
+    fg_orient/io/atomic.py fg_orient/io/*_checks.py fg_orient/io/folder.py fg_orient/io/rasters.py
+    fg_orient/io/rpc_fields.py fg_orient/io/schema.py fg_orient/messages fg_orient/parallel/* fg_orient/published
+    fg_orient/raster fg_orient/rectification/job.py fg_orient/rectification/record.py fg_orient/rectification/remarks.py
+    fg_orient/rectification/study.py fg_orient/rectification/synthetic.py fg_orient/report fg_orient/reproduce
+    fg_orient/run fg_orient/selftest.py fg_orient/simulate/*
+""".split()
+_IMPORTED = """
+    fg_orient/adjustment/models fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py
+    fg_orient/comparison/compare.py fg_orient/comparison/model.py fg_orient/experiments/study.py
+    fg_orient/parallel/solve.py fg_orient/parallel/study.py
+    fg_orient/simulate/block.py fg_orient/simulate/simulation.py fg_orient/simulate/zonguldak.py
+""".split()
+
+
+def _paths(patterns):
+    """Files and folders of the source tree; a pattern that finds none is an error, its module has moved."""
+    found = {pattern: set(_ROOT.glob(pattern)) for pattern in patterns}
+    if missing := [pattern for pattern, paths in found.items() if not paths]:
+        raise ValueError(f"docs/conf.py names what does not exist: {missing}")
+    return set().union(*found.values())
+
+
+def _left_out():
+    paths = _paths(_INTERNAL) - _paths(_IMPORTED)
+    return sorted(f"../{path.relative_to(_ROOT)}" for path in paths if path.name != "__init__.py")
+
+
 _common = {
     "max_depth": 4,
     "separate_modules": True,
     "include_private": True,
     "module_first": True,
+    "exclude_patterns": _left_out(),
     "automodule_options": {"members", "show-inheritance"},
 }
 apidoc_modules = [
@@ -44,6 +95,9 @@ apidoc_modules = [
 ]
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
+autodoc_use_type_comments = False  # there are none, and looking for them parses every function once more
+smartquotes = False  # they take a twentieth of the time
+autosummary_generate = False  # numpydoc loads it; no page has such a table
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 
