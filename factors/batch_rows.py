@@ -69,7 +69,7 @@ def rational_rows(
     for m in range(lo, hi):
         a = members[m]
         _fetch(records, row[a], ground, point[a], n_basis, basis, a, wide, image[a], record, place, x)
-        if not rfm_equation.fill(record, 0, setup, x, place, out, want) and bad < 0:
+        if not rfm_equation.fill(record, np.int64(0), setup, x, place, out, want) and bad < 0:
             bad = a
         _store(out, a, value, d_image, d_ground, want)
     return bad

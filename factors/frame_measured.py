@@ -86,7 +86,7 @@ def derivatives(c: Any, ray: Any, line: float, sample: float, a_line: float, a_s
 
 
 @compiled
-def fill(records: Array, row: int, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
+def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
     """Write residual, image and ground Jacobian of one row into ``out``; see :func:`factors.frame.fill`."""
     k, record, d = setup.shape[1], records[row], np.zeros((2, N_COLUMNS))
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
@@ -112,7 +112,7 @@ def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> 
     """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
     k = setup.shape[1]
     out = np.full((2, k + 4), np.nan)  # stays nan if sizes do not fit: never uninitialised memory
-    fill(record.reshape((1, -1)), 0, setup, x, ground, out, want)
+    fill(record.reshape((1, -1)), np.int64(0), setup, x, ground, out, want)  # a literal 0 compiles fill once more
     if not want:
         return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))
     return out[:, 0].copy(), out[:, 1 : k + 1].copy(), out[:, k + 1 :].copy()

@@ -7,8 +7,10 @@ The first call of a numba function compiles it (10 s in all) or loads it from th
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from factors import (
     batch,
@@ -64,11 +66,19 @@ def _compile_rational_function() -> None:
     records = np.stack([e.record, e.record])
     rfm_equation.fill(records, 0, e.setup, x, point, np.empty((2, len(x) + 4)), True)
     rfm_equation.conditions(records, e.setup, x, np.stack([point, point]))
-    c, ground = e.record[24:].reshape(4, 20).copy(), np.zeros((2, 3))
+    c, ones = _read_only(e.record[24:].reshape(4, 20)), _read_only(np.ones(5))  # as a model keeps them
+    ground = np.zeros((2, 3))
     rfm.values(c, ground)
     rfm.denominators(c, ground)
-    rfm_project.locate(c, np.ones(5), np.zeros((2, 2)), np.zeros(2), np.zeros((2, 2)))
-    rfm_project.project(c, np.ones(5), np.ones(5), np.zeros(6), *ground.T.copy())
+    rfm_project.locate(c, ones, np.zeros((2, 2)), np.zeros(2), np.zeros((2, 2)))
+    rfm_project.project(c, ones, ones, np.zeros(6), *ground.T.copy())
+
+
+def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Copy that may not be written to: another type for numba than an array that may."""
+    out = array.copy()
+    out.flags.writeable = False
+    return out
 
 
 def _compile_frame() -> None:
@@ -120,10 +130,11 @@ def _compile_reduction(
     """One point in two images: a piece of one point, a chunk, three slots and blocks."""
     two, image = np.arange(2), np.arange(2, dtype=np.int32)
     order, first, free = image.copy(), np.array([0, 2], np.int32), np.ones(1, np.int8)
+    of_image, of_point = _read_only(two), _read_only(two * 0)  # as a block keeps them
     key, code, start = np.empty(2, np.int64), np.empty(2, np.int64), np.empty(3, np.int32)
-    batch_sort.sort_by(two, image, np.empty(3, np.int64), order)
-    batch_sort.signatures(order, two * 0, two, free, 2, key, code, start)
-    batch_sort.arrange(two[:1], start, order, two, two * 0, image.copy(), image, image.copy(), first)
+    batch_sort.sort_by(of_image, image, np.empty(3, np.int64), order)
+    batch_sort.signatures(order, of_point, of_image, free, 2, key, code, start)
+    batch_sort.arrange(two[:1], start, order, of_image, of_point, image.copy(), image, image.copy(), first)
     pieces, chunks = np.zeros((1, 5), np.int64), np.zeros(2, np.int64)
     batch_sort.cut_pieces(first, image, free, 512, pieces, chunks)
     batch_sort.list_entries(pieces, chunks, image, free, 2, np.empty(3, np.int64), np.empty(3, np.int64))
