@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, emit, note, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, note, number, outcome, say, table
+from fg_orient.cli.progress import progress_bar
 
 
 def accuracy(
@@ -17,18 +18,21 @@ def accuracy(
         typer.Option("--dem", help="Reference DEM of ellipsoidal heights, any raster GDAL reads.", show_default=False),
     ],
     role: Annotated[str | None, typer.Option("--role", help="Only points of this role: control, check or tie.")] = None,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Compare the heights of adjusted points with a DEM: bias, scatter, and the shift that explains them."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.quality.dem_accuracy import compare_dem, rows_of_role
         from fg_orient.report.data import read_result
         from fg_orient.sensors.surface import RasterDem
 
         points = read_result(folder).points
         chosen = rows_of_role(points.words["role"], role)
-        found = compare_dem(points.numbers("x_m", "y_m", "z_m")[chosen], RasterDem(dem)).as_dict()
+        with progress_bar("comparing"):
+            found = compare_dem(points.numbers("x_m", "y_m", "z_m")[chosen], RasterDem(dem)).as_dict()
         if as_json:
             emit(found)
             return

@@ -15,7 +15,9 @@ from fg_orient.cli.common import (
     Debug,
     Extrapolate,
     Json,
+    Log,
     Overwrite,
+    Quiet,
     VerticalCrs,
     emit,
     note,
@@ -140,12 +142,8 @@ def adjust(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the checkpoint of a run that was stopped.")
     ] = False,
-    quiet: Annotated[
-        bool,
-        typer.Option(
-            "--quiet", "-q", help="No progress and no tables; an untrustworthy or missing solution is still said."
-        ),
-    ] = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -166,30 +164,31 @@ def adjust(
         "variance_components": ("image", "position", "height") if variance_components else None,
     }  # fmt: skip
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         if not project.is_file():
             raise InputError.of("project.missing_file", file=project, folder="the current folder")
-        _load()
+        load()
         from fg_orient.run import checkpoint_path, run_project
 
         target = out or project.parent / "result"
         if resume and not checkpoint_path(target).exists():
             note(f"no checkpoint {checkpoint_path(target).name} to resume: starting from the beginning")
         named = {**options, **execution, "scheduler": scheduler, "checkpoint_every": checkpoint_every}
-        with _named_as_typed(named), progress(quiet or as_json) as watch:
+        with _named_as_typed(named), progress() as watch:
             record = run_project(
                 project, target, overwrite=overwrite, options=options, callback=watch.iteration,
                 command=["fg-orient", *sys.argv[1:]], execution=execution, stage=watch.stage,
                 checkpoint_every_s=checkpoint_every, resume=resume,
                 dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs),
+                dem_vertical_crs=dem_vertical_crs,
             )  # fmt: skip
         for found in record.get("errors", []):
             note(f"error: {found['place']}: {found['message']}; {found['remedy']}")
         if as_json:
             emit(record)
-        elif not quiet and record["out"]:
+        elif record["out"]:
             show(record)
-        elif quiet and record["status"] != Status.CONVERGED:
+        if quiet and not as_json and record["status"] != Status.CONVERGED:
             note(f"{record['status'].replace('_', ' ')}: {record['reason']}")
         raise typer.Exit(EXIT_CODE[Status(record["status"])])
 
@@ -217,7 +216,8 @@ def _named_as_typed(options: Mapping[str, object]) -> Iterator[None]:
         ) from None  # fmt: skip
 
 
-def _load() -> None:
+def load() -> None:
+    """Load what an adjustment needs, before the clock starts."""
     from importlib import import_module
 
     for name in WORKING:

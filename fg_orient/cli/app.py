@@ -23,6 +23,7 @@ from fg_orient.cli import (
     geometry,
     rectify,
     reduce,
+    replay,
     reports,
     reproduce,
     rpc,
@@ -56,6 +57,7 @@ app.command("convert")(convert.convert)
 app.command("validate")(checks.validate)
 app.command("doctor")(checks.doctor)
 app.command("report")(reports.report)
+app.command("replay")(replay.replay)
 app.command("reproduce")(reproduce.reproduce)
 
 

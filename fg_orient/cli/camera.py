@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, say
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, say
 from fg_orient.errors import InputError
 
 app = typer.Typer(
@@ -28,6 +28,8 @@ def convert(
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE.toml", help="Camera file to write.")],
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -35,7 +37,7 @@ def convert(
 
     Neither polynomial inverts the other: the largest and the rms difference in the image are part of the result.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.io.camera import read_camera, write_camera
         from fg_orient.sensors.interior import converted
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, emit, note, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, fault, note, outcome, say, table
 from fg_orient.errors import FgOrientError, InputError
 
 if TYPE_CHECKING:
@@ -25,11 +25,13 @@ def validate(
         str, typer.Option("--format", metavar="FORMAT", help="Check a file of points of another program instead.")
     ] = "",
     crs: Annotated[str, typer.Option(metavar="EPSG:N", help="Its CRS, where the file does not say it.")] = "",
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Check a project and all its files: errors (exit code 2) and remarks."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         if format_name:
             _validate_points(project, format_name, crs, as_json)
             return
@@ -47,7 +49,7 @@ def validate(
             emit({"errors": [p.as_dict() for p in errors], "remarks": [p.as_dict() for p in remarks],
                   "memory": None if need is None else need.as_dict()})  # fmt: skip
         for p in errors:
-            note(f"error: {p}")
+            fault(p)
         if not as_json:
             for p in remarks:
                 say(f"remark: {p}")
@@ -92,12 +94,12 @@ def _memory(block: Block) -> Need:
     return need_of(block)
 
 
-def doctor(as_json: Json = False, debug: Debug = False) -> None:
+def doctor(quiet: Quiet = False, log: Log = None, as_json: Json = False, debug: Debug = False) -> None:
     """Show versions, look for traps of the installation and adjust a small block of its own.
 
     Exit code 1 if the installation is broken.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.doctor import examine
 
         found = examine()
@@ -109,5 +111,8 @@ def doctor(as_json: Json = False, debug: Debug = False) -> None:
             table("checks", ("check", "good", "detail"), checks, left=3)
             for text in found["warnings"]:
                 say(f"warning: {text}")
+            for c in found["checks"]:
+                if quiet and not c["good"]:
+                    note(f"{c['name']}: {c['detail']}")
         if not found["good"]:
             raise typer.Exit(FgOrientError.exit_code)

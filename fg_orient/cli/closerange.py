@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, note, number, outcome, say, table
+from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
@@ -42,11 +43,13 @@ def dlt(
     sigma: Sigma = 1.0,
     out: Out = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Orient photos of unknown cameras by a direct linear transformation."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.closerange.job import run_dlt
 
         record = run_dlt(points, distortion=_words(distortion), sigma=_positive("--sigma", sigma), iterate=not direct,
@@ -61,11 +64,13 @@ def resect(
     sigma: Sigma = 1.0,
     out: Out = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Orient photos of known cameras by control points."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.closerange.job import run_resect
 
         record = run_resect(points, camera, sigma=_positive("--sigma", sigma), out=out, overwrite=overwrite,
@@ -80,11 +85,13 @@ def intersect(
     sigma: Sigma = 1.0,
     out: Out = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Intersect points of oriented photos."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.closerange.job import run_intersect
 
         record = run_intersect(points, photos, sigma=_positive("--sigma", sigma), out=out, overwrite=overwrite,
@@ -123,19 +130,23 @@ def bundle(
     backend: Annotated[Literal["dense", "graph"], typer.Option(help="Correlates, or a GTSAM graph.")] = "dense",
     out: Out = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Adjust photos and points together: self-calibration, control points, constraints."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.closerange.bundle_job import run_bundle
 
         if not 0.0 <= sigma_control < float("inf"):
             raise InputError.of("closerange.sigma", place="--sigma-control", value=sigma_control)
-        record = run_bundle(points, photos, control=control, start=start, constraints=constraints,
-                            sigma=_positive("--sigma", sigma), sigma_control_m=sigma_control, unknown=_words(unknown),
-                            shared=_words(shared), backend=backend, out=out, overwrite=overwrite,
-                            command=_command())  # fmt: skip
+        with progress_bar("adjusting"):
+            record = run_bundle(
+                points, photos, control=control, start=start, constraints=constraints,
+                sigma=_positive("--sigma", sigma), sigma_control_m=sigma_control, unknown=_words(unknown),
+                shared=_words(shared), backend=backend, out=out, overwrite=overwrite, command=_command(),
+            )  # fmt: skip
         _finish(record, as_json, _show_bundle)
 
 
@@ -158,11 +169,13 @@ def surface(
     ] = None,
     out: Out = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Fit a sphere, spheroid, ellipsoid or quadric to points."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.closerange.job import run_surface
 
         record = run_surface(points, kind, axis=axis, method=method, sigma_m=_positive("--sigma", sigma),

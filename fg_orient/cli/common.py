@@ -5,22 +5,30 @@ from __future__ import annotations
 import contextlib
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fg_orient.cli.log import opened, session
+from fg_orient.cli.tables import print_table
 from fg_orient.errors import FgOrientError, InputError, Problem
 
 if TYPE_CHECKING:
     from fg_orient.sensors.surface import RasterDem
 
-#: Widest table for people.
-WIDTH = 80
 INTERRUPTED = 130
+#: Words before a colon that make a line one of the log.
+LOGGED = ("error", "warning", "note", "remark", "lost")
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="No progress, no tables; errors and what makes a result doubtful stay.")
+]
+Log = Annotated[
+    Path | None, typer.Option("--log", metavar="FILE", help="Add each event to this file, one JSON object a line.")
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error of the program itself.")]
 ModelOf = Annotated[
     str, typer.Option("--model", metavar="auto|rigorous|rpc", help="Which model, of files that hold both.")
@@ -57,19 +65,46 @@ def printable(text: object) -> str:
 
 
 def note(text: object) -> None:
-    """Say something beside the result: on standard error."""
-    typer.echo(printable(text), err=True)
+    """Say something beside the result: on standard error; under ``--quiet`` not what begins with "note: "."""
+    _log(str(text))
+    if not (session().quiet and str(text).startswith("note: ")):
+        typer.echo(printable(text), err=True)
 
 
 def say(text: object = "") -> None:
-    """Print a line of the result for people."""
-    typer.echo(printable(text))
+    """Print a line of the result for people; nothing under ``--quiet``."""
+    _log(str(text))
+    if not session().quiet:
+        typer.echo(printable(text))
+
+
+def fault(found: Problem) -> None:
+    """Say what is wrong with the input or the solution: on standard error."""
+    session().tell("error", **found.as_dict())
+    typer.echo(printable(f"error: {found}"), err=True)
+
+
+def _log(text: str) -> None:
+    """Put a warning or remark into the log; the word before its colon tells what it is."""
+    kind, colon, rest = text.partition(": ")
+    if colon and kind in LOGGED:
+        session().tell(kind, text=rest)
+
+
+def verdict(text: object, *, good: bool) -> None:
+    """Say how it ended; what is not good also under ``--quiet``."""
+    if session().quiet and not good:
+        note(text)
+    else:
+        say(text)
 
 
 def emit(record: object) -> None:
     """Print one JSON object, nan as null."""
     from fg_orient.run.json import dumps
 
+    for text in record.get("warnings", ()) if isinstance(record, dict) else ():
+        session().tell("warning", text=text)
     typer.echo(dumps(record, indent=1))
 
 
@@ -79,14 +114,21 @@ def emit_errors(*problems: Problem) -> None:
 
 
 @contextlib.contextmanager
-def outcome(as_json: bool, debug: bool = False) -> Iterator[None]:
-    """Turn exceptions into one line per problem and an exit code.
+def outcome(as_json: bool, debug: bool = False, quiet: bool = False, log: Path | None = None) -> Iterator[None]:
+    """Turn exceptions into one line per problem and an exit code; keep the log.
 
     Raises
     ------
     typer.Exit
         With the code of the exception: 2 bad input, 3 no solution, 130 interrupted, 1 a bug.
     """
+    with _explained(as_json, debug), opened(log, as_json=as_json, quiet=quiet), _explained(as_json, debug):
+        yield
+
+
+@contextlib.contextmanager
+def _explained(as_json: bool, debug: bool) -> Iterator[None]:
+    """Turn exceptions into one line per problem and an exit code."""
     try:
         yield
     except typer.Exit:
@@ -95,7 +137,7 @@ def outcome(as_json: bool, debug: bool = False) -> Iterator[None]:
         if as_json:
             emit_errors(*error.problems)
         for found in error.problems:
-            note(f"error: {found}")
+            fault(found)
         raise typer.Exit(error.exit_code) from None
     except KeyboardInterrupt as stopped:
         note(str(stopped) or "interrupted: nothing was written")
@@ -107,6 +149,7 @@ def outcome(as_json: bool, debug: bool = False) -> Iterator[None]:
         if debug:
             traceback.print_exc()
         found = internal(error, debug)
+        session().tell("error", **found.as_dict())
         if as_json:
             emit_errors(found)
         note(found)
@@ -121,38 +164,9 @@ def internal(error: Exception, debug: bool) -> Problem:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, left: int = 1) -> None:
-    """Print a table of at most 80 columns; the first ``left`` columns are aligned to the left."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    out = Table(title=title or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1))
-    for k, name in enumerate(columns):
-        out.add_column(name, justify="left" if k < left else "right", overflow="fold")
-    for row in rows:
-        out.add_row(*(Text(printable(cell)) for cell in row))
-    console = Console(file=sys.stdout, width=min(WIDTH, Console().width), highlight=False)
-    console.print(out)
-
-
-@contextlib.contextmanager
-def progress_bar(first: str, silent: bool) -> Iterator[Callable[[int, int, str], None] | None]:
-    """Show a bar on the terminal, if standard error is one; ``first`` stands beside it until the first step is done."""
-    if silent or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False)
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(first, total=None)
-
-        def update(done: int, total: int, text: str) -> None:
-            bar.update(task, completed=done, total=total, description=text)
-
-        yield update
+    """Print a table of at most 80 columns, nothing under ``--quiet``; see ``tables.print_table``."""
+    if not session().quiet:
+        print_table(title, columns, [[printable(cell) for cell in row] for row in rows], left)
 
 
 def number(value: object, digits: int = 3) -> str:

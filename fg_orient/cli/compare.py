@@ -12,7 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, progress_bar, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, say, table
+from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
 #: Places of the library in the words of the command line.
@@ -54,6 +55,8 @@ def compare(
         Path | None, typer.Option("--out", help="Folder of the results; default: comparison, beside the project file.")
     ] = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -66,12 +69,12 @@ def compare(
         "eop_sets": eop_sets, "solvers": solvers, "backends": backends, "types": types, "as_run": as_run,
         "look_polynomial": look_polynomial, "target_m": target, "workers": workers, "cluster": scheduler,
     }  # fmt: skip
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         if not project.is_file():
             raise InputError.of("project.missing_file", file=project, folder="the current folder")
         from fg_orient.comparison.folder import compare_project
 
-        with _named_as_typed(), progress_bar("reading the project", as_json) as callback:
+        with _named_as_typed(), progress_bar("reading the project") as callback:
             record = compare_project(
                 project, out or project.parent / "comparison", overwrite=overwrite, options=options,
                 callback=callback, command=["fg-orient", *sys.argv[1:]],

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, note, outcome, say, table
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
@@ -65,6 +65,8 @@ def convert(
     ] = False,
     formats: Annotated[bool, typer.Option("--formats", help="List the formats and end.")] = False,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -72,7 +74,7 @@ def convert(
 
     What the new format cannot hold is said, one line each.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.interchange.convert import Fill, filled, placed, read_survey, write_survey
         from fg_orient.interchange.registry import Settings, format_named, format_of
 

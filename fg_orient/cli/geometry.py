@@ -11,8 +11,10 @@ from fg_orient.cli.common import (
     Debug,
     Extrapolate,
     Json,
+    Log,
     ModelOf,
     Overwrite,
+    Quiet,
     Result,
     VerticalCrs,
     emit,
@@ -25,7 +27,7 @@ from fg_orient.cli.common import (
     table,
     with_result,
     write_records,
-)  # fmt: skip
+)
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
@@ -71,6 +73,8 @@ def locate(
     result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -78,7 +82,7 @@ def locate(
 
     Points of a CSV file: columns id,line,sample and, without --height or --dem, height_m.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         _exclude({"--line": line, "--sample": sample}, {"--points": points}, {"--frame": frame or None})
         if height is not None and dem is not None:
             raise InputError.of("cli.two_heights", file=image, place="--height, --dem")
@@ -144,6 +148,8 @@ def project(
     result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -151,7 +157,7 @@ def project(
 
     Points of a CSV file: columns id,lon_deg,lat_deg,height_m.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         _exclude({"--lon": lon, "--lat": lat, "--height": height}, {"--points": points})
         import numpy as np
 
@@ -181,6 +187,8 @@ def intersect(
     result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -190,7 +198,7 @@ def intersect(
     file are not used. Sigmas of a point are those that its image points give it (--pixel: 1 pixel each), the
     orientation held as free of error.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.block import Image
         from fg_orient.ground import intersection_records
 

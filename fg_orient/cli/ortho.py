@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Extrapolate, Json, Overwrite, emit, outcome, progress_bar, say
+from fg_orient.cli.common import Debug, Extrapolate, Json, Log, Overwrite, Quiet, emit, outcome, say
+from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,11 +48,13 @@ def ortho(
     cog: Annotated[bool, typer.Option("--cog", help="Cloud optimised GeoTIFF, with overviews.")] = False,
     extrapolate_attitude: Extrapolate = 0.0,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Rectify an image on a DEM (or a plane) to a GeoTIFF: by its sensor, adjusted or not, or by points."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.raster.job import rectify_image
         from fg_orient.raster.ortho import OrthoOptions
 
@@ -59,7 +62,7 @@ def ortho(
         limits = _bounds(bounds) if bounds else None
         if dem is not None and height is not None:
             raise InputError.of("cli.two_ways", place="--dem, --height", options="--dem, --height")
-        with progress_bar("rectifying", as_json) as progress:
+        with progress_bar("rectifying") as progress:
             record = rectify_image(
                 image, model, out, dem=dem, height_m=height, result=result, image_id=image_id, crs=crs,
                 resolution=resolution, bounds=limits, options=options, overwrite=overwrite, progress=progress,

@@ -1,7 +1,9 @@
-"""Progress of an adjustment on the terminal: stages, iterations, image points per second, time left.
+"""Progress on the terminal and in the log: of an adjustment, and of any other work in steps.
 
-How many iterations are to come nobody knows; the time left is what they would take if the steps went on shrinking as
-the last one did, or if graduated non-convexity took all its stages. Where neither can be said, none is shown.
+An adjustment shows stages, iterations, image points per second and the time left; other work its steps, their rate
+and the time left at that rate, or the time elapsed where it has no steps. How many iterations are to come nobody
+knows; the time left is what they would take if the steps went on shrinking as the last one did, or if graduated
+non-convexity took all its stages. Where neither can be said, none is shown.
 """
 
 from __future__ import annotations
@@ -9,11 +11,20 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Protocol
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+from fg_orient.cli.log import Session, session
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
     from fg_orient.adjustment.loop import IterationRecord
+
+#: Time between two lines of the log about steps that follow fast, s.
+LOG_EVERY_S: Final = 1.0
 
 #: A step that is not below this part of the one before says nothing about the end.
 SHRINKING = 0.9
@@ -69,45 +80,107 @@ def describe(log: Sequence[IterationRecord], image_points: int) -> str:
         words.append(f"{image_points * last.iteration / last.seconds:,.0f} image points/s")
     left = iterations_left(log)
     if left is not None:
-        words.append(f"about {left * last.seconds / last.iteration:.0f} s left")
+        words.append(f"about {duration(left * last.seconds / last.iteration)} left")
+    return ", ".join(words)
+
+
+def duration(seconds: float) -> str:
+    """Write a time for people, to the second, minute or quarter of an hour that it is good for."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 100 else f"{seconds / 3600.0:.1f} h"
+
+
+def describe_steps(text: str, done: int, total: int, seconds: float) -> str:
+    """What is done, steps so far, their rate and, from it, the time left."""
+    words = [f"{text} {done} of {total}".strip()]
+    if done > 0 and seconds > 0.0:
+        rate = done / seconds
+        words.append(f"{rate:,.1f}/s" if rate >= 1.0 else f"{duration(1.0 / rate)} each")
+        words.append(f"about {duration((total - done) / rate)} left")
     return ", ".join(words)
 
 
 @contextlib.contextmanager
-def progress(silent: bool) -> Iterator[Watch]:
-    """Show a bar on the terminal, if standard error is one."""
-    if silent or not sys.stderr.isatty():
-        yield Silence()
+def progress() -> Iterator[Watch]:
+    """Show an adjustment on the terminal, if standard error is one, and tell the log of it."""
+    current = session()
+    with _bar("starting") as bar:
+        yield Silence() if bar is None and current.log is None else _Adjustment(bar, current)
+
+
+@contextlib.contextmanager
+def progress_bar(first: str) -> Iterator[Callable[[int, int, str], None] | None]:
+    """Show work in steps, or one long one; ``first`` stands there until the first step is done."""
+    current = session()
+    current.tell("stage", stage=first)
+    with _bar(first) as bar:
+        yield None if bar is None and current.log is None else _Steps(bar, current)
+
+
+@contextlib.contextmanager
+def _bar(first: str) -> Iterator[_Bar | None]:
+    """Give a bar, where there are people to see it."""
+    current = session()
+    if current.as_json or current.quiet or not sys.stderr.isatty():
+        yield None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = TextColumn("{task.description}", markup=False), BarColumn(bar_width=20), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        yield _Bar(bar)
+        yield _Bar(bar, bar.add_task(first, total=None))
 
 
+@dataclass(frozen=True)
 class _Bar:
-    """Watch on a bar of rich."""
+    """The line of rich's progress."""
 
-    def __init__(self, bar: object) -> None:
-        from rich.progress import Progress
+    bar: Progress
+    task: TaskID
 
-        assert isinstance(bar, Progress)
-        self._bar, self._task = bar, bar.add_task("starting", total=None)
+    def show(self, text: str, done: int = 0, total: int | None = None) -> None:
+        self.bar.update(self.task, description=text, completed=done, total=total)
+
+
+class _Adjustment:
+    """Watch on the bar and in the log."""
+
+    def __init__(self, bar: _Bar | None, told: Session) -> None:
+        self.bar, self._told = bar, told
         self._log: list[IterationRecord] = []
         self._image_points = 0
 
     def stage(self, name: str, image_points: int) -> None:
         """See :class:`Watch`."""
         self._image_points = image_points
-        self._bar.update(self._task, description=name, total=None)
+        self._told.tell("stage", stage=name, image_points=image_points)
+        if self.bar is not None:
+            self.bar.show(name)
 
     def iteration(self, record: IterationRecord) -> None:
         """See :class:`Watch`."""
         self._log.append(record)
-        left, done = iterations_left(self._log), len(self._log)
-        self._bar.update(
-            self._task, description=describe(self._log, self._image_points), completed=done,
-            total=None if left is None else done + left,
-        )  # fmt: skip
+        self._told.tell("iteration", **asdict(record))
+        if self.bar is not None:
+            left, done = iterations_left(self._log), len(self._log)
+            total = None if left is None else done + left
+            self.bar.show(describe(self._log, self._image_points), done, total)
+
+
+class _Steps:
+    """Callback of work in steps, on the bar and in the log."""
+
+    def __init__(self, bar: _Bar | None, told: Session) -> None:
+        self._bar, self._told = bar, told
+        self._begin, self._logged = time.perf_counter(), -math.inf
+
+    def __call__(self, done: int, total: int, text: str = "") -> None:
+        seconds = time.perf_counter() - self._begin
+        if done >= total or seconds - self._logged >= LOG_EVERY_S:
+            self._logged = seconds
+            self._told.tell("progress", done=done, total=total, text=text, seconds=round(seconds, 3))
+        if self._bar is not None:
+            self._bar.show(describe_steps(text, done, total, seconds), done, total)

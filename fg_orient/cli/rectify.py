@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, note, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, note, number, outcome, say, table
 from fg_orient.cli.ortho import ortho
 from fg_orient.errors import InputError
 
@@ -51,11 +51,13 @@ def fit(
     ] = "residual",
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results.")] = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Fit a transformation between image and map to points, with check points and outlier tests."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.rectification.job import rectify_fit
         from fg_orient.rectification.models import find_model
 
@@ -101,11 +103,13 @@ def study(
     layouts: Annotated[int, typer.Option(metavar="N", help="Random choices of the points.")] = 30,
     seed: Annotated[int, typer.Option(help="Of these choices.")] = 1,
     crs: Crs = "",
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Plan a rectification: RMSE at the check points by number of control points and degree."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.rectification.job import study_points
 
         cells = study_points(points, _numbers("--counts", counts), _numbers("--degrees", degrees), layouts=layouts,
@@ -147,11 +151,13 @@ def check(
     check_point_rmse: Annotated[
         float, typer.Option("--check-point-rmse", metavar="M", help="Radial RMSE of the check points themselves.")
     ] = 0.0,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Judge the accuracy of a map by tested points; ends with 4 if a standard is not met."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.rectification.fit import plain_rmse
         from fg_orient.rectification.job import read_differences
         from fg_orient.rectification.standards import NAMES, check_accuracy
@@ -170,8 +176,17 @@ def check(
             emit(record)
         else:
             _show_check(record)
+            if quiet:
+                _name_failed(record)
         if any(verdict.passed is False for verdict in found):
             raise typer.Exit(FAILED)
+
+
+def _name_failed(record: dict[str, Any]) -> None:
+    """Name the standards that are not met, as the exit code says no more than that one is not."""
+    for s in record["standards"]:
+        if s["passed"] is False:
+            note(f"{s['standard']}: failed, {s['measure']} {number(s['value_m'])} m, limit {number(s['limit_m'])} m")
 
 
 def _show_check(record: dict[str, Any]) -> None:
@@ -187,4 +202,4 @@ def _show_check(record: dict[str, Any]) -> None:
     table("standards, m", ("standard", "measure", "value", "limit", "", "largest scale"), rows, left=2)
     for s in record["standards"]:
         for text in s["remarks"]:
-            note(f"{s['standard']}: {text}")
+            note(f"note: {s['standard']}: {text}")

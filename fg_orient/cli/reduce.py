@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, emit, number, outcome, progress_bar, say, table
+from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, number, outcome, say, table
+from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ def reduce(
     rpc_compensation: Annotated[
         str | None, typer.Option(metavar="KIND", help="Of RPC images: shift, shift_drift or affine.")
     ] = None,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -44,7 +47,7 @@ def reduce(
         "eop_set": eop_set, "look_polynomial": look_polynomial, "priors": False if no_priors else None,
         "rpc_compensation": rpc_compensation,
     }  # fmt: skip
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         folds = _folds(cross_validation)
         if not project.is_file():
             raise InputError.of("project.missing_file", file=project, folder="the current folder")
@@ -54,7 +57,7 @@ def reduce(
         block = read_project(project, **options)
         if direction not in ("backward", "forward"):
             raise InputError.of("options.value", place="--direction", value=direction, expected="backward or forward")
-        with progress_bar("adjusting", as_json) as callback:
+        with progress_bar("adjusting") as callback:
             found = _named_as_typed(
                 reduce_unknowns, block, direction="backward" if direction == "backward" else "forward", level=level,
                 folds=folds, progress=callback,

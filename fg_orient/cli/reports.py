@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, number, outcome, say, table
+from fg_orient.cli.progress import progress_bar
 
 
 def report(
@@ -29,24 +30,29 @@ def report(
         float | None, typer.Option("--vector-scale", metavar="N", help="Enlarge the error vectors of --export N times.")
     ] = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Write report.html of a result folder again; with --truth, compare with the simulated truth."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.report import write_report
 
-        path, comparison = write_report(folder, truth)
+        with progress_bar("writing the report"):
+            path, comparison = write_report(folder, truth)
         record: dict[str, Any] = {"report": str(path), "truth": comparison}
         if figures or figures_out is not None:
             from fg_orient.figures.write import write_figures
 
-            drawn, names = write_figures(folder, figures_out, overwrite=overwrite)
+            with progress_bar("drawing the figures"):
+                drawn, names = write_figures(folder, figures_out, overwrite=overwrite)
             record["figures"] = {"folder": str(drawn), "files": names}
         if export is not None:
             from fg_orient.figures.geofiles import export as write_layers
 
-            features = write_layers(folder, export, vector_scale=vector_scale, overwrite=overwrite)
+            with progress_bar("writing the layers"):
+                features = write_layers(folder, export, vector_scale=vector_scale, overwrite=overwrite)
             record["export"] = {"file": str(export), "features": features}
         if as_json:
             emit(record)

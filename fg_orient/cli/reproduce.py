@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, progress_bar, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, say, table
+from fg_orient.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from fg_orient.reproduce.reproduction import Reproduction
@@ -42,14 +43,16 @@ def reproduce(
         Path | None, typer.Option("--out", help="Folder of the results; default: reproduced-SOURCE.")
     ] = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Run a published study again on the synthetic twin and compare, table by table."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.reproduce.folder import reproduce_to
 
-        with progress_bar("tables", as_json) as callback:
+        with progress_bar("tables") as callback:
             found, record = reproduce_to(
                 source, out, overwrite=overwrite, callback=callback,
                 command=["fg-orient", *sys.argv[1:]], tables=tables, n_seeds=seeds, as_run=as_run, claims=claims,

@@ -11,7 +11,9 @@ from fg_orient.cli.common import (
     Debug,
     Extrapolate,
     Json,
+    Log,
     Overwrite,
+    Quiet,
     Result,
     emit,
     note,
@@ -20,7 +22,9 @@ from fg_orient.cli.common import (
     read_image,
     say,
     table,
+    verdict,
 )
+from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 from fg_orient.names import EXIT_CODE, Status
 
@@ -68,6 +72,8 @@ def check(
     ] = None,
     order: Order = USUAL_ORDER,
     first_pixel: FirstPixel = None,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -75,7 +81,7 @@ def check(
 
     Residuals are observed minus projected, pixels. Ends with 4 if something is wrong.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         if heights is not None and dem is not None:
             raise InputError.of("cli.two_ways", place="--heights, --dem", options="--heights, --dem")
         from fg_orient.rpc.check import check_rpc
@@ -102,6 +108,8 @@ def convert(
     order: Order = USUAL_ORDER,
     first_pixel: FirstPixel = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -109,7 +117,7 @@ def convert(
 
     Tags go into an existing GeoTIFF, so they need --overwrite; its pixels stay.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.rpc.files import describe, open_rpc, target_of, write_as
 
         target = target_of(to, out)
@@ -144,6 +152,8 @@ def refine(
     order: Order = USUAL_ORDER,
     first_pixel: FirstPixel = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -152,7 +162,7 @@ def refine(
     The corrected RPC is exact for shift, else refitted with its error stated.
     Ends with 4 if the points do not fit the model.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.rpc.files import describe, open_rpc, require_free, target_of
         from fg_orient.rpc.points import read_measured
         from fg_orient.rpc.refine import refine as refined
@@ -230,6 +240,8 @@ def fit(
     out: Annotated[Path | None, typer.Option("--out", help="Write the RPC.")] = None,
     to: To = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -238,7 +250,7 @@ def fit(
     Errors are those of the image, pixels, at points that took no part.
     Ends with 4 if a denominator comes near zero or the points do not carry the coefficients.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.rpc.files import require_free, target_of
 
         if out is not None:
@@ -253,12 +265,14 @@ def fit(
         if source.suffix.lower() == ".csv":
             of_sensor = {"--heights": heights, "--grid": grid, "--result": result}
             _refuse(source, of_sensor, "control points")
-            model, record = _fit_points(source, common | given, out)
+            with progress_bar("fitting"):
+                model, record = _fit_points(source, common | given, out)
         else:
             names = {"selection": "--select", "normalise": "--no-normalise"}
             _refuse(source, {names.get(name, f"--{name}"): value for name, value in given.items()}, "a sensor")
             sensor = read_image(source, "auto", extrapolate_attitude, result)
-            model, record = _fit_image(sensor, source, heights, grid, common)
+            with progress_bar("fitting"):
+                model, record = _fit_image(sensor, source, heights, grid, common)
         record |= {"file": str(source), "out": None}
         if out is not None:
             from fg_orient.rpc.files import write_as
@@ -308,7 +322,7 @@ def _end(record: dict[str, Any], as_json: bool, show: Any) -> None:
         for text in record["warnings"]:
             note(f"warning: {text}")
         show(record)
-        say(record["status"].replace("_", " "))
+        verdict(record["status"].replace("_", " "), good=record["status"] != Status.NOT_TRUSTWORTHY)
     if record["status"] == Status.NOT_TRUSTWORTHY:
         raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
 

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Overwrite, emit, outcome, progress_bar, say
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, say
+from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
 app = typer.Typer(help="Write synthetic projects in the real file formats, with the truth beside them.")
@@ -46,11 +47,13 @@ def zonguldak(
     ] = 0,
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("zonguldak"),
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Write the Zonguldak twin: a SPOT-5 stereo pair with 47 points, and its truth."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.simulate.render import RasterOptions
         from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 
@@ -60,7 +63,7 @@ def zonguldak(
         )  # fmt: skip
         images = raster or raster_window != 0
         rasters = RasterOptions(images, raster_window, dem_step) if dem or images else None
-        with progress_bar("rendering", as_json or not images) as progress:
+        with progress_bar("rendering" if images else "simulating") as progress:
             project = simulate_zonguldak(out, options, overwrite=overwrite, rasters=rasters, progress=progress)
         _tell(project, as_json)
 
@@ -82,11 +85,13 @@ def block(
     max_height: Annotated[float, typer.Option(metavar="M", help="Heights are uniform from 0 to this, m.")] = 500.0,
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("block"),
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Write a block of overlapping SPOT-5-like scenes of any size, and its truth."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.simulate.block import BlockOptions, simulate_block
 
         options = BlockOptions(
@@ -94,7 +99,9 @@ def block(
             control_share=control_share, check_share=check_share, image_noise_px=image_noise, errors=errors,
             max_height_m=max_height,
         )  # fmt: skip
-        _tell(simulate_block(out, options, overwrite=overwrite), as_json)
+        with progress_bar("simulating"):
+            project = simulate_block(out, options, overwrite=overwrite)
+        _tell(project, as_json)
 
 
 @app.command("mixed")
@@ -109,11 +116,13 @@ def mixed(
     errors: Annotated[str, typer.Option(metavar="prior|none", help="Errors of the orientation.")] = "prior",
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("mixed"),
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Write a mixed block, two SPOT-5, two RPC and four frame images over one window, and its truth."""
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.simulate.mixed import MixedOptions
         from fg_orient.simulate.mixed_files import simulate_mixed
 
@@ -121,7 +130,9 @@ def mixed(
             seed=seed, points=points, control=control, check=check, spot_noise_px=spot_noise, rpc_noise_px=rpc_noise,
             frame_noise_px=frame_noise, errors=errors,
         )  # fmt: skip
-        _tell(simulate_mixed(out, options, overwrite=overwrite), as_json)
+        with progress_bar("simulating"):
+            project = simulate_mixed(out, options, overwrite=overwrite)
+        _tell(project, as_json)
 
 
 def _three(text: str) -> tuple[float, float, float]:

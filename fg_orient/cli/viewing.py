@@ -11,8 +11,10 @@ from fg_orient.cli.common import (
     Debug,
     Extrapolate,
     Json,
+    Log,
     ModelOf,
     Overwrite,
+    Quiet,
     Result,
     VerticalCrs,
     emit,
@@ -24,7 +26,7 @@ from fg_orient.cli.common import (
     say,
     table,
     with_result,
-)  # fmt: skip
+)
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,6 +49,8 @@ def footprint(
     extrapolate_attitude: Extrapolate = 0.0,
     out: Annotated[Path | None, typer.Option("--out", help="Write the footprints into this GeoJSON file.")] = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -54,7 +58,7 @@ def footprint(
 
     On the ground at --height or on --dem.
     """
-    with outcome(as_json, debug):
+    with outcome(as_json, debug, quiet, log):
         from fg_orient.viewing import View, feature_collection, viewing_records
 
         if (height is None) == (dem is None):

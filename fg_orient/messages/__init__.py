@@ -22,7 +22,7 @@ from fg_orient.messages.rfm import RFM
 from fg_orient.messages.rpc import RPC
 from fg_orient.messages.statistics import STATISTICS
 from fg_orient.messages.ties import TIES
-from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPORT, SIMULATE
+from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPLAY, REPORT, SIMULATE
 
 CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **XML,
@@ -39,6 +39,7 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **ADJUST,
     **REMARKS,
     **OUTPUT,
+    **REPLAY,
     **CLI,
     **REPORT,
     **SIMULATE,

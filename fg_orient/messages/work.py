@@ -203,6 +203,34 @@ OUTPUT: Final = {
     "output.unwritable": ("the file cannot be written", "check folder, permissions and free space"),
 }
 
+REPLAY: Final = {
+    "replay.record": (
+        "the result does not say how to repeat its run",
+        "it is damaged or of an older version: run fg-orient adjust again",
+    ),
+    "replay.project": (
+        "the project file of this result is not in the folder above it",
+        "give it: --project FOLDER/{name}",
+    ),
+    "replay.dem": (
+        "the elevation model of this run is not in the project's folder",
+        "put it there, or a link to it",
+    ),
+    "replay.changed": (
+        "the file has changed since the run: SHA-256 {now}, recorded {then}",
+        "bring back the file of the run, or add --allow-changed to go on with this one",
+    ),
+    "replay.missing": (
+        "the run read this file, and now it is missing or no longer named by the project",
+        "bring it back, or add --allow-changed to go on without it",
+    ),
+    "replay.new": (
+        "the run did not read this file",
+        "bring back the project of the run, or add --allow-changed to go on with it",
+    ),
+    "replay.same_folder": ("the repeated run would replace the result that it repeats", "give another --out"),
+}
+
 CLI: Final = {
     "plugin.file": ("there is no such Python file", "give a file such as my_sensor.py, its name being a module's name"),
     "plugin.name": ("another module has this name already", "rename the file"),
@@ -221,6 +249,10 @@ CLI: Final = {
     "cli.one_image": ("an intersection needs two images", "give several metadata files, or one project file (.toml)"),
     "cli.no_frame": ("the file states no frame points of its own", "locate a pixel with --line and --sample"),
     "cli.three_numbers": ("not three numbers", "write roll,pitch,yaw in rad: --attitude=-1.6e-4,-7.2e-4,9e-4"),
+    "log.foreign": (
+        "the file is no log of fg-orient, so nothing is added to it",
+        "give --log the name of a new file, or of a log that fg-orient wrote",
+    ),
     "cli.usage": ("{text}", "see the command's --help"),
 }
 

@@ -7,7 +7,7 @@ or is interrupted leaves nothing behind.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -21,7 +21,7 @@ from fg_orient.io.folder import RESULT, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
 from fg_orient.orient import Stage, adjust
 from fg_orient.run.json import dumps, plain
-from fg_orient.run.provenance import provenance
+from fg_orient.run.provenance import how_to_repeat, provenance
 from fg_orient.run.rpc import corrected_models, fitted_notes, write_corrected_rpc
 from fg_orient.run.summary import deficient_summary, summary
 from fg_orient.run.tables import write_tables
@@ -51,6 +51,8 @@ def run_project(
     checkpoint_every_s: float = EVERY_S,
     resume: bool = False,
     dem_control: tuple[HeightSurface, float] | None = None,
+    dem_vertical_crs: str = "",
+    check: Callable[[Block], None] | None = None,
 ) -> dict[str, Any]:
     """Read a project, adjust it and write the result folder.
 
@@ -78,6 +80,10 @@ def run_project(
         Go on from the checkpoint of a run that was stopped, if there is one.
     dem_control : (HeightSurface, float), optional
         Elevation model from which heights of the tie points are observed, and their sigma (m); without checkpoint.
+    dem_vertical_crs : str
+        What the caller said its heights refer to, for the record.
+    check : callable, optional
+        Called with the block before it is adjusted; refuses it by an ``InputError``.
 
     Returns
     -------
@@ -101,6 +107,8 @@ def run_project(
     tell("reading", 0)
     block = read_project(project, **dict(options or {}))
     require_possible_options(block, project, options or {})
+    if check is not None:
+        check(block)
     read_s = time.perf_counter() - start - jit_s
     try:
         with staged_folder(out, overwrite=overwrite) as folder:
@@ -109,6 +117,9 @@ def run_project(
             mark = time.perf_counter()
             models = corrected_models(solution)
             record = {**_record(solution, models, Path(project), Path(out), command), **control}
+            record["provenance"]["repeat"] = how_to_repeat(
+                Path(project).parent, options or {}, execution or {}, dem_control, dem_vertical_crs
+            )
             phases = asdict(solution.seconds) | {"read": read_s, "jit": jit_s + solution.seconds.jit}
             phases["record"] = time.perf_counter() - mark
             tell("writing", len(block.observations))

@@ -6,8 +6,9 @@ No absolute path is recorded: a result folder may be passed on.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from fg_orient.block import Block
+    from fg_orient.sensors.correction import HeightSurface
 
 #: Distributions whose versions decide on the digits of a result.
 COMPUTING: Final = ("gtsam", "numpy", "scipy", "numba")
@@ -63,6 +65,50 @@ def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, 
         "command": [_without_folders(word) for word in command],
         "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+def how_to_repeat(
+    folder: Path,
+    options: Mapping[str, object],
+    execution: Mapping[str, Any],
+    dem_control: tuple[HeightSurface, float] | None,
+    dem_vertical_crs: str,
+) -> dict[str, Any]:
+    """What a run was given beside its project file; ``fg_orient.run.replay`` reads it.
+
+    Parameters
+    ----------
+    folder : Path
+        The project's folder.
+    options : mapping
+        Options that replaced those of the project file; None did not.
+    execution : mapping
+        ``parts``, ``workers``, ``cluster``: the numbers depend on the parts only.
+    dem_control, dem_vertical_crs
+        See :func:`fg_orient.run.run_project`.
+
+    Returns
+    -------
+    dict
+        ``options``, ``parts``, ``in_parts``, ``dem_control`` (file, sha256, sigma_m, vertical_crs; or None).
+    """
+    dem = None
+    if dem_control is not None:
+        surface, sigma_m = dem_control
+        dem = {"file": relative(surface.path, folder), "sha256": sha256_of(Path(surface.path)), "sigma_m": sigma_m,
+               "vertical_crs": dem_vertical_crs}  # fmt: skip
+    return {
+        "options": {name: value for name, value in options.items() if value is not None},
+        "parts": execution.get("parts"),
+        "in_parts": any(execution.get(name) is not None for name in ("parts", "workers", "cluster")),
+        "dem_control": dem,
+    }
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def relative(path: str, folder: Path) -> str:

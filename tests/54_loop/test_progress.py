@@ -10,6 +10,7 @@ import pytest
 
 from fg_orient.adjustment.gnc import EXACT, PLAIN
 from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.cli.log import opened
 from fg_orient.cli.progress import Silence, describe, iterations_left, progress
 
 
@@ -54,22 +55,22 @@ class Terminal(io.StringIO):
 def test_bar_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
-    for stream, silent in ((io.StringIO(), False), (Terminal(), True)):
+    for stream, quiet in ((io.StringIO(), False), (Terminal(), True)):
         monkeypatch.setattr(sys, "stderr", stream)
-        with progress(silent) as watch:
+        with opened(None, as_json=False, quiet=quiet), progress() as watch:
             assert isinstance(watch, Silence)
             watch.stage("reading", 0)
             watch.iteration(log(1.0)[0])
         assert stream.getvalue() == ""
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    with progress(False) as watch:
+    with progress() as watch:
         watch.stage("reading", 0)
         watch.stage("iterations", 1000)
         for record in log(1.0, 1e-2):
             watch.iteration(record)
-        watch._bar.refresh()  # type: ignore[attr-defined]
+        watch.bar.bar.refresh()  # type: ignore[attr-defined]
         assert "iteration 2, step 1.0e-02, 2,000 image points/s, about 2 s left" in terminal.getvalue()
         watch.stage("statistics", 1000)
-        watch._bar.refresh()  # type: ignore[attr-defined]
+        watch.bar.bar.refresh()  # type: ignore[attr-defined]
     assert "statistics" in terminal.getvalue()

@@ -182,8 +182,3 @@ def test_for_people_warnings_come_first_and_lines_fit(run: Any, twin: Path) -> N
     assert max(map(len, lines[:-1])) <= 80  # the last line is the path of the report
     assert any("check RMSE (10)" in line for line in lines)
     assert lines[-1].startswith("report: ")
-
-
-def test_quiet_prints_nothing(run: Any, twin: Path) -> None:
-    ended = run("adjust", twin, "--quiet")
-    assert (ended.code, ended.stdout, ended.stderr) == (0, "", "")

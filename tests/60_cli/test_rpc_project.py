@@ -130,6 +130,16 @@ def test_corrected_rpc_are_written(tmp_path: Path, run: Run) -> None:
     assert sum("its corrected RPC is fitted" in note for note in again.json["notes"]) == 2
 
 
+def test_run_of_rpc_images_comes_out_again(drifting: tuple[RpcTwin, Path, Any], run: Run, tmp_path: Path) -> None:
+    """``replay``: the option of the command line is in the record, the corrected RPC are compared, too."""
+    ended = run("replay", drifting[1].parent / "result", "--out", tmp_path / "again", "--json")
+    assert (ended.code, ended.json["equal"], ended.json["differences"]) == (0, True, [])
+    assert [name for name in ended.json["tables"] if name.startswith("rpc/")] == [
+        "rpc/left_RPC.TXT",
+        "rpc/right_RPC.TXT",
+    ]
+
+
 def test_report_speaks_of_rpc(drifting: tuple[RpcTwin, Path, Any], run: Run) -> None:
     """Compensation instead of EOP set, no section on metadata orientation; the truth is compared."""
     _, project, _ = drifting

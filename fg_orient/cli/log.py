@@ -1,0 +1,149 @@
+"""The log of a command: one JSON object a line, added to a file as each event happens.
+
+Every line holds ``time_utc``, ``run`` (the same for all lines of one command) and ``event``: ``start``, ``stage``,
+``iteration``, ``progress``, ``warning``, ``note``, ``remark``, ``lost``, ``error``, ``end``. A line is written at once
+and whole, so that several commands may share a file and a killed one leaves what it had said. Nothing goes to
+standard output.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import stat
+import sys
+import time
+from collections.abc import Iterator
+from contextvars import ContextVar
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+from fg_orient.errors import InputError
+
+#: Begin of every line, by which a log is known.
+MARK: Final = b'{"time_utc": "'
+
+
+class LogFile:
+    """A log, open for adding.
+
+    Parameters
+    ----------
+    path : Path
+        A log of earlier commands, or a file that is not there yet.
+
+    Raises
+    ------
+    InputError
+        The file is something else, or cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._run = path, secrets.token_hex(4)
+        try:
+            self._descriptor: int | None = _open(path)
+        except OSError as error:
+            raise InputError.of("output.unwritable", file=path, place="--log", value=error.strerror or error) from error
+
+    def write(self, event: str, **fields: object) -> None:
+        """Add a line; a log that can no longer be written does not stop the work."""
+        from fg_orient.run.json import dumps
+
+        if self._descriptor is None:
+            return
+        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        line = dumps({"time_utc": now, "run": self._run, "event": event, **fields}) + "\n"
+        try:
+            os.write(self._descriptor, line.encode("utf-8", "backslashreplace"))
+        except OSError as error:
+            self.close()
+            sys.stderr.write(f"warning: {self._path}: the log ends here: {error.strerror}\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+
+def _open(path: Path) -> int:
+    """Open a log for adding; other files are refused before a byte is added."""
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
+    descriptor = os.open(path, flags, 0o666)
+    try:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or (found.st_size and os.pread(descriptor, len(MARK), 0) != MARK):
+            raise InputError.of("log.foreign", file=path, place="--log")
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+@dataclass(frozen=True)
+class Session:
+    """What a command was told about its output.
+
+    Parameters
+    ----------
+    as_json : bool
+        One JSON object is all that goes to standard output.
+    quiet : bool
+        No tables and no progress.
+    log : LogFile or None
+    """
+
+    as_json: bool = False
+    quiet: bool = False
+    log: LogFile | None = None
+
+    def tell(self, event: str, **fields: object) -> None:
+        """Put an event into the log, if there is one."""
+        if self.log is not None:
+            self.log.write(event, **fields)
+
+
+_SESSION: ContextVar[Session] = ContextVar("session", default=Session())  # noqa: B039 (it is frozen)
+
+
+def session() -> Session:
+    """Session of the command that runs."""
+    return _SESSION.get()
+
+
+@contextlib.contextmanager
+def opened(path: Path | None, *, as_json: bool, quiet: bool) -> Iterator[None]:
+    """Begin a session; its log says how it began and ended.
+
+    Raises
+    ------
+    InputError
+        The log cannot be kept.
+    """
+    begin = time.perf_counter()
+    current = Session(as_json, quiet, None if path is None else LogFile(path))
+    token = _SESSION.set(current)
+    code: object = 0
+    try:
+        _tell_start(current)
+        yield
+    except BaseException as error:
+        code = getattr(error, "exit_code", getattr(error, "code", 1))
+        raise
+    finally:
+        current.tell("end", exit_code=code, seconds=round(time.perf_counter() - begin, 3))
+        _SESSION.reset(token)
+        if current.log is not None:
+            current.log.close()
+
+
+def _tell_start(current: Session) -> None:
+    if current.log is None:
+        return
+    from fg_orient.run.provenance import versions
+
+    current.tell("start", command=["fg-orient", *sys.argv[1:]], folder=str(Path.cwd()), process=os.getpid(),
+                 versions=versions())  # fmt: skip

@@ -1,0 +1,263 @@
+"""A run repeated from its record, and every value of the new result held against the old one.
+
+The project file is read again with the options that had replaced its own. Inputs are known by their SHA-256. Times,
+memory and the names of folders are not compared, as they belong to the occasion; all else must agree to the last bit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from fg_orient.errors import InputError, Problem, problem
+from fg_orient.run import RESULT_FILE, run_project
+from fg_orient.run.provenance import relative, sha256_of, versions
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.loop import Callback
+    from fg_orient.block import Block
+    from fg_orient.orient import Stage
+    from fg_orient.sensors.correction import HeightSurface
+
+Record = dict[str, Any]
+#: Entries of ``result.json`` that belong to the occasion; how a stopped run was gone on with is one of them.
+OCCASION: Final = (
+    "seconds", "memory", "us_per_observation_iteration", "resumed_at_iteration", "out", "provenance",
+)  # fmt: skip
+#: Tables that are compared byte by byte.
+TABLES: Final = ("eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "outliers.csv", "rpc/*_RPC.TXT")
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a repeated run came to.
+
+    Parameters
+    ----------
+    out : str or None
+        Result folder of the repeated run; None if it had no solution.
+    status : str
+        Of the repeated run.
+    inputs : tuple of Problem
+        Inputs that changed, are missing or are new; empty unless they were allowed.
+    n_inputs : int
+        Inputs of the first run.
+    n_compared : int
+        Values of ``result.json`` compared.
+    differences : tuple of dict
+        ``key``, ``then``, ``now`` of each value that differs; None where there is none.
+    tables : dict
+        For each table, whether it is the same byte by byte.
+    versions : tuple of dict
+        ``name``, ``then``, ``now`` of the software and platform that differ.
+    """
+
+    out: str | None
+    status: str
+    inputs: tuple[Problem, ...]
+    n_inputs: int
+    n_compared: int
+    differences: tuple[Record, ...]
+    tables: dict[str, bool]
+    versions: tuple[Record, ...]
+
+    @property
+    def equal(self) -> bool:
+        """Whether every value and every table came out again."""
+        return not self.differences and all(self.tables.values())
+
+    def as_dict(self) -> Record:
+        """Give the record of ``replay --json``."""
+        return {
+            "equal": self.equal, "status": self.status, "out": self.out, "n_inputs": self.n_inputs,
+            "inputs": [p.as_dict() for p in self.inputs], "versions": list(self.versions),
+            "n_compared": self.n_compared, "differences": list(self.differences), "tables": self.tables,
+        }  # fmt: skip
+
+
+def replay(
+    folder: Path,
+    out: Path | None = None,
+    *,
+    project: Path | None = None,
+    allow_changed: bool = False,
+    overwrite: bool = False,
+    callback: Callback | None = None,
+    stage: Stage | None = None,
+) -> Replay:
+    """Repeat the run of a result folder into another folder, and compare.
+
+    Parameters
+    ----------
+    folder : Path
+        Result folder of ``adjust``; it is only read.
+    out : Path, optional
+        Result folder to come; default: of the same name with "-replay", beside it.
+    project : Path, optional
+        The project file; default: of the recorded name, in the folder above.
+    allow_changed : bool
+        Go on with inputs that changed, as far as the project can be read.
+    overwrite : bool
+        Replace an existing folder ``out``.
+    callback, stage : callable, optional
+        See :func:`fg_orient.run.run_project`.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    InputError
+        The record does not suffice, inputs are missing or changed, or ``out`` may not be written.
+    """
+    old, repeat = _read(folder)
+    folder = folder if folder.name not in ("", "..") else folder.resolve()
+    out = out or folder.with_name(f"{folder.name}-replay")
+    path = _project_file(folder, old, project)
+    if out.absolute() == folder.absolute() or (out.exists() and out.samefile(folder)):
+        raise InputError.of("replay.same_folder", file=out, place="--out")
+    recorded = {entry["file"]: entry["sha256"] for entry in old["provenance"]["inputs"]}
+    dem = repeat["dem_control"]
+    known = recorded if dem is None else {**recorded, dem["file"]: dem["sha256"]}
+    found = dict(_changed_files(path.parent, known))
+    _refuse(found, allow_changed)
+
+    def check(block: Block) -> None:
+        found.update(changed_sources(block, path.parent, recorded))
+        _refuse(found, allow_changed)
+
+    new = run_project(
+        path, out, overwrite=overwrite, options=repeat["options"], execution=_execution(repeat), check=check,
+        command=old["provenance"]["command"], callback=callback, stage=stage,
+        dem_control=None if dem is None else _open(path.parent, dem),
+        dem_vertical_crs="" if dem is None else dem["vertical_crs"],
+    )  # fmt: skip
+    n, differences = compare_records(old, json.loads(_text(out)) if new["out"] else new)
+    return Replay(
+        new["out"], new["status"], tuple(found.values()), len(known), n, differences,
+        compare_tables(folder, out) if new["out"] else {}, _versions(old["provenance"]),
+    )  # fmt: skip
+
+
+def _text(folder: Path) -> str:
+    return (folder / RESULT_FILE).read_text("utf-8")
+
+
+def _read(folder: Path) -> tuple[Record, Record]:
+    """The record of a result, and what it says of how to repeat it."""
+    file = folder / RESULT_FILE
+    if not file.is_file():
+        raise InputError.of("report.no_result", file=folder, place="DIR", value=f"no {RESULT_FILE}")
+    try:
+        record = json.loads(_text(folder))
+        kept = record["provenance"]
+        if not all(kept[name] for name in ("inputs", "versions", "repeat", "command")):
+            raise KeyError("provenance")
+        return record, kept["repeat"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError.of("replay.record", file=file, place="provenance", value=error) from None
+
+
+def _project_file(folder: Path, old: Mapping[str, Any], given: Path | None) -> Path:
+    """The project file: the first input of a run."""
+    name = old["provenance"]["inputs"][0]["file"]
+    path = folder.parent / name if given is None else given
+    if not path.is_file():
+        raise InputError.of("replay.project", file=path, place="--project", name=name)
+    return path
+
+
+def _changed_files(folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Problem]]:
+    """Inputs in the project's folder whose content is another one, before anything is read from them."""
+    for name, digest in recorded.items():
+        path = folder / name
+        if path.is_file() and (now := sha256_of(path)) != digest:
+            yield name, _changed(path, digest, now)
+
+
+def changed_sources(block: Block, folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Problem]]:
+    """Inputs that a block was read from against those of the run."""
+    now = {relative(source.path, folder): source for source in block.sources}
+    for name, source in now.items():
+        if name not in recorded:
+            yield name, problem("replay.new", file=source.path)
+        elif source.sha256 != recorded[name]:
+            yield name, _changed(Path(source.path), recorded[name], source.sha256)
+    for name in recorded:
+        if name not in now:
+            yield name, problem("replay.missing", file=folder / name)
+
+
+def _changed(path: Path, then: str, now: str) -> Problem:
+    return problem("replay.changed", file=path, then=f"{then[:12]}...", now=f"{now[:12]}...")
+
+
+def _refuse(found: Mapping[str, Problem], allowed: bool) -> None:
+    if found and not allowed:
+        raise InputError(*found.values())
+
+
+def _execution(repeat: Mapping[str, Any]) -> dict[str, Any]:
+    """In parts as then, on one process: the numbers do not depend on the workers."""
+    return {"parts": repeat["parts"], "workers": 1} if repeat["in_parts"] else {}
+
+
+def _open(folder: Path, dem: Mapping[str, Any]) -> tuple[HeightSurface, float]:
+    path = folder / dem["file"]
+    if not path.is_file():
+        raise InputError.of("replay.dem", file=path)
+    from fg_orient.sensors.surface import RasterDem
+
+    return RasterDem(path, vertical_crs=dem["vertical_crs"]), dem["sigma_m"]
+
+
+def _versions(kept: Mapping[str, Any]) -> tuple[Record, ...]:
+    then, now = kept["versions"], versions()
+    return tuple({"name": n, "then": then.get(n), "now": now.get(n)} for n in then | now if then.get(n) != now.get(n))
+
+
+# --- comparison ------------------------------------------------------------------------------------
+
+
+def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[int, tuple[Record, ...]]:
+    """Compare two records ``result.json``, all but what belongs to the occasion.
+
+    Returns
+    -------
+    int, tuple of dict
+        How many values were compared; ``key``, ``then``, ``now`` of those that differ in any bit.
+    """
+    one, other = (dict(_leaves({k: v for k, v in r.items() if k not in OCCASION})) for r in (then, now))
+    keys = list(one | other)
+    differences = [
+        {"key": key, "then": one.get(key), "now": other.get(key)}
+        for key in keys
+        if key not in one or key not in other or repr(one[key]) != repr(other[key])  # repr: 0.0 is not -0.0, 1 not 1.0
+    ]
+    return len(keys), tuple(differences)
+
+
+def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Numbers, words and truth values of a record with their places; of empty lists and objects these."""
+    if isinstance(value, Mapping) and value:
+        for name, item in value.items():
+            yield from _leaves(item, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, list) and value:
+        for k, item in enumerate(value):
+            yield from _leaves(item, f"{key}[{k}]")
+    else:
+        yield key, value
+
+
+def compare_tables(then: Path, now: Path) -> dict[str, bool]:
+    """Compare the tables of two result folders byte by byte; one that is missing in either differs."""
+    names = {p.relative_to(folder).as_posix() for folder in (then, now) for t in TABLES for p in folder.glob(t)}
+    return {name: _bytes(then / name) == _bytes(now / name) is not None for name in sorted(names)}
+
+
+def _bytes(path: Path) -> bytes | None:
+    return path.read_bytes() if path.is_file() else None

@@ -1,0 +1,252 @@
+"""What is printed and logged: quiet commands, the log, tables in narrow terminals, colour, locales, completion."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from fg_orient.cli import app
+from fg_orient.cli.app import app as application
+from fg_orient.cli.common import LOGGED, emit, table
+from fg_orient.cli.log import LogFile, opened, session
+from fg_orient.cli.progress import describe_steps, duration, progress_bar
+from fg_orient.errors import InputError
+
+UTC = re.compile(r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z$")
+SHARED = {"quiet", "log", "as_json", "debug"}
+#: Wide numbers, an id with a space, a text of several words.
+COLUMNS = ("id", "what", "easting, m", "northing, m", "sigma")
+ROWS = (("P 1", "the first of them all", "450123.4567", "4590123.4567", "0.0123"), ("2", "", "-", "1.5e-300", "12"))
+
+
+def events(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+
+
+def commands(group: typer.Typer, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Name and function of every command."""
+    for found in group.registered_commands:
+        yield f"{name}{found.name}", found.callback
+    for sub in group.registered_groups:
+        assert sub.typer_instance is not None
+        yield from commands(sub.typer_instance, f"{name}{sub.name} ")
+
+
+def test_every_command_has_the_shared_options() -> None:
+    found = dict(commands(application))
+    assert len(found) > 25
+    assert {n: SHARED - set(inspect.signature(f).parameters) for n, f in found.items() if n != "completion"} == {
+        n: set() for n in found if n != "completion"
+    }
+
+
+# --- the log -----------------------------------------------------------------------------------------
+
+
+def test_log_of_an_adjustment(run: Any, twin: Path, tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    ended = run("adjust", twin, "--quiet", "--log", log)
+    assert (ended.code, ended.stdout, ended.stderr) == (0, "", "")
+    found = events(log)
+    assert all(UTC.match(line["time_utc"]) for line in found)
+    assert len({line["run"] for line in found}) == 1
+    assert [found[0]["event"], found[-1]["event"], found[-1]["exit_code"]] == ["start", "end", 0]
+    assert found[0]["versions"]["gtsam"]
+    record = json.loads((twin.parent / "result" / "result.json").read_text("utf-8"))
+    told = [line["iteration"] for line in found if line["event"] == "iteration"]
+    assert told == list(range(1, record["iterations"] + 1))
+    stages = [line["stage"] for line in found if line["event"] == "stage"]
+    assert stages[:2] == ["compiling", "reading"] and stages[-1] == "writing"
+    assert [line["text"] for line in found if line["event"] == "warning"] == record["warnings"] != []
+
+
+def test_json_stays_one_object_and_the_log_gets_its_warnings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, record = tmp_path / "run.log", {"warnings": ["one", "two"], "n": 1}
+    with opened(log, as_json=True, quiet=False):
+        emit(record)
+    assert json.loads(capsys.readouterr().out) == record
+    assert [line["text"] for line in events(log) if line["event"] == "warning"] == ["one", "two"]
+
+
+def test_log_is_added_to_and_holds_errors(run: Any, tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    for _ in range(2):
+        assert run("validate", tmp_path / "none.toml", "--log", log).code == 2
+    found = events(log)
+    assert [line["event"] for line in found] == ["start", "error", "end"] * 2
+    assert len({line["run"] for line in found}) == 2
+    assert found[1]["code"] == "project.missing_file" and found[1]["file"] == str(tmp_path / "none.toml")
+    assert found[-1]["exit_code"] == 2
+
+
+@pytest.mark.parametrize("json_option", [(), ("--json",)])
+def test_other_files_are_not_added_to(run: Any, tmp_path: Path, json_option: tuple[str, ...]) -> None:
+    other = tmp_path / "points.csv"
+    other.write_text("id,role\n", encoding="utf-8")
+    ended = run("validate", tmp_path / "none.toml", "--log", other, *json_option)
+    assert ended.code == 2 and "no log of fg-orient" in ended.stderr and "none.toml" not in ended.stderr
+    assert other.read_text("utf-8") == "id,role\n"
+    if json_option:
+        assert [p["code"] for p in ended.json["errors"]] == ["log.foreign"]
+    for path in (tmp_path, Path(os.devnull), tmp_path / "no" / "such"):
+        assert run("validate", tmp_path / "none.toml", "--log", path).code == 2
+
+
+def test_log_that_ends_does_not_end_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = LogFile(tmp_path / "run.log")
+    assert log._descriptor is not None
+    read_only = os.open(tmp_path / "run.log", os.O_RDONLY)
+    os.dup2(read_only, log._descriptor)
+    os.close(read_only)
+    log.write("note", text="lost")
+    log.write("note", text="lost, too")
+    assert capsys.readouterr().err.count("the log ends here") == 1
+
+
+def test_end_is_logged_whatever_happens(tmp_path: Path) -> None:
+    for error, code in ((KeyboardInterrupt(), 1), (SystemExit(143), 143), (typer.Exit(4), 4), (ValueError(), 1)):
+        path = tmp_path / f"{code}{type(error).__name__}.log"
+        with pytest.raises(type(error)), opened(path, as_json=False, quiet=True):
+            assert session().quiet
+            raise error
+        assert events(path)[-1]["exit_code"] == code
+        assert not session().quiet and session().log is None
+
+
+def test_steps_are_logged_once_a_second_and_at_the_end(tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    with opened(log, as_json=True, quiet=False), progress_bar("windows") as tell:
+        assert tell is not None
+        for done in range(1, 101):
+            tell(done, 100, "windows")
+    steps = [line["done"] for line in events(log) if line["event"] == "progress"]
+    assert steps[0] == 1 and steps[-1] == 100 and len(steps) < 20
+
+
+def test_words_of_progress() -> None:
+    assert describe_steps("windows", 30, 120, 10.0) == "windows 30 of 120, 3.0/s, about 30 s left"
+    assert describe_steps("set 5", 2, 20, 60.0) == "set 5 2 of 20, 30 s each, about 9 min left"
+    assert describe_steps("", 0, 20, 60.0) == "0 of 20"
+    assert [duration(s) for s in (0.4, 99.4, 99.5, 5940.0, 7200.0)] == ["0 s", "99 s", "2 min", "99 min", "2.0 h"]
+
+
+# --- quiet -------------------------------------------------------------------------------------------
+
+
+def test_quiet_commands_say_nothing_of_what_is_good(run: Any, twin_source: Path, tmp_path: Path) -> None:
+    metadata = twin_source / "left.DIM"
+    for words in (
+        ("validate", twin_source / "project.toml"),
+        ("locate", metadata, "--line", 10, "--sample", 10, "--height", 0, "--out", tmp_path / "points.csv"),
+        ("footprint", metadata, "--height", 0, "--out", tmp_path / "footprint.geojson"),
+    ):
+        ended = run(*words, "--quiet")
+        assert (ended.code, ended.stdout, ended.stderr) == (0, "", ""), words
+    assert (tmp_path / "points.csv").exists() and (tmp_path / "footprint.geojson").exists()
+
+
+def test_quiet_commands_say_what_is_wrong(run: Any, tmp_path: Path) -> None:
+    assert run("validate", tmp_path / "none.toml", "--quiet").stderr.startswith("error: ")
+    points = tmp_path / "check.csv"
+    rows = [f"{k},{k % 3 - 1},{k % 2}" for k in range(30)]
+    points.write_text("\n".join(["id,residual_easting_m,residual_northing_m", *rows]) + "\n", encoding="utf-8")
+    ended = run("rectify", "check", points, "--class-m", 0.1, "--standard", "ASPRS-2023", "--quiet")
+    assert ended.code == 4 and ended.stdout == ""
+    assert ended.stderr.startswith("ASPRS-2023: failed, "), ended.stderr
+
+
+# --- tables ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", [20, 40, 60, 80, 200])
+def test_tables_break_no_number_and_lose_no_column(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    table("points", COLUMNS, ROWS, left=2)
+    out = capsys.readouterr().out
+    for name in COLUMNS:
+        assert name in out
+    for row in ROWS:
+        assert all(cell in out for cell in (row[0], *row[2:])), out
+        assert all(word in out for word in row[1].split())
+    if width >= 40:
+        assert max(map(len, out.splitlines())) <= min(width, 80), out
+
+
+def test_wide_terminals_get_columns_and_narrow_ones_records(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for width, lines in ((80, 2), (40, 0)):
+        monkeypatch.setenv("COLUMNS", str(width))
+        table("points", COLUMNS, ROWS, left=2)
+        out = capsys.readouterr().out.splitlines()
+        assert sum(sum(cell in line for cell in ("-", "1.5e-300", "12")) == 3 for line in out) == (lines > 0)
+    assert "  easting, m   450123.4567" in out
+
+
+@pytest.mark.parametrize("columns", [80, 40])
+def test_tables_of_commands_fit(columns: int, run: Any, twin_source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    metadata = twin_source / "left.DIM"
+    for words in (
+        ("locate", metadata, "--frame"),
+        ("footprint", metadata, "--height", 0),
+        ("convert", "--formats"),
+    ):
+        ended = run(*words)
+        assert ended.code == 0, ended.stderr
+        long = [line for line in ended.stdout.splitlines() if len(line) > columns and ": " not in line]
+        assert long == [], words
+    assert "\N{HORIZONTAL ELLIPSIS}" not in ended.stdout
+
+
+# --- colour, locale ----------------------------------------------------------------------------------
+
+
+def rendered(repository: Path, *, terminal: bool, **environment: str) -> bytes:
+    """A table as a fresh interpreter prints it, on a terminal or into a pipe."""
+    code = "from fg_orient.cli.common import table; table('title', ('a', 'b'), [('x', '1.5')])"
+    kept = {k: v for k, v in os.environ.items() if k not in {"NO_COLOR", "FORCE_COLOR", "TERM", "COLUMNS"}}
+    given = {**kept, "TERM": "xterm-256color", **environment}
+    if not terminal:
+        done = subprocess.run([sys.executable, "-c", code], cwd=repository, env=given, capture_output=True, timeout=60)
+        return done.stdout
+    import pty
+
+    master, slave = pty.openpty()
+    subprocess.run([sys.executable, "-c", code], cwd=repository, env=given, stdout=slave, timeout=60, check=True)
+    os.close(slave)
+    with os.fdopen(master, "rb") as stream:
+        return stream.read1()
+
+
+def test_escapes_on_terminals_only(repository: Path) -> None:
+    assert b"\x1b[" in rendered(repository, terminal=True)
+    assert b"\x1b[" not in rendered(repository, terminal=True, TERM="dumb")
+    assert b"\x1b[" not in rendered(repository, terminal=True, NO_COLOR="1")
+    assert b"\x1b[" not in rendered(repository, terminal=False)
+    assert b"\x1b[" in rendered(repository, terminal=False, FORCE_COLOR="1")
+
+
+def test_log_kinds_are_the_prefixes_of_the_output() -> None:
+    assert {"error", "warning", "note", "remark", "lost"} == set(LOGGED)
+
+
+def test_refused_log_is_an_input_error(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("{}", encoding="utf-8")
+    with pytest.raises(InputError):
+        LogFile(tmp_path / "x")
+    assert app is application
