@@ -19,6 +19,7 @@ from fg_orient.cli import (
     checks,
     closerange,
     compare,
+    completion,
     convert,
     geometry,
     rectify,
@@ -36,7 +37,7 @@ from fg_orient.errors import InputError
 app = typer.Typer(
     name="fg-orient",
     epilog="Exit codes: 0 good, 2 bad input, 3 no solution, 4 solution not trustworthy, 130 interrupted.",
-    add_completion=False,
+    add_completion=False,  # the command completion writes the script: two options less in every --help
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -55,6 +56,7 @@ app.add_typer(rectify.app, name="rectify")
 app.add_typer(closerange.app, name="closerange")
 app.command("convert")(convert.convert)
 app.command("validate")(checks.validate)
+app.command("completion")(completion.completion)
 app.command("doctor")(checks.doctor)
 app.command("report")(reports.report)
 app.command("replay")(replay.replay)
@@ -97,8 +99,9 @@ def root(
 def main() -> NoReturn:
     """Run the command line; the entry point of ``fg-orient``."""
     signal.signal(signal.SIGTERM, _terminate)
+    completion.prepare()
     try:
-        code = app(prog_name="fg-orient", standalone_mode=False)
+        code = app(prog_name=completion.PROGRAM, standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
         note("interrupted: nothing was written")
         code = INTERRUPTED

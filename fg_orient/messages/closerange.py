@@ -11,14 +11,14 @@ CLOSERANGE: Final = {
         "the adjustment does not converge: {reason}",
         "look for gross errors in the points, and at their distribution",
     ),
-    "closerange.surface": ("this is no surface", "give finite numbers {shape}, semi-axes above 0"),
-    "closerange.kind": ("not possible with this kind of surface", "known: {known}"),
-    "closerange.axis": ("no such axis of revolution", "x, y, z, or free"),
-    "closerange.method": ("no such method", "known: {known}"),
+    "closerange.surface": ("these parameters make no surface", "give finite numbers {shape}, semi-axes above 0"),
+    "closerange.kind": ("not possible with this kind of surface", "choose one of {known}"),
+    "closerange.axis": ("no such axis of revolution", "choose one of x, y, z, free"),
+    "closerange.method": ("no such method", "choose one of {known}"),
     "closerange.few": ("too few points", "give {least} or more"),
     "closerange.prior": (
         "no such observed parameter, or a sigma that is not above 0; the algebraic method and quadrics take none",
-        "known: {known}",
+        "choose one of {known}",
     ),
     "closerange.undetermined": (
         "not determined by these points: {names} ({direction}); a standard deviation exceeds {limit:g} times that of a "
@@ -32,7 +32,7 @@ CLOSERANGE: Final = {
     ),
     "closerange.distortion": (
         "no such distortion of a DLT, or one that the direct solution does not have",
-        "known: {known}; they need the iteration",
+        "choose one of {known}; they need the iteration",
     ),
     "closerange.plane": (
         "the control points do not determine a DLT: they lie in a plane, or close to it",
@@ -83,10 +83,10 @@ CLOSERANGE: Final = {
         "this hard constraint follows from the others, or contradicts them",
         "leave it out, or give it a sigma",
     ),
-    "closerange.member": ("the constraint names a point or photo that is not there", "known: {known}"),
+    "closerange.member": ("the constraint names a point or photo that is not there", "choose one of {known}"),
     "closerange.backend": (
         "not a backend of close range: hard constraints and correlates have no form in others",
-        "known: {known}",
+        "choose one of {known}",
     ),
     "closerange.bundle": ("this part of the bundle is not possible", "give {expected}"),
     "closerange.no_place": (

@@ -25,7 +25,7 @@ LINEAR: Final = {
         "give A as an (r, u) and l as an (r,) array",
     ),
     "linear.no_design": ("this needs the design matrix, and only the normal equations are known", "give A and l"),
-    "linear.solver": ("no solver of this name", "known: {known}"),
+    "linear.solver": ("no solver of this name", "choose one of {known}"),
     "linear.zero_pivot": (
         "the pivot is zero or not finite",
         "the matrix is singular for this method; take one with pivoting, or a pseudo-inverse",
@@ -43,7 +43,7 @@ LINEAR: Final = {
         "there must be more observations than unknowns",
         "without redundancy residuals say nothing; add observations or take fewer unknowns",
     ),
-    "linear.kappa_rule": ("no kappa rule of this name", "known: {known}"),
+    "linear.kappa_rule": ("no kappa rule of this name", "choose one of {known}"),
     "linear.kappa_needs": ("this rule needs {needed}", "give it in Given({needed}=...)"),
     "linear.truth": ("the true solution must hold {unknowns} finite numbers", "give it in Given(truth=...)"),
     "linear.sigmas": ("standard deviations must be above zero", "give them in Given(sigma_observed=..., ...)"),
@@ -94,7 +94,7 @@ CLASSICAL: Final = {
         "the published procedure needs at least two images",
         "use fg-orient adjust for a single one",
     ),
-    "classical.bundle": ("no such bundle adjustment", "kind 1 or 2, one iteration or more"),
+    "classical.bundle": ("no such bundle adjustment", "give kind 1 or 2, and one iteration or more"),
     "classical.few_control": (
         "the look-angle polynomial needs control points in at least {least} different columns",
         "measure more control points in this image, or use fg-orient adjust",
@@ -102,13 +102,16 @@ CLASSICAL: Final = {
 }
 
 PUBLISHED: Final = {
-    "published.source": ("no such publication", "known: {known}"),
+    "published.source": ("no such publication", "choose one of {known}"),
     "published.folder": ("this is no folder", "give a copy of the folder of the published tables"),
     "published.unreadable": ("the table of published values cannot be read", "copy the original file again"),
     "published.column": ("columns of the published table are missing", "copy the original file again"),
     "published.row": ("the record must have {count} cells", "copy the original file again"),
-    "published.not_a_number": ("not a number", "write it as 123.4, 1.2e-3 or nan; nothing where nothing is printed"),
-    "published.table": ("no such table in this file", "known: {known}"),
+    "published.not_a_number": (
+        "this is not a number",
+        "write it as 123.4, 1.2e-3 or nan; nothing where nothing is printed",
+    ),
+    "published.table": ("no such table in this file", "choose one of {known}"),
     "published.twice": ("the cell stands twice; first in {first}", "remove the wrong one"),
     "published.unknown_cell": ("the publication has no such cell", "alter values only; copy the original file again"),
     "published.count": ("the table must hold {count} cells", "copy the original file again"),
@@ -120,7 +123,7 @@ REPRODUCE: Final = {
 
 COMPARE: Final = {
     "compare.type": ("no such type of pre-adjustment", "give 1 (look angles), 2 (look angles and EOPs) or both"),
-    "compare.nothing": ("nothing is selected", "see the command's --help"),
+    "compare.nothing": ("this selects nothing", "name what to compare, or leave the option out for its default"),
     "compare.target": ("the target must be a length above zero", "give it in m, or leave it out for one pixel"),
     "compare.slow": (
         "left out: this solver takes u^2 determinants, minutes beyond {limit} unknowns",
@@ -130,5 +133,8 @@ COMPARE: Final = {
         "left out: regularised steps only slow the iteration on its way to the same minimum",
         "the priors regularise here; the published procedure takes a single step",
     ),
-    "compare.no_solution": ("none of the {count} adjustments has a solution; the first says: {why}", "see each row"),
+    "compare.no_solution": (
+        "none of the {count} adjustments has a solution; the first says: {why}",
+        "the table gives the reason of each",
+    ),
 }

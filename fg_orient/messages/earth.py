@@ -11,7 +11,7 @@ EARTH: Final = {
     ),
     "earth.missing": (
         "orbit or attitudes are inertial, but nothing says how the Earth stands in these axes",
-        "give the sensor an EarthRotation",
+        "add the table [earth] to the description; in Python give the sensor an EarthRotation",
     ),
     "earth.list_span": (
         "the list of table [{what}] covers {first:.6f} .. {last:.6f} s of the day only and is never extrapolated",
@@ -29,7 +29,10 @@ EARTH: Final = {
         "check the units: arc seconds and seconds",
     ),
     "earth.day": ("this is no day", 'write it as "2012-01-01"'),
-    "earth.period": ("lines need time", "give the seconds from one line to the next, below zero if time runs back"),
+    "earth.period": (
+        "the line period is zero or not finite",
+        "give the seconds from one line to the next, below zero if time runs back",
+    ),
     "earth.camera": (
         "a camera is either a lens or a table of directions",
         "give focal_length_m, pitch_m and principal_sample, or directions alone",
@@ -40,7 +43,7 @@ EARTH: Final = {
         "check units and signs, or turn the axis by [mounting]",
     ),
     "earth.matrix": (
-        "no rotation, or given beside angles",
+        "the matrix is no rotation, or stands beside angles",
         "give either angles_deg or an orthonormal right-handed matrix",
     ),
     "earth.order": ("the values must increase, and two at least are needed", "sort the table, remove repeated records"),

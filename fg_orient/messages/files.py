@@ -8,7 +8,10 @@ XML: Final = {
     "xml.missing_file": ("the file does not exist", "check the path; it is taken relative to {base}"),
     "xml.not_a_file": ("this is a folder or a device, not a file", "give the metadata file itself"),
     "xml.unreadable": ("the file cannot be read", "check its permissions"),
-    "xml.too_large": ("the file is larger than the limit of {limit} bytes", "raise max_bytes if you trust the file"),
+    "xml.too_large": (
+        "the file is larger than the limit of {limit} bytes",
+        "read it from Python with a larger max_bytes if you trust it",
+    ),
     "xml.empty_file": ("the file is empty", "copy or download it again"),
     "xml.not_xml": ("the file is no XML", "give the metadata file (METADATA.DIM or DIM_*.XML)"),
     "xml.html": ("the file is an HTML page, probably an error page of a download", "download the metadata file again"),
@@ -18,32 +21,35 @@ XML: Final = {
         "remove it if you trust the file",
     ),
     "xml.missing_element": ("element {element} is missing", "use the complete metadata file of the product"),
-    "xml.too_few": ("needs at least {at_least} {element}", "use the complete metadata file of the product"),
+    "xml.too_few": ("the file needs at least {at_least} {element}", "use the complete metadata file of the product"),
     "xml.doubled": ("the element may occur only once here", "remove the wrong one"),
     "xml.empty": ("the element is empty", "fill it or use the original file"),
     "xml.not_plain": ("the element must hold a plain value, no markup", "use the original file"),
-    "xml.not_a_number": ("not a number", "write it as 123.456 or 1.23e4"),
-    "xml.decimal_comma": ("a decimal comma", "write numbers with a decimal point"),
-    "xml.not_finite": ("not a finite number of possible size", "use the original file"),
-    "xml.not_whole": ("not a whole number", "use the original file"),
-    "xml.out_of_range": ("outside the possible range {low:g} .. {high:g}{unit}", "check the value and its unit"),
-    "xml.wrong_count": ("needs {expected} numbers separated by blanks", "use the original file"),
-    "xml.unit": ("unknown unit for a {quantity}", "use one of: {known}"),
-    "xml.not_a_time": ("not a UTC time", "write it as 2005-03-13T05:21:07.332158Z"),
+    "xml.not_a_number": ("this is not a number", "write it as 123.456 or 1.23e4"),
+    "xml.decimal_comma": ("the number has a decimal comma", "write a decimal point"),
+    "xml.not_finite": ("this is not a finite number of possible size", "use the original file"),
+    "xml.not_whole": ("this is not a whole number", "use the original file"),
+    "xml.out_of_range": (
+        "the value lies outside the possible range {low:g} .. {high:g}{unit}",
+        "check the value and its unit",
+    ),
+    "xml.wrong_count": ("the element must hold {expected} numbers separated by blanks", "use the original file"),
+    "xml.unit": ("this is no known unit for a {quantity}", "choose one of {known}"),
+    "xml.not_a_time": ("this is not a UTC time", "write it as 2005-03-13T05:21:07.332158Z"),
 }
 
 DIMAP: Final = {
     "dimap.other_format": (
-        "not a DIMAP product file that can be read",
+        "this is no DIMAP product file that can be read",
         "give METADATA.DIM of a SPOT 1-5 level 1A scene, DIM_*.XML of a Pléiades 1A/1B or SPOT 6/7 sensor product, "
         "or a PHRDIMAP",
     ),
     "dimap.other_version": (
-        "DIMAP of a version that is not read",
+        "this version of DIMAP is not read",
         "needed: DIMAP 1.1 (SPOT 1-5) or DIMAP 2.x (Pléiades 1A/1B, SPOT 6/7); newer missions: use their RPC",
     ),
     "dimap.other_mission": (
-        "DIMAP of a mission whose rigorous model is not read",
+        "the rigorous model of this mission is not read",
         "needed: SPOT 1-7 or Pléiades 1A/1B; other missions: use their RPC",
     ),
     "dimap.other_level": (
@@ -113,7 +119,7 @@ SENSOR: Final = {
         "attitudes are extrapolated for 0 to {most:g} s only",
         "give the seconds that are missing, such as 0.2",
     ),
-    "sensor.model": ("no such kind of model", "use one of: {known}"),
+    "sensor.model": ("no such kind of model", "choose one of {known}"),
     "sensor.only_rpc": (
         "the file holds an RPC, no rigorous model",
         "use its RPC (--model rpc), or give the DIM_*.XML or METADATA.DIM of the image",
@@ -180,7 +186,7 @@ GEODESY: Final = {
         "the axes of the CRS are not {unit}s to the east and north and metres up",
         "convert the coordinates first, for instance to EPSG:4979",
     ),
-    "geodesy.not_vertical": ("not a vertical CRS", "give one such as EPSG:5773 (EGM96) or EPSG:3855 (EGM2008)"),
+    "geodesy.not_vertical": ("this is not a vertical CRS", "give one such as EPSG:5773 (EGM96) or EPSG:3855 (EGM2008)"),
     "geodesy.no_operation": (
         "PROJ has no exact operation to WGS84; it needs {grids}",
         "install the grid (projsync), or give ellipsoidal heights and no vertical CRS",
@@ -214,8 +220,8 @@ TABLE: Final = {
         "write an empty cell for a missing value and decimal points, not commas",
     ),
     "table.cell_empty": ("the cell is empty", "write a number"),
-    "table.decimal_comma": ("decimal comma", "write a decimal point"),
-    "table.not_a_number": ("not a finite number", "write a number such as -12.5 or 1e-6"),
+    "table.decimal_comma": ("the number has a decimal comma", "write a decimal point"),
+    "table.not_a_number": ("this is not a finite number", "write a number such as -12.5 or 1e-6"),
     "table.number_too_large": ("the number is too large for double precision", "write a number below 1.7e308"),
     "table.more_faults": ("further faults are not listed", "mend the faults above first"),
 }

@@ -6,7 +6,7 @@ from typing import Final
 
 FRAME: Final = {
     "frame.camera": ("this value of the camera is not possible", "give {expected}"),
-    "frame.unknown": ("the camera has no such unknown, or its prior sigma is not above zero", "known: {known}"),
+    "frame.unknown": ("the camera has no such unknown, or its prior sigma is not above zero", "choose one of {known}"),
     "frame.nothing_unknown": (
         "the camera has no unknown, so its image cannot be adjusted",
         "name some with their prior sigmas, small ones to hold it",

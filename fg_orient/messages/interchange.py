@@ -15,7 +15,7 @@ INTERCHANGE: Final = {
         "look at docs/formats, compare one point with the program, and add --accept-unverified",
     ),
     "interchange.empty": ("the file holds no points", "give a file with at least one record"),
-    "interchange.name_missing": ("an image point without name of image or point", "fill both cells"),
+    "interchange.name_missing": ("the image point lacks the name of its image or point", "fill both cells"),
     "interchange.name": (
         "the format cannot hold this name: it is empty, has blanks, commas or quotes, or begins with #",
         "rename it, or choose another format",
@@ -24,7 +24,7 @@ INTERCHANGE: Final = {
         "the line has the wrong number of cells for this format: {expected}",
         "check separators, and write decimal points, not commas",
     ),
-    "interchange.sigma": ("a standard deviation below zero", "give it in {unit}, or 0 if it is unknown"),
+    "interchange.sigma": ("the standard deviation is below zero", "give it in {unit}, or 0 if it is unknown"),
     "interchange.no_crs": ("the file does not say its CRS", "give it: --crs EPSG:n, or EPSG:n+m with a vertical CRS"),
     "interchange.crs_unknown": ("the CRS of the file is none of EPSG", "give its EPSG code with --crs"),
     "interchange.crs_differs": (
@@ -76,7 +76,7 @@ INTERCHANGE: Final = {
         "{what} needs standard deviations of image points",
         "give --sigma-image LINE SAMPLE (pixels)",
     ),
-    "interchange.image_size": ("not the size of an image", "write NAME=LINES,SAMPLES, for instance left=12000,6000"),
+    "interchange.image_size": ("this is no size of an image", "write NAME=LINES,SAMPLES, for instance left=12000,6000"),
     "lost.ground": ("{format} holds image points only: coordinates are lost", "keep a file that holds them"),
     "lost.image": ("{format} holds no image points: they are lost", "keep a file that holds them"),
     "lost.ids": ("{format} has no ids of points: they are numbered in their order", "keep a file that holds them"),
@@ -116,7 +116,10 @@ INTERCHANGE: Final = {
         "{format} has no standard deviations of image points: they are lost",
         "set them in the program that reads the file",
     ),
-    "lost.fixed": ("{format} has no points without uncertainty: they get their standard deviation", "check it"),
+    "lost.fixed": (
+        "{format} has no points without uncertainty: they get their standard deviation",
+        "choose small ones that fit",
+    ),
     "lost.crs": ("{format} does not say the CRS: it is lost", "tell it to the program that reads the file"),
     "remark.unverified": (
         "the reader of this format was never tried on a file of its program",

@@ -6,7 +6,7 @@ from typing import Final
 
 PARALLEL: Final = {
     "parallel.number": ("this number is not possible", "give a whole number from {low} to {high}"),
-    "parallel.kind": ("this kind of value is not possible", "give: {expected}"),
+    "parallel.kind": ("this kind of value is not possible", "give {expected}"),
     "parallel.parts": (
         "the {points} ground points cannot be divided into so many parts",
         "give a number from 1 to {points}, or leave it out",

@@ -9,9 +9,12 @@ RECTIFY: Final = {
         "points need finite source coordinates (n, 2) or (n, 3), target coordinates (n, 2) and sigmas (n, 2) above 0",
         "give one row per point, ids as many as rows",
     ),
-    "rectify.model": ("no such transformation", "known: {known}"),
-    "rectify.degree": ("the degree of a polynomial is 1 to {most}, and no other transformation has one", "give one"),
-    "rectify.direction": ("no such direction", "image-to-map or map-to-image"),
+    "rectify.model": ("no such transformation", "choose one of {known}"),
+    "rectify.degree": (
+        "the degree of a polynomial is 1 to {most}, and no other transformation has one",
+        "give --degree to a polynomial, or leave it out",
+    ),
+    "rectify.direction": ("no such direction", "choose one of image-to-map, map-to-image"),
     "rectify.few_points": (
         "{points} control points give {equations} equations for {unknowns} unknowns: no redundancy, so no m0",
         "at least {least} points are needed; take a transformation with fewer unknowns",
@@ -45,7 +48,7 @@ RECTIFY: Final = {
         "sigmas of the side that is given, not of the side whose residuals are adjusted",
         "with {direction} give {columns}, or turn the direction",
     ),
-    "rectify.role": ("no such role of a point", "control (takes part) or check (compared only)"),
+    "rectify.role": ("no such role of a point", "give control (takes part) or check (compared only)"),
     "rectify.no_id": ("the point has no id", "give each point one of its own"),
     "rectify.id_twice": ("the point occurs twice", "give each point one row"),
     "rectify.no_check_points": (
@@ -57,11 +60,14 @@ RECTIFY: Final = {
         "the target is not reached with the points that the transformation needs: {reached:.4g} with {points} points",
         "raise the target, or take another transformation",
     ),
-    "rectify.positive": ("must be a finite number above 0", "give it in {unit}"),
-    "rectify.numbers": ("numbers that are finite are needed, as many as belong together, at least one", "check them"),
+    "rectify.positive": ("this must be a finite number above 0", "give it in {unit}"),
+    "rectify.numbers": (
+        "finite numbers are needed, at least one, and as many of each kind",
+        "look for missing values, nan and lists of unequal length",
+    ),
     "rectify.sigma_absurd": (
-        "too small: a number of such coordinates holds {least:.1g}, and no sigma may be {span:.0e} times another "
-        "(largest {largest:.1g})",
+        "the sigma is too small: coordinates of this size are stored to {least:.1g}, and the largest sigma, "
+        "{largest:.1g}, may be {span:.0e} times the smallest at most",
         "give sigmas of the size of the coordinates' errors, or none",
     ),
     "rectify.narrow": (
@@ -69,7 +75,7 @@ RECTIFY: Final = {
         "{times:.1f} times their noise",
         "measure points beside this line",
     ),
-    "rectify.standard": ("no such accuracy standard", "known: {known}"),
+    "rectify.standard": ("no such accuracy standard", "choose one of {known}"),
     "rectify.differences": (
         "differences must be finite numbers (n, 2)",
         "give one row per tested point: measured minus true, east and north",
@@ -78,15 +84,21 @@ RECTIFY: Final = {
         "an outline needs three or more vertices (n, 2), finite, not on one line",
         "check the vertices",
     ),
-    "rectify.projection": ("not a projection that PROJ knows", "write it as PROJ does: +proj=tmerc +lon_0=27 ..."),
+    "rectify.projection": ("PROJ knows no such projection", "write it as PROJ does: +proj=tmerc +lon_0=27 ..."),
     "rectify.outside": ("this point lies outside the domain of the projection", "check longitude and latitude"),
-    "rectify.saved": ("not a transformation that was written here", "give transformation.json of a result folder"),
-    "rectify.result": ("not a result of rectify fit as it was written here", "give its folder, unchanged"),
+    "rectify.saved": (
+        "this is no transformation that rectify fit wrote",
+        "give transformation.json of a result folder",
+    ),
+    "rectify.result": (
+        "this is no result of rectify fit, or it was altered",
+        "give the folder that rectify fit wrote, unchanged",
+    ),
     "rectify.pruned": (
         "points were left out until the RMSE was small, and there are no check points: what is left tells no accuracy",
         "give some points the role check, and fit again",
     ),
-    "rectify.ellipsoid": ("not an ellipsoid that PROJ knows", "give PROJ's name, for instance WGS84, intl, clrk66"),
+    "rectify.ellipsoid": ("PROJ knows no such ellipsoid", "give PROJ's name, for instance WGS84, intl, clrk66"),
     "ortho.no_rasterio": ("rasters need rasterio", "install the extra: pip install 'fg-orient[geo]'"),
     "ortho.image": ("the image cannot be read", "give a raster that GDAL reads"),
     "ortho.kind": ("values of this type cannot be resampled", "give an image of real numbers, whole or not"),
@@ -103,7 +115,7 @@ RECTIFY: Final = {
     "ortho.foreign": ("this file is no raster that --overwrite may replace", "give another --out, or move it"),
     "rectify.seed": ("no seed of random numbers", "give a whole number from 0"),
     "ortho.no_heights": ("rectification through this model needs heights", "give --dem or --height"),
-    "ortho.resampling": ("no such resampling", "known: {known}"),
+    "ortho.resampling": ("no such resampling", "choose one of {known}"),
     "ortho.grid": (
         "no such map raster: sides {value} at a resolution of {resolution:g}, at most {most} pixels each",
         "check --bounds (left bottom right top) and --resolution, both in units of the map",
@@ -121,7 +133,7 @@ RECTIFY: Final = {
         "fill the holes of the DEM, or add --allow-holes to leave them empty",
     ),
     "ortho.result": (
-        "not a result folder of adjust with this image",
+        "this is no result folder of adjust with this image",
         "give the folder that adjust wrote; images in it: {known}",
     ),
     "ortho.other_image": (

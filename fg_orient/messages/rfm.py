@@ -14,7 +14,7 @@ RFM: Final = {
         "measure points that differ in it, or take a lower degree without it",
     ),
     "rfm.degree": ("the degree of a rational function model is 1, 2 or 3", "give one of them"),
-    "rfm.denominators": ("no such denominators", "known: {known}"),
+    "rfm.denominators": ("no such denominators", "choose one of {known}"),
     "rfm.kept": ("the coefficients kept must be ascending numbers of unknowns of the form", "see RfmForm.names"),
     "rfm.penalty": ("the penalty holds beyond_affine or identity", "give one of these words"),
     "rfm.few_points": (
@@ -23,11 +23,11 @@ RFM: Final = {
     ),
     "rfm.pole": (
         "a denominator vanishes or changes its sign at the control points or between them: the model has a pole there",
-        "take a lower degree, fewer coefficients or a penalty (fg_orient.rfm.select)",
+        "take a lower degree, fewer coefficients or a penalty: --degree, --select, --kappa",
     ),
     "rfm.no_end": ("the iteration does not end", "take a lower degree, fewer coefficients or a penalty (kappa > 0)"),
     "rfm.folds": ("the number of folds must lie between 2 and the number of points", "there are {points} points"),
-    "rfm.selector": ("no such selection of coefficients", "known: {known}"),
+    "rfm.selector": ("no such selection of coefficients", "choose one of {known}"),
     "rfm.grid": (
         "the virtual grid needs at least {least} values per axis and two heights that differ",
         "take more lines, samples or layers; heights in m above the ellipsoid",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 STATISTICS: Final = {
-    "statistics.groups": ("there is no such grouping of observations", "choose among {known}"),
+    "statistics.groups": ("there is no such grouping of observations", "choose one of {known}"),
     "statistics.groups_overlap": (
         "these groupings overlap: an observation has one variance component",
         "keep one grouping of image points, and either control or position and height",
@@ -109,7 +109,7 @@ STATISTICS: Final = {
         "the derivatives differ from what the model does",
         "use numpy functions that take complex numbers (no abs, no conversion to real), or mend jacobian",
     ),
-    "curve.optimizer": ("there is no such optimiser of curves", "known: {known}"),
+    "curve.optimizer": ("there is no such optimiser of curves", "choose one of {known}"),
     "curve.lost": (
         "the iteration has come to where the model is not finite or does not depend on every parameter",
         "start nearer, or with levenberg-marquardt",
@@ -124,5 +124,5 @@ STATISTICS: Final = {
         "points of a local coordinate system do not lie over an elevation model",
         "use control points in a coordinate system of the Earth",
     ),
-    "accuracy.role": ("there are no points of this role", "choose among {known}"),
+    "accuracy.role": ("there are no points of this role", "choose one of {known}"),
 }

@@ -44,7 +44,7 @@ TIES: Final = {
     "colmap.database": ("the file is no database of COLMAP, or damaged", "give database.db"),
     "colmap.blob": ("the record does not hold what its size says", "the database is damaged: copy or make it again"),
     "colmap.cells": ("the line does not hold what COLMAP writes here", "needed: {needed}"),
-    "colmap.model": ("this camera model has no counterpart here", "read are: {known}"),
+    "colmap.model": ("this camera model has no counterpart here", "needed: one of {known}"),
     "colmap.camera": (
         "the camera has a parameter that Brown's polynomial with one focal length does not have",
         "needed: fx = fy, k4 = k5 = k6 = 0; undistort the images or calibrate with another model",

@@ -11,7 +11,7 @@ PARAMETERS: Final = {
     ),
     "parameters.unknowns": (
         "none of these unknowns is one of this image, which would have nothing to adjust",
-        "choose among {known}",
+        "choose one of {known}",
     ),
     "parameters.unknown": (
         "no image of the block has such an unknown",
@@ -244,15 +244,19 @@ CLI: Final = {
     "cli.two_heights": ("the height is given twice", "give only one of --height, --dem and a column height_m"),
     "cli.two_ways": ("these options exclude each other", "give only one of {options}"),
     "cli.no_ground": ("no ground point is given", "give --lon, --lat and --height, or --points FILE"),
-    "cli.pixel": ("not a pixel", "write --pixel LINE,SAMPLE, for instance --pixel 5999.5,120"),
+    "cli.pixel": ("this is no pixel", "write --pixel LINE,SAMPLE, for instance --pixel 5999.5,120"),
     "cli.pixel_count": ("{pixels} pixel(s) for {images} image(s)", "give one --pixel per image, in order"),
     "cli.one_image": ("an intersection needs two images", "give several metadata files, or one project file (.toml)"),
     "cli.no_frame": ("the file states no frame points of its own", "locate a pixel with --line and --sample"),
-    "cli.three_numbers": ("not three numbers", "write roll,pitch,yaw in rad: --attitude=-1.6e-4,-7.2e-4,9e-4"),
+    "cli.three_numbers": (
+        "these are not three numbers",
+        "write roll,pitch,yaw in rad: --attitude=-1.6e-4,-7.2e-4,9e-4",
+    ),
     "log.foreign": (
         "the file is no log of fg-orient, so nothing is added to it",
         "give --log the name of a new file, or of a log that fg-orient wrote",
     ),
+    "cli.shell": ("completion is not written for this shell", "choose one of {known}"),
     "cli.usage": ("{text}", "see the command's --help"),
 }
 

@@ -111,7 +111,29 @@ def test_entry_is_well_formed(code: str) -> None:
     assert CODE.match(code)
     assert message and remedy
     assert "\n" not in message + remedy
-    assert not message.endswith(".")
+    assert not message.endswith(".") and (not remedy.endswith(".") or remedy.endswith("..."))
+    for text in (message, remedy):
+        assert text == " ".join(text.split()) and (text[0] in "{`+" or not text[0].isupper() or text[:2].isupper()), (
+            text
+        )
+
+
+def test_entries_format_with_values_of_their_fields() -> None:
+    """Each field takes what its format asks for, and no other word of the entry is lost."""
+    for code, texts in CATALOGUE.items():
+        parts = [p for text in texts for p in string.Formatter().parse(text)]
+        values = {name: 1.5 if kind else "WORD" for _, name, kind, _ in parts if name}
+        found = problem(code, **values)
+        shown = f"{found.message} {found.remedy}"
+        assert "{" not in shown and "}" not in shown, code
+        assert all(before in shown for before, *_ in parts), code
+        assert shown.count("WORD") == sum(1 for _, name, kind, _ in parts if name and not kind), code
+
+
+def test_choices_are_offered_in_the_same_words() -> None:
+    """A list of what is known is introduced alike everywhere."""
+    others = re.compile(r"choose among|use one of|give one of \{|^known: \{known\}$|choose one of: ")
+    assert [code for code, texts in CATALOGUE.items() if any(others.search(text) for text in texts)] == []
 
 
 def test_one_problem_is_one_line_with_file_place_value_and_remedy() -> None:

@@ -271,7 +271,7 @@ def test_files_that_name_rpc00a_are_refused_until_asked_for(tmp_path: Path, mode
 
 
 def test_unknown_order() -> None:
-    with pytest.raises(InputError, match="known: RPC00B, RPC00A, T2"):
+    with pytest.raises(InputError, match="choose one of RPC00B, RPC00A, T2"):
         read_rpc("none", order="RPC00C")
 
 

@@ -18,8 +18,8 @@ import time
 from pathlib import Path
 sys.path.insert(0, {repository!r})
 from fg_orient.cli import main
-from fg_orient.cli.adjust import _load
-_load()
+from fg_orient.cli.adjust import load
+load()
 start = time.time()
 atexit.register(lambda: Path({mark!r}).write_text(repr(time.time() - start)))
 main()

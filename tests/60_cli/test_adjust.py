@@ -48,10 +48,10 @@ def test_times_add_up(adjusted: tuple[Path, Any]) -> None:
 def test_total_is_the_time_of_the_work(fresh: Any, twin: Path) -> None:
     """From the end of the imports to the printed result: within 5 %."""
     watch = (
-        "import time, fg_orient.cli.adjust as a\nload, emit = a._load, a.emit\n"
+        "import time, fg_orient.cli.adjust as a\nload, emit = a.load, a.emit\n"
         "def loaded():\n    load(); a.started = time.perf_counter()\n"
         "def printed(record):\n    emit(record); print('WORK', time.perf_counter() - a.started, file=sys.stderr)\n"
-        "a._load, a.emit = loaded, printed"
+        "a.load, a.emit = loaded, printed"
     )
     ended = fresh("adjust", twin, "--json", before=watch)
     assert ended.code == 0, ended.stderr

@@ -241,6 +241,27 @@ def test_escapes_on_terminals_only(repository: Path) -> None:
     assert b"\x1b[" in rendered(repository, terminal=False, FORCE_COLOR="1")
 
 
+# --- completion --------------------------------------------------------------------------------------
+
+
+def test_bash_completes_commands_and_options(repository: Path, run: Any) -> None:
+    script = run("completion", "bash").stdout
+    program = f"fg-orient() {{ PYTHONPATH={repository} {sys.executable} -m fg_orient; }}\nexport -f fg-orient\n"
+    asked = script.replace("env COMP_WORDS", "COMP_WORDS") + (
+        "\nfor words in 'fg-orient adj' 'fg-orient adjust --qui'; do COMP_WORDS=($words); "
+        'COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); _fg_orient_completion fg-orient; echo "${COMPREPLY[@]}"; done'
+    )
+    done = subprocess.run(["bash", "-c", program + asked], capture_output=True, text=True, timeout=60)
+    assert (done.stdout.split(), done.stderr) == (["adjust", "--quiet"], "")
+
+
+def test_completion_of_shells(run: Any) -> None:
+    assert run("completion", "zsh").stdout.startswith("#compdef fg-orient\n")
+    assert run("completion", "fish").stdout.startswith("complete --command fg-orient ")
+    ended = run("completion", "tcsh")
+    assert ended.code == 2 and "give one of bash, zsh, fish" in ended.stderr
+
+
 def test_log_kinds_are_the_prefixes_of_the_output() -> None:
     assert {"error", "warning", "note", "remark", "lost"} == set(LOGGED)
 

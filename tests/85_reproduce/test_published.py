@@ -122,5 +122,5 @@ def test_missing_and_unreadable_files_are_refused(copied: Callable[[str], Path],
         assert (caught.value.problems[0].code, Path(caught.value.problems[0].file).name) == (code, CONDITIONS)
     with pytest.raises(InputError, match="no folder"):
         load("terlemezoglu2019", tmp_path / "nowhere")
-    with pytest.raises(InputError, match="known: terlemezoglu2019, topan2010"):
+    with pytest.raises(InputError, match="choose one of terlemezoglu2019, topan2010"):
         load("topan2011")

@@ -76,6 +76,7 @@ SLOW: dict[tuple[str, str], float] = {
     ("docs/tutorials/calibrate.md", "closerange bundle"): 8,
     ("docs/how-to/eop-set.md", "reduce"): 2,
     ("docs/variance-components.md", ""): 15,
+    ("docs/terminal.md", ""): 4,
 }
 
 #: Pages that another test runs.
