@@ -33,7 +33,7 @@ XML: Final = {
         "the value lies outside the possible range {low:g} .. {high:g}{unit}",
         "check the value and its unit",
     ),
-    "xml.wrong_count": ("the element must hold {expected} numbers separated by blanks", "use the original file"),
+    "xml.wrong_count": ("the element needs {expected} numbers separated by blanks", "use the original file"),
     "xml.unit": ("this is no known unit for a {quantity}", "choose one of {known}"),
     "xml.not_a_time": ("this is not a UTC time", "write it as 2005-03-13T05:21:07.332158Z"),
 }

@@ -32,23 +32,23 @@ RPC: Final = {
         "compensation needs {count} finite numbers",
         "give pixels: shift, drift with the line, drift with the sample, each of line and sample",
     ),
-    "rpc.coefficient_count": ("a polynomial needs 20 coefficients, {count} given", "use the original file"),
+    "rpc.coefficient_count": ("needs 20 coefficients, {count} given", "use the original file"),
     "rpc.list_count": (
         "a list of RPC holds 90 numbers",
         "give 5 offsets, 5 scales (line, sample, latitude, longitude, height) and 4 x 20 coefficients",
     ),
     "rpc.missing": ("{field} is missing", "use the complete RPC file of the product"),
     "rpc.doubled": ("{field} is given twice", "remove the wrong one"),
-    "rpc.not_a_number": ("this is not a plain finite number", "write it as 123.456 or 1.23e-4, with a decimal point"),
+    "rpc.not_a_number": ("not a plain finite number", "write it as 123.456 or 1.23e-4, with a decimal point"),
     "rpc.syntax": ("the line cannot be understood", "write {expected}"),
     "rpc.order": (
         "the coefficients are in the order {found}, not {asked}",
-        "if the file is right, say so: --order {found}, or read_rpc(FILE, order='{found}')",
+        "if the file is right, say so: --order {found}, or read_rpc(path, order='{found}')",
     ),
     "rpc.unknown_order": ("no such order of coefficients", "choose one of {known}"),
     "rpc.origin": (
         "a plain list of numbers does not say which pixel coordinate the first pixel has",
-        "say it: --first-pixel 0, or 1 for Pléiades; in Python read_rpc(FILE, first_pixel=0)",
+        "say it: --first-pixel 0, or 1 for Pléiades; in Python read_rpc(path, first_pixel=0)",
     ),
     "rpc.unknown_format": (
         "this is no RPC file that can be read",

@@ -208,7 +208,9 @@ def list_text(model: RpcModel) -> str:
 def test_list_of_numbers_needs_the_origin(tmp_path: Path, model: RpcModel) -> None:
     path = tmp_path / "a.txt"
     path.write_text(list_text(model))
-    with pytest.raises(InputError, match=r"first_pixel=0\), or first_pixel=1"):
+    with pytest.raises(
+        InputError, match=r"--first-pixel 0, or 1 for Pléiades; in Python read_rpc\(path, first_pixel=0\)"
+    ):
         read_rpc(path)
     assert_same(read_rpc(path, first_pixel=0), model)
     assert read_rpc(path, first_pixel=1).offsets[:2].tolist() == (model.offsets[:2] - 1).tolist()

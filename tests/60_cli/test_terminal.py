@@ -259,7 +259,7 @@ def test_completion_of_shells(run: Any) -> None:
     assert run("completion", "zsh").stdout.startswith("#compdef fg-orient\n")
     assert run("completion", "fish").stdout.startswith("complete --command fg-orient ")
     ended = run("completion", "tcsh")
-    assert ended.code == 2 and "give one of bash, zsh, fish" in ended.stderr
+    assert ended.code == 2 and "choose one of bash, zsh, fish" in ended.stderr
 
 
 def test_log_kinds_are_the_prefixes_of_the_output() -> None:

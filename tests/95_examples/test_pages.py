@@ -60,6 +60,7 @@ SLOW: dict[tuple[str, str], float] = {
     ("README.md", "--backend dense"): 3,
     ("README.md", "adjust PROJECT.toml --snoop"): 1,
     ("README.md", "reduce"): 2,
+    ("README.md", "replay"): 2,
     ("README.md", "ortho"): 20,
     ("docs/closerange.md", "reproduce"): 15,
     ("docs/compare.md", "compare"): 60,
