@@ -91,7 +91,7 @@ RECTIFY: Final = {
         "give transformation.json of a result folder",
     ),
     "rectify.result": (
-        "this is no result of rectify fit, or it was altered",
+        "this is not a result of rectify fit, or it was altered",
         "give the folder that rectify fit wrote, unchanged",
     ),
     "rectify.pruned": (
