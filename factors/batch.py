@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -113,5 +113,11 @@ def has_batch(equation: Equation) -> bool:
 
 def batch(equation: Equation, setup: Array) -> tuple[Callable[..., int], Columns]:
     """Row kernel (see :func:`factors.batch_pushbroom.pushbroom_rows`) and columns of an equation that has a batch."""
-    rows, columns = _BATCHES[equation.name]
-    return rows, columns(setup)
+    return _batch(equation.name, setup.tobytes(), setup.shape)
+
+
+@lru_cache(maxsize=256)
+def _batch(name: str, setup: bytes, shape: tuple[int, ...]) -> tuple[Callable[..., int], Columns]:
+    """The images of a block have one setup or a few, and are asked for thousands of times."""
+    rows, columns = _BATCHES[name]
+    return rows, columns(np.frombuffer(setup).reshape(shape))

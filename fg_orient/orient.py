@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from factors.warmup import compile_kernels
 from fg_orient import initial
+from fg_orient.adjusted import Adjusted
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.located import LocatedPoints, locate_points
 from fg_orient.adjustment.loop import Callback
@@ -29,14 +30,19 @@ from fg_orient.block import Block, Coordinates
 from fg_orient.components import adjust_with_components
 from fg_orient.errors import InputError
 from fg_orient.names import Role
-from fg_orient.outlier_search import search
+from fg_orient.outlier_search import require_possible_search, search
 from fg_orient.parallel.pool import Execution
 from fg_orient.parallel.solve import solve_in_parts
 from fg_orient.parameters import eop_set_number
 from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
-from fg_orient.quality.deficiency import compiled_problem, judge_observability, refuse_deficient
+from fg_orient.quality.deficiency import (
+    compiled_problem,
+    judge_observability,
+    refuse_deficient,
+    require_determined,
+)
 from fg_orient.quality.free_network import (
     InnerCofactors,
     held_unknowns,
@@ -177,8 +183,22 @@ def adjust(
     def run_with_components(block: Block, begin: State | None) -> Solution:
         return adjust_with_components(block, run, begin)
 
+    def next_round(block: Block, begin: State, like: Problem) -> Adjusted:
+        if block.options.variance_components or block.options.datum == "inner":
+            return runner(block, begin)
+        return adjust_again(block, like, begin, execution, callback, stage)
+
     runner = run_with_components if block.options.variance_components else run
-    return search(block, runner, kind=snoop_kind) if block.options.snoop else runner(block, None)
+    if not block.options.snoop:
+        return runner(block, None)
+    require_possible_search(block, snoop_kind)
+    solution = runner(block, None)
+    end, found = search(block, solution, next_round, kind=snoop_kind)
+    whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
+    assert isinstance(whole, Solution)
+    return replace(
+        whole, snooping=found, warnings=(*found.sentences(), *whole.warnings), memory=solution.memory
+    )  # fmt: skip
 
 
 def adjust_once(
@@ -202,16 +222,61 @@ def adjust_once(
     compiled = with_minimal_datum(compiled) if inner else compiled
     structure = time.perf_counter() - start
     tell("iterations", len(compiled.observations))
-    if execution is None:
-        estimate = solve(compiled, callback, checkpoint=checkpoint, start=begin)
-    else:
-        estimate = solve_in_parts(compiled, execution, callback, checkpoint, begin)
+    estimate = _solved(compiled, execution, callback, checkpoint, begin)
     compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
     tell("statistics", len(compiled.observations))
     solution = conclude(compiled, observability, block_view, estimate, structure)
     if inner and not len(held_unknowns(compiled)):
         solution = replace(solution, warnings=(_no_inner_datum(block), *solution.warnings))
     return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=jit_s))
+
+
+def _solved(
+    compiled: Problem, execution: Execution | None, callback: Callback | None, checkpoint: Checkpoint | None,
+    begin: State | None,
+) -> Estimate:  # fmt: skip
+    """Run the optimisation here, or in parts."""
+    if execution is None:
+        return solve(compiled, callback, checkpoint=checkpoint, start=begin)
+    return solve_in_parts(compiled, execution, callback, checkpoint, begin)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Again(Adjusted):
+    """A round of a search: what the next round asks for, and how a whole solution is made of the last one."""
+
+    estimate: Estimate
+    structure_s: float
+
+    def whole(self, jit_s: float) -> Solution:
+        """Give the solution of this round; observability is judged only now."""
+        observability = judge_observability(self.problem)
+        block_view = refuse_deficient(self.problem, observability)
+        solution = conclude(self.problem, observability, block_view, self.estimate, self.structure_s)
+        return replace(solution, seconds=replace(solution.seconds, jit=jit_s))
+
+
+def adjust_again(
+    block: Block, like: Problem, begin: State, execution: Execution | None, callback: Callback | None,
+    stage: Stage | None,
+) -> Again:  # fmt: skip
+    """Adjust a block that differs in some observations from that of ``like``, from a state near the solution.
+
+    Only what decides on the next observation to be left out is computed.
+    """
+    start, tell = time.perf_counter(), stage or (lambda name, count: None)
+    tell("structure", len(block.observations))
+    compiled = compiled_problem(block, like)
+    require_determined(compiled)
+    structure = time.perf_counter() - start
+    tell("iterations", len(compiled.observations))
+    estimate = _solved(compiled, execution, callback, None, begin)
+    tell("statistics", len(compiled.observations))
+    cofactors, withheld = _cofactors(compiled, estimate)
+    return Again(
+        problem=compiled, status=verdict.judge(compiled, estimate, withheld).status, state=estimate.state,
+        chi2=estimate.chi2, cofactors=cofactors, withheld=withheld, estimate=estimate, structure_s=structure,
+    )  # fmt: skip
 
 
 def _no_inner_datum(block: Block) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient import initial
+from fg_orient.adjusted import Adjusted
 from fg_orient.adjustment.problem import Problem, State, compile_problem, participates
 from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block, Coordinates, GroundPoints
@@ -31,17 +32,16 @@ from fg_orient.quality.prediction import Suspect, prediction
 from fg_orient.quality.search import Found, Round, Search
 from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import VarianceComponents
-from fg_orient.solution import Solution
 
 Index = npt.NDArray[np.intp]
-#: Adjusts a block as it is, from a state if one is given.
-Run = Callable[[Block, State | None], Solution]
+#: Adjusts a block from a state; the problem is that of the round before, which differs in some observations.
+Run = Callable[[Block, State, Problem], Adjusted]
 
 #: More than this share of the image points cannot be gross errors: then it is the model that is wrong.
 MOST: Final = 0.25
 
 
-def search(block: Block, run: Run, *, kind: Kind = "groups") -> Solution:
+def search(block: Block, first: Adjusted, run: Run, *, kind: Kind = "groups") -> tuple[Adjusted, Search]:
     """Search for gross errors among image points and control points.
 
     Parameters
@@ -49,36 +49,48 @@ def search(block: Block, run: Run, *, kind: Kind = "groups") -> Solution:
     block : Block
         Its options say how to test. Points to be judged with their coordinates must have the role control:
         coordinates of check points stay sealed.
+    first : Adjusted
+        The adjustment of the whole block.
     run : callable
+        Makes those of the rounds.
     kind : str
         What is left out: "groups", image points and coordinates of control points, or "points", all of a point.
 
     Returns
     -------
-    Solution
-        Of the last round; ``snooping`` tells what was found.
+    end : Adjusted
+        The last round.
+    found : Search
+
+    Raises
+    ------
+    InputError
+        A loss; another kind (:func:`require_possible_search`).
+    NoSolutionError
+        The covariance, on which the test rests, cannot be computed.
+    """
+    last, rounds = first, _Rounds(block, first.problem)
+    while rounds.change(last, last.outlier_tests(kind=kind)):
+        try:
+            last = run(rounds.block(), rounds.state(last.state), last.problem)
+        except (InputError, NoSolutionError) as error:
+            rounds.undo(error)
+            break
+    return last, rounds.concluded()
+
+
+def require_possible_search(block: Block, kind: Kind) -> None:
+    """Refuse what cannot be searched, before anything is adjusted.
 
     Raises
     ------
     InputError
         A loss; another kind.
-    NoSolutionError
-        The covariance, on which the test rests, cannot be computed.
     """
     if block.options.loss != NONE:
         raise InputError.of("statistics.snoop_loss", place="snoop", value=block.options.loss)
     if kind not in ("groups", "points"):
         raise InputError.of("options.value", place="kind", value=repr(kind), expected='"groups" or "points"')
-    solution = run(block, None)
-    rounds = _Rounds(block, solution.problem)
-    while True:
-        if not rounds.change(solution, solution.outlier_tests(kind=kind)):
-            return rounds.concluded(solution)
-        try:
-            solution = run(rounds.block(), rounds.state(solution.state))
-        except (InputError, NoSolutionError) as error:
-            rounds.undo(error)
-            return rounds.concluded(solution)
 
 
 @dataclass(frozen=True)
@@ -97,18 +109,21 @@ class _Rounds:
         self._block, self._full = block, full
         self._most = max(1, int(MOST * len(full.observations)))
         self._place = np.cumsum(participates(block)) - 1  # rows of the block among those of the full problem
+        point = block.observations.point
+        self._rows = np.split(
+            np.argsort(point, kind="stable"), np.cumsum(np.bincount(point, minlength=len(block.points.ids)))[:-1]
+        )
         self._out: list[tuple[_Removal, int]] = []  # with the place in _found
         self._been_back: set[_Removal] = set()
         self._found: list[Found] = []
         self._rounds: list[Round] = []
         self._given_up = ""
 
-    def change(self, solution: Solution, tests: OutlierTests) -> bool:
+    def change(self, solution: Adjusted, tests: OutlierTests) -> bool:
         """Put the observation back that fits best, or else leave the worst one out; False if nothing is to change."""
-        suspicious = tests.suspicious()
-        number = len(self._rounds) + 1
+        suspicious, number = tests.n_suspicious, len(self._rounds) + 1
         self._rounds.append(Round(
-            number, solution.sigma0, solution.redundancy, tests.n_tested, len(suspicious),
+            number, solution.sigma0, solution.redundancy, tests.n_tested, suspicious,
         ))  # fmt: skip
         if solution.status is Status.NOT_CONVERGED:
             self._given_up = "the adjustment does not converge"
@@ -160,18 +175,17 @@ class _Rounds:
         o = self._block.observations
         return f"point {self._block.points.ids[o.point[row]]} in image {self._block.images[o.image[row]].id}"
 
-    def _predict(self, solution: Solution) -> None:
+    def _predict(self, solution: Adjusted) -> None:
         """Judge everything left out by the rest."""
         if solution.cofactors is None or not self._out:
             return
-        kept, _ = self._kept()
         components, full = solution.components, self._full
         if components is not None:  # what is out gets the sigmas that its group has now
             full = compile_problem(rescaled(self._block, self._full, components))
         for n, (removal, place) in enumerate(self._out):
-            rows, again = self._kept([r for k, (r, _) in enumerate(self._out) if k != n])
-            j, back = removal.point, np.setdiff1d(rows, kept)
-            known = again.points.roles[j] is Role.CONTROL and self._full.observed[j]
+            j, others = removal.point, [r for k, (r, _) in enumerate(self._out) if k != n and r.point == removal.point]
+            back = np.setdiff1d(self._staying(j, others), self._staying(j, [removal, *others]))
+            known = self._is_control(j, others) and self._full.observed[j]
             fit = prediction(
                 full, solution.problem, solution.state, solution.cofactors, solution.chi2,
                 self._block.options.outlier_test, j, self._place[back].tolist(),
@@ -196,19 +210,27 @@ class _Rounds:
                 best, highest = n, p
         return best
 
-    def _kept(self, removals: list[_Removal] | None = None) -> tuple[Index, Block]:
+    def _is_control(self, j: int, removals: list[_Removal]) -> bool:
+        """Whether a point keeps its coordinates without these of its observations."""
+        return self._block.points.roles[j] is Role.CONTROL and not any(r.control for r in removals)
+
+    def _staying(self, j: int, removals: list[_Removal]) -> Index:
+        """Rows of the given block's image points of a point that stay without these of its observations."""
+        gone = [row for removal in removals for row in removal.rows]
+        rows = np.setdiff1d(self._rows[j], gone)
+        alone = len(rows) == 1 and not self._is_control(j, removals)
+        return rows[:0] if alone else rows  # a single ray determines no point
+
+    def _kept(self) -> tuple[Index, Block]:
         """Rows of the given block's image points that stay, and the block of them."""
-        removals = [removal for removal, _ in self._out] if removals is None else removals
+        removals = [removal for removal, _ in self._out]
         o, points = self._block.observations, self._block.points
         keep = np.ones(len(o), bool)
-        keep[[row for removal in removals for row in removal.rows]] = False
         without = [removal.point for removal in removals if removal.control]
         points = _as_tie(points, without) if without else points
-        touched = {removal.point for removal in removals}
-        rays = np.bincount(o.point[keep], minlength=len(points.ids))
-        for j in touched:
-            if rays[j] == 1 and points.roles[j] is not Role.CONTROL:
-                keep &= o.point != j  # a single ray determines no point
+        for j in {removal.point for removal in removals}:
+            keep[self._rows[j]] = False
+            keep[self._staying(j, [r for r in removals if r.point == j])] = True
         return np.flatnonzero(keep), replace(self._block, points=points, observations=o.take(keep))
 
     def block(self) -> Block:
@@ -225,18 +247,17 @@ class _Rounds:
         part = np.isin(np.arange(len(ground)), block.observations.point[participates(block)])
         return State(last.image, np.where(part[:, None], ground, np.nan))
 
-    def concluded(self, solution: Solution) -> Solution:
-        """Give the last solution with what was found."""
+    def concluded(self) -> Search:
+        """Give what was found."""
         kept, block = self._kept()
         o, points = self._block.observations, self._block.points
         out = np.concatenate([kept, *(np.array(removal.rows, np.intp) for removal, _ in self._out)])
         single = np.setdiff1d(np.arange(len(o)), out)
         lost = [j for j in points.where(Role.CHECK) if j in o.point and j not in block.observations.point]
-        found = Search(
+        return Search(
             tuple(self._rounds), tuple(self._found), self._given_up, tuple(self._name(r) for r in single.tolist()),
             tuple(points.ids[j] for j in lost),
         )  # fmt: skip
-        return replace(solution, snooping=found, warnings=(*found.sentences(), *solution.warnings))
 
 
 def rescaled(block: Block, full: Problem, components: VarianceComponents) -> Block:

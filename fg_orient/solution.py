@@ -13,22 +13,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjusted import Adjusted
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.memory import Need
-from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import Weights, weighted_problem
-from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.names import Role, Status
+from fg_orient.names import Role
 from fg_orient.quality.accuracy import Accuracy
-from fg_orient.quality.covariance import Cofactors, NamedMatrix
+from fg_orient.quality.covariance import NamedMatrix
 from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.observation_groups import DEFAULT_GROUPS
-from fg_orient.quality.outliers import GroupTest, OutlierTests, outlier_tests
+from fg_orient.quality.outliers import GroupTest
 from fg_orient.quality.reliability import ALPHA, POWER, BlockReliability, reliability
-from fg_orient.quality.residuals import ResidualCofactors, residual_cofactors
 from fg_orient.quality.search import Search
 from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
 from fg_orient.quality.significance import Significance, significance
@@ -64,26 +61,19 @@ class Seconds:
         return self.read + self.structure + self.jit + self.solve + self.statistics
 
 
-@dataclass(frozen=True)
-class Solution:
-    """Result of :func:`fg_orient.adjust` (``fg_orient.orient``).
+@dataclass(frozen=True, kw_only=True)
+class Solution(Adjusted):
+    """Result of :func:`fg_orient.adjust` (``fg_orient.orient``); what it has in common: ``fg_orient.adjusted``.
 
     Parameters
     ----------
-    problem : Problem
-        What was solved (block, parameters, weights, start).
-    status : Status
     reason : str
         The verdict in words.
     ended : str
         Why the iteration ended.
-    state : State
-        Unknowns: prior sigmas and local metres.
     ground_m : (N, 3) array
         Adjusted ECEF coordinates in file order; excluded check points are intersected, points
         without image observations nan.
-    chi2 : float
-        Weighted sum of squares of all residuals; under a loss with the weights at the solution.
     residuals_px : (n, 2) array
         Line and sample residuals, adjusted minus observed, of ``problem.observations``.
     sigma0_interval : (float, float)
@@ -97,63 +87,30 @@ class Solution:
         Which backend solved; the linear solver of the dense one, "" otherwise.
     memory : Need or None
         What the run was expected to need, and what it was allowed.
-    cofactors : Cofactors or None
-        None where the covariance cannot be computed; ``withheld`` says why. Under a loss they are those of least
-        squares with the weights at the solution.
-    weights : Weights or None
-        Under a loss: of image points (n,) and ground points (N,).
     resumed_at : int
         Iterations of a run that was stopped, which this one went on with.
     snooping : Search or None
         What a search for gross errors found, if the options ask for one.
-    components : VarianceComponents or None
-        Variance components that the sigmas of ``block`` were multiplied with, if the options ask for them.
     """
 
-    problem: Problem
-    status: Status
     reason: str
     ended: str
     backend: str
     solver: str
     optimizer: str
-    state: State
     ground_m: Array
-    chi2: float
     sigma0_interval: tuple[float, float]
     log: tuple[IterationRecord, ...]
     iterations: int
     residuals_px: Array
     observability: tuple[ImageObservability, ...]
     accuracy: Accuracy
-    cofactors: Cofactors | None
-    withheld: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     block_view: BlockObservability | None = None
     memory: Need | None = None
     seconds: Seconds = field(default_factory=Seconds)
-    weights: Weights | None = None
     resumed_at: int = 0
-    components: VarianceComponents | None = None
     snooping: Search | None = None
-
-    @property
-    def block(self) -> Block:
-        """The block that was adjusted."""
-        return self.problem.block
-
-    @property
-    def redundancy(self) -> int:
-        """Observations minus unknowns."""
-        return self.problem.redundancy
-
-    @property
-    def sigma0(self) -> float:
-        """A posteriori standard deviation of unit weight (nan without redundancy).
-
-        Under a loss below 1 even where all sigmas hold, since the weights take from the large residuals.
-        """
-        return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else float("nan")
 
     @property
     def scale(self) -> float:
@@ -203,27 +160,10 @@ class Solution:
 
         return joint_cofactors(self.judged, self.state, self.required_cofactors(), names)
 
-    def required_cofactors(self, *, unweighted: str = "") -> Cofactors:
-        """Cofactors, or why there are none; ``unweighted``: code of the message that refuses the weights of a loss."""
-        if self.cofactors is None:
-            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
-        if unweighted:
-            self._require_unweighted(unweighted)
-        return self.cofactors
-
-    def _require_unweighted(self, code: str) -> None:
-        if self.weights is not None:
-            raise NoSolutionError.of(code, place=self.block.options.loss)
-
     def covariance(self, *names: str) -> NamedMatrix:
         """Joint covariance ``scale^2 Q`` of anything adjusted; see :meth:`cofactor_matrix`."""
         q = self.cofactor_matrix(*names)
         return NamedMatrix(q.names, q.units, q.values * self.scale**2)
-
-    @cached_property
-    def judged(self) -> Problem:
-        """The problem that the cofactors belong to: under a loss the one with the weights at the solution."""
-        return self.problem if self.weights is None else weighted_problem(self.problem, self.weights)
 
     @cached_property
     def unknown_freedom(self) -> UnknownFreedom | None:
@@ -232,17 +172,6 @@ class Solution:
             return None
         q, known = self.required_cofactors(), self.residual_cofactors
         return UnknownFreedom.of(self.problem, self.state, q, self.components, known)
-
-    @cached_property
-    def residual_cofactors(self) -> ResidualCofactors:
-        """Cofactors of all residuals (whitened, prior scale) and redundancy numbers; computed when first asked for.
-
-        Raises
-        ------
-        NoSolutionError
-            The covariance could not be computed; the message says why.
-        """
-        return residual_cofactors(self.judged, self.state, self.required_cofactors())
 
     def locate(
         self, image: str, line: float, sample: float, *, height_m: float | None = None,
@@ -325,34 +254,6 @@ class Solution:
     def _reliability(self, alpha: float, power: float) -> BlockReliability:
         self._require_unweighted("statistics.reliability_weighted")
         return reliability(self.problem, self.state, self.residual_cofactors, alpha=alpha, power=power)
-
-    def outlier_tests(
-        self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
-    ) -> OutlierTests:
-        """Test of every observation for a gross error, most suspicious first; see ``fg_orient.quality.outliers``.
-
-        Parameters
-        ----------
-        level, test, control : optional
-            Options ``outlier_level``, ``outlier_test`` and ``multiple_testing`` of the block if not given.
-        kind : str
-            "groups": image points, position and height of control points; "coordinates"; "points".
-
-        Raises
-        ------
-        InputError
-            A name or a level that is not possible.
-        NoSolutionError
-            The covariance could not be computed; the message says why.
-        """
-        cofactors, options = self.required_cofactors(unweighted="covariance.weighted"), self.block.options
-        return outlier_tests(
-            self.problem, self.state, cofactors, self.chi2, kind=kind, components=self.components,
-            known=self.residual_cofactors,
-            level=options.outlier_level if level is None else level,
-            test=options.outlier_test if test is None else test,
-            control=options.multiple_testing if control is None else control,
-        )  # fmt: skip
 
     def suspicious(
         self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"

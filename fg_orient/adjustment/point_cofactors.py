@@ -206,14 +206,15 @@ def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array]
         Row <= column.
     """
     first, widest = problem.first, int(np.diff(problem.first).max())
+    if first[-1] <= WHOLE_LIMIT:
+        whole = np.pad(joint(tuple(range(problem.n_images))), (0, 1))  # zeros where an image has no such unknown
+        place = first[:-1, None] + np.arange(widest)
+        place = np.where(place < first[1:, None], place, first[-1])
+        return np.asarray(whole[place[pairs[:, 0]][:, :, None], place[pairs[:, 1]][:, None, :]])
     out = np.zeros((len(pairs), widest, widest))
-    whole = joint(tuple(range(problem.n_images))) if first[-1] <= WHOLE_LIMIT else None
     for b, (i, j) in enumerate(pairs.tolist()):
         n, m = first[i + 1] - first[i], first[j + 1] - first[j]
-        if whole is not None:
-            out[b, :n, :m] = whole[first[i] : first[i + 1], first[j] : first[j + 1]]
-        else:
-            out[b, :n, :m] = joint((i,) if i == j else (i, j))[:n, -m:]
+        out[b, :n, :m] = joint((i,) if i == j else (i, j))[:n, -m:]
     return out
 
 

@@ -22,6 +22,7 @@ from fg_orient import geodesy, initial
 from fg_orient.adjustment.models.contract import ImageModel, groups, image_models
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.ties import Ties, ties_of
+from fg_orient.adjustment.unchanged import comparable, unchanged_rows
 from fg_orient.block import Block, ExtraObservation, ImagePoints
 from fg_orient.errors import InputError
 from fg_orient.names import Role
@@ -294,8 +295,14 @@ class Problem:
         return -residuals(self, state) * np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
 
 
-def compile_problem(block: Block) -> Problem:
+def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     """Make the adjustment problem of a block.
+
+    Parameters
+    ----------
+    block : Block
+    like : Problem, optional
+        Of nearly the same block: what does not change is taken from it (``fg_orient.adjustment.unchanged``).
 
     Raises
     ------
@@ -309,7 +316,8 @@ def compile_problem(block: Block) -> Problem:
     seen = np.unique(block.observations.point)
     if options.datum == "priors" and not options.priors:
         raise InputError.of("adjust.relative_priors", file=block.name, place="priors", value="false")
-    models = image_models(block.images, options)
+    like = like if comparable(like, block) else None
+    models = image_models(block.images, options) if like is None else like.models
     held = any(not model.parameters.own.any() for model in models)
     if not np.isin(control_rows, seen).any() and options.datum == "control" and not held:
         raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control_rows)} measured")
@@ -324,6 +332,10 @@ def compile_problem(block: Block) -> Problem:
     origin = np.asarray(np.mean([image.sensor.centre_m for image in block.images], axis=0))
     known = block.points.known
     start_ecef = known.ecef_m.copy()
+    same = np.full(len(observations), -1) if like is None else unchanged_rows(like, block, observations)
+    if like is not None:
+        old = observations.point[(same >= 0) & initial.missing_rows(start_ecef)[observations.point]]
+        start_ecef[old] = like.start.ground[old] + origin
     part = np.isin(np.arange(len(start_ecef)), observations.point)
     wanted = part & initial.missing_rows(start_ecef)
     fill = np.where((part & ~wanted)[:, None], start_ecef, 0.0)
@@ -332,13 +344,29 @@ def compile_problem(block: Block) -> Problem:
     is_control = np.isin(np.arange(len(part)), control_rows)
     active = part & ~(is_control & known.fixed)
     observed = active & is_control
-    records = whitened_records(models, observations, start_ecef, origin)
+    records = _records(models, observations, start_ecef, origin, same, like)
     widest = max(len(model.parameters) for model in models)
     start = State(np.zeros((len(models), widest)), np.where(part[:, None], start_ecef - origin, np.nan))
     return Problem(
         block, models, observations, records, origin, start, active, observed,
         _control_records(block, start_ecef, origin, observed),
     )  # fmt: skip
+
+
+def _records(
+    models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array,
+    same: npt.NDArray[np.intp], like: Problem | None,
+) -> Array:  # fmt: skip
+    """Whitened records; those that are the same in rows ``same`` (n,) of another problem are taken from it."""
+    if like is None:
+        return whitened_records(models, observations, ground_m, origin_m)
+    old, new = np.flatnonzero(same >= 0), np.flatnonzero(same < 0)
+    made = like.records[:0]
+    if len(new):
+        made = whitened_records(models, observations.take(new), ground_m, origin_m)
+    out = np.zeros((len(same), max(made.shape[1], like.records.shape[1])))
+    out[old, : like.records.shape[1]], out[new, : made.shape[1]] = like.records[same[old]], made
+    return out
 
 
 def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArray[np.intp]) -> None:

@@ -47,10 +47,20 @@ class ReducedCofactors:
     def __init__(self, problem: Problem, state: State, reduced: Reduced, gain: Callable[[int], Gain]) -> None:
         self._problem, self._state, self._reduced, self._gain = problem, state, reduced, gain
         self._known: dict[tuple[int, ...], Array] = {}
+        self._whole: Array | None = None
         self._of((0,))  # an ill-conditioned system is found when first asked, not when made
 
     def _of(self, images: tuple[int, ...]) -> Array:
-        """Cofactors of images in ascending order; points that are seen in the same images share the last ones."""
+        """Cofactors of images in ascending order; points that are seen in the same images share the last ones.
+
+        What was asked for of all images is not solved for again.
+        """
+        if self._whole is not None:
+            index = np.concatenate([np.arange(self._problem.first[k], self._problem.first[k + 1]) for k in images])
+            return np.asarray(self._whole[np.ix_(index, index)])
+        if len(images) == self._problem.n_images:
+            self._whole = self._reduced.covariance(images)
+            return self._whole
         if images not in self._known:
             if len(self._known) > KNOWN:
                 self._known.clear()
@@ -83,6 +93,9 @@ class ReducedCofactors:
         gains = [self._gain(j) for j in unknown]
         needed = tuple(sorted({*images}.union(*(seen for seen, _, _ in gains))))
         columns = self._columns(needed)
+        if not unknown:
+            index = np.concatenate([columns[k] for k in images])
+            return np.asarray(self._of(needed)[np.ix_(index, index)])
         rows = [np.eye(sum(len(c) for c in columns.values()))[columns[k]] for k in images]
         for seen, _, gain in gains:
             row = np.zeros((3, sum(len(c) for c in columns.values())))

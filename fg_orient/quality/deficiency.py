@@ -34,8 +34,8 @@ DEFICIENT: Final = ("adjust.rank_deficient", "statistics.too_few", "statistics.m
 ENOUGH: Final = 20_000
 
 
-def compiled_problem(block: Block) -> Problem:
-    """Compile a block; where it has no control point, say which motions are free.
+def compiled_problem(block: Block, like: Problem | None = None) -> Problem:
+    """Compile a block; where it has no control point, say which motions are free. ``like``: see ``compile_problem``.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def compiled_problem(block: Block) -> Problem:
         See ``compile_problem``; after ``block.no_control`` one problem per part of the block.
     """
     try:
-        return compile_problem(block)
+        return compile_problem(block, like)
     except InputError as error:
         if [p.code for p in error.problems] != ["block.no_control"]:
             raise
@@ -90,6 +90,20 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
     if not compiled.block.options.priors:
         _refuse(compiled, observability, _numerical(compiled, view))
     return view
+
+
+def require_determined(compiled: Problem) -> None:
+    """Refuse what :func:`refuse_deficient` refuses, and look no further: with priors structure alone decides.
+
+    Raises
+    ------
+    RankDeficientError
+        See :func:`refuse_deficient`.
+    """
+    if compiled.block.options.priors:
+        _refuse(compiled, (), _structural(compiled, analyse_structure(compiled), ()))
+    else:
+        refuse_deficient(compiled, judge_observability(compiled))
 
 
 def _view(compiled: Problem, structure: Structure) -> BlockObservability:

@@ -173,11 +173,12 @@ class OutlierTests(Sequence[GroupTest]):
 
     def suspicious(self) -> tuple[GroupTest, ...]:
         """Give the suspicious ones."""
-        return self[: int(np.count_nonzero(self._beyond))]
+        return self[: self.n_suspicious]
 
     @property
-    def _beyond(self) -> npt.NDArray[np.bool_]:
-        return np.asarray(self.statistic > self.critical)
+    def n_suspicious(self) -> int:
+        """Number of suspicious ones."""
+        return int(np.count_nonzero(self.statistic > self.critical))
 
     def _inseparable(self, k: int) -> tuple[str, ...]:
         """Suspects that the error of a suspicious one could as well lie in."""

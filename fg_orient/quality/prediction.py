@@ -13,13 +13,14 @@ hold is first intersected from the observations themselves, and they are judged 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import image_rows
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.suspects import CHECKED
@@ -135,19 +136,19 @@ def _rows(
     full: Problem, state: State, point: int, x: Array, rows: Sequence[int], control: bool
 ) -> tuple[Array, Array, Array, tuple[int, ...]]:
     """Whitened misclosures (m,) at a place of the ground point, Jacobians (m, u) and (m, 3), and the images of u."""
-    taken = np.asarray(rows, np.intp)
-    own = replace(full, observations=full.observations.take(taken), records=full.records[taken])
-    ground = state.ground.copy()
+    taken, ground = np.asarray(rows, np.intp), state.ground.copy()
     ground[point] = x
-    values, j_image, j_ground = own.image_residuals(State(state.image, ground), jacobian=True)
-    images = tuple(dict.fromkeys(own.observations.image.tolist()))
+    at, image = State(state.image, ground), full.observations.image[taken]
+    images = tuple(dict.fromkeys(image.tolist()))
     first = np.concatenate([[0], np.cumsum([len(full.parameters[k]) for k in images], dtype=int)])
     m = 2 * len(taken) + 3 * control
     v, d_image, d_ground = np.zeros(m), np.zeros((m, first[-1])), np.zeros((m, 3))
-    for i, k in enumerate(own.observations.image.tolist()):
-        part, at = slice(2 * i, 2 * i + 2), images.index(k)
-        v[part], d_ground[part] = values[i], j_ground[i]
-        d_image[part, first[at] : first[at + 1]] = j_image[i]
+    for n, k in enumerate(images):
+        own = np.flatnonzero(image == k)
+        values, j_image, j_ground = image_rows(full, at, k, taken[own], jacobian=True)
+        part = (2 * own[:, None] + [0, 1]).ravel()
+        v[part], d_ground[part] = values.ravel(), j_ground.reshape(-1, 3)
+        d_image[part, first[n] : first[n + 1]] = j_image.reshape(len(part), -1)
     if control:
         w = full.control_weights(point)
         v[-3:], d_ground[-3:] = w @ (x - full.control_records[point, 9:]), w
