@@ -1,6 +1,7 @@
 """Gross errors against methods: check points, errors found, errors missed, and false alarms.
 
     python -m benchmarks.contamination [--seeds N] [--cases ...] [--shares ...] [--methods ...] [--workers N]
+        [--missing]
 
 writes results/contamination.json; ``python -m benchmarks.contamination_page`` makes the study of docs/robust.md of it.
 
@@ -13,8 +14,8 @@ Cases, each with seeds 1 to 20 of the simulation:
   points.
 
 A share of these observations, drawn, is moved by 5 to 100 sigmas in a random direction (2 or 3 dimensions). Check
-points are clean, and judged by their true coordinates: the RMSE is that of the 3-D distance. Methods that adjust once
-per error or per cycle (:data:`SLOW`) run on the first seeds only.
+points are clean, and judged by their true coordinates: the RMSE is that of the 3-D distance. ``--missing`` runs only
+what the file of results has not, and adds it after each seed.
 
 An error of s sigmas in the direction e is *checkable* if the trace that it leaves in the residuals, ``s sqrt(e^T R e)``
 with the redundancy R of the clean block, exceeds 4.13: found with a power of 80 % at a level of 0.1 % (Baarda 1968).
@@ -33,7 +34,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -52,6 +53,7 @@ from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
 from fg_orient.adjustment.solve import solve
 from fg_orient.block import Block, Coordinates, GroundPoints, ImagePoints
+from fg_orient.io.atomic import write_bytes
 from fg_orient.names import Role
 from fg_orient.quality.residuals import residual_cofactors
 from fg_orient.simulate.block import BlockOptions, grid_block
@@ -93,10 +95,6 @@ METHODS: Final[dict[str, dict[str, Any]]] = {
     "danish_original": {"loss": "danish_original"},
     "lad": {"loss": "lad"},
 }
-#: Seeds, by case, and shares on the block of methods that take minutes there.
-SLOW: Final = (SNOOPING, "lad")
-SLOW_SEEDS: Final = {"twin": 5, "block": 1}
-SLOW_SHARES: Final = (0.0, 0.05, 0.1, 0.2)
 #: Shares of the case in which not all is checkable.
 EVERYWHERE_SHARES: Final = (0.2,)
 
@@ -269,47 +267,56 @@ def _snooped(block: Block) -> tuple[Array, Mask, Mask, bool]:
     return search.solution.ground_m, image, control, search.complete
 
 
-def wanted(case: str, seed: int, share: float, method: str) -> bool:
-    """Whether a run belongs to the study."""
-    if case == "everywhere":
-        return share in EVERYWHERE_SHARES and method not in SLOW
-    return method not in SLOW or (seed <= SLOW_SEEDS[case] and (case == "twin" or share in SLOW_SHARES))
+def wanted(case: str, share: float) -> bool:
+    """Whether a share of a case belongs to the study."""
+    return case != "everywhere" or share in EVERYWHERE_SHARES
 
 
-def runs(case: str, seed: int, shares: Iterable[float], methods: Iterable[str]) -> list[dict[str, Any]]:
-    """Measure one seed of a case; the same on any number of workers."""
+Key = tuple[str, int, float, str]
+
+
+def runs(
+    case: str, seed: int, shares: Iterable[float], methods: Iterable[str], known: Collection[Key] = ()
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Measure one seed of a case, but what is known of it; the same on any number of workers."""
     out = []
     for share in shares:
-        spoiled = spoil(case, seed, share)
-        for method in methods:
-            if not wanted(case, seed, share, method):
-                continue
+        asked = [m for m in methods if wanted(case, share) and (case, seed, share, m) not in known]
+        spoiled = spoil(case, seed, share) if asked else None
+        for method in asked:
+            assert spoiled is not None
             out.append({"case": case, "seed": seed, "share": share, "method": method, **measure(spoiled, method)})
     return out
 
 
 def study(
     seeds: int, cases: Iterable[str], workers: int, *, shares: Iterable[float] = SHARES,
-    methods: Iterable[str] = tuple(METHODS), tell: Callable[[str], object] = lambda text: None,
+    methods: Iterable[str] = tuple(METHODS), known: Collection[Key] = (),
+    tell: Callable[[str, list[dict[str, Any]]], object] = lambda text, records: None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """All runs, sorted by case, seed, share, method."""
+    """All runs but what is known, sorted by case, seed, share, method; ``tell`` is given those of each seed."""
     tasks = list(product(cases, range(1, seeds + 1)))
-    one = partial(_task, shares=tuple(shares), methods=tuple(methods))
+    one = partial(_task, shares=tuple(shares), methods=tuple(methods), known=frozenset(known))
     out: list[dict[str, Any]] = []
+
+    def note(task: tuple[str, int], records: list[dict[str, Any]]) -> None:
+        out.extend(records)
+        tell(f"{task[0]} seed {task[1]}: {sum(r['seconds'] for r in records):.0f} s", records)
+
     if workers == 1:
-        for case, seed in tasks:
-            out += one((case, seed))
-            tell(f"{case} seed {seed}")
+        for task in tasks:
+            note(task, one(task))
         return out
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=compile_kernels) as pool:
-        for (case, seed), records in zip(tasks, pool.map(one, tasks), strict=True):
-            out += records
-            tell(f"{case} seed {seed}: {sum(r['seconds'] for r in records):.0f} s")
+        for task, records in zip(tasks, pool.map(one, tasks), strict=True):
+            note(task, records)
     return out
 
 
-def _task(task: tuple[str, int], shares: tuple[float, ...], methods: tuple[str, ...]) -> list[dict[str, Any]]:
-    return runs(*task, shares, methods)
+def _task(
+    task: tuple[str, int], shares: tuple[float, ...], methods: tuple[str, ...], known: frozenset[Key]
+) -> list[dict[str, Any]]:  # fmt: skip
+    return runs(*task, shares, methods, known)
 
 
 def gathered(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -324,6 +331,30 @@ def gathered(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
+def spread(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One record per run again, of what :func:`gathered` made."""
+    single = ("case", "share", "method")
+    return [
+        {**{name: e[name] for name in single}, **{name: e[name][n] for name in e if name not in single}}
+        for e in entries
+        for n in range(len(e["seed"]))
+    ]
+
+
+def _ordered(record: dict[str, Any]) -> tuple[int, int, float, int]:
+    """Place of a run in the file."""
+    return CASES.index(record["case"]), record["seed"], record["share"], list(METHODS).index(record["method"])
+
+
+def write(out: Path, records: list[dict[str, Any]], minutes: float) -> None:
+    """Write the file of results."""
+    records = sorted(records, key=_ordered)
+    seeds = max(r["seed"] for r in records)
+    head = {"version": fg.__version__, "machine": platform.machine(), "minutes": round(minutes, 1), "seeds": seeds}
+    lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in gathered(records))
+    write_bytes(out, f'{{"head": {json.dumps(head)},\n"entries": [\n{lines}\n]}}\n'.encode())
+
+
 def main(arguments: list[str]) -> None:
     """Run the study and write its results."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.contamination")
@@ -332,21 +363,23 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--shares", nargs="+", type=float, choices=SHARES, default=SHARES)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=tuple(METHODS))
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--missing", action="store_true")
     parser.add_argument("--out", type=Path, default=RESULTS)
     given = parser.parse_args(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    start = time.perf_counter()
-    records = study(
-        given.seeds, given.cases, given.workers, shares=given.shares, methods=given.methods,
-        tell=lambda text: sys.stderr.write(text + "\n"),
+    before = json.loads(given.out.read_text("utf-8")) if given.missing else {"head": {"minutes": 0.0}, "entries": []}
+    records, start = spread(before["entries"]), time.perf_counter()
+
+    def tell(text: str, new: list[dict[str, Any]]) -> None:
+        records.extend(new)
+        if records and (new or not given.missing):
+            write(given.out, records, before["head"]["minutes"] + (time.perf_counter() - start) / 60.0)
+        sys.stderr.write(text + "\n")
+
+    study(
+        given.seeds, given.cases, given.workers, shares=given.shares, methods=given.methods, tell=tell,
+        known={(r["case"], r["seed"], r["share"], r["method"]) for r in records},
     )  # fmt: skip
-    entries = gathered(records)
-    head = {
-        "version": fg.__version__, "machine": platform.machine(), "minutes": (time.perf_counter() - start) / 60.0,
-        "seeds": given.seeds,
-    }  # fmt: skip
-    lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
-    given.out.write_text(f'{{"head": {json.dumps(head)},\n"entries": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
 if __name__ == "__main__":

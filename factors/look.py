@@ -17,9 +17,9 @@ def from_table(sample_grid: Array, psi_x_rad: Array, psi_y_rad: Array, sample: A
     s = np.asarray(sample, float)
     k = np.clip(np.searchsorted(sample_grid, s, side="right") - 1, 0, len(sample_grid) - 2)
     f = (s - sample_grid[k]) / (sample_grid[k + 1] - sample_grid[k])
-    tangents = [np.tan(psi) for psi in (psi_x_rad, psi_y_rad)]
-    psi = [np.arctan(t[k] + f * (t[k + 1] - t[k])) for t in tangents]
-    return psi[0], psi[1]
+    ends = [(np.tan(psi[k]), np.tan(psi[k + 1])) for psi in (psi_x_rad, psi_y_rad)]
+    psi_x, psi_y = (np.arctan(low + f * (high - low)) for low, high in ends)
+    return psi_x, psi_y
 
 
 def from_polynomial(tan_psi_x: Array, tan_psi_y: Array, origin_sample: float, sample: Array) -> tuple[Array, Array]:

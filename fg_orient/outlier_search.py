@@ -109,10 +109,9 @@ class _Rounds:
         self._block, self._full = block, full
         self._most = max(1, int(MOST * len(full.observations)))
         self._place = np.cumsum(participates(block)) - 1  # rows of the block among those of the full problem
-        point = block.observations.point
-        self._rows = np.split(
-            np.argsort(point, kind="stable"), np.cumsum(np.bincount(point, minlength=len(block.points.ids)))[:-1]
-        )
+        self._rows: list[list[int]] = [[] for _ in block.points.ids]
+        for row, j in enumerate(block.observations.point.tolist()):
+            self._rows[j].append(row)
         self._out: list[tuple[_Removal, int]] = []  # with the place in _found
         self._been_back: set[_Removal] = set()
         self._found: list[Found] = []
@@ -182,9 +181,11 @@ class _Rounds:
         components, full = solution.components, self._full
         if components is not None:  # what is out gets the sigmas that its group has now
             full = compile_problem(rescaled(self._block, self._full, components))
-        for n, (removal, place) in enumerate(self._out):
-            j, others = removal.point, [r for k, (r, _) in enumerate(self._out) if k != n and r.point == removal.point]
-            back = np.setdiff1d(self._staying(j, others), self._staying(j, [removal, *others]))
+        for removal, place in self._out:
+            j = removal.point
+            others = [r for r, _ in self._out if r is not removal and r.point == j]
+            stay = self._staying(j, [removal, *others])
+            back = [row for row in self._staying(j, others) if row not in stay]
             known = self._is_control(j, others) and self._full.observed[j]
             fit = prediction(
                 full, solution.problem, solution.state, solution.cofactors, solution.chi2,
@@ -214,12 +215,12 @@ class _Rounds:
         """Whether a point keeps its coordinates without these of its observations."""
         return self._block.points.roles[j] is Role.CONTROL and not any(r.control for r in removals)
 
-    def _staying(self, j: int, removals: list[_Removal]) -> Index:
+    def _staying(self, j: int, removals: list[_Removal]) -> list[int]:
         """Rows of the given block's image points of a point that stay without these of its observations."""
-        gone = [row for removal in removals for row in removal.rows]
-        rows = np.setdiff1d(self._rows[j], gone)
+        gone = {row for removal in removals for row in removal.rows}
+        rows = [row for row in self._rows[j] if row not in gone]
         alone = len(rows) == 1 and not self._is_control(j, removals)
-        return rows[:0] if alone else rows  # a single ray determines no point
+        return [] if alone else rows  # a single ray determines no point
 
     def _kept(self) -> tuple[Index, Block]:
         """Rows of the given block's image points that stay, and the block of them."""

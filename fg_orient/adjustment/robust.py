@@ -78,6 +78,30 @@ class Robust:
         return self.image.weights(image), self.control.weights(control), cost
 
 
+class Weighing(Protocol):
+    """What a backend weights its rows with."""
+
+    def weigh(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array, float]:
+        """Weights of image points (n,) and control points (m,) from their squared norms, and the cost of both."""
+        ...
+
+
+@dataclass(frozen=True)
+class Given:
+    """Weights that do not follow the residuals: of image points (n,), in the order of the backend, control points (m,).
+
+    The cost is half the weighted squares.
+    """
+
+    image: Array
+    control: Array
+
+    def weigh(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array, float]:
+        """See :class:`Weighing`."""
+        cost = 0.5 * float(np.vdot(self.image, image_squares) + np.vdot(self.control, control_squares))
+        return self.image, self.control, cost
+
+
 S_contra = TypeVar("S_contra", contravariant=True)
 
 

@@ -22,7 +22,7 @@ from factors.batch_points import back_substitute, point_blocks, product
 from factors.batch_weights import scale_rows
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import Robust
+from fg_orient.adjustment.robust import Weighing
 from fg_orient.adjustment.schur_own import OwnOfImages, SchurStep
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_rows import Buffers, Rows, row_arrays
@@ -77,7 +77,7 @@ class SchurSystem:
         if self._robust is not None:
             self._weigh(self._robust, b)
 
-    def _weigh(self, robust: Robust, b: Buffers) -> None:
+    def _weigh(self, robust: Weighing, b: Buffers) -> None:
         """Multiply all rows by the roots of their weights; keep by how much the cost exceeds half their squares."""
         observed = self._backend.structure.observed
         control_squares = self._backend.control_squares(self.state)
@@ -331,7 +331,7 @@ class SchurBackend:
         self.own = OwnOfImages(problem, self.structure)
         self.reduced = ReducedSystems(self.structure, problem.first, reduced, problem.ties)
         self.buffers = Buffers(self.structure, problem.control_records)
-        self.robust: Robust | None = None
+        self.robust: Weighing | None = None
         self.last_damping = 0.0
 
     def initial(self) -> State:

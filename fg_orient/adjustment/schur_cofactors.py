@@ -24,6 +24,8 @@ Gain = tuple[tuple[int, ...], Array, Array]
 
 #: Joint blocks that are remembered.
 KNOWN: Final = 1000
+#: Elements of a lower triangle, row by row.
+LOWER: Final = np.tril_indices(3)
 
 
 class ReducedCofactors:
@@ -92,22 +94,18 @@ class ReducedCofactors:
         unknown = [j for j in points if self._problem.active[j]]
         gains = [self._gain(j) for j in unknown]
         needed = tuple(sorted({*images}.union(*(seen for seen, _, _ in gains))))
-        columns = self._columns(needed)
-        if not unknown:
-            index = np.concatenate([columns[k] for k in images])
-            return np.asarray(self._of(needed)[np.ix_(index, index)])
-        rows = [np.eye(sum(len(c) for c in columns.values()))[columns[k]] for k in images]
-        for seen, _, gain in gains:
-            row = np.zeros((3, sum(len(c) for c in columns.values())))
-            row[:, np.concatenate([columns[k] for k in seen])] = -gain
-            rows.append(row)
-        select = np.vstack(rows)
-        found = select @ self._of(needed) @ select.T
-        first = len(found) - 3 * len(unknown)
-        for a, j in enumerate(unknown):
-            for b, other in enumerate(unknown):
-                if j == other:
-                    found[first + 3 * a : first + 3 * a + 3, first + 3 * b : first + 3 * b + 3] += gains[a][1]
+        columns, q = self._columns(needed), self._of(needed)
+        at = np.concatenate([np.zeros(0, np.intp), *(columns[k] for k in images)])
+        seen = [np.concatenate([columns[k] for k in who]) for who, _, _ in gains]
+        n = len(at)
+        found = np.empty((n + 3 * len(gains), n + 3 * len(gains)))
+        found[:n, :n] = q[np.ix_(at, at)]
+        for a, (_, inverse, gain) in enumerate(gains):
+            rows, effect = slice(n + 3 * a, n + 3 * a + 3), -gain @ q[seen[a]]
+            found[rows, :n], found[:n, rows] = effect[:, at], effect[:, at].T
+            for b in range(len(gains)):
+                same = inverse if unknown[a] == unknown[b] else 0.0
+                found[rows, n + 3 * b : n + 3 * b + 3] = same - effect[:, seen[b]] @ gains[b][2].T
         return np.asarray(0.5 * (found + found.T))
 
     def _columns(self, images: tuple[int, ...]) -> dict[int, npt.NDArray[np.intp]]:
@@ -144,7 +142,7 @@ class SchurCofactors(ReducedCofactors):
         s = self._structure
         p = int(self._place[j])
         r = np.zeros((3, 3))
-        r[np.tril_indices(3)] = self._root[p]
+        r[LOWER] = self._root[p]
         inverse = r.T @ r
         parts: dict[int, Array] = {}
         rows, first = self._system.rays(p), int(s.first[p])

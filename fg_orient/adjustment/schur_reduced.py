@@ -150,19 +150,34 @@ class LapackReduced:
         return np.asarray(substitute(self._factor, right, lower=1)[0])
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; of the full matrix the inverse is formed, else the columns asked for are solved."""
+        """See :class:`Reduced`; of the full matrix, or for all of a small one, the inverse is formed.
+
+        Else the columns asked for are solved.
+        """
         self._judge()
         index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
-        if self._banded:
+        if self._banded and (len(images) < len(self._first) - 1 or len(index) > DENSE_LIMIT):
             place = np.empty(len(self._scale), np.int64)
             place[self._order.unknowns] = np.arange(len(place))
             right = np.zeros((len(self._scale), len(index)), order="F")
             right[place[index], np.arange(len(index))] = self._scale[place[index]]
             return np.asarray(self._solved(right)[place[index]] * self._scale[place[index], None])
         if self._inverse is None:
-            half = np.tril(lapack.dpotri(self._factor, lower=1)[0])
-            self._inverse = (half + np.tril(half, -1).T) * np.outer(self._scale, self._scale)
+            self._inverse = self._inverted()
         return np.asarray(self._inverse[np.ix_(index, index)])
+
+    def _inverted(self) -> Array:
+        """Inverse of S; from a band, too: its columns one by one take three times as long."""
+        factor, unknowns = self._factor, self._order.unknowns
+        if self._banded:
+            n, (below, column) = len(self._scale), np.indices(factor.shape)
+            inside = below + column < n
+            factor = np.zeros((n, n), order="F")
+            factor[(below + column)[inside], column[inside]] = self._factor[inside]
+        half = np.tril(lapack.dpotri(factor, lower=1)[0])
+        out: Array = np.empty_like(half)
+        out[np.ix_(unknowns, unknowns)] = (half + np.tril(half, -1).T) * np.outer(self._scale, self._scale)
+        return out
 
     def _judge(self) -> None:
         """Refuse a system whose cofactors would be rounding."""

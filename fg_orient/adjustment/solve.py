@@ -17,6 +17,7 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors.losses import losses
 from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.cycles import Fit, fits_on_arrays
 from fg_orient.adjustment.gnc import PLAIN, SCHEDULES
 from fg_orient.adjustment.irls import DIMENSIONS, RULES, norms_at, reweight, weights_of
 from fg_orient.adjustment.loop import (
@@ -346,7 +347,6 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
     if parted:
         raise InputError.of("adjust.cycles", place="parts", value=options.loss, known=", ".join(losses()))
     plain = replace(problem.block, options=replace(options, loss=NONE, backend=chosen_backend(problem)))
-    fits: list[Estimate] = []
     log: list[IterationRecord] = []
 
     def told(record: IterationRecord) -> None:
@@ -354,22 +354,25 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
         if callback is not None:
             callback(log[-1])
 
-    def fit(groups: tuple[Array, ...], last: Estimate | None) -> Estimate:
-        own = replace(problem, block=plain)
+    own, begin = replace(problem, block=plain), time.perf_counter()
+
+    def anew(groups: tuple[Array, ...], start: State | None, tell: Callback | None) -> Estimate:
         weighted = weighted_problem(own, weights_of(problem, groups)) if groups else own
-        fits.append(_run(_Job(weighted, told, None, None if last is None else last.state), None))
-        return fits[-1]
+        return _run(_Job(weighted, tell, None, start), None)
+
+    def fit(groups: tuple[Array, ...], last: Fit | None) -> Fit:
+        found = anew(groups, None if last is None else last.state, told)
+        return Fit(found.state, found.chi2)
 
     found = reweight(
-        fit, lambda e: norms_at(problem, e.state), lambda e: math.sqrt(e.chi2 / max(problem.redundancy, 1)),
-        RULES[options.loss], DIMENSIONS,
+        fits_on_arrays(own, told) if plain.options.backend == "schur" else fit, lambda f: norms_at(problem, f.state),
+        lambda f: math.sqrt(f.chi2 / max(problem.redundancy, 1)), RULES[options.loss], DIMENSIONS,
     )  # fmt: skip
-    end = found.fit
+    end = anew(found.weights, found.fit.state, None)
     done = end.reason if found.settled else f"the weights have not settled within {found.cycles} cycles"
     return replace(
         end, converged=end.converged and found.settled, reason=done, log=tuple(log), iterations=len(log),
-        weights=weights_of(problem, found.weights), structure_s=sum(f.structure_s for f in fits),
-        solve_s=sum(f.solve_s for f in fits),
+        weights=weights_of(problem, found.weights), solve_s=time.perf_counter() - begin - end.structure_s,
     )  # fmt: skip
 
 

@@ -131,6 +131,20 @@ def test_the_danish_method_on_a_block() -> None:
     assert solution.cofactors is not None
 
 
+def test_rows_weighted_in_place_and_problems_weighted_anew_end_alike() -> None:
+    """The Schur backend keeps its arrays from cycle to cycle, the dense one makes a problem of each."""
+    block, _ = spoiled(twin(), 0.1, 3)
+    arrays, matrices = (adjusted(block, loss="danish_original", backend=name) for name in ("schur", "dense"))
+    assert (arrays.backend, matrices.backend) == ("schur", "dense")
+    assert arrays.weights is not None and matrices.weights is not None
+    assert (arrays.weights.control < 1.0).any() or (arrays.weights.image < 1.0).any()
+    np.testing.assert_allclose(arrays.state.image, matrices.state.image, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(arrays.weights.image, matrices.weights.image, rtol=1e-6)
+    np.testing.assert_allclose(arrays.weights.control, matrices.weights.control, rtol=1e-6)
+    assert arrays.chi2 == pytest.approx(matrices.chi2, rel=1e-9)
+    assert len(arrays.log) == len(matrices.log)
+
+
 def test_cycles_that_do_not_settle_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fg_orient.adjustment.irls.TOLERANCE", 0.0)
     found = reweight(
