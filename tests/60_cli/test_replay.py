@@ -77,6 +77,9 @@ def test_changed_input_is_refused_by_name_or_its_effect_is_listed(run: Any, spoi
     assert {"chi2", "sigma0"} <= keys and "n_image_points" not in keys
     assert found["tables"]["points.csv"] is False
     assert record_of(spoiled / "result-replay")["chi2"] != record_of(spoiled / "result")["chi2"]
+    table.write_text("no table", encoding="utf-8")
+    ended = run("replay", spoiled / "result")
+    assert ended.code == 2 and ended.stderr.startswith(f"error: {table}: the file has changed since"), "not its faults"
 
 
 def test_records_that_cannot_be_repeated(run: Any, spoiled: Path, tmp_path: Path) -> None:
