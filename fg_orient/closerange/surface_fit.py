@@ -2,7 +2,8 @@
 
 Points, sigmas and unknowns are normalised before; all results are in metres again. What the points do not determine is
 refused by name: without priors a parameter whose standard deviation exceeds 1000 sigmas of a point follows from the
-noise alone, and an iteration ends with it anywhere.
+noise alone, and an iteration ends with it anywhere. Where it ends, noise may have made a narrow minimum, so semi-axes
+are also held at quite other values (``closerange.profile``).
 """
 
 from __future__ import annotations
@@ -20,15 +21,17 @@ from fg_orient.closerange.fitting import (
     Adjusted,
     Determination,
     Deviations,
+    Rows,
     adjust,
     as_points,
     determination,
     require_sigmas,
     unit_weight,
 )
+from fg_orient.closerange.profile import followed, held, reach
 from fg_orient.closerange.surface import Kind, Surface
 from fg_orient.closerange.surface_models import Model, models_of
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import FgOrientError, InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]
 Method = Literal["geometric", "algebraic"]
@@ -92,12 +95,13 @@ class SurfaceFit(Deviations):
 
 @dataclass(frozen=True)
 class _Points:
-    """Normalised points: ``p = offset + size * points``."""
+    """Normalised points: ``p = offset + size * points``; known: sigmas have a size, they are not all 1."""
 
     points: Array
     sigma: Array
     offset: Array
     size: float
+    known: bool
 
     @classmethod
     def of(cls, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike) -> _Points:
@@ -106,7 +110,7 @@ class _Points:
         require_sigmas(sigma, "sigma_m")
         offset = points.mean(axis=0)
         size = float(np.linalg.norm(points - offset, axis=1).max()) or 1.0
-        return cls((points - offset) / size, sigma / size, offset, size)
+        return cls((points - offset) / size, sigma / size, offset, size, not (sigma == 1.0).all())
 
     @property
     def typical_sigma(self) -> float:
@@ -194,6 +198,8 @@ def _fitted(given: _Points, model: Model, method: str, priors: Priors) -> tuple[
         return model, adjust(rows, model.start, model.kind, moved=model.moved)
     except NoSolutionError:
         _require_determined(given, model, model.start, priors)
+        for k in _semi_axes(model, priors):
+            _require_steep(given, model, _begun(given, model, k, priors), k, priors)
         raise
 
 
@@ -237,11 +243,69 @@ def _require_determined(given: _Points, model: Model, x: Array, priors: Priors) 
         open_ = (sd > UNDETERMINED * given.typical_sigma) & ~np.isin(model.names, list(priors))
         if not open_.any():
             return found
-    direction = (tangent @ found.weakest) * np.where(model.is_length, given.size, 1.0)
-    raise InputError.of(
-        "closerange.undetermined", place=model.kind, value=f"condition {found.condition:.2g}",
-        limit=UNDETERMINED, **_words(model.names, direction),
+    raise _open(given, model, tangent @ found.weakest, found.condition)
+
+
+def _open(given: _Points, model: Model, direction: Array, condition: float) -> FgOrientError:
+    """Refusal that names the parameters of a direction."""
+    return InputError.of(
+        "closerange.undetermined", place=model.kind, value=f"condition {condition:.2g}", limit=UNDETERMINED,
+        **_words(model.names, direction * np.where(model.is_length, given.size, 1.0)),
     )  # fmt: skip
+
+
+def _geometric(given: _Points, model: Model, priors: Priors) -> Rows:
+    """Rows of weighted distances and priors."""
+    return lambda x, want: _distance_rows(given, model, x, priors, want)
+
+
+def _semi_axes(model: Model, priors: Priors) -> list[int]:
+    """Unknowns that are semi-axes without a prior, that of revolution first: whatever else is open moves them."""
+    return [k for k, name in enumerate(model.names) if name in ("a", "b", "c") and name not in priors][::-1]
+
+
+def _least(given: _Points, model: Model, state: Array, priors: Priors) -> tuple[Array, float] | None:
+    """Least weighted squares of the distances, from the result of either method."""
+    try:
+        found = adjust(_geometric(given, model, priors), state, model.kind)
+    except NoSolutionError:
+        return None
+    return found.state, float(found.residual @ found.residual)
+
+
+def _begun(given: _Points, model: Model, k: int, priors: Priors) -> tuple[Array, float] | None:
+    """Fit with a semi-axis held at its start."""
+    try:
+        return held(_geometric(given, model, priors), model.start, k, float(model.start[k]), model.kind)
+    except NoSolutionError:
+        return None
+
+
+def _require_steep(
+    given: _Points, model: Model, base: tuple[Array, float] | None, k: int, priors: Priors
+) -> None:  # fmt: skip
+    """Hold a semi-axis at quite other values: a fit that gets hardly worse leaves it open.
+
+    Raises
+    ------
+    InputError
+        Names the parameters and the direction, those where the way begins.
+    """
+    if base is None:
+        return
+    state, squares = base
+    redundancy = len(given.points) + len(priors) - len(state)
+    ends = reach(given.typical_sigma, squares, redundancy, known=given.known)
+    if ends is None:
+        return
+    rows, (far, growth) = _geometric(given, model, priors), ends
+    for away in (far, -far):
+        if model.values(state)[k] + away <= 0.0:
+            continue
+        other = followed(rows, state, k, float(state[k] + away), model.kind)
+        if other is not None and other[1] - squares < growth:
+            judged = determination(rows(other[0], True)[1])
+            raise _open(given, model, judged.weakest, judged.condition)
 
 
 def _tangent(model: Model, x: Array) -> Array:
@@ -265,6 +329,9 @@ def _words(names: tuple[str, ...], direction: Array) -> dict[str, str]:
 def _result(given: _Points, model: Model, found: Adjusted, method: str, priors: Priors) -> SurfaceFit:
     model, state = model.settled(found.state)
     judged, tangent = _require_determined(given, model, state, priors), _tangent(model, state)
+    least = _least(given, model, state, priors)
+    for k in _semi_axes(model, priors):
+        _require_steep(given, model, least, k, priors)
     own = judged
     if method == "algebraic":
         own = determination(model.derivatives(state, given.points)[1] @ tangent)

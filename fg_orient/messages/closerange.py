@@ -23,7 +23,8 @@ CLOSERANGE: Final = {
     "closerange.undetermined": (
         "not determined by these points: {names} ({direction}); a standard deviation exceeds {limit:g} times that of a "
         "point",
-        "measure points elsewhere (other levels of the surface, other depths), or observe a parameter",
+        "measure points elsewhere (other levels of the surface, other depths), or observe a parameter; give the "
+        "sigma of the points if it is known",
     ),
     "closerange.camera": ("this value of the camera is not possible", "give {expected}"),
     "closerange.fold": (

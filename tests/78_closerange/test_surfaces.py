@@ -15,10 +15,11 @@ from factors import surfaces
 from fg_orient.cells import CellKey
 from fg_orient.classical.gauss_helmert import gauss_helmert
 from fg_orient.closerange.feet import Conditions, feet
+from fg_orient.closerange.profile import reach
 from fg_orient.closerange.surface import Kind, Surface, map_points, shape_of
-from fg_orient.closerange.surface_fit import SurfaceFit, fit_surface
+from fg_orient.closerange.surface_fit import Method, SurfaceFit, fit_surface
 from fg_orient.errors import InputError
-from fg_orient.reproduce.ayhan1996_photos import points_of
+from fg_orient.reproduce.ayhan1996_photos import PHOTO, points_of
 
 from .conftest import Array
 
@@ -208,6 +209,33 @@ def test_exact_two_levels_name_the_direction_of_the_theory() -> None:
         fit_surface(np.concatenate([one, other]), "spheroid", sigma_m=1e-3)
     text = caught.value.problems[0].message
     assert float(text.split("dy0 = ")[1].split()[0]) == pytest.approx(-d / b, abs=0.1)  # b is open: so is the place
+
+
+@pytest.mark.parametrize("method", ["geometric", "algebraic"])
+@pytest.mark.parametrize(
+    "numbers",
+    [(33, 35, 38, 39, 40, 49), (4, 7, 10, 12, 14, 49), (1, 3, 10, 12, 15, 49), (18, 19, 20, 22, 23, 49)],
+)  # fmt: skip
+def test_noise_that_splits_a_level_does_not_close_it(
+    values: dict[CellKey, float], numbers: tuple[int, ...], method: Method
+) -> None:
+    """A ring with its noise and the apex: minima with b = 0.075 +- 0.0002 (0.84 is true) and others, or none at all."""
+    points = points_of(values, "ek1.points", PHOTO)[np.array(numbers) - 1]
+    with pytest.raises(InputError, match=r"b and y0 are inseparable|b, y0 and a are inseparable") as caught:
+        fit_surface(points, "spheroid", sigma_m=1e-3, method=method)
+    assert caught.value.problems[0].code == "closerange.undetermined"
+
+
+def test_growth_at_a_distance_is_that_of_the_limit() -> None:
+    """A parabola with a standard deviation of 1000 sigmas: the limit; with F and m0 where sigmas have no size."""
+    for squares, redundancy, known in ((3.0, 4, True), (50.0, 4, True), (0.3, 4, False)):
+        ends = reach(1e-3, squares, redundancy, known=known)
+        assert ends is not None
+        assert (ends[0] / 1.0) ** 2 == pytest.approx(ends[1])
+    assert reach(1e-3, 0.0, 0, known=False) is None
+    few, many = reach(1.0, 1.0, 1, known=False), reach(1.0, 100.0, 100, known=False)
+    assert few is not None and many is not None
+    assert few[1] == pytest.approx(405284.0, rel=1e-5) and many[1] == pytest.approx(11.495, abs=1e-3)
 
 
 @pytest.mark.parametrize("numbers", [(1, 6, 11, 34, 38, 49), (1, 9, 18, 22, 34, 38)], ids=["3 + 2 + apex", "2 + 2 + 2"])
