@@ -92,9 +92,13 @@ def followed(rows: Rows, state: Array, k: int, to: float, what: str) -> tuple[Ar
         before, now = path[-2:]
         run = now[k] - before[k]
         begin = now + (now - before) * ((value - now[k]) / run if run else 0.0)
-        try:
-            found, squares = held(rows, begin, k, value, what)
-        except NoSolutionError:
+        for first in (begin, now):
+            try:
+                found, squares = held(rows, first, k, value, what)
+                break
+            except NoSolutionError:
+                continue
+        else:
             return None
         path.append(found)
     return path[2], squares
