@@ -135,7 +135,7 @@ def test_a_file_with_rpc_only_says_so(phr: Path) -> None:
 
 
 def test_kinds_of_models(phr: Path) -> None:
-    with pytest.raises(InputError, match="one of: auto, rigorous, rpc"):
+    with pytest.raises(InputError, match="choose one of auto, rigorous, rpc"):
         read_sensor(phr, model="exact")
 
 
