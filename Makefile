@@ -14,6 +14,7 @@ PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
              $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null \
              && echo $$p && exit; done)
 ARGS    ?=
+DOCS_JOBS ?= auto
 
 .PHONY: help demo test test-slow check lint kernels format bench docs clean
 .DEFAULT_GOAL := help
@@ -36,7 +37,7 @@ test-slow: $(STAMP)  ## the full simulations
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
 check: $(STAMP)  ## ruff, mypy, import-linter, documentation
-	$(MAKE) --no-print-directory --jobs=2 --output-sync docs lint kernels
+	$(MAKE) --no-print-directory --jobs=3 --output-sync docs lint kernels DOCS_JOBS=1
 
 # each worker of the tests would compile them for itself
 kernels: $(STAMP)  ## compile the numba kernels, or find them in the cache
@@ -54,7 +55,7 @@ format: $(STAMP)  ## let ruff mend and format the code
 
 docs: $(STAMP)  ## build the documentation into docs/_build/html, warnings are errors
 	rm -rf docs/api  # made at each build; pages of modules that moved must go
-	$(BIN)/sphinx-build -W --keep-going -q -j auto -b html docs docs/_build/html
+	$(BIN)/sphinx-build -W --keep-going -q -j $(DOCS_JOBS) -b html docs docs/_build/html
 	@echo "documentation: $(CURDIR)/docs/_build/html/index.html"
 
 bench: $(STAMP)  ## time our backends against other software (ARGS="--full": hours), factors, RPC projection
