@@ -22,6 +22,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
+from fg_orient.adjustment.allocation import calm_memory
 from fg_orient.adjustment.graph import GraphBackend, image_key, point_key
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.block import Block
@@ -108,10 +109,10 @@ def main() -> int:
         case.run()  # warms up
     gc.collect()
     gc.freeze()
-    gc.disable()  # as the adjustment does while it solves
-    for _ in range(given.repeats):  # all sizes in each round: a busy moment of the machine meets all alike
-        for case in cases:
-            case.seconds.append(case.run())
+    with calm_memory():  # as the adjustment does while it solves
+        for _ in range(given.repeats):  # all sizes in each round: a busy moment of the machine meets all alike
+            for case in cases:
+                case.seconds.append(case.run())
     rows = [case.row() for case in cases]
     print(f"{'image points':>12} {'us/point/iteration':>19} {'empty factors':>14} {'ratio':>6}")
     for row in rows:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import gc
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,6 +14,7 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.losses import losses
+from fg_orient.adjustment.allocation import calm_memory
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.cycles import Fit, fits_on_arrays
 from fg_orient.adjustment.gnc import PLAIN, SCHEDULES
@@ -135,7 +134,7 @@ def solve(
     """
     require_possible(problem.block.options)
     try:
-        with _garbage_collection_off():
+        with calm_memory():
             if problem.block.options.loss in RULES:
                 return _in_cycles(problem, callback, schur is not None)
             return _run(_Job(problem, callback, checkpoint, start), schur)
@@ -215,18 +214,6 @@ def _require_robust(options: Options) -> None:
 def first_sentence(error: Exception) -> str:
     """One line of an exception's text: GTSAM's own run over many."""
     return " ".join(str(error).split())[:160]
-
-
-@contextmanager
-def _garbage_collection_off() -> Iterator[None]:
-    """Thousands of factors make no garbage, but searching them costs 7 us each at every turn (measured)."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 class _Job:

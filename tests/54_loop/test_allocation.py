@@ -1,0 +1,48 @@
+"""What an adjustment tells the C allocator and Python's collector."""
+
+from __future__ import annotations
+
+import gc
+import resource
+import sys
+
+import pytest
+
+from fg_orient.adjustment.allocation import calm_memory, keep_freed_memory
+
+CHUNKS, CHUNK_BYTES = 4000, 4096
+
+
+def page_faults_of_a_turn() -> int:
+    """Page faults while some 16 MB of small blocks are taken and freed again."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    blocks = [bytearray(CHUNK_BYTES) for _ in range(CHUNKS)]
+    del blocks
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+def test_the_collector_rests_and_is_woken() -> None:
+    assert gc.isenabled()
+    with pytest.raises(ZeroDivisionError), calm_memory():
+        assert not gc.isenabled()
+        _ = 1 / 0
+    assert gc.isenabled()
+
+
+def test_a_collector_that_was_off_stays_off() -> None:
+    gc.disable()
+    try:
+        with calm_memory():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's rule")
+def test_freed_blocks_are_not_given_back_to_the_system() -> None:
+    if not keep_freed_memory():
+        pytest.skip("the C library is not glibc")
+    page_faults_of_a_turn()
+    pages = CHUNKS * CHUNK_BYTES // resource.getpagesize()
+    assert page_faults_of_a_turn() < pages / 4
