@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from tests.support import page_files, pages
+from tests.support.format_files import FORMAT_FILES, MARKER_FILES, MODEL_FILES
 from tests.support.pages import Command, Fence
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -31,23 +32,15 @@ PAGES = {
 #: (page or pattern, part of the command or block): why it is not run. Options are read all the same.
 NOT_RUN: dict[tuple[str, str], str] = {
     ("README.md", "make "): "makes an environment of its own, minutes; docs/newcomer.sh runs make demo",
-    (
-        "README.md",
-        "rpc refine",
-    ): "points.csv is another table than that of rectify; docs/rpc-commands.md runs it",
-    ("README.md", "convert "): "needs files of other programs; tests/22_interchange and 23_tie_formats read them",
-    ("README.md", "--figures"): "docs/figures.md runs it",
+    ("README.md", "convert markers.xml"): "is without --accept-unverified, see docs/quickstart.md",
     ("CONTRIBUTING.md", "make "): "the check of every change is made of these",
     ("CONTRIBUTING.md", ".ci/run"): "the check of every change itself",
     (
         "docs/quickstart.md",
         "env",
     ): "makes an environment of its own, minutes; docs/newcomer.sh does so",
-    ("docs/formats/*", ""): "reads files of other programs; the tests of each format do so",
     ("docs/geometry.md", "--dem-vertical-crs EPSG:5773"): "needs a grid of PROJ that its wheel does not bring",
     ("docs/parallel.md", "head:8786"): "needs a cluster of several machines",
-    ("docs/parallel.md", "partial(rmse_of"): "the task is the reader's own; tests/57_parallel runs studies",
-    ("docs/quickstart.md", "convert markers.xml"): "needs a file of another program; tests/22_interchange reads them",
     ("docs/rfm.md", "--data SPOT6_"): "reads a file that is not published; tests/45_rfm reproduces these tables",
 }
 
@@ -62,6 +55,7 @@ SLOW: dict[tuple[str, str], float] = {
     ("README.md", "reduce"): 2,
     ("README.md", "replay"): 2,
     ("README.md", "ortho"): 20,
+    ("README.md", "--figures"): 20,
     ("docs/closerange.md", "reproduce"): 15,
     ("docs/compare.md", "compare"): 60,
     ("docs/ill-conditioning.md", "fg-orient compare"): 40,
@@ -93,14 +87,21 @@ def camera_file(folder: Path) -> None:
 
 #: What is written for a page beside the prepared files, or in their place.
 OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
-    "README.md": (page_files.map_points, page_files.photos_and_control),
+    "README.md": (page_files.map_points, page_files.photos_and_control, *MODEL_FILES, *MARKER_FILES),
     "docs/frame-cameras.md": (camera_file,),
-    "docs/quickstart.md": (camera_file,),
+    "docs/quickstart.md": (camera_file, *MARKER_FILES),
     "docs/rpc-commands.md": (page_files.rpc_points,),
     "docs/rectification.md": (page_files.map_points,),
     "docs/rfm.md": (page_files.gcp_file,),
     "docs/closerange.md": (page_files.photos_and_control, page_files.surface_points),
+    **{f"docs/formats/{name}.md": write for name, write in FORMAT_FILES.items()},
 }
+
+#: What is written before a command: a file of this name has meant another table so far.
+BEFORE: dict[tuple[str, str], Callable[[Path], None]] = {("README.md", "rpc refine"): page_files.rpc_points}
+
+#: Pages that begin with their own files and nothing else.
+ALONE = {f"docs/formats/{name}.md" for name in FORMAT_FILES}
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +121,7 @@ def listed(table: dict[tuple[str, str], Any], item: Command | Fence) -> bool:
 
 def test_no_list_names_what_is_no_longer_there() -> None:
     items = [item for name, path in PAGES.items() for fence in pages.fences(path, name) for item in parts(fence)]
-    for table in (NOT_RUN, SLOW):
+    for table in (NOT_RUN, SLOW, BEFORE):
         for page, part in table:
             assert any(fnmatchcase(item.page, page) and part in item.text for item in items), (page, part)
     assert set(OWN_FILES) <= set(PAGES)
@@ -147,10 +148,10 @@ def start(name: str, prepared: Path, folder: Path) -> dict[str, Any]:
 
     names: dict[str, Any] = {"__name__": "page", "fg": fg, "np": np, "folder": folder}
     text = PAGES[name].read_text("utf-8")
-    if "fg-orient simulate" not in text or name in OWN_FILES:
+    if name not in ALONE and ("fg-orient simulate" not in text or name in OWN_FILES):
         shutil.copytree(prepared, folder, dirs_exist_ok=True)
-        for write in OWN_FILES.get(name, ()):
-            write(folder)
+    for write in OWN_FILES.get(name, ()):
+        write(folder)
     if re.search(r"\b(block|solution)\b", "".join(f.text for f in pages.fences(PAGES[name], name))):
         names |= block_and_solution(prepared)
     return names
@@ -169,7 +170,12 @@ def run_page(name: str, prepared: Path, folder: Path, *, slow: bool) -> None:
     """Run what the fast or the slow tests run of a page."""
 
     def take(item: Command | Fence) -> bool:
-        return not listed(NOT_RUN, item) and (slow or not listed(SLOW, item))
+        if listed(NOT_RUN, item) or (not slow and listed(SLOW, item)):
+            return False
+        for (page, part), write in BEFORE.items():
+            if item.page == page and part in item.text:
+                write(folder)
+        return True
 
     pages.run_page(pages.fences(PAGES[name], name), start(name, prepared, folder), REPOSITORY, take)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import re
+import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -29,9 +29,12 @@ from fg_orient.linear.system import LinearSystem
 from fg_orient.options import Options
 from fg_orient.plugins import load_plugin
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
+from tests.support import pages
 from tests.support.command import in_process
+from tests.support.pages import Fence
 
-PAGES = ("sensor", "equation", "solver", "kappa-rule", "loss")
+#: Pages, and the name that each gives its file.
+PAGES = {"sensor": "parallel", "equation": "distance", "solver": "cgls", "kappa-rule": "mallows", "loss": "fair"}
 
 
 @pytest.fixture(scope="module")
@@ -45,21 +48,27 @@ def registries() -> Iterator[pytest.MonkeyPatch]:
         patch.setattr(sensor_reader, "_READERS", {})
         patch.setattr(sys, "path", list(sys.path))
         yield patch
+        for name in PAGES.values():
+            sys.modules.pop(name, None)
 
 
 @pytest.fixture(scope="module")
 def files(
     repository: Path, tmp_path_factory: pytest.TempPathFactory, registries: pytest.MonkeyPatch
 ) -> dict[str, Path]:
-    """The only Python block of each page as a file."""
+    """The first Python block of each page as a file."""
     folder, out = tmp_path_factory.mktemp("own"), {}
-    for page in PAGES:
-        text = (repository / "docs" / "extending" / f"{page}.md").read_text("utf-8")
-        (code,) = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-        out[page] = folder / f"docs_{page.replace('-', '_')}.py"
+    for page, name in PAGES.items():
+        code = next(f.text for f in fences_of(repository, page) if f.language == "python")
+        out[page] = folder / f"{name}.py"
         out[page].write_text(code, "utf-8")
-        registries.delitem(sys.modules, out[page].stem, raising=False)
     return out
+
+
+def fences_of(repository: Path, page: str) -> list[Fence]:
+    """Give the blocks of a page on extending, or of the one above them."""
+    path = repository / "docs" / ("extending.md" if page == "extending" else f"extending/{page}.md")
+    return pages.fences(path, page)
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +94,26 @@ def check_jacobians(equation: _contract.Equation) -> None:
                 numeric = equation.residual(e.record, e.setup, *z).imag / step
                 assert np.abs(jacobian[:, c] - numeric).max() <= 1e-14 * np.abs(jacobian).max()
         assert np.array_equal(equation.kernel(e.record, e.setup, *e.unknowns, False)[0], value)
+
+
+@pytest.mark.parametrize("page", ["extending", *PAGES])
+def test_commands_and_further_blocks_of_the_page(
+    page: str, files: dict[str, Path], twin: Path, parallel: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """As a reader would, in the folder of the files with a project."""
+    monkeypatch.chdir(files["loss"].parent)
+    project = parallel / "project.toml" if page == "sensor" else twin
+    shutil.copytree(project.parent, ".", dirs_exist_ok=True)
+    shutil.copy(project, "PROJECT.toml")
+    found = fences_of(repository, page)
+    if page != "extending":
+        found.remove(next(f for f in found if f.language == "python"))
+    names: dict[str, Any] = {"np": np}
+    if page == "equation":
+        load_plugin(files[page])
+    assert pages.run_page(found, names, repository, lambda _: True) >= 1
+    if page == "equation":
+        assert names["solution"].redundancy == names["before"].redundancy + 1
 
 
 # --- a sensor ------------------------------------------------------------------------------------

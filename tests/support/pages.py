@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import re
 import runpy
 import shlex
@@ -28,6 +29,7 @@ from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import click
 
@@ -35,6 +37,7 @@ from .command import Ended, command_line, in_process
 
 _FENCE = re.compile(r"^```(sh|console|python|toml)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _EXIT = re.compile(r"exit code (\d+)")
+_ASSIGNED = re.compile(r"[A-Z_]+=")
 _PROMPT = "$ "
 
 
@@ -60,8 +63,14 @@ class Command:
 
     @property
     def words(self) -> list[str]:
-        """The command in words, without its comment."""
-        return shlex.split(self.text, comments=True)
+        """The command in words, without its comment and what is set before it."""
+        return list(itertools.dropwhile(_ASSIGNED.match, shlex.split(self.text, comments=True)))
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What is set for this command: ``NAME=VALUE`` before it."""
+        words = itertools.takewhile(_ASSIGNED.match, shlex.split(self.text, comments=True))
+        return dict(word.split("=", 1) for word in words)
 
 
 def fences(path: Path, name: str) -> list[Fence]:
@@ -93,7 +102,8 @@ def run_command(command: Command, repository: Path) -> Ended:
     words = command.words
     if words[0] == "fg-orient":
         more = ["--overwrite"] if command.alternative and takes_overwrite(command) else []
-        return in_process(*words[1:], *more)
+        with patch.dict(os.environ, command.environment):
+            return in_process(*words[1:], *more)
     if words[0] == "python" and words[1].startswith("examples/"):
         return run_script(repository / words[1], *words[2:])
     raise AssertionError(f"{command.page}: nothing here runs '{words[0]}'; list the command in NOT_RUN with its reason")
