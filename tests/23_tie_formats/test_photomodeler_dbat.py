@@ -13,33 +13,7 @@ from fg_orient.interchange import dbat, photomodeler
 from fg_orient.interchange.photomodeler import read_photomodeler, read_points_2d
 from fg_orient.interchange.registry import Settings
 from fg_orient.names import Role
-
-EXPORT = r"""Bundle Soln a project
- 0.000500 20 1000 800
- 1.0 0.1 10.0 100.0 100.0 100.0 20.0 20.0 20.0
- 10.0 5.0 4.0 10.0 8.0 1e-3 -1e-5 0.0 2e-4 -3e-4
- 0.0 0.0 0.0 0.5 0.5 0.001 0.0001 0.0001 0.001 0.001
-   0 C:\photos\left one.JPG
-   0 1.0 2.0 30.0 90.0 -5.0 10.0
-   0 0.1 0.1 0.1 0.1 0.1 0.1
-
-   0 10.0 5.0 4.0 10.0 8.0 1e-3 -1e-5 0.0 2e-4 -3e-4
-   0 0.0 0.0 0.0 0.5 0.5 0.001 0.0001 0.0001 0.001 0.001
-   1 photos/right.JPG
-   1 3.0 2.0 30.0 0.0 0.0 0.0
-   1 0.1 0.1 0.1 0.1 0.1 0.1
-
-    7 1.5 2.5 0.5 0.1 0.1 0.1
-
-    7 1.5 2.5 0.5 0.1 0.1 0.1
-    9 2.5 1.5 0.0 0.1 0.1 0.1
-
-   0    9 400.25 300.5 1.0 1.0
-   1    9 410.25 310.5 1.0 1.0
-   1    7 600.0 500.0 1.0 1.0
-
-  9  7
-"""
+from tests.support.format_files import PHOTOMODELER as EXPORT
 
 
 def ideal_from_printed_formulas(x_px: float, y_px: float) -> tuple[float, float]:
