@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from fg_orient.quality.free_network import FreeNetwork
     from fg_orient.quality.located_point import LocatedPoint, Orientation
     from fg_orient.quality.prediction_test import PredictionTest
+    from fg_orient.quality.regularisation import Regularisation
     from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
@@ -332,6 +333,13 @@ class Solution(Adjusted):
         from fg_orient.quality.prediction_test import prediction_test
 
         return prediction_test(self.problem, self.state, self.required_cofactors(), self.accuracy.check)
+
+    @cached_property
+    def regularisation(self) -> Regularisation | None:
+        """L-curve and chosen kappas of a Tikhonov solver (``fg_orient.quality.regularisation``); None for others."""
+        from fg_orient.quality.regularisation import regularisation
+
+        return regularisation(self.judged, self.solver, self.log)
 
     def compare_dem(self, dem: HeightSurface | str | Path, *, role: str | None = None) -> DemComparison:
         """Compare adjusted heights (of one role: "control", "check", "tie") with a DEM of ellipsoidal heights.

@@ -26,7 +26,7 @@ from fg_orient.io.atomic import write_bytes
 
 Array = npt.NDArray[np.float64]
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 EVERY_S: Final = 60.0
 #: Options that do not change what an iteration does.
 _FREE: Final = (

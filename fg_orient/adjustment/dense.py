@@ -10,6 +10,7 @@ with the square and cube of the unknowns: more than :data:`MAX_UNKNOWNS` are ref
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -172,11 +173,12 @@ def _extra_rows(
 
 @dataclass(frozen=True)
 class DenseStep:
-    """A step (u,); see ``loop.Step``."""
+    """A step (u,); see ``loop.Step``. ``kappa``: that of a regularised solver, nan of others."""
 
     data: Array
     length: float
     predicted_error: float
+    kappa: float = math.nan
 
 
 class DenseSystem:
@@ -211,12 +213,17 @@ class DenseSystem:
         Breakdown
             The solver cannot go on.
         """
+        found = solve(self._solver, self.equations(damping))
+        return self._step(found.x, math.nan if found.kappa is None else found.kappa)
+
+    def equations(self, damping: float = 0.0) -> LinearSystem:
+        """Equations of the step that a solver gets, the rows of the damping included; see :meth:`solve`."""
         design, observed, damping = self.design, -self.residual, max(damping, self._least)
         if damping > 0.0:
             u = design.shape[1]
             design = np.vstack([design, np.diag(self._damping_roots(damping))])
             observed = np.concatenate([observed, np.zeros(u)])
-        return self._step(solve(self._solver, LinearSystem.from_design(design, observed)).x)
+        return LinearSystem.from_design(design, observed)
 
     def _damping_roots(self, damping: float) -> Array:
         """Roots (u,) of what a damping adds to the diagonal of the normal equations."""
@@ -241,9 +248,9 @@ class DenseSystem:
         share = share_at_radius(float(across @ across), float(steepest @ across), length, radius)
         return self._step(steepest + share * across)
 
-    def _step(self, x: Array) -> DenseStep:
+    def _step(self, x: Array, kappa: float = math.nan) -> DenseStep:
         after = self.residual + self.design @ x
-        return DenseStep(x, float(np.abs(x).max()), self._excess + 0.5 * float(after @ after))
+        return DenseStep(x, float(np.abs(x).max()), self._excess + 0.5 * float(after @ after), kappa)
 
 
 class DenseBackend:

@@ -35,7 +35,10 @@ SMALL = "the scaled step is below the tolerance"
 
 
 class Step(Protocol):
-    """A step: its largest scaled element and the error the linear model predicts after it."""
+    """A step: its largest scaled element and the error the linear model predicts after it.
+
+    A step of a regularised solver has its ``kappa``, too.
+    """
 
     length: float
     predicted_error: float
@@ -83,7 +86,8 @@ class IterationRecord:
 
     ``step`` is the largest scaled element; ``chi2`` and ``chi2_after`` are weighted sums of squares (under a loss
     twice the cost); ``ratio`` is actual over predicted decrease (nan where the predicted decrease is rounding: such a
-    step is taken); ``mu`` is the stage under a loss (nan without).
+    step is taken); ``mu`` is the stage under a loss (nan without); ``kappa`` is the regularisation parameter of the
+    step (nan of a solver without).
     """
 
     iteration: int
@@ -96,6 +100,7 @@ class IterationRecord:
     accepted: bool
     seconds: float
     mu: float = math.nan
+    kappa: float = math.nan
 
 
 Callback = Callable[[IterationRecord], None]
@@ -188,7 +193,7 @@ class Course(Generic[S]):
         log = self.carried.log
         record = IterationRecord(
             len(log) + 1, 2.0 * before, 2.0 * after, 2.0 * predicted, ratio, step.length, control, accepted,
-            time.perf_counter() - self._start, self.carried.mu,
+            time.perf_counter() - self._start, self.carried.mu, getattr(step, "kappa", math.nan),
         )  # fmt: skip
         self.carried = replace(self.carried, log=(*log, record))
         if self._callback:

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Final
 
 from fg_orient.figures.data import Folder
-from fg_orient.report.words import printable
+from fg_orient.report.l_curve import ranked
+from fg_orient.report.words import printable, scientific
 
 #: What each figure shows. Sentences stand in a paper as they are.
 TEXTS: Final = {
@@ -27,6 +28,9 @@ TEXTS: Final = {
     "the data determine a direction, below 1 the prior holds it (weak), up to 1e−5 the data say nothing (dead).",
     "redundancy": "Redundancy numbers of the image points, and the share of image points whose error of a given size "
     "is found: points without a minimal detectable bias count as never found.",
+    "l_curve": "L-curve of the equations at the start values: norm of the Tikhonov solutions (prior standard "
+    "deviations of the image unknowns and metres of the ground points) over that of their residuals (standard "
+    "deviations), for all κ. The filled circle is the choice of the solver, hollow squares are those of other rules.",
     "iterations": "Weighted sum of squares (twice the cost under a loss) and largest step by iteration; steps are in "
     "prior standard deviations (images) and metres (points).",
 }
@@ -41,6 +45,7 @@ ABSENT: Final = {
     "correlations": "the covariances are withheld; the warnings of result.json say why",
     "singular_values": "no image has unknowns",
     "redundancy": "redundancy numbers are withheld; the warnings of result.json say why",
+    "l_curve": "no solver with a regularisation parameter was used (`--backend dense --solver tikhonov_l_curve`)",
     "iterations": "the optimiser keeps no log",
 }
 
@@ -78,6 +83,10 @@ def _remarks(folder: Folder, plot: str, images: list[str]) -> str:
     if plot == "corrections":
         scale = set(filter(None, folder.result.eop.words["sigma_scale"]))
         out += f" Standard deviations in {' and '.join(sorted(scale))} scale." if scale else ""
+    if plot == "l_curve":
+        rules = (r for r in ranked(folder.record["regularisation"]) if r["kappa"] is not None)
+        listed = (f"{r['number']} {_plain(r['label'])}: κ = {scientific(r['kappa'])}" for r in rules)
+        out += f" {', '.join(listed)}."
     if plot == "singular_values":
         found = [s for o in folder.record["observability"] if str(o["image"]) in images for s in o["sentences"]]
         out += "".join(f" {_plain(sentence).rstrip('.')}." for sentence in found)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 #: Ink and paper; pages that take a figure in replace them by their own, for dark ones.
@@ -78,6 +79,18 @@ def log_scale(axes: Axes) -> None:
     axes.set_yscale("log")
     axes.minorticks_off()
     axes.yaxis.set_major_formatter(lambda value, _: plain_exponent(f"{value:.0e}"))
+
+
+def plain_log_ticks(axis: Axis) -> None:
+    """Powers of ten in plain figures, with 2 and 5 between them where there are fewer than three."""
+    from matplotlib.ticker import LogLocator
+
+    low, high = (math.log10(v) for v in axis.get_view_interval())
+    few = math.floor(high) - math.ceil(low) < 2
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=8))
+    axis.set_major_formatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e5 else plain_exponent(f"{value:.0e}"))
+    axis.set_minor_formatter(lambda value, _: "")
+    axis.set_tick_params(which="minor", length=0)
 
 
 def plain_log_scale(axes: Axes) -> None:

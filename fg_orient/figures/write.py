@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from fg_orient.errors import InputError
-from fg_orient.figures import captions, checks, maps, orientation, residuals, style
+from fg_orient.figures import captions, checks, maps, orientation, regularisation, residuals, style
 from fg_orient.figures.data import Folder, read_folder
 from fg_orient.io.folder import Contents, require_free, staged_folder, writing
 
@@ -54,6 +54,7 @@ PLOTS: Final = (
     Plot("correlations", orientation.correlations, 2),
     Plot("singular_values", orientation.singular_values, 4),
     Plot("redundancy", checks.redundancy),
+    Plot("l_curve", lambda folder, _: regularisation.l_curve(folder)),
     Plot("iterations", checks.iterations),
 )
 

@@ -59,7 +59,7 @@ class Ridge:
             A is zero.
         """
         design, observed = system.require_design(f"kappa rule {rule}")
-        left, values, right = np.linalg.svd(design, full_matrices=False)
+        left, values, right = system.decomposition
         if values[0] == 0.0:
             raise Breakdown.of("linear.no_kappa", place=f"kappa rule {rule}", value="A = 0")
         beta = left.T @ observed

@@ -8,6 +8,7 @@ need it, the published ones use N and b alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -104,6 +105,23 @@ class LinearSystem:
             raise InputError.of("linear.no_design", place=what)
         return self.design, self.observed
 
+    @cached_property
+    def decomposition(self) -> tuple[Array, Array, Array]:
+        """Singular value decomposition ``A = U S V^T``: U (r, p), S (p,) descending, V^T (p, u).
+
+        It is made when first asked for: rules for kappa read many things off the same one.
+
+        Raises
+        ------
+        InputError
+            The design matrix is not known.
+        LinAlgError
+            It does not converge.
+        """
+        design, _ = self.require_design("singular value decomposition")
+        left, values, right = np.linalg.svd(design, full_matrices=False)
+        return left, values, right
+
 
 def real_numbers(values: npt.ArrayLike, place: str) -> Array:
     """Array of float64; complex numbers and words are refused, not cut.
@@ -171,6 +189,8 @@ class LinearSolution:
         Number of singular values used, for solvers that count.
     kappa : float, optional
         Regularisation parameter, for Tikhonov solvers.
+    rule : str
+        Rule that chose it (``fg_orient.linear.kappa``); "" if none did.
     notes : tuple of str
         Remarks: negative radicands, check sums that do not hold, clamped parameters.
     failure : str
@@ -181,5 +201,6 @@ class LinearSolution:
     inverse: Array | None = None
     rank: int | None = None
     kappa: float | None = None
+    rule: str = ""
     notes: tuple[str, ...] = ()
     failure: str = ""

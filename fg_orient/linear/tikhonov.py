@@ -5,6 +5,7 @@ Sources: Tikhonov 1963; Terlemezoğlu 2019, section 3.2, T(3.2)-(3.8) with the s
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -191,7 +192,7 @@ def tikhonov(
     Returns
     -------
     LinearSolution
-        With ``kappa``.
+        With ``kappa`` and ``rule``.
 
     Raises
     ------
@@ -202,9 +203,7 @@ def tikhonov(
     """
     choice = choose_kappa(rule, system, given, clamp=clamp)
     found = regularised(system, choice.kappa, solver=solver)
-    return LinearSolution(
-        found.x, inverse=found.inverse, rank=found.rank, kappa=choice.kappa, notes=(*choice.notes, *found.notes)
-    )
+    return replace(found, rule=rule, notes=(*choice.notes, *found.notes))
 
 
 @register_solver("tikhonov_hkb", "Tikhonov HKB", "tikhonov", source="T(3.5)", published=True, needs_design=True)

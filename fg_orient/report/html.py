@@ -8,6 +8,7 @@ import numpy as np
 
 from fg_orient.report.charts import correction_chart, heat_maps, iteration_charts, redundancy_chart
 from fg_orient.report.data import Result, residual_summary
+from fg_orient.report.l_curve import l_curve_chart, ranked
 from fg_orient.report.orientation import corrections
 from fg_orient.report.page import environment
 from fg_orient.report.payload import payload
@@ -29,7 +30,7 @@ _AXES: Final = (("East", "east"), ("North", "north"), ("Up", "up"), ("ECEF X", "
 def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     """Give the HTML text of a result, with the comparison with a truth if there is one."""
     record, summaries = result.record, residual_summary(result)
-    found = verdict(record)
+    found, kept = verdict(record), record.get("regularisation")
     return environment().get_template("report.html.j2").render(
         r=record, verdict={**found, "text": [found["text"], *accuracy_words(record)]}, axes=_AXES, many=MANY,
         problems=[in_words(t) for t in record["warnings"]], sections=SECTIONS, what=orientation_words(record),
@@ -39,7 +40,8 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
         corrections=[{**c, "chart": correction_chart(**c)} for c in corrections(result)],
         heat=heat_maps(result), singular=singular_values(record["observability"]),
         held=_not_determined(record), iterations=result.iterations,
-        history=iteration_charts(result.iterations), truth=comparison,
+        history=iteration_charts(result.iterations), truth=comparison, l_curve=l_curve_chart(kept),
+        rules=ranked(kept) if kept else [],
     )  # fmt: skip
 
 

@@ -1,0 +1,105 @@
+"""Drawing of the L-curve of a regularised adjustment, with the kappas of all rules on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+from markupsafe import Markup
+
+from fg_orient.report.panel import Panel, plain
+
+#: Choices closer than this, in drawing units, share one mark.
+NEAR: Final = 14.0
+#: Share of the range that is left free at each end.
+_MARGIN: Final = 0.09
+_WIDTH: Final = 560.0
+_HEIGHT: Final = 380.0
+
+
+def ranked(section: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rules in the order of their kappas, the largest first, with their ``number`` and ``chosen``; failures last.
+
+    Parameters
+    ----------
+    section : dict
+        ``regularisation`` of a record.
+    """
+    found = sorted(section["rules"], key=lambda rule: -math.inf if rule["kappa"] is None else rule["kappa"])[::-1]
+    return [{**rule, "number": k, "chosen": rule["rule"] == section["rule"]} for k, rule in enumerate(found, start=1)]
+
+
+def on_curve(choice: dict[str, Any]) -> bool:
+    """Tell whether a choice has a place on the curve: kappa 0 of a singular system has none."""
+    return all(choice[name] is not None and choice[name] > 0.0 for name in ("residual_norm", "solution_norm"))
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """Exponents of round values between two exponents: powers of ten, with 2 and 5 between where there are few."""
+    whole = [float(k) for k in range(math.ceil(low), math.floor(high) + 1)]
+    if len(whole) >= 3:
+        return whole[:: max(1, math.ceil(len(whole) / 7))]
+    values = (math.log10(step) + k for k in range(math.floor(low), math.ceil(high) + 1) for step in (1.0, 2.0, 5.0))
+    return [value for value in values if low <= value <= high]
+
+
+def l_curve_chart(section: dict[str, Any] | None) -> Markup:
+    """Norm of the solution over that of the residuals, both logarithmic, marks numbered as :func:`ranked`.
+
+    Empty without a regularisation.
+
+    Parameters
+    ----------
+    section : dict or None
+        ``regularisation`` of a record.
+    """
+    points = [] if section is None else _logarithms(section["curve"])
+    if section is None or len(points) < 2:
+        return Markup("")
+    choices = [choice for choice in ranked(section) if on_curve(choice)]
+    marks = _logarithms({name: [c[name] for c in choices] for name in ("residual_norm", "solution_norm")})
+    panel = Panel(
+        _range([x for x, _ in points + marks]), _range([y for _, y in points + marks]),
+        "L-curve: norm of the solution over norm of the residuals, with the choices of the rules",
+        width=_WIDTH, height=_HEIGHT, left=62.0,
+    )  # fmt: skip
+    panel.axes("norm of the residuals |Ax − l|, σ", "norm of the solution |x|, prior σ and m", log_ticks(*panel.x),
+               log_ticks(*panel.y), lambda exponent: plain(round(10.0**exponent, 9)))  # fmt: skip
+    panel.line(points, "curve")
+    for group in _groups([(panel.px(x), panel.py(y)) for x, y in marks]):
+        _mark(panel, [choices[k] for k in group], [marks[k] for k in group])
+    return panel.svg("panel broad")
+
+
+def _logarithms(norms: dict[str, Sequence[float | None]]) -> list[tuple[float, float]]:
+    """Exponents of both norms, where both are above zero."""
+    pairs = zip(norms["residual_norm"], norms["solution_norm"], strict=True)
+    return [(math.log10(r), math.log10(s)) for r, s in pairs if r and s and r > 0.0 and s > 0.0]
+
+
+def _range(values: Sequence[float]) -> tuple[float, float]:
+    """Limits with a margin; of a curve that is a point a tenth of a decade."""
+    low, high = min(values), max(values)
+    margin = max(_MARGIN * (high - low), 0.05)
+    return low - margin, high + margin
+
+
+def _groups(places: Sequence[tuple[float, float]]) -> list[list[int]]:
+    """Numbers of marks that lie together, in their order along the curve."""
+    out: list[list[int]] = []
+    for k, place in enumerate(places):
+        if out and math.dist(place, places[out[-1][-1]]) < NEAR:
+            out[-1].append(k)
+        else:
+            out.append([k])
+    return out
+
+
+def _mark(panel: Panel, choices: Sequence[dict[str, Any]], places: Sequence[tuple[float, float]]) -> None:
+    """Draw marks with one label of their numbers, up and to the right, where the curve is not."""
+    panel.squares([at for choice, at in zip(choices, places, strict=True) if not choice["chosen"]], "sample-dot", 3.4)
+    panel.dots([at for choice, at in zip(choices, places, strict=True) if choice["chosen"]], "line-dot", 4.5)
+    x, y = max(panel.px(x) for x, _ in places), min(panel.py(y) for _, y in places)
+    words = ", ".join(str(choice["number"]) for choice in choices)
+    panel.add('<text class="mark-label" x="{}" y="{}">{}</text>', round(x + 8, 1), round(y - 6, 1), words)
