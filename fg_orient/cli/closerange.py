@@ -28,7 +28,13 @@ Measured = Annotated[
 ]
 Photos = Annotated[Path, typer.Argument(metavar="PHOTOS", show_default=False, help='TOML: a table "photos" for each.')]
 Sigma = Annotated[
-    float, typer.Option(metavar="S", help="Of image coordinates without a sigma of their own, in their unit.")
+    float | None,
+    typer.Option(
+        metavar="S",
+        show_default=False,
+        help="Of image coordinates without a sigma of their own, in their unit; without it weights are relative, and "
+        "m0 is that sigma.",
+    ),
 ]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results.")]
 
@@ -40,7 +46,7 @@ def dlt(
         str, typer.Option(metavar="NAMES", help="Unknown coefficients: k1,k2,k3,p1,p2; none if not given.")
     ] = "",
     direct: Annotated[bool, typer.Option("--direct", help="The direct linear solution, not iterated.")] = False,
-    sigma: Sigma = 1.0,
+    sigma: Sigma = None,
     out: Out = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -61,7 +67,7 @@ def dlt(
 def resect(
     points: Control,
     camera: Photos,
-    sigma: Sigma = 1.0,
+    sigma: Sigma = None,
     out: Out = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -82,7 +88,7 @@ def resect(
 def intersect(
     points: Measured,
     photos: Photos,
-    sigma: Sigma = 1.0,
+    sigma: Sigma = None,
     out: Out = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -123,7 +129,7 @@ def bundle(
         ),
     ] = "",
     shared: Annotated[str, typer.Option(metavar="NAMES", help="Unknown ones that all photos share.")] = "",
-    sigma: Sigma = 1.0,
+    sigma: Sigma = None,
     sigma_control: Annotated[
         float, typer.Option(metavar="M", help="Of control points without a sigma of their own, m; 0: exact.")
     ] = 0.0,
@@ -163,7 +169,15 @@ def surface(
     method: Annotated[
         Literal["geometric", "algebraic"], typer.Option(help="Distances to the surface, or conditions (Ayhan 1996).")
     ] = "geometric",
-    sigma: Annotated[float, typer.Option(metavar="M", help="Of coordinates without a sigma of their own, m.")] = 1.0,
+    sigma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            show_default=False,
+            help="Of coordinates without a sigma of their own, m; without it weights are relative, and m0 is "
+            "that sigma.",
+        ),
+    ] = None,
     prior: Annotated[
         list[str] | None, typer.Option(metavar="NAME=VALUE:SIGMA", help="Observed parameter, m; repeatable.")
     ] = None,
@@ -192,8 +206,8 @@ def _words(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
-def _positive(place: str, value: float) -> float:
-    if not (value > 0.0 and value != float("inf")):
+def _positive(place: str, value: float | None) -> float | None:
+    if value is not None and not (value > 0.0 and value != float("inf")):
         raise InputError.of("closerange.sigma", place=place, value=value)
     return value
 
@@ -218,6 +232,8 @@ def _finish(record: dict[str, Any], as_json: bool, show: Any) -> None:
         emit(record)
         return
     show(record)
+    if record["weights"] == "relative":
+        note("note: no standard deviations were given: weights are relative, and m0 is the sigma of an observation")
     if record["out"]:
         say(f"written: {record['out']}")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,8 @@ from fg_orient.closerange.job import (
     exterior_record,
     finished,
     of_name,
+    require_absolute,
+    unit_of_weights,
     weights_of,
     xyz,
 )
@@ -38,9 +40,9 @@ Index = npt.NDArray[np.intp]
 
 def run_bundle(
     path: Path, photos: Path, *, control: Path | None = None, start: Path | None = None,
-    constraints: Path | None = None, sigma: float = 1.0, sigma_control_m: float = 0.0, unknown: Sequence[str] = (),
-    shared: Sequence[str] = (), backend: str = "dense", out: Path | None = None, overwrite: bool = False,
-    command: Sequence[str] = (),
+    constraints: Path | None = None, sigma: float | None = None, sigma_control_m: float = 0.0,
+    unknown: Sequence[str] = (), shared: Sequence[str] = (), backend: str = "dense",
+    out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Adjust the photos and points of a table.
 
@@ -56,8 +58,10 @@ def run_bundle(
         New points, all to be determined, with start coordinates in the same columns; others are intersected.
     constraints : Path, optional
         See ``io.constraints``.
-    sigma, sigma_control_m : float
-        Of image coordinates and control points without a sigma of their own; 0: control points are exact.
+    sigma : float, optional
+        Of image coordinates without a sigma of their own; without it they all have weight 1, and m0 is their sigma.
+    sigma_control_m : float
+        Of control points without a sigma of their own; 0: they are exact.
     unknown, shared : sequence of str
         Unknown camera parameters of each photo, and those that all photos share: names, and sets of them
         (``closerange.corrections``).
@@ -69,7 +73,8 @@ def run_bundle(
     Raises
     ------
     InputError, NoSolutionError
-        See :func:`fg_orient.closerange.bundle.adjust_bundle`.
+        See :func:`fg_orient.closerange.bundle.adjust_bundle`; sigmas of control points or constraints where image
+        coordinates have none.
     """
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
@@ -81,7 +86,11 @@ def run_bundle(
     which, of = (
         np.array(v, np.intp) for v in ([names.index(n) for n in table.photos], [ids.index(i) for i in table.ids])
     )
-    stated = [_constraint(entry) for entry in read_constraints(constraints)] if constraints else []
+    entries = read_constraints(constraints) if constraints else ()
+    stated = [_constraint(entry) for entry in entries]
+    require_absolute(
+        path, table, sigma, [*_own_sigmas(control, sigma_control_m, known), *_stated(constraints, entries)]
+    )
     with one_blas_thread():
         starts, doubts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma))
         given = [BundlePhoto(n, i, r, c, own, "all", common) for n, (i, r, c) in zip(names, starts, strict=True)]
@@ -94,9 +103,28 @@ def run_bundle(
     texts = [
         photo_text(p, i, r) for p, i, r in zip(photos_of, found.interiors, found.rotations, strict=bool(photos_of))
     ]
-    record = _record(found, table, known, which, of)
+    record = _record(found, table, known, which, of) | unit_of_weights(table, sigma)
     record["warnings"] += doubts
     return finished(record, path, table, out, overwrite, command, texts)
+
+
+def _own_sigmas(
+    path: Path | None, sigma_m: float, known: Mapping[str, tuple[Array, Array]]
+) -> Iterator[tuple[str, str, float]]:
+    """Control points with a sigma: file, place, value."""
+    for name, (_, sigma) in known.items():
+        if sigma.any():
+            own = (str(path), f"control {name}")
+            yield *(("", "--sigma-control") if (sigma == sigma_m).all() else own), float(sigma.max())
+
+
+def _stated(path: Path | None, entries: Sequence[ConstraintEntry]) -> Iterator[tuple[str, str, float]]:
+    """Sigmas of constraints and of what they observe: file, place, value."""
+    for k, entry in enumerate(entries, start=1):
+        if entry.sigma is not None:
+            yield str(path), f"constraints[{k}].sigma", entry.sigma
+        for name, (_, sigma) in entry.observed.items():
+            yield str(path), f"constraints[{k}].observed.{name}", sigma
 
 
 def _constraint(entry: ConstraintEntry) -> Constraint:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -47,8 +47,8 @@ NO_REDUNDANCY: Final = "no redundancy: standard deviations follow from nothing"
 
 
 def run_dlt(
-    path: Path, *, distortion: Sequence[str] = (), sigma: float = 1.0, iterate: bool = True, out: Path | None = None,
-    overwrite: bool = False, command: Sequence[str] = (),
+    path: Path, *, distortion: Sequence[str] = (), sigma: float | None = None, iterate: bool = True,
+    out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Fit a DLT to each photo of a table of control points.
 
@@ -58,8 +58,8 @@ def run_dlt(
         See :func:`fg_orient.closerange.files.read_control`.
     distortion : sequence of str
         Unknown coefficients.
-    sigma : float
-        Of image coordinates, where the table has none.
+    sigma : float, optional
+        Of image coordinates, where the table has none; without it they all have weight 1, and m0 is their sigma.
     iterate : bool
         False: the direct linear solution.
     out, overwrite, command
@@ -80,7 +80,9 @@ def run_dlt(
         return _dlt_record(found) | _photo_points(table, rows, found.photo)
 
     photos = _each_photo(table, sigma, one)
-    return finished({"kind": "dlt", "photos": photos}, path, table, out, overwrite, command, texts)
+    return finished(
+        {"kind": "dlt", **unit_of_weights(table, sigma), "photos": photos}, path, table, out, overwrite, command, texts
+    )
 
 
 def _dlt_record(found: DltFit) -> Record:
@@ -103,7 +105,7 @@ def _dlt_record(found: DltFit) -> Record:
 
 
 def run_resect(
-    path: Path, camera: Path, *, sigma: float = 1.0, out: Path | None = None, overwrite: bool = False,
+    path: Path, camera: Path, *, sigma: float | None = None, out: Path | None = None, overwrite: bool = False,
     command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Orient each photo of a table of control points by its camera.
@@ -123,7 +125,8 @@ def run_resect(
         return _resection_record(found) | _photo_points(table, rows, found.photo)
 
     photos = _each_photo(table, sigma, one)
-    return finished({"kind": "resection", "photos": photos}, path, table, out, overwrite, command, texts)
+    return finished({"kind": "resection", **unit_of_weights(table, sigma), "photos": photos}, path, table, out,
+                    overwrite, command, texts)  # fmt: skip
 
 
 def _resection_record(found: Resection) -> Record:
@@ -136,7 +139,7 @@ def _resection_record(found: Resection) -> Record:
 
 
 def run_intersect(
-    path: Path, photos: Path, *, sigma: float = 1.0, out: Path | None = None, overwrite: bool = False,
+    path: Path, photos: Path, *, sigma: float | None = None, out: Path | None = None, overwrite: bool = False,
     command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Intersect the points of a table by oriented photos.
@@ -160,13 +163,15 @@ def run_intersect(
          "rays": of.count(k), "misfit": float(rms[k] / np.sqrt(of.count(k)))}
         for k, name in enumerate(ids)
     ]  # fmt: skip
-    record = {"kind": "intersection", "m0": found.m0, "redundancy": found.redundancy, "iterations": found.iterations,
-              "points": points, "warnings": [] if found.m0 is not None else [NO_REDUNDANCY]}  # fmt: skip
+    record = {
+        "kind": "intersection", **unit_of_weights(table, sigma), "m0": found.m0, "redundancy": found.redundancy,
+        "iterations": found.iterations, "points": points, "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
+    }  # fmt: skip
     return finished(record, path, table, out, overwrite, command)
 
 
 def run_surface(
-    path: Path, kind: Kind, *, axis: str = "y", method: Method = "geometric", sigma_m: float = 1.0,
+    path: Path, kind: Kind, *, axis: str = "y", method: Method = "geometric", sigma_m: float | None = None,
     priors: Priors | None = None, out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Fit a surface to the points of a table.
@@ -174,15 +179,18 @@ def run_surface(
     Raises
     ------
     InputError, NoSolutionError
-        See :func:`fg_orient.closerange.surface_fit.fit_surface`.
+        See :func:`fg_orient.closerange.surface_fit.fit_surface`; priors where the points have no sigma.
     """
     table = _begin(path, read_ground_points, out, overwrite)
-    weights = np.full((len(table), 3), sigma_m) if table.sigma is None else table.sigma
+    require_absolute(
+        path, table, sigma_m, [("", f"--prior {name}", value[1]) for name, value in (priors or {}).items()]
+    )
+    weights = sigma_m if table.sigma is None else table.sigma
     with one_blas_thread():
         found = fit_surface(table.ground, kind, axis=axis, sigma_m=weights, method=method, priors=priors)
     sd = found.sigma
     record: Record = {
-        "kind": "surface", "surface": found.surface.as_dict(), "method": method,
+        "kind": "surface", **unit_of_weights(table, sigma_m), "surface": found.surface.as_dict(), "method": method,
         "axis": axis if kind == "spheroid" else None, "m0": found.m0, "redundancy": found.redundancy,
         "condition": found.condition, "iterations": found.iterations, "rms_m": found.rms_m,
         "rms_deviation_m": plain_rms(found.deviations_m),
@@ -209,12 +217,37 @@ def _begin(path: Path, read: Callable[[Path], Observed], out: Path | None, overw
     return read(path)
 
 
-def weights_of(table: Observed, sigma: float) -> Array:
-    """Sigmas (n, 2) of the image coordinates: the table's, or one for all."""
-    return np.full((len(table), 2), sigma) if table.sigma is None else table.sigma
+def weights_of(table: Observed, sigma: float | None) -> Array:
+    """Sigmas (n, 2) of the image coordinates: the table's, or one for all; 1 where nothing tells their size."""
+    return np.full((len(table), 2), 1.0 if sigma is None else sigma) if table.sigma is None else table.sigma
 
 
-def _each_photo(table: Observed, sigma: float, one: Callable[[str, Any, Array], Record]) -> list[Record]:
+def unit_of_weights(table: Observed, sigma: float | None) -> Record:
+    """Whether weights are those of given sigmas (m0 is a ratio), or only relative (m0 is a sigma)."""
+    return {"weights": "relative" if table.sigma is None and sigma is None else "absolute"}
+
+
+def require_absolute(
+    path: Path, table: Observed, sigma: float | None, beside: Iterable[tuple[str, str, float]]
+) -> None:
+    """Refuse sigmas in metres or radians beside coordinates whose weights are only relative.
+
+    Parameters
+    ----------
+    beside : iterable of (file, place, sigma)
+        What has a sigma of its own.
+
+    Raises
+    ------
+    InputError
+        Names the first one: all of them weigh nothing definite.
+    """
+    if table.sigma is None and sigma is None:
+        for file, place, value in beside:
+            raise InputError.of("closerange.relative", file=file, place=place, value=value, points=path.name)
+
+
+def _each_photo(table: Observed, sigma: float | None, one: Callable[[str, Any, Array], Record]) -> list[Record]:
     """Records of the photos in the order of the table; faults name the photo."""
     weights, out = weights_of(table, sigma), []
     with one_blas_thread():

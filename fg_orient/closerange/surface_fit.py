@@ -95,7 +95,7 @@ class SurfaceFit(Deviations):
 
 @dataclass(frozen=True)
 class _Points:
-    """Normalised points: ``p = offset + size * points``; known: sigmas have a size, they are not all 1."""
+    """Normalised points: ``p = offset + size * points``; known: sigmas were given."""
 
     points: Array
     sigma: Array
@@ -104,13 +104,13 @@ class _Points:
     known: bool
 
     @classmethod
-    def of(cls, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike) -> _Points:
+    def of(cls, points_m: npt.ArrayLike, sigma_m: npt.ArrayLike | None) -> _Points:
         points = as_points(points_m, 3, "points", InputError.of)
-        sigma = np.broadcast_to(np.asarray(sigma_m, float), points.shape)
+        sigma = np.broadcast_to(np.asarray(1.0 if sigma_m is None else sigma_m, float), points.shape)
         require_sigmas(sigma, "sigma_m")
         offset = points.mean(axis=0)
         size = float(np.linalg.norm(points - offset, axis=1).max()) or 1.0
-        return cls((points - offset) / size, sigma / size, offset, size, not (sigma == 1.0).all())
+        return cls((points - offset) / size, sigma / size, offset, size, sigma_m is not None)
 
     @property
     def typical_sigma(self) -> float:
@@ -119,7 +119,7 @@ class _Points:
 
 
 def fit_surface(
-    points_m: npt.ArrayLike, kind: Kind, *, axis: str = "y", sigma_m: npt.ArrayLike = 1.0,
+    points_m: npt.ArrayLike, kind: Kind, *, axis: str = "y", sigma_m: npt.ArrayLike | None = None,
     method: Method = "geometric", priors: Priors | None = None,
 ) -> SurfaceFit:  # fmt: skip
     """Fit a surface to points.
@@ -131,8 +131,9 @@ def fit_surface(
         Spheroid: semi-axis a across the axis of revolution, b along it.
     axis : str
         Of a spheroid: "x", "y", "z" or "free" (two tilts more).
-    sigma_m : float or array that fits (n, 3)
-        Standard deviations of the points. Equal ones without a known size: 1 (m0 then is that size, in m).
+    sigma_m : float or array that fits (n, 3), optional
+        Standard deviations of the points. Without them all have weight 1, and m0 is their size, in m; priors then
+        weigh as beside points of 1 m.
     method : "geometric" or "algebraic"
         Least weighted squares of the distances to the surface, or least squares of the conditions of
         ``factors.surfaces`` with equal weights (Ayhan 1996, eqs. 138-154; the coefficients of a quadric of length 1).

@@ -7,6 +7,11 @@ from typing import Final
 CLOSERANGE: Final = {
     "closerange.points": ("points are finite numbers, {width} a row", "check the values"),
     "closerange.sigma": ("standard deviations are finite numbers above 0", "give them in the unit of the points"),
+    "closerange.relative": (
+        "a standard deviation in metres or radians means nothing beside points of {points} that have none: their "
+        "weights are only relative",
+        "give --sigma, or columns of standard deviations in {points}",
+    ),
     "closerange.not_converged": (
         "the adjustment does not converge: {reason}",
         "look for gross errors in the points, and at their distribution",

@@ -99,7 +99,10 @@ def test_surface(tmp_path: Path, land: Array) -> None:
     fit = fit_surface(land, "spheroid", sigma_m=0.001)
     assert {p["name"]: p["value"] for p in done.json["parameters"]} == fit.parameters
     assert (done.code, done.json["m0"], done.json["warnings"]) == (0, fit.m0, [])
-    text = run("closerange", "surface", table, "--kind", "sphere").stdout
+    assert done.json["weights"] == "absolute" and "weights are relative" not in done.stderr
+    ended = run("closerange", "surface", table, "--kind", "sphere")
+    text = ended.stdout
+    assert "weights are relative, and m0 is the sigma of an observation" in ended.stderr
     assert "sphere: 49 points, redundancy 45" in text and "normal distances: rms 8.53 mm" in text
 
 
@@ -135,6 +138,7 @@ def test_two_levels_end_with_2_and_a_prior_helps(tmp_path: Path, land: Array) ->
         (("intersect", "control.csv", "cameras.toml"), "line 1"),
         (("surface", "image.csv", "--kind", "sphere"), "line 1"),
         (("surface", "points.csv", "--kind", "sphere", "--prior", "a"), "name=value:sigma"),
+        (("surface", "points.csv", "--kind", "sphere", "--prior", "a=1:1"), "error: --prior a: a standard deviation"),
     ],
 )
 def test_bad_input_ends_with_2_and_one_sentence(folder: tuple[Path, Array], words: tuple[str, ...], text: str) -> None:

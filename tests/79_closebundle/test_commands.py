@@ -38,7 +38,7 @@ def test_bundle_from_tables(tmp_path: Path) -> None:
     assert done.code == 0, done.stderr
     record = done.json
     assert (record["redundancy"], record["unknowns"]) == (56 + 1 - 13 - 18, 31)
-    assert 0.6 <= record["m0"] <= 1.4
+    assert 0.6 <= record["m0"] <= 1.4 and record["weights"] == "absolute"
     k1 = record["cameras"][0]["parameters"][0]
     assert abs(k1["value"] - 2e-5) <= 4.0 * k1["sigma"]
     points = {p["id"]: np.array([p["x_m"], p["y_m"], p["z_m"]]) for p in record["points"]}
@@ -60,6 +60,7 @@ def test_what_cannot_be_written_or_was_not_measured_is_said(tmp_path: Path) -> N
     done = run("closerange", "bundle", tmp_path / "image.csv", tmp_path / "cameras.toml", "--control",
                tmp_path / "control.csv", "--shared", "k1,film-scales", "--out", tmp_path / "out", "--json")  # fmt: skip
     assert done.code == 0, done.stderr
+    assert done.json["weights"] == "relative"
     assert done.json["warnings"] == [
         "control points measured in no photo: far", "photos.toml is not written: it cannot hold film_xx",
     ]  # fmt: skip
@@ -86,6 +87,16 @@ def test_a_project_with_constraints_is_sent_to_the_bundle(tmp_path: Path) -> Non
         (("--constraints", "field.toml"), "did you mean value_m?"),
         (("--constraints", "member.toml"), "not there (found p99)"),
         (("--sigma-control", "-1"), "--sigma-control"),
+        (
+            ("--sigma-control", "0.01"),
+            "error: --sigma-control: a standard deviation in metres or radians means nothing",
+        ),
+        (
+            ("--control", "sigmas.csv"),
+            "sigmas.csv, control p0: a standard deviation in metres or radians means nothing",
+        ),
+        (("--constraints", "soft.toml"), "soft.toml, constraints[2].sigma: a standard deviation in metres or radians"),
+        (("--constraints", "seen.toml"), "seen.toml, constraints[1].observed.radius: a standard deviation in metres"),
         ((), "the photo is not oriented"),
     ],
 )
@@ -95,7 +106,16 @@ def test_bad_input_ends_with_2_and_one_sentence(tmp_path: Path, words: tuple[str
     (tmp_path / "kind.toml").write_text(entry + 'kind = "knot"\n', "utf-8")
     (tmp_path / "field.toml").write_text(entry + 'kind = "distance"\nvalue = 1.0\n', "utf-8")
     (tmp_path / "member.toml").write_text(entry.replace("p10", "p99") + 'kind = "distance"\nvalue_m = 1.0\n', "utf-8")
-    given = [tmp_path / w if w.endswith(".toml") else w for w in words]
+    other = '[[constraints]]\nmembers = ["p10", "p11", "p12", "p13"]\n'
+    (tmp_path / "soft.toml").write_text(
+        f'{other}kind = "plane"\n{entry}kind = "distance"\nvalue_m = 1.0\nsigma = 0.001\n', "utf-8"
+    )
+    (tmp_path / "seen.toml").write_text(other + 'kind = "sphere"\nobserved = { radius = [0.8, 0.001] }\n', "utf-8")
+    rows = (tmp_path / "control.csv").read_text("utf-8").splitlines()
+    names = ",sigma_x_m,sigma_y_m,sigma_z_m"
+    table = [rows[0] + names, *(f"{row},0.001,0.001,0.001" for row in rows[1:])]
+    (tmp_path / "sigmas.csv").write_text("\n".join([*table, ""]), "utf-8")
+    given = [tmp_path / w if w.endswith((".toml", ".csv")) else w for w in words]
     control = ["--control", tmp_path / "control.csv"] if words else []
     done = run("closerange", "bundle", tmp_path / "image.csv", tmp_path / "cameras.toml", *control, *given)
     assert done.code == 2
