@@ -47,9 +47,8 @@ def frame_model_of(
         Of the images; else all are as large as the outermost image point of all demands, and square.
     notes : tuple of str
     """
-    half = math.ceil(float(np.abs(data.xy).max(initial=0.0)))
-    n = len(data.cameras)
-    size = np.array(sizes if sizes is not None else [(2 * half + 1, 2 * half + 1)] * n, int).reshape(n, 2)
+    n, side = len(data.cameras), assumed_side(data)
+    size = np.array(sizes if sizes is not None else [(side, side)] * n, int).reshape(n, 2)
     middle = (size - 1) / 2.0
     found = cameras_of(data)
     keys = tuple(names) if names is not None else tuple(map(str, range(n)))
@@ -61,6 +60,11 @@ def frame_model_of(
     line, sample = middle[data.camera, 0] - data.xy[:, 1], middle[data.camera, 1] + data.xy[:, 0]
     ids = tuple(map(str, range(len(data.points))))
     return FrameModel(cameras, poses, ids, data.points, data.camera, data.point, line, sample, notes)
+
+
+def assumed_side(data: BalData) -> int:
+    """Side of the square that holds all image points about its middle, px: an odd number."""
+    return 2 * math.ceil(float(np.abs(data.xy).max(initial=0.0))) + 1
 
 
 def bal_data_of(model: FrameModel, file: str = "") -> tuple[BalData, tuple[str, ...]]:
@@ -119,9 +123,16 @@ def write_bal(path: str | Path, data: BalData, *, overwrite: bool = False) -> No
 
 
 def sized_model(data: BalData, names: Sequence[str], settings: Settings, notes: tuple[str, ...] = ()) -> FrameModel:
-    """Frame model of a bundle, with the sizes of the settings if these name all images."""
-    sizes = [settings.image_sizes[name] for name in names if name in settings.image_sizes]
-    return frame_model_of(data, names, sizes if len(sizes) == len(names) else None, notes)
+    """Frame model of a bundle with the sizes of the settings; a note tells those that had to be assumed."""
+    side = assumed_side(data)
+    without = [name for name in names if name not in settings.image_sizes]
+    if without:
+        listed = ", ".join(without[:5]) + (f" and {len(without) - 5} more" if len(without) > 5 else "")
+        told = (
+            f"the file holds no sizes of images: {side} x {side} pixels, out to the outermost image point, are assumed"
+        )
+        notes = (*notes, f"{told} for {listed}; --image-size NAME=LINES,SAMPLES gives a size")
+    return frame_model_of(data, names, [settings.image_sizes.get(name, (side, side)) for name in names], notes)
 
 
 def bundle_survey(data: BalData, names: Sequence[str], settings: Settings, notes: tuple[str, ...], file: str) -> Survey:
@@ -132,6 +143,7 @@ def bundle_survey(data: BalData, names: Sequence[str], settings: Settings, notes
     InputError
         The size of an image is not given: nothing else tells where the first pixel is.
     """
+    settings.require_images(names, file)
     for name in names:
         if name not in settings.image_sizes:
             raise InputError.of("ties.size", file=file, place=name, option=f"--image-size {name}=LINES,SAMPLES")

@@ -67,6 +67,7 @@ def read_survey(
         raise InputError.of("interchange.no_reader", file=file, place="--from", value=format_.name)
     require_accepted(paths, format_, accept_unverified)
     survey = format_.read(tuple(paths), settings)
+    settings.require_images(survey.images, file)
     remarks = check_ground(survey, str(file), scenes) if survey.crs else ()
     if not format_.verified:
         remarks = (problem("remark.unverified", file=file, value=format_.name), *remarks)

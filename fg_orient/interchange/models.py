@@ -47,5 +47,6 @@ def convert_model(
         raise InputError.of("interchange.no_writer", file=out, place="--to", value=writer.name)
     require_accepted(paths, reader, accept_unverified)
     model = reader.read_model(tuple(paths), settings)
+    settings.require_images([pose.name for pose in model.poses], paths[0])
     told = writer.write_model(out, model, overwrite)
     return model, tuple(problem("lost.model", file=out, value=text, format=writer.name) for text in told)

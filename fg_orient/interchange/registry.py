@@ -85,6 +85,19 @@ class Settings:
     sigma_axes: str = "ecef"
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=lambda: MappingProxyType({}))
 
+    def require_images(self, names: Sequence[str], file: object) -> None:
+        """Refuse sizes of images that a file does not have.
+
+        Raises
+        ------
+        InputError
+            Names the first one.
+        """
+        for name in self.image_sizes:
+            if name not in names:
+                known = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
+                raise InputError.of("interchange.no_image", file=file, place="--image-size", value=name, known=known)
+
 
 Reader = Callable[[tuple[Path, ...], Settings], Survey]
 #: A writer may give further losses, of which only it knows.

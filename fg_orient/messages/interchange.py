@@ -77,6 +77,7 @@ INTERCHANGE: Final = {
         "give --sigma-image LINE SAMPLE (pixels)",
     ),
     "interchange.image_size": ("this is no size of an image", "write NAME=LINES,SAMPLES, for instance left=12000,6000"),
+    "interchange.no_image": ("the file has no such image", "choose one of {known}"),
     "lost.ground": ("{format} holds image points only: coordinates are lost", "keep a file that holds them"),
     "lost.image": ("{format} holds no image points: they are lost", "keep a file that holds them"),
     "lost.ids": ("{format} has no ids of points: they are numbered in their order", "keep a file that holds them"),

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from fg_orient.interchange.asp_match import write_match
-from fg_orient.interchange.bal import frame_model_of
+from fg_orient.interchange.bal import assumed_side, frame_model_of
 from fg_orient.interchange.bundler import read_bundler
 from fg_orient.interchange.colmap_database import read_colmap_database
 from fg_orient.interchange.colmap_text import read_colmap_text, write_colmap_text
 from fg_orient.interchange.micmac_csv import read_image
 from fg_orient.interchange.registry import formats
+from fg_orient.io.bal import read_bal_data
 from tests.support.command import in_process
 from tests.support.frame_models import frame_model
 
@@ -70,9 +71,48 @@ def test_a_model_goes_from_colmap_to_bundler_and_back_with_its_residuals(tmp_pat
     assert in_process(*words).code == 2  # nothing is overwritten
     back = ["convert", tmp_path / "bundle.out", "--to", "colmap-text", "--out", tmp_path / "back"]
     assert in_process(*back).code == 2  # unverified
-    assert in_process(*back, "--accept-unverified").code == 0
+    ended = in_process(*back, "--accept-unverified", "--json")
+    assert ended.code == 0
+    (note,) = (text for text in ended.json["notes"] if "the file holds no sizes of images" in text)
+    assert "are assumed for 0, 1, 2; --image-size" in note
     again = read_colmap_text(tmp_path / "back")
     assert np.sum(again.residuals_px() ** 2) == pytest.approx(np.sum(model.residuals_px() ** 2), rel=1e-9)
+
+
+def test_sizes_of_images_are_given_or_said_to_be_assumed(tmp_path: Path) -> None:
+    write_colmap_text(tmp_path / "sparse", frame_model(("none", "k1")))
+    bal = tmp_path / "problem.txt"
+    assert in_process("convert", tmp_path / "sparse", "--from", "colmap-text", "--to", "bal", "--out", bal).code == 0
+    words = ["convert", bal, "--from", "bal", "--to", "colmap-text", "--out"]
+    one = in_process(*words, tmp_path / "one", "--image-size", "1=701,801")
+    side = assumed_side(read_bal_data(bal))
+    assert (
+        one.code == 0 and f"{side} x {side} pixels" in one.stderr and "are assumed for 0, 2; --image-size" in one.stderr
+    )
+    sizes = [(c.n_lines, c.n_samples) for c in read_colmap_text(tmp_path / "one").cameras.values()]
+    assert sizes == [(side, side), (701, 801), (side, side)]
+    both = in_process(*words, tmp_path / "both", *(f"--image-size={k}=60{k},90{k}" for k in range(3)))
+    assert both.code == 0 and "assumed" not in both.stderr
+    sizes = [(c.n_lines, c.n_samples) for c in read_colmap_text(tmp_path / "both").cameras.values()]
+    assert sizes == [(600, 900), (601, 901), (602, 902)]
+
+
+@pytest.mark.parametrize("target", ["colmap-text", "colmap-database"])
+def test_a_size_of_an_image_that_is_not_there_is_refused(tmp_path: Path, target: str) -> None:
+    write_colmap_text(tmp_path / "sparse", frame_model(("none", "k1")))
+    bal, out = tmp_path / "problem.txt", tmp_path / "out"
+    assert in_process("convert", tmp_path / "sparse", "--from", "colmap-text", "--to", "bal", "--out", bal).code == 0
+    ended = in_process("convert", bal, "--from", "bal", "--to", target, "--out", out, "--image-size", "left=9,9")
+    assert ended.code == 2
+    assert "--image-size: the file has no such image (found left); choose one of 0, 1, 2" in ended.stderr
+    assert not out.exists()
+
+
+def test_sizes_beside_a_format_that_has_none_are_refused_too(tmp_path: Path) -> None:
+    ended = in_process("convert", matches(tmp_path), "--accept-unverified", "--to", "micmac-ties", "--out",
+                       tmp_path / "out", "--image-size", "c=9,9")  # fmt: skip
+    assert ended.code == 2
+    assert "the file has no such image (found c); choose one of a, b" in ended.stderr
 
 
 def test_cameras_that_bundler_cannot_hold_are_refused_by_name(tmp_path: Path) -> None:
