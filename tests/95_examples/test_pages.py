@@ -69,6 +69,7 @@ SLOW: dict[tuple[str, str], float] = {
     ("docs/mixed-blocks.md", ""): 15,
     ("docs/significance.md", "loo"): 12,
     ("docs/tutorials/calibrate.md", "closerange bundle"): 8,
+    ("docs/tutorials/stereo.md", "--figures"): 3,
     ("docs/how-to/eop-set.md", "reduce"): 2,
     ("docs/variance-components.md", ""): 15,
     ("docs/terminal.md", ""): 4,
@@ -140,6 +141,32 @@ def test_options_of_every_command_exist(name: str) -> None:
         for item in parts(fence):
             if isinstance(item, Command) and item.words and item.words[0] == "fg-orient":
                 pages.parse_command(item)
+
+
+def test_every_picture_is_small_told_in_words_and_shown() -> None:
+    """Alternative text for those who cannot see it; docs/pictures.py draws those of concepts and tutorials."""
+    shown: set[Path] = set()
+    for name, path in PAGES.items():
+        for words, target in re.findall(r"!\[(.*?)\]\((\S+?)\)", path.read_text("utf-8"), re.DOTALL):
+            picture = (path.parent / target).resolve()
+            assert picture.is_file(), (name, target)
+            assert len(words.split()) >= 3, (name, target)
+            shown.add(picture)
+    drawn = [p for folder in ("concepts", "tutorials") for p in (REPOSITORY / "docs" / "_static" / folder).iterdir()]
+    assert len(drawn) == 9
+    for picture in drawn:
+        assert picture in shown, picture
+        assert picture.stat().st_size < 150_000, picture
+
+
+@pytest.mark.slow
+def test_pictures_are_drawn_again(tmp_path: Path) -> None:
+    """By the script that stands in the documentation, under the same names."""
+    ended = pages.run_script(REPOSITORY / "docs" / "pictures.py", tmp_path)
+    assert ended.code == 0, ended.stderr
+    kept = REPOSITORY / "docs" / "_static"
+    drawn = {path.relative_to(tmp_path) for path in tmp_path.rglob("*.svg")}
+    assert drawn == {path.relative_to(kept) for path in (*kept.glob("concepts/*"), *kept.glob("tutorials/*"))}
 
 
 def start(name: str, prepared: Path, folder: Path) -> dict[str, Any]:
