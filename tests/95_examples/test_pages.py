@@ -153,7 +153,7 @@ def test_every_picture_is_small_told_in_words_and_shown() -> None:
             assert len(words.split()) >= 3, (name, target)
             shown.add(picture)
     drawn = [p for folder in ("concepts", "tutorials") for p in (REPOSITORY / "docs" / "_static" / folder).iterdir()]
-    assert len(drawn) == 9
+    assert len(drawn) == 8
     for picture in drawn:
         assert picture in shown, picture
         assert picture.stat().st_size < 150_000, picture
