@@ -145,8 +145,8 @@ def bundle(
     with outcome(as_json, debug, quiet, log):
         from fg_orient.closerange.bundle_job import run_bundle
 
-        if not 0.0 <= sigma_control < float("inf"):
-            raise InputError.of("closerange.sigma", place="--sigma-control", value=sigma_control)
+        if sigma_control != 0.0:
+            _positive("--sigma-control", sigma_control)
         with progress_bar("adjusting"):
             record = run_bundle(
                 points, photos, control=control, start=start, constraints=constraints,
@@ -207,8 +207,10 @@ def _words(text: str) -> list[str]:
 
 
 def _positive(place: str, value: float | None) -> float | None:
-    if value is not None and not (value > 0.0 and value != float("inf")):
-        raise InputError.of("closerange.sigma", place=place, value=value)
+    from fg_orient.closerange.fitting import require_sigmas
+
+    if value is not None:
+        require_sigmas(value, place)
     return value
 
 

@@ -16,8 +16,9 @@ from fg_orient.adjustment.network import DenseNetwork, Network, dependent
 from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.closerange.bundle_determined import require_determined, require_rays
 from fg_orient.closerange.bundle_network import Built, build
+from fg_orient.closerange.consistent import HELD, missed_most, require_consistent
 from fg_orient.closerange.constraints import Constraint
-from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
+from fg_orient.closerange.fitting import as_points, plain_reason, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.linear.system import MAX_UNKNOWNS
@@ -242,8 +243,8 @@ def adjust_bundle(
     InputError
         Sizes or values that do not fit; points without two rays; motions of the whole block that are open; unknowns
         that nothing determines (without a prior of their own their standard deviation exceeds 1000 times that of
-        their observations), named with their direction; hard constraints that depend on each other; more than 2000
-        unknowns.
+        their observations), named with their direction; hard constraints that depend on or contradict each other;
+        more than 2000 unknowns.
     NoSolutionError
         The iteration does not converge, or a point lies behind a photo.
     """
@@ -276,11 +277,27 @@ def _solved(built: Built, engine: Any, optimizer: str) -> LoopResult[Array]:
         require_determined(built, rows)
         found: LoopResult[Array] = OPTIMIZERS[optimizer](engine, network.start, MAX_ITERATIONS, tolerance=TOLERANCE)
         if not found.converged:
-            raise NoSolutionError.of("closerange.not_converged", place="bundle", reason=found.reason)
-        require_determined(built, network.rows(found.state))
+            raise _not_converged(network, plain_reason(found.reason))
+        rows = network.rows(found.state)
+        if len(rows.condition) and np.abs(rows.condition).max() > HELD:
+            require_consistent(network)
+        require_determined(built, rows)
     except (NotFiniteError, RuntimeError) as error:
-        raise NoSolutionError.of("closerange.not_converged", place="bundle", reason=error) from error
+        raise _not_converged(network, str(error)) from error
     return found
+
+
+def _not_converged(network: Network, reason: str) -> NoSolutionError:
+    """Why the loop ended; names the hard constraint that the start misses most.
+
+    Raises
+    ------
+    InputError
+        Hard constraints contradict each other.
+    """
+    require_consistent(network)
+    told = missed_most(network)
+    return NoSolutionError.of("closerange.not_converged", place="bundle", reason=f"{reason}{told}")  # type: ignore[return-value]
 
 
 def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, of: Index, sigma: Array) -> Bundle:

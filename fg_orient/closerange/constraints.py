@@ -14,6 +14,7 @@ from factors._contract import Equation
 from fg_orient.adjustment.network import Observation, Variable
 from fg_orient.closerange.surface_fit import fit_surface
 from fg_orient.errors import InputError
+from fg_orient.io.photos import LARGEST, SMALLEST
 
 Array = npt.NDArray[np.float64]
 
@@ -77,14 +78,13 @@ class Constraint:
             raise self.fault("members", n, f"{least}{'' if self.kind in EXACT else ' or more'} different ones")
         if (self.value_m is None) == (self.kind in MEASURED) or not (self.value_m is None or 0.0 < self.value_m < 1e9):
             raise self.fault("value_m", self.value_m, "a length above 0 for a distance or base, none for others")
-        if self.sigma is not None and not 0.0 < self.sigma < float("inf"):
+        if self.sigma is not None and not SMALLEST <= self.sigma <= LARGEST:
             raise self.fault("sigma", self.sigma, "a number above 0, or none: the constraint is then hard")
         known = FIGURES[self.kind].observable if self.kind in FIGURES else ()
         for name, (value, sigma) in self.observed.items():
-            if name not in known or not (np.isfinite(value) and 0.0 < sigma < float("inf")):
-                raise self.fault(
-                    f"observed {name}", f"{value} +- {sigma}", f"value and sigma of {', '.join(known) or '-'}"
-                )
+            if name not in known or not (0.0 < value <= LARGEST and SMALLEST <= sigma <= LARGEST):
+                expected = f"value and sigma of {', '.join(known) or '-'}, above 0"
+                raise self.fault(f"observed {name}", f"{value} +- {sigma}", expected)
         if self.axis not in AXES:
             raise self.fault("axis", self.axis, "x, y or z")
         turn = np.asarray(self.offset, float)
@@ -98,7 +98,8 @@ class Constraint:
 
     def fault(self, place: str, value: object, expected: str) -> InputError:
         """What is wrong with the constraint."""
-        text = f"{self.kind} of {len(self.members)}" if self.kind in LEAST else "constraint"
+        text = f"{self.kind} of {', '.join(self.members[:6])}" if self.kind in LEAST else "constraint"
+        text += ", ..." if len(self.members) > 6 else ""
         return InputError.of("closerange.constraint", place=f"{text}, {place}", value=value, expected=expected)  # type: ignore[return-value]
 
 

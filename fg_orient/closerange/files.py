@@ -15,6 +15,7 @@ import numpy.typing as npt
 from factors.image_corrections import NAMES
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.errors import InputError
+from fg_orient.io.photos import LARGEST, SMALLEST
 from fg_orient.io.tables import Faults, Row, Table, number, read_table
 
 if TYPE_CHECKING:
@@ -88,6 +89,8 @@ def _read(path: Path, layouts: list[tuple[str, ...]]) -> Observed:
     sigma = _numbers(rows, sigma_names, faults)
     for row, values in zip(rows, sigma, strict=True):
         for name, value in zip(sigma_names, values, strict=True):
+            if 0.0 < value < SMALLEST:
+                faults.add("closerange.sigma_range", place=row.place(name), value=value, least=SMALLEST, limit=LARGEST)
             if value <= 0.0:
                 faults.add("rectify.positive", place=row.place(name), value=value, unit="the unit of the coordinates")
     found = Observed(
@@ -106,9 +109,12 @@ def _has(table: Table | None, column: str) -> bool:
 
 
 def _numbers(rows: Sequence[Row], names: Sequence[str], faults: Faults) -> Array:
-    return np.array([[number(row, name, faults) for name in names] for row in rows], float).reshape(
-        len(rows), len(names)
-    )
+    """Numbers (n, k) of some columns, none larger than ``LARGEST``."""
+    out = np.array([[number(row, name, faults) for name in names] for row in rows], float)
+    out = out.reshape(len(rows), len(names))
+    for k, j in np.argwhere(np.abs(out) > LARGEST):
+        faults.add("closerange.range", place=rows[k].place(names[j]), value=out[k, j], limit=LARGEST)
+    return out
 
 
 def _is_check(row: Row, faults: Faults) -> bool:

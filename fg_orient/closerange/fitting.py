@@ -16,6 +16,7 @@ from factors._contract import Equation, evaluate
 from fg_orient.adjustment.dense import DenseStep, DenseSystem
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.io.photos import LARGEST, SMALLEST
 
 Array = npt.NDArray[np.float64]
 #: Whitened residuals (n,) and their derivatives (n, u) at a state; without derivatives (0, u).
@@ -122,11 +123,16 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
     """
     found = OPTIMIZERS["levenberg-marquardt"](_Backend(rows, moved or np.add), start, MAX_ITERATIONS)
     if not found.converged:
-        raise NoSolutionError.of("closerange.not_converged", place=what, reason=found.reason)
+        raise NoSolutionError.of("closerange.not_converged", place=what, reason=plain_reason(found.reason))
     residual, design = rows(found.state, True)
     if not (np.isfinite(residual).all() and np.isfinite(design).all()):
         raise NoSolutionError.of("closerange.not_converged", place=what, reason="an equation has no finite value")
     return Adjusted(found.state, residual, design, found.log)
+
+
+def plain_reason(reason: str) -> str:
+    """Why a loop ended, without the options of ``adjust`` that it advises: close range has none of them."""
+    return reason.partition(": ")[0]
 
 
 def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Sequence[Array] = ()) -> Rows:
@@ -190,7 +196,7 @@ def plain_rms(values: Array) -> list[float | None]:
 
 
 def as_points(values: npt.ArrayLike, width: int, place: str, error: Callable[..., Any]) -> Array:
-    """Finite numbers (n, width).
+    """Finite numbers (n, width), at most ``LARGEST`` in size.
 
     Raises
     ------
@@ -200,11 +206,13 @@ def as_points(values: npt.ArrayLike, width: int, place: str, error: Callable[...
     out = np.atleast_2d(np.ascontiguousarray(values, dtype=float))
     if out.ndim != 2 or out.shape[1] != width or not len(out) or not np.isfinite(out).all():
         raise error("closerange.points", place=place, value=f"shape {out.shape}", width=width)
+    if np.abs(out).max() > LARGEST:
+        raise error("closerange.range", place=place, value=float(out.flat[np.abs(out).argmax()]), limit=LARGEST)
     return out
 
 
 def require_sigmas(sigma: npt.ArrayLike, place: str = "sigma") -> None:
-    """Refuse standard deviations that are not finite and above zero.
+    """Refuse standard deviations that are not finite and above zero, or of a size that nothing here has.
 
     Raises
     ------
@@ -215,3 +223,7 @@ def require_sigmas(sigma: npt.ArrayLike, place: str = "sigma") -> None:
     possible = np.isfinite(values) & (values > 0.0)
     if not possible.all():
         raise InputError.of("closerange.sigma", place=place, value=float(values[~possible][0]))
+    within = (values >= SMALLEST) & (values <= LARGEST)
+    if not within.all():
+        raise InputError.of("closerange.sigma_range", place=place, value=float(values[~within][0]), least=SMALLEST,
+                            limit=LARGEST)  # fmt: skip

@@ -158,15 +158,16 @@ def _iterated(
     matrices: Array, ideal: Array, size: Array, of: Index, points: Array, names: Sequence[str], reweighted: bool
 ) -> tuple[Array, int]:
     """Gauss-Newton, each point for itself; ends when no step is above rounding or the largest no longer shrinks."""
-    before = np.inf
+    before, length = np.inf, np.full(len(points), np.inf)
     for iteration in range(1, _ITERATIONS + 1):
-        residuals, slopes, _ = _rows(matrices, ideal, points[of], reweighted)
-        white = slopes / size[:, :, None]
-        normal, right = _summed(white, white, of, len(points)), np.zeros_like(points)
-        np.add.at(right, of, -np.einsum("mij,mi->mj", white, residuals / size))
-        step = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-        points = points + step
-        length = np.linalg.norm(step, axis=1) / (np.linalg.norm(points, axis=1) + np.finfo(float).tiny)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a point that runs away ends the loop
+            residuals, slopes, _ = _rows(matrices, ideal, points[of], reweighted)
+            white = slopes / size[:, :, None]
+            normal, right = _summed(white, white, of, len(points)), np.zeros_like(points)
+            np.add.at(right, of, -np.einsum("mij,mi->mj", white, residuals / size))
+            step = _solved(normal, right)
+            points = points + step
+            length = np.linalg.norm(step, axis=1) / (np.linalg.norm(points, axis=1) + np.finfo(float).tiny)
         largest = float(length.max())
         if not np.isfinite(largest):
             break
@@ -176,6 +177,18 @@ def _iterated(
     worst = names[int(np.nanargmax(np.where(np.isfinite(length), length, np.inf)))]
     raise NoSolutionError.of("closerange.not_converged", place=f"intersection of point {worst}",
                              reason=f"no convergence within {_ITERATIONS} iterations")  # fmt: skip
+
+
+def _solved(normal: Array, right: Array) -> Array:
+    """Solutions (n, 3); nan where a normal matrix is singular or not finite."""
+    try:
+        return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :, 0])
+    except np.linalg.LinAlgError:
+        finite = np.where(np.isfinite(normal).all(axis=(1, 2)), 1.0, 0.0)
+        good = np.linalg.matrix_rank(np.nan_to_num(normal) * finite[:, None, None]) == 3
+        out = np.full_like(right, np.nan)
+        out[good] = np.linalg.solve(normal[good], right[good][:, :, None])[:, :, 0]
+        return out
 
 
 def _require_depth(

@@ -150,6 +150,7 @@ def resect(
     tangents = interior.tangents(measured)
     poses = start_poses(ground, tangents)
     if not poses:
+        _require_off_line(ground)
         raise NoSolutionError.of("closerange.no_start", place="resection", value=f"{len(ground)} points")
     found, failures = list[Resection](), list[FgOrientError]()
 
@@ -162,10 +163,18 @@ def resect(
     for pose in poses[:TRIED]:
         descend(pose)
     if not found:
+        _require_off_line(ground)
         raise failures[0]
     first = min(found, key=attrgetter("weighted_squares"))
     descend(_mirrored((first.rotation, first.centre_m), ground))
     return _with_rival(found, ground)
+
+
+def _require_off_line(ground: Array) -> None:
+    """Where no pose was found: points as close to a line as a turn about it needs to be ``UNDETERMINED`` are why."""
+    along, across = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(ground))
+    if across * UNDETERMINED <= along or along == 0.0:
+        raise InputError.of("closerange.line", place="resection", value=f"{across:.2g} m rms across, {along:.2g} along")
 
 
 def _with_rival(found: list[Resection], ground: Array) -> Resection:

@@ -32,12 +32,14 @@ from fg_orient.closerange.profile import followed, held, reach
 from fg_orient.closerange.surface import Kind, Surface
 from fg_orient.closerange.surface_models import Model, models_of
 from fg_orient.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.io.photos import LARGEST, SMALLEST
 
 Array = npt.NDArray[np.float64]
 Method = Literal["geometric", "algebraic"]
 #: Names with prior values and sigmas, m.
 Priors = Mapping[str, tuple[float, float]]
 
+SEMI_AXES: Final = ("a", "b", "c")
 METHODS: Final = ("geometric", "algebraic")
 #: Parts of a direction below this share of its largest are not named.
 NAMED: Final = 0.1
@@ -173,10 +175,10 @@ def fit_surface(
 
 def _require_priors(model: Model, priors: Priors, method: str) -> Priors:
     for name, (value, sigma) in priors.items():
-        possible = np.isfinite(value) and np.isfinite(sigma) and sigma > 0.0
+        possible = abs(value) <= LARGEST and SMALLEST <= sigma <= LARGEST and (value > 0.0 or name not in SEMI_AXES)
         lengths = [known for known, flag in zip(model.names, model.is_length, strict=True) if flag]
         if name not in lengths or method != "geometric" or not possible:
-            raise InputError.of("closerange.prior", place=name, value=f"{value} +- {sigma}",
+            raise InputError.of("closerange.prior", place=f"prior {name}", value=f"{value} +- {sigma}",
                                 known=", ".join(lengths))  # fmt: skip
     return priors
 
@@ -262,7 +264,7 @@ def _geometric(given: _Points, model: Model, priors: Priors) -> Rows:
 
 def _semi_axes(model: Model, priors: Priors) -> list[int]:
     """Unknowns that are semi-axes without a prior, that of revolution first: whatever else is open moves them."""
-    return [k for k, name in enumerate(model.names) if name in ("a", "b", "c") and name not in priors][::-1]
+    return [k for k, name in enumerate(model.names) if name in SEMI_AXES and name not in priors][::-1]
 
 
 def _least(given: _Points, model: Model, state: Array, priors: Priors) -> tuple[Array, float] | None:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from pydantic import Field, ValidationError
 
 from fg_orient.errors import InputError
-from fg_orient.io.photos import Number, Three
+from fg_orient.io.photos import Positive, Three
 from fg_orient.io.project import parse_toml
 from fg_orient.io.schema import Text, problems_of
 from fg_orient.io.schema import _Table as Table
-
-Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
 
 
 class ConstraintEntry(Table):
@@ -23,7 +20,7 @@ class ConstraintEntry(Table):
     members: tuple[Text, ...] = Field(min_length=1, description='ids of points (or names of photos): ["1", "2"]')
     value_m: Positive | None = Field(default=None, description="a distance or base, m")
     sigma: Positive | None = Field(default=None, description="m (rad for angles) above 0; without it it is hard")
-    observed: dict[str, tuple[Number, Positive]] = Field(default={}, description="name = [value, sigma], m")
+    observed: dict[str, tuple[Positive, Positive]] = Field(default={}, description="name = [value, sigma], m, above 0")
     axis: Text = Field(default="y", description='"x", "y" or "z"')
     offset: tuple[Three, Three, Three] | None = Field(default=None, description="three rows of three numbers")
 

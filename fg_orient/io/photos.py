@@ -8,16 +8,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
+import numpy as np
 from pydantic import Field, ValidationError
 
 from fg_orient.errors import InputError, problem
 from fg_orient.io.project import parse_toml
 from fg_orient.io.schema import Text, problems_of
 from fg_orient.io.schema import _Table as Table
+from fg_orient.sensors.frame import ORTHONORMAL
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+#: Coordinates beyond this (m, mm or pixels) have not a tenth of a unit's thousandth left in double precision.
+LARGEST: Final = 1e12
+#: Standard deviations and focal lengths below this belong to no measurement, in any unit.
+SMALLEST: Final = 1e-12
+#: Coefficients, of coordinates in m to the power of -7 at most.
+_COEFFICIENT: Final = 1e30
+
+Number = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Field(strict=True, ge=SMALLEST, le=LARGEST)]
+Coefficient = Annotated[float, Field(strict=True, ge=-_COEFFICIENT, le=_COEFFICIENT)]
 Two = tuple[Number, Number]
 Three = tuple[Number, Number, Number]
 Four = tuple[Number, Number, Number, Number]
@@ -27,22 +38,22 @@ class PhotoEntry(Table):
     """One ``[[photos]]`` table."""
 
     name: Text = Field(description='a name in quotes, such as "left"')
-    focal: Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)] | None = Field(
-        default=None, description="the principal distance, in the unit of the image coordinates, above 0"
+    focal: Positive | None = Field(
+        default=None, description="the principal distance, in the unit of the image coordinates, 1e-12 to 1e12"
     )
-    principal: Two = Field(default=(0.0, 0.0), description="x and y of the principal point: [0.0, 0.0]")
+    principal: Two = Field(default=(0.0, 0.0), description="x and y of the principal point, at most 1e12: [0.0, 0.0]")
     y_axis: Literal["up", "down"] = Field(default="up", description='"up" or "down"')
-    k1: Number = Field(default=0.0, description="a number")
-    k2: Number = Field(default=0.0, description="a number")
-    k3: Number = Field(default=0.0, description="a number")
-    p1: Number = Field(default=0.0, description="a number")
-    p2: Number = Field(default=0.0, description="a number")
-    affinity_a: Number = Field(default=0.0, description="a number")
-    affinity_b: Number = Field(default=0.0, description="a number")
+    k1: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    k2: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    k3: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    p1: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    p2: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    affinity_a: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    affinity_b: Coefficient = Field(default=0.0, description="a number, at most 1e30")
     rotation: tuple[Three, Three, Three] | None = Field(default=None, description="three rows of three numbers")
-    centre_m: Three | None = Field(default=None, description="three numbers, m")
+    centre_m: Three | None = Field(default=None, description="three numbers, m, at most 1e12")
     matrix: tuple[Four, Four, Four] | None = Field(default=None, description="three rows of four numbers")
-    origin_m: Three = Field(default=(0.0, 0.0, 0.0), description="three numbers, m")
+    origin_m: Three = Field(default=(0.0, 0.0, 0.0), description="three numbers, m, at most 1e12")
 
     @property
     def corrections(self) -> tuple[float, ...]:
@@ -78,7 +89,7 @@ def read_photos(path: Path) -> Photos:
     Raises
     ------
     InputError
-        All faults of the file; a name that occurs twice.
+        All faults of the file; a name that occurs twice, a rotation that is none.
     """
     try:
         found = PhotoFile.model_validate(parse_toml(path))
@@ -88,5 +99,18 @@ def read_photos(path: Path) -> Photos:
     for k, entry in enumerate(found.photos):
         if entry.name in entries:
             raise InputError(problem("project.image_twice", file=path, place=f"photos[{k + 1}].name", value=entry.name))
+        _require_rotation(entry, f"photos[{k + 1}].rotation of {entry.name}", path)
         entries[entry.name] = entry
     return Photos(str(path), entries)
+
+
+def _require_rotation(entry: PhotoEntry, place: str, path: Path) -> None:
+    """Refuse a matrix that is no rotation: by as much as ``sensors.frame`` does."""
+    if entry.rotation is None:
+        return
+    turn = np.array(entry.rotation)
+    away = float(np.abs(turn @ turn.T - np.eye(3)).max())
+    if away > ORTHONORMAL or np.linalg.det(turn) < 0.0:
+        value = f"{away:.1e} from orthonormal" if away > ORTHONORMAL else "a mirror image"
+        raise InputError.of("closerange.camera", file=path, place=place, value=value,
+                            expected="rows that are unit vectors at right angles, right-handed")  # fmt: skip

@@ -200,10 +200,18 @@ def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Problem,
 def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tuple[Problem, ...]:
     """Every fault of a file that should have been a ``root``, with its place and remedy."""
     places: dict[str, Problem] = {}
-    for detail in error.errors(include_url=False, include_context=False):
+    details = error.errors(include_url=False, include_context=False)
+    for detail in details:
+        if detail["type"] == "too_short" and any(_inside(other["loc"], detail["loc"]) for other in details):
+            continue  # an array counts as short of those of its items that have faults of their own
         found = _problem(detail["type"], detail["loc"], detail["input"], file, root)
         places.setdefault(found.place, found)  # a union reports one fault per member
     return tuple(places.values())
+
+
+def _inside(loc: tuple[int | str, ...], outer: tuple[int | str, ...]) -> bool:
+    """Whether a place lies inside another one."""
+    return len(loc) > len(outer) and loc[: len(outer)] == outer
 
 
 def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, root: type[BaseModel]) -> Problem:

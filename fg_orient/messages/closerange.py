@@ -6,6 +6,14 @@ from typing import Final
 
 CLOSERANGE: Final = {
     "closerange.points": ("points are finite numbers, {width} a row", "check the values"),
+    "closerange.range": (
+        "the number is too large: no digit of a coordinate would be left",
+        "give at most {limit:g} in size; look for a slip or another unit",
+    ),
+    "closerange.sigma_range": (
+        "no standard deviation has this size",
+        "give {least:g} to {limit:g}, in the unit of the points",
+    ),
     "closerange.sigma": ("standard deviations are finite numbers above 0", "give them in the unit of the points"),
     "closerange.relative": (
         "a standard deviation in metres or radians means nothing beside points of {points} that have none: their "
@@ -22,7 +30,8 @@ CLOSERANGE: Final = {
     "closerange.method": ("no such method", "choose one of {known}"),
     "closerange.few": ("too few points", "give {least} or more"),
     "closerange.prior": (
-        "no such observed parameter, or a sigma that is not above 0; the algebraic method and quadrics take none",
+        "no such observed parameter, or a value or sigma that is not possible (lengths are above 0); the algebraic "
+        "method and quadrics take none",
         "choose one of {known}",
     ),
     "closerange.undetermined": (
@@ -77,7 +86,10 @@ CLOSERANGE: Final = {
         "the points do not determine the relative orientation (too close together, or on a plane through the base)",
         "measure points that fill the common part of both photos, at several depths",
     ),
-    "closerange.line": ("the points lie on a line or at one place", "add points beside it"),
+    "closerange.line": (
+        "the points lie on a line or at one place, which leaves the turn about it open",
+        "add points beside it",
+    ),
     "closerange.no_camera": ("the photo has no camera", "give its focal, principal and y_axis"),
     "closerange.not_oriented": (
         "the photo is not oriented",
@@ -88,6 +100,10 @@ CLOSERANGE: Final = {
     "closerange.dependent": (
         "this hard constraint follows from the others, or contradicts them",
         "leave it out, or give it a sigma",
+    ),
+    "closerange.contradiction": (
+        "these hard constraints cannot hold together: {names}",
+        "look for a wrong value or member; give them sigmas, or leave one out",
     ),
     "closerange.member": ("the constraint names a point or photo that is not there", "choose one of {known}"),
     "closerange.backend": (

@@ -134,6 +134,13 @@ def test_two_levels_end_with_2_and_a_prior_helps(tmp_path: Path, land: Array) ->
         (("resect", "control.csv", "twice.toml"), "used twice"),
         (("resect", "control.csv", "bare.toml"), "the photo has no camera"),
         (("intersect", "image.csv", "cameras.toml"), "the photo is not oriented"),
+        (("intersect", "image.csv", "skew.toml"), "skew.toml, photos[1].rotation of left: this value of the camera is"),
+        (("resect", "line.csv", "cameras.toml"), "photo left, resection: the points lie on a line or at one place"),
+        (("dlt", "large.csv"), "large.csv, line 2, column x: the number is too large"),
+        (("surface", "large.csv", "--kind", "sphere"), "line 1"),
+        (("surface", "far.csv", "--kind", "sphere"), "far.csv, line 2, column z_m: the number is too large"),
+        (("surface", "points.csv", "--kind", "spheroid", "--sigma", "1", "--prior", "b=-1:1"), "(lengths are above 0)"),
+        (("resect", "control.csv", "large.toml"), "large.toml, photos[1].focal: the value is not allowed"),
         (("intersect", "alone.csv", "flat.toml"), "the matrix of a central projection"),
         (("intersect", "control.csv", "cameras.toml"), "line 1"),
         (("surface", "image.csv", "--kind", "sphere"), "line 1"),
@@ -147,10 +154,22 @@ def test_bad_input_ends_with_2_and_one_sentence(folder: tuple[Path, Array], word
     entry = 'schema = 1\n[[photos]]\nname = "left"\n'
     for name, more in (("bare", ""), ("bad", "focal = -1.0\n"), ("extra", "focl = 60.0\n"),
                        ("twice", f"focal = 60.0\n{entry[11:]}focal = 60.0\n"),
+                       ("large", "focal = 1e300\n"),
+                       ("skew", "focal = 60.0\ncentre_m = [0.0, 0.0, 0.0]\nrotation = [[1.0, 0.0, 0.0], "
+                        "[0.1, 1.0, 0.0], [0.0, 0.0, 1.0]]\n"),
                        ("flat", "matrix = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 1.0, 0.0, 1.0]]\n"),
                        ):  # fmt: skip
         (path / f"{name}.toml").write_text(entry + more, "utf-8")
     (path / "one.toml").write_text(CAMERAS.replace('"left"', '"middle"'), "utf-8")
+    head, first, *_ = (path / "control.csv").read_text("utf-8").splitlines()
+    cells = first.split(",")
+    (path / "large.csv").write_text(f"{head}\n{','.join([*cells[:3], '1e300', *cells[4:]])}\n", "utf-8")
+    (path / "far.csv").write_text("id,x_m,y_m,z_m\n1,0.0,0.0,-1e150\n", "utf-8")
+    along = np.array([10.6, 25.0, 2.0]) + np.linspace(-1.0, 1.0, 6)[:, None] * [0.7, 0.3, 0.2]
+    image = photos(1e-5)[0].project(along) + np.random.default_rng(3).normal(scale=0.005, size=(6, 2))
+    rows = [f"{k},left,control,{','.join(repr(float(v)) for v in (*xy, *p))}"
+            for k, (p, xy) in enumerate(zip(along, image, strict=True))]  # fmt: skip
+    (path / "line.csv").write_text("\n".join([head, *rows, ""]), "utf-8")
     (path / "alone.csv").write_text("id,photo,x,y\n1,left,1.0,2.0\n", "utf-8")
     given = [path / w if "." in w and not w.startswith("-") and w[0].isalpha() else w for w in words]
     done = run("closerange", *given)

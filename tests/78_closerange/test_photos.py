@@ -23,7 +23,7 @@ from fg_orient.closerange.orientation import absolute_orientation, relative_orie
 from fg_orient.closerange.parallax import normal_case, turned_about_z
 from fg_orient.closerange.photo import Interior, Photo, corrections_of
 from fg_orient.closerange.resection import resect, three_point_poses
-from fg_orient.errors import FgOrientError, InputError
+from fg_orient.errors import FgOrientError, InputError, NoSolutionError
 from fg_orient.reproduce import ayhan1996_photos as thesis
 
 from .conftest import Array, Reference
@@ -286,12 +286,22 @@ def test_far_control_in_a_plane_tells_its_second_pose() -> None:
         assert resect(camera, points, image, sigma=0.001).rival is None
 
 
+def test_an_intersection_that_becomes_singular_names_its_point() -> None:
+    camera, photos, rotations, points = scene(12, 4)
+    far = Photo.of("far", Interior(1e11), rotations[1], photos[1].origin_m)
+    image = np.vstack([p.project(points) for p in photos])
+    with pytest.raises(NoSolutionError, match="intersection of point a"):
+        intersect_photos([photos[0], far], np.repeat([0, 1], 4), np.tile(np.arange(4), 2), image, ids=list("abcd"))
+
+
 def test_resection_refuses_points_on_a_line() -> None:
     camera, photos, _, points = scene(12, 6)
     line = points[0] + np.linspace(0.0, 1.0, 6)[:, None] * (points[1] - points[0])
-    with pytest.raises(FgOrientError) as caught:
-        resect(camera, line, photos[0].project(line), sigma=0.003)
-    assert caught.value.problems[0].code in {"closerange.no_start", "closerange.pose"}
+    for noise in (0.0, 0.003):  # without noise no start or no accuracy, with it no convergence: the cause is one
+        image = photos[0].project(line) + np.random.default_rng(1).normal(scale=noise, size=(6, 2))
+        with pytest.raises(InputError) as caught:
+            resect(camera, line, image, sigma=0.003)
+        assert caught.value.problems[0].code == "closerange.line"
     with pytest.raises(InputError, match="too few"):
         resect(camera, points[:3], photos[0].project(points[:3]))
 

@@ -98,6 +98,14 @@ def test_a_project_with_constraints_is_sent_to_the_bundle(tmp_path: Path) -> Non
         (("--constraints", "soft.toml"), "soft.toml, constraints[2].sigma: a standard deviation in metres or radians"),
         (("--constraints", "seen.toml"), "seen.toml, constraints[1].observed.radius: a standard deviation in metres"),
         ((), "the photo is not oriented"),
+        (("--constraints", "twice.toml"), "distance of p12, p10: this hard constraint follows from the others, or"),
+        (("--constraints", "far.toml"), "cannot hold together: distance of p1, p10; distance of p2, p10 (found 24.4 l"),
+        (("--constraints", "held.toml"), "distance of p1, p2, members: this constraint is not possible"),
+        (("--constraints", "value.toml"), "value.toml, constraints[1].value_m: the value is not allowed (found -1.0)"),
+        (("--constraints", "minus.toml"), "minus.toml, constraints[1].observed: the value is not allowed"),
+        (("--control", "large.csv"), "large.csv, line 2, column x_m: the number is too large"),
+        (("--sigma", "1e300"), "--sigma: no standard deviation has this size"),
+        (("--sigma-control", "1e-300"), "--sigma-control: no standard deviation has this size"),
     ],
 )
 def test_bad_input_ends_with_2_and_one_sentence(tmp_path: Path, words: tuple[str, ...], text: str) -> None:
@@ -106,10 +114,17 @@ def test_bad_input_ends_with_2_and_one_sentence(tmp_path: Path, words: tuple[str
     (tmp_path / "kind.toml").write_text(entry + 'kind = "knot"\n', "utf-8")
     (tmp_path / "field.toml").write_text(entry + 'kind = "distance"\nvalue = 1.0\n', "utf-8")
     (tmp_path / "member.toml").write_text(entry.replace("p10", "p99") + 'kind = "distance"\nvalue_m = 1.0\n', "utf-8")
+    fixed = '[[constraints]]\nkind = "distance"\nmembers = ["{}", "{}"]\nvalue_m = {}\n'
+    for name, stated in (("twice", (("p10", "p12", 0.5), ("p12", "p10", 0.6))), ("held", (("p1", "p2", 1.0),)),
+                         ("far", (("p1", "p10", 0.5), ("p2", "p10", 50.0))),
+                         ("value", (("p10", "p12", -1.0),))):  # fmt: skip
+        (tmp_path / f"{name}.toml").write_text("".join(fixed.format(*one) for one in stated), "utf-8")
     other = '[[constraints]]\nmembers = ["p10", "p11", "p12", "p13"]\n'
     (tmp_path / "soft.toml").write_text(
         f'{other}kind = "plane"\n{entry}kind = "distance"\nvalue_m = 1.0\nsigma = 0.001\n', "utf-8"
     )
+    (tmp_path / "minus.toml").write_text(other + 'kind = "sphere"\nobserved = { radius = [-0.8, 0.001] }\n', "utf-8")
+    (tmp_path / "large.csv").write_text("id,x_m,y_m,z_m\np0,1e300,1.0,1.0\n", "utf-8")
     (tmp_path / "seen.toml").write_text(other + 'kind = "sphere"\nobserved = { radius = [0.8, 0.001] }\n', "utf-8")
     rows = (tmp_path / "control.csv").read_text("utf-8").splitlines()
     names = ",sigma_x_m,sigma_y_m,sigma_z_m"
@@ -120,3 +135,16 @@ def test_bad_input_ends_with_2_and_one_sentence(tmp_path: Path, words: tuple[str
     done = run("closerange", "bundle", tmp_path / "image.csv", tmp_path / "cameras.toml", *control, *given)
     assert done.code == 2
     assert done.stderr.startswith("error: ") and text in done.stderr
+    if words:
+        assert done.stderr.count("\n") == 1
+
+
+def test_a_hard_constraint_that_the_images_contradict_is_named(tmp_path: Path) -> None:
+    """It can be met, but not by anything near the images: the loop does not converge."""
+    written(tmp_path)
+    entry = '[[constraints]]\nkind = "base"\nmembers = ["ph0", "ph1"]\nvalue_m = 300.0\n'
+    (tmp_path / "base.toml").write_text(entry, "utf-8")
+    done = run("closerange", "bundle", tmp_path / "image.csv", tmp_path / "cameras.toml", "--control",
+               tmp_path / "control.csv", "--constraints", tmp_path / "base.toml")  # fmt: skip
+    assert done.code == 3 and "--max-iterations" not in done.stderr
+    assert "(the start misses the hard constraint base of ph0, ph1 by 29" in done.stderr

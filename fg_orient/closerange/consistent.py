@@ -1,0 +1,87 @@
+"""Whether hard conditions can hold together: a search for a state that meets them all, observations left aside."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import NotFiniteError
+from fg_orient.adjustment.network import Network
+from fg_orient.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+#: A condition (m, or a sine) holds if no more than this is left: rounding of coordinates of 1e6 m.
+HELD: Final = 1e-9
+#: Conditions with this share of the largest misfit are named.
+NAMED: Final = 0.1
+_STEPS: Final = 300
+#: Smallest damping, by the square of the largest singular value.
+_DAMPING: Final = 1e-12
+#: Steps by the unknowns that are rounding.
+ROUNDING: Final = 1e-15
+
+
+def require_consistent(network: Network) -> None:
+    """Refuse hard conditions without a common solution near the start.
+
+    The least sum of their squares (Levenberg-Marquardt): what is left of a condition there is its part in a conflict.
+
+    Raises
+    ------
+    InputError
+        Names the conditions that stay unmet.
+    """
+    hard = _hard(network)
+    if not hard.observations:
+        return
+    try:
+        left = _least(hard)
+    except NotFiniteError:
+        return
+    largest = float(np.abs(left).max())
+    if largest > HELD:
+        named = [label for label, c in zip(_labels(hard), left, strict=True) if abs(c) >= NAMED * largest]
+        raise InputError.of("closerange.contradiction", place="bundle", value=f"{largest:.3g} left",
+                            names="; ".join(dict.fromkeys(named)))  # fmt: skip
+
+
+def missed_most(network: Network) -> str:
+    """Words on the hard condition that the start is farthest from; "" without any."""
+    hard = _hard(network)
+    if not hard.observations:
+        return ""
+    away = np.abs(hard.rows(hard.start, jacobian=False).condition)
+    return f" (the start misses the hard constraint {_labels(hard)[int(np.argmax(away))]} by {away.max():.3g})"
+
+
+def _hard(network: Network) -> Network:
+    return Network(network.variables, tuple(o for o in network.observations if o.hard))
+
+
+def _labels(hard: Network) -> list[str]:
+    """Label of each condition (h,)."""
+    return [o.label for o in hard.observations for _ in range(o.n_residuals)]
+
+
+def _least(hard: Network) -> Array:
+    """Conditions (h,) where their sum of squares is least: where they conflict, by how much each of them does."""
+    state, damping = hard.start, _DAMPING
+    rows = hard.rows(state)
+    for _ in range(_STEPS):
+        if np.abs(rows.condition).max() <= HELD:
+            break
+        # of the scaled conditions, the least ones with the shortest way
+        size = float(np.linalg.norm(rows.border, 2))
+        square = rows.border @ rows.border.T + damping * size**2 * np.eye(len(rows.condition))
+        step = -rows.border.T @ np.linalg.solve(square, rows.condition)
+        trial = hard.rows(state + step)
+        if trial.condition @ trial.condition < rows.condition @ rows.condition:
+            state, rows, damping = state + step, trial, max(0.1 * damping, _DAMPING)
+        else:
+            damping *= 10.0
+        if np.linalg.norm(step) <= ROUNDING * np.linalg.norm(state):
+            break
+    return rows.condition
