@@ -287,7 +287,7 @@ def test_far_control_in_a_plane_tells_its_second_pose() -> None:
 
 
 def test_an_intersection_that_becomes_singular_names_its_point() -> None:
-    camera, photos, rotations, points = scene(12, 4)
+    _, photos, rotations, points = scene(12, 4)
     far = Photo.of("far", Interior(1e11), rotations[1], photos[1].origin_m)
     image = np.vstack([p.project(points) for p in photos])
     with pytest.raises(NoSolutionError, match="intersection of point a"):
