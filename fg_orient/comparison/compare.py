@@ -19,7 +19,7 @@ from factors.warmup import compile_kernels
 from fg_orient.block import Block
 from fg_orient.comparison import selection
 from fg_orient.comparison.engines import Adjustments, Published
-from fg_orient.comparison.model import BACKENDS, GRAPH_SOLVER, TYPES, Comparison, Row, Spectrum
+from fg_orient.comparison.model import BACKENDS, GRAPH_SOLVER, TYPES, Comparison, Curve, Direction, Row, Spectrum
 from fg_orient.errors import InputError
 from fg_orient.linear.registry import solvers as known_solvers
 from fg_orient.linear.threads import one_blas_thread
@@ -96,13 +96,13 @@ def compare(
     if workers <= 1 and cluster is None and folder is None:
         run = _Run(len(numbers) * plan.per_set, plan, callback)
         run.take(block, numbers)
-        rows, spectra = run.rows, run.spectra
     else:
-        rows, spectra = _shared(block, plan, numbers, workers, cluster, folder, callback)
+        run = _shared(block, plan, numbers, workers, cluster, folder, callback)
     degree = block.options.look_polynomial if look_polynomial is None else look_polynomial
     return Comparison(
-        block=replace(block, options=replace(block.options, look_polynomial=degree)), rows=tuple(rows),
-        spectra=tuple(spectra), target_m=target, eop_sets=numbers, solvers=names, backends=engines, types=kinds,
+        block=replace(block, options=replace(block.options, look_polynomial=degree)), rows=tuple(run.rows),
+        spectra=tuple(run.spectra), directions=tuple(run.directions), curves=tuple(run.curves),
+        target_m=target, eop_sets=numbers, solvers=names, backends=engines, types=kinds,
         as_run=as_run, seconds=time.perf_counter() - start,
         labels={GRAPH_SOLVER: "GTSAM"} | {name: known_solvers()[name].label for name in names},
     )  # fmt: skip
@@ -129,7 +129,7 @@ class _Plan:
 def _shared(
     block: Block, plan: _Plan, numbers: tuple[int, ...], workers: int, cluster: Any, folder: str | Path | None,
     callback: Progress | None,
-) -> tuple[list[Row], list[Spectrum]]:  # fmt: skip
+) -> _Run:  # fmt: skip
     """Rows and spectra of all sets, each a case of a study."""
 
     def tell(done: int, of: int, number: int) -> None:
@@ -140,8 +140,13 @@ def _shared(
         partial(_one_set, block, plan), list(numbers), workers=workers, cluster=cluster, folder=folder,
         key=_key(block, plan), callback=tell,
     )  # fmt: skip
-    rows = [Row(**{**row, "notes": tuple(row["notes"])}) for of_set in found for row in of_set["rows"]]
-    return rows, [Spectrum(**spectrum) for of_set in found for spectrum in of_set["spectra"]]
+    run = _Run(len(numbers) * plan.per_set, plan, None)
+    for of_set in found:
+        run.rows += [Row(**{**row, "notes": tuple(row["notes"])}) for row in of_set["rows"]]
+        run.spectra += [Spectrum(**spectrum) for spectrum in of_set["spectra"]]
+        run.directions += [Direction(**direction) for direction in of_set["directions"]]
+        run.curves += [Curve.from_dict(curve) for curve in of_set["curves"]]
+    return run
 
 
 def _key(block: Block, plan: _Plan) -> str:
@@ -161,15 +166,20 @@ def _one_set(block: Block, plan: _Plan, number: int) -> dict[str, Any]:
     compile_kernels()
     run = _Run(plan.per_set, plan, None)
     run.take(block, (number,))
-    return {"rows": [asdict(row) for row in run.rows], "spectra": [asdict(spectrum) for spectrum in run.spectra]}
+    parts: dict[str, list[Any]] = {
+        "rows": run.rows, "spectra": run.spectra, "directions": run.directions, "curves": run.curves,
+    }  # fmt: skip
+    return {name: [asdict(found) for found in part] for name, part in parts.items()}
 
 
 class _Run:
-    """Collects rows and spectra, judges them against the target, and tells how far it is."""
+    """Collects rows and what explains them, judges them against the target, and tells how far it is."""
 
     def __init__(self, total: int, plan: _Plan, callback: Progress | None) -> None:
         self.rows: list[Row] = []
         self.spectra: list[Spectrum] = []
+        self.directions: list[Direction] = []
+        self.curves: list[Curve] = []
         self._total, self._plan, self._target, self._callback = total, plan, plan.target_m, callback
 
     def take(self, block: Block, numbers: Iterable[int]) -> None:
@@ -192,6 +202,7 @@ class _Run:
             for name in names:
                 self._add(engine.run(number, kind, name))
             self.spectra += engine.spectra.get((number, kind), ())
+            self.curves += [engine.curves[number, kind]] if (number, kind) in engine.curves else []
 
     def take_adjustments(self, engine: Adjustments, engines: tuple[str, ...], names: tuple[str, ...]) -> None:
         """Run graph and dense adjustment with one set; the graph goes first, as the reference."""
@@ -201,6 +212,7 @@ class _Run:
         if graph:
             self._add(graph.row)
         self.spectra += engine.spectra
+        self.directions += engine.directions
 
     def _add(self, row: Row) -> None:
         self.rows.append(replace(row, reached=reached(row, self._target)))

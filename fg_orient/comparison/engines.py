@@ -14,16 +14,19 @@ from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.block import Block
 from fg_orient.classical.two_stage import Kind, TwoStage
 from fg_orient.classical.two_stage_results import Bundle
-from fg_orient.comparison.model import AXES, GRAPH_SOLVER, Row, Spectrum
+from fg_orient.comparison.model import AXES, GRAPH_SOLVER, Curve, Direction, Row, Spectrum
 from fg_orient.errors import FgOrientError, problem
 from fg_orient.linear import registry
 from fg_orient.linear.conditioning import numerical_rank, singular_values
+from fg_orient.linear.l_curve import l_curve_of
 from fg_orient.linear.scaling import unit_columns
 from fg_orient.linear.system import MAX_UNKNOWNS
 from fg_orient.names import Status
 from fg_orient.orient import adjust
 from fg_orient.parameters import EOP_SETS, eop_codes
 from fg_orient.quality.accuracy import PointDifferences
+from fg_orient.quality.deficiency import judge_observability
+from fg_orient.quality.observability import affordable, analyse_block
 from fg_orient.solution import Solution
 
 Array = npt.NDArray[np.float64]
@@ -82,6 +85,7 @@ class Published:
 
     def __init__(self, block: Block, as_run: bool) -> None:
         self.failure, self.spectra = "", dict[tuple[int, int], tuple[Spectrum, Spectrum]]()
+        self.curves = dict[tuple[int, int], Curve]()
         try:
             self.stage = TwoStage(block, as_run=as_run)
             self.n_images, self.n_check = len(block.images), len(self.stage.check_ids)
@@ -116,6 +120,8 @@ class Published:
             pair = spectra_of(design, eop_set, f"published {kind}")
             self.spectra.setdefault((eop_set, kind), pair)
             values |= _conditioning(*pair, len(design))
+            if bundle.solution.kappa is not None and (eop_set, kind) not in self.curves:
+                self.curves[eop_set, kind] = Curve(eop_set, kind, l_curve_of(bundle.system))
         if not bundle.failure:
             redundancy = bundle.n_observations - bundle.n_unknowns
             values["m0_rad"] = float(np.sqrt(bundle.v @ bundle.v / redundancy)) if redundancy > 0 else np.nan
@@ -160,6 +166,7 @@ class Adjustments:
             replace(block, options=replace(block.options, eop_set=eop_set, look_polynomial=degree))
         )
         self.spectra: tuple[Spectrum, ...] = ()
+        self.directions = directions_of(self.problem)
         self.matrix: dict[str, Any] = {"order": self.problem.n_unknowns}
         if self.problem.n_unknowns <= MAX_UNKNOWNS:
             self._describe()
@@ -215,6 +222,18 @@ class Adjustments:
             notes=notes, **values, **self.matrix,
         )  # fmt: skip
         return Adjusted(found, done)
+
+
+def directions_of(compiled: Problem) -> tuple[Direction, ...]:
+    """Directions that the image observations do not determine: of each image, then of the block as a whole."""
+    number, found = compiled.block.options.eop_set, list[Direction]()
+    for image in judge_observability(compiled):
+        words = [text.removeprefix(f"image {image.image}: ") for text in image.sentences]
+        found += [Direction(number, image.image, text, "nothing") for text in words]
+        found += [Direction(number, image.image, text, "prior") for text in image.held]
+    view = analyse_block(compiled) if affordable(compiled) else None
+    block = () if view is None else (*view.datum, *view.on_board)
+    return (*found, *(Direction(number, "", text.removeprefix("block: "), "prior") for text in block))
 
 
 def _seconds(solution: Solution) -> float:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,8 +25,14 @@ from fg_orient.run.tables import write_csv
 
 SCHEMA_VERSION: Final = 1
 #: What a comparison folder holds.
-COMPARISON: Final = Contents("compare.csv", ("compare.csv", "spectra.csv", "result.json", "*.svg", "report.html"))
+COMPARISON: Final = Contents(
+    "compare.csv",
+    ("compare.csv", "spectra.csv", "directions.csv", "l_curves.csv", "result.json", "*.svg", "report.html"),
+)
 SPECTRUM_COLUMNS: Final = ("eop_set", "system", "scaling", "index", "singular_value")
+DIRECTION_COLUMNS: Final = ("eop_set", "image", "direction", "held_by")
+#: ``rule``: empty for a point of the curve, else the rule that chose this kappa.
+CURVE_COLUMNS: Final = ("eop_set", "type", "rule", "kappa", "residual_norm", "solution_norm")
 NO_FIGURES: Final = 'no figures: matplotlib is missing (pip install "fg-orient[report]")'
 
 
@@ -113,10 +119,23 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
         (s.eop_set, s.system, s.scaling, index, float(value))
         for s in comparison.spectra for index, value in enumerate(s.values)
     ))  # fmt: skip
+    write_csv(folder / "directions.csv", DIRECTION_COLUMNS, (astuple(found) for found in comparison.directions))
+    if comparison.curves:
+        write_csv(folder / "l_curves.csv", CURVE_COLUMNS, _curve_rows(comparison))
     for name, text in figures.items():
         (folder / name).write_text(text, encoding="utf-8")
     (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
     (folder / "report.html").write_text(render(comparison, record, figures), encoding="utf-8")
+
+
+def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
+    """Points of all curves, each curve followed by the choices of the rules."""
+    for found in comparison.curves:
+        curve, key = found.curve, (found.eop_set, found.type)
+        for point in zip(curve.kappa.tolist(), curve.residual_norm.tolist(), curve.solution_norm.tolist(), strict=True):
+            yield (*key, "", *point)
+        for choice in curve.choices:
+            yield (*key, choice.rule, choice.kappa, choice.residual_norm, choice.solution_norm)
 
 
 def _cell(value: object) -> object:
@@ -143,6 +162,7 @@ def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[
         "summary": [asdict(line) for line in summaries(comparison)],
         "warnings": [] if available() else [NO_FIGURES],
         "rows": [row.as_dict() for row in comparison.rows],
+        "directions": [asdict(found) for found in comparison.directions],
         "out": out.name,
         "provenance": provenance(comparison.block, project.parent, command),
     })  # fmt: skip

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import Block
+from fg_orient.linear.l_curve import Choice, LCurve
 
 Array = npt.NDArray[np.float64]
 
@@ -132,6 +133,50 @@ class Spectrum:
 
 
 @dataclass(frozen=True)
+class Direction:
+    """A direction that the image observations of one EOP set do not determine, as :func:`fg_orient.adjust` names it.
+
+    Parameters
+    ----------
+    eop_set : int
+    image : str
+        "" for the whole block.
+    words : str
+    held_by : "nothing" or "prior"
+        "nothing": a singular value up to 1e-5 of the image's Jacobian, unknowns in prior sigmas.
+    """
+
+    eop_set: int
+    image: str
+    words: str
+    held_by: str
+
+
+@dataclass(frozen=True)
+class Curve:
+    """L-curve of the bundle of the published procedure with one set, for the Tikhonov solvers.
+
+    Parameters
+    ----------
+    eop_set, type : int
+        Type of the pre-adjustment.
+    curve : LCurve
+        Unknowns in m, m/s and rad together, residuals as published.
+    """
+
+    eop_set: int
+    type: int
+    curve: LCurve
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Curve:
+        """Curve of its ``dataclasses.asdict``."""
+        curve = dict(values["curve"])
+        choices = tuple(Choice(**{**c, "notes": tuple(c["notes"])}) for c in curve.pop("choices"))
+        return cls(values["eop_set"], values["type"], LCurve(**curve, choices=choices))
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Result of :func:`fg_orient.compare`.
 
@@ -151,6 +196,10 @@ class Comparison:
         Wall clock of the whole.
     labels : dict
         Solver name to words for people.
+    directions : tuple of Direction
+        What no observation determines, set by set.
+    curves : tuple of Curve
+        Of the published procedure, if Tikhonov solvers were asked for.
     """
 
     block: Block
@@ -164,6 +213,8 @@ class Comparison:
     as_run: bool
     seconds: float
     labels: dict[str, str] = field(default_factory=dict)
+    directions: tuple[Direction, ...] = ()
+    curves: tuple[Curve, ...] = ()
 
     @property
     def table(self) -> Any:

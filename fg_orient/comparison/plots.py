@@ -25,13 +25,17 @@ from fg_orient.figures.style import (
     file_of,
     log_scale,
     new_figure,
+    plain_log_ticks,
     short,
 )
+from fg_orient.linear.registry import solver
 from fg_orient.parameters import EOP_SETS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from fg_orient.linear.l_curve import LCurve
 
 #: Larger than in a paper's column: these figures are read on pages.
 _STYLE: Final[dict[Any, Any]] = {
@@ -60,6 +64,7 @@ def figures(comparison: Comparison) -> dict[str, str]:
         "heatmap_check.svg": lambda c: _heat_map(c, "check"),
         "conditions.svg": _conditions,
         "spectra.svg": _spectra,
+        "l_curves.svg": _l_curves,
         "seconds.svg": _seconds,
     }
     import matplotlib
@@ -184,7 +189,8 @@ def _spectra(comparison: Comparison) -> Figure | None:
     figure = new_figure(max(1.75 * columns, 5.0), 1.5 * lines + 0.9)
     panels = figure.subplots(lines, columns, sharex=False, sharey=True, squeeze=False).ravel()
     for panel, number in zip(panels, sets, strict=False):
-        panel.set_title(f"{number} {EOP_SETS[number][0]}")
+        silent = sum(d.held_by == "nothing" for d in comparison.directions if d.eop_set == number)
+        panel.set_title(f"{number} {EOP_SETS[number][0]}" + (f": {silent} silent" if silent else ""))
         for key in wanted:
             label, colour, _, line = _SYSTEMS[key]
             for s in comparison.spectra:
@@ -200,6 +206,46 @@ def _spectra(comparison: Comparison) -> Figure | None:
     figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
     figure.supylabel("singular value / largest", fontsize=9)
     return figure
+
+
+def _l_curves(comparison: Comparison) -> Figure | None:
+    """L-curves of the published bundle, one panel per EOP set, with the choices of its Tikhonov solvers."""
+    kinds = sorted({found.type for found in comparison.curves})
+    chosen = [(name, solver(name).label) for name in comparison.solvers if solver(name).family == "tikhonov"]
+    if not kinds or not chosen:
+        return None
+    sets, columns = comparison.eop_sets, min(5, len(comparison.eop_sets))
+    lines = -(-len(sets) // columns)
+    figure = new_figure(max(1.75 * columns, 5.0), 1.6 * lines + 0.9)
+    panels = figure.subplots(lines, columns, squeeze=False).ravel()
+    curves = {found.eop_set: found.curve for found in comparison.curves if found.type == kinds[0]}
+    for panel, number in zip(panels, sets, strict=False):
+        panel.set_title(f"{number} {EOP_SETS[number][0]}")
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        if number in curves:
+            _l_curve(panel, curves[number], chosen)
+        plain_log_ticks(panel.xaxis, 3)
+        plain_log_ticks(panel.yaxis, 5)
+        panel.tick_params(labelsize=7)
+    for panel in panels[len(sets) :]:
+        panel.set_axis_off()
+    handles = {label: h for p in panels for h, label in zip(*p.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=4, frameon=False)
+    figure.supxlabel("norm of the residuals |Ax − l|", fontsize=9)
+    figure.supylabel("norm of the solution |x| (m, m/s, rad)", fontsize=9)
+    return figure
+
+
+def _l_curve(panel: Axes, curve: LCurve, chosen: list[tuple[str, str]]) -> None:
+    """Draw a curve with the choices of some solvers."""
+    panel.plot(curve.residual_norm, curve.solution_norm, color=GREY, lw=1.2)
+    places = {f"tikhonov_{choice.rule}": choice for choice in curve.choices}
+    for k, (name, label) in enumerate(chosen):
+        at = places[name]
+        colour, marker = (BLUE, ORANGE, GREEN, PINK)[k % 4], "osD^v*"[k % 6]
+        place = at.residual_norm, at.solution_norm
+        panel.plot(*place, color=colour, marker=marker, mfc="none", ls="", ms=5, label=label)
 
 
 def _seconds(comparison: Comparison) -> Figure | None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from fg_orient.comparison import heat
-from fg_orient.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison
+from fg_orient.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison, Direction
 from fg_orient.comparison.plots import row_name
 from fg_orient.comparison.words import ranges, summaries, verdict
 from fg_orient.figures.style import INK, PAPER
@@ -35,9 +35,21 @@ CAPTIONS: Final = {
     ),
     "spectra.svg": (
         "Singular values",
-        "Of the design matrix A, beside the largest. A drop to 1e−15 is a direction that the data do not show.",
+        "Of the design matrix A, beside the largest. A drop to 1e−15 is a direction that the data do not show: a "
+        "silent one. The table of directions names them where dense or graph were asked for.",
+    ),
+    "l_curves.svg": (
+        "L-curves",
+        "Of the published bundle: norm of the solution over norm of the residuals for all κ, with the choices of the "
+        "Tikhonov solvers. A good κ lies where the curve bends; unknowns are in m, m/s and rad together, so that κ and "
+        "the curve depend on these units.",
     ),
     "seconds.svg": ("Run times", "Wall clock of one adjustment, statistics left out."),
+}
+#: Tables that explain the drawings: id and heading, what fills them.
+TABLES: Final = {
+    ("directions", "Directions not determined"): "directions",
+    ("condition-table", "Condition numbers of N"): "conditions",
 }
 #: Parts that say why rows have no numbers: id, heading, whether they were left out.
 REASONS: Final = (("failures", "Without solution", False), ("left-out", "Not tried", True))
@@ -57,17 +69,20 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
     heats = [shown for shown in heats if shown[-1]]
     sets = {number: (name, _lines(comparison, number)) for number, name in _names(comparison).items()}
     condition_heads, conditions = _conditions(comparison)
+    directions = _directions(comparison)
+    tables = [words for words, shown in TABLES.items() if {"directions": directions, "conditions": conditions}[shown]]
     reasons = [(id_, title, found) for id_, title, left_out in REASONS if (found := _reasons(comparison, left_out))]
     return shell.get_template("compare.html.j2").render(
         r=record, verdict=verdict(comparison), problems=record["warnings"], figures=drawn, heats=heats,
         summaries=summaries(comparison), sets=sets, conditions=conditions, reasons=reasons,
-        condition_heads=condition_heads, outcomes=heat.OUTCOMES, counts=heat.counts(comparison),
-        steps=heat.steps(comparison.target_m), sections=_sections(heats, drawn, reasons, bool(conditions)),
+        condition_heads=condition_heads, directions=directions, outcomes=heat.OUTCOMES, counts=heat.counts(comparison),
+        steps=heat.steps(comparison.target_m), 
+        sections=_sections(heats, drawn, reasons, [*tables]),
     )  # fmt: skip
 
 
 def _sections(
-    heats: list[Any], drawn: list[Any], reasons: list[Any], conditions: bool
+    heats: list[Any], drawn: list[Any], reasons: list[Any], tables: list[tuple[str, str]]
 ) -> list[tuple[str, str]]:  # fmt: skip
     """Parts of the page that are there, and their words."""
     return [
@@ -76,7 +91,7 @@ def _sections(
         ("summary", "Solvers"),
         *((shown[0], shown[1]) for shown in reasons),
         *((f"{name[:-4]}-section", title) for name, title, _, _ in drawn),
-        *([("condition-table", "Condition numbers of N")] if conditions else []),
+        *tables,
         ("sets", "Set by set"),
         ("provenance", "Provenance"),
     ]
@@ -122,6 +137,18 @@ def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list
     found = {(s.eop_set, s.system, s.scaling): s.condition for s in comparison.spectra}
     rows = [(n, [_condition(found.get((n, *column))) for column in columns]) for n in comparison.eop_sets]
     return [f"{system}, {scaling}" for system, scaling in columns], rows if columns else []
+
+
+def _directions(comparison: Comparison) -> list[tuple[str, str, list[str], list[int]]]:
+    """Directions in words, what holds them, images and sets; those that nothing holds first."""
+    found: dict[tuple[str, str], list[Direction]] = {}
+    for direction in comparison.directions:
+        found.setdefault((direction.held_by, direction.words), []).append(direction)
+    rows = [
+        (words, held, list(dict.fromkeys(d.image for d in group)), sorted({d.eop_set for d in group}))
+        for (held, words), group in found.items()
+    ]
+    return sorted(rows, key=lambda row: (row[1] != "nothing", row[3][0]))
 
 
 def _condition(value: float | None) -> tuple[str, str]:

@@ -81,13 +81,14 @@ def log_scale(axes: Axes) -> None:
     axes.yaxis.set_major_formatter(lambda value, _: plain_exponent(f"{value:.0e}"))
 
 
-def plain_log_ticks(axis: Axis) -> None:
-    """Powers of ten in plain figures, with 2 and 5 between them where there are fewer than three."""
-    from matplotlib.ticker import LogLocator
+def plain_log_ticks(axis: Axis, most: int = 8) -> None:
+    """Powers of ten in plain figures; with 2 and 5 where they are few, other round values where there are none."""
+    from matplotlib.ticker import LogLocator, MaxNLocator
 
     low, high = (math.log10(v) for v in axis.get_view_interval())
     few = math.floor(high) - math.ceil(low) < 2
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=8))
+    log = LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=most)
+    axis.set_major_locator(log if high - low > 0.7 else MaxNLocator(nbins=max(2, most // 2)))
     axis.set_major_formatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e5 else plain_exponent(f"{value:.0e}"))
     axis.set_minor_formatter(lambda value, _: "")
     axis.set_tick_params(which="minor", length=0)

@@ -9,6 +9,7 @@ from typing import Any, Final
 from markupsafe import Markup
 
 from fg_orient.report.panel import Panel, plain
+from fg_orient.report.panel import ticks as linear_ticks
 
 #: Choices closer than this, in drawing units, share one mark.
 NEAR: Final = 14.0
@@ -36,12 +37,13 @@ def on_curve(choice: dict[str, Any]) -> bool:
 
 
 def log_ticks(low: float, high: float) -> list[float]:
-    """Exponents of round values between two exponents: powers of ten, with 2 and 5 between where there are few."""
+    """Exponents of round values between two exponents: powers of ten; 2 and 5 between where there are few."""
     whole = [float(k) for k in range(math.ceil(low), math.floor(high) + 1)]
     if len(whole) >= 3:
         return whole[:: max(1, math.ceil(len(whole) / 7))]
     values = (math.log10(step) + k for k in range(math.floor(low), math.ceil(high) + 1) for step in (1.0, 2.0, 5.0))
-    return [value for value in values if low <= value <= high]
+    found = [value for value in values if low <= value <= high]
+    return found if len(found) > 1 else [math.log10(value) for value in linear_ticks(10.0**low, 10.0**high, 3)]
 
 
 def l_curve_chart(section: dict[str, Any] | None) -> Markup:

@@ -26,8 +26,10 @@ from fg_orient.figures import style
 from fg_orient.report.page import script_hash
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 
-FIGURES = {"heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "seconds.svg"}
-TABLES = {"compare.csv", "spectra.csv", "result.json", "report.html"}
+FIGURES = {
+    "heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "l_curves.svg", "seconds.svg",
+}  # fmt: skip
+TABLES = {"compare.csv", "spectra.csv", "directions.csv", "l_curves.csv", "result.json", "report.html"}
 #: Keys that design and documentation promise.
 ROW_KEYS = {
     "eop_set", "solver", "backend", "control_rmse_m", "check_rmse_m", "cond_raw", "cond_scaled", "rank", "reached",
@@ -239,7 +241,7 @@ def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch
     ended = run("compare", project, "--eop-sets", "2", "--backends", "graph", "--out", out)
     assert ended.code == 0
     assert [line for line in ended.stdout.splitlines() if "matplotlib is missing" in line]
-    assert {p.name for p in out.iterdir()} == TABLES
+    assert {p.name for p in out.iterdir()} == TABLES - {"l_curves.csv"}  # of the published procedure alone
     assert "svg" not in structure((out / "report.html").read_text("utf-8")).tags
 
 
@@ -317,7 +319,7 @@ def test_interrupted_run_leaves_nothing(
 
 
 def test_figures_repeat_to_the_last_byte(comparison: Comparison) -> None:
-    few = replace(comparison, rows=())
+    few = replace(comparison, rows=(), curves=())
     assert set(plots.figures(few)) == {"conditions.svg", "spectra.svg"}
     assert plots.figures(few) == plots.figures(few)
 
@@ -325,5 +327,5 @@ def test_figures_repeat_to_the_last_byte(comparison: Comparison) -> None:
 def test_figures_of_rows_without_any_solution(comparison: Comparison) -> None:
     rows = tuple(r for r in comparison.rows if r.failure)
     assert rows and all(not np.isfinite(r.check_rmse_m) for r in rows)
-    drawn = plots.figures(replace(comparison, rows=rows, spectra=()))
+    drawn = plots.figures(replace(comparison, rows=rows, spectra=(), curves=()))
     assert set(drawn) == set()

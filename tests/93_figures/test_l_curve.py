@@ -121,3 +121,4 @@ def test_ticks_of_few_and_many_decades() -> None:
     assert np.allclose(10.0 ** np.array(log_ticks(1.2, 2.1)), [20, 50, 100])
     assert log_ticks(-3.2, 2.1) == [-3, -2, -1, 0, 1, 2]
     assert len(log_ticks(-16.0, 14.0)) <= 8
+    assert np.allclose(10.0 ** np.array(log_ticks(1.826, 1.833)), [67.0, 67.5, 68.0])
