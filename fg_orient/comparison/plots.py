@@ -224,7 +224,8 @@ def _l_curves(comparison: Comparison) -> Figure | None:
         panel.set_xscale("log")
         panel.set_yscale("log")
         if number in curves:
-            _l_curve(panel, curves[number], chosen)
+            kappas = {row.solver: row.kappa for row in comparison.select(eop_set=number, type=kinds[0])}
+            _l_curve(panel, curves[number], [(label, kappas.get(name, math.nan)) for name, label in chosen])
         plain_log_ticks(panel.xaxis, 3)
         plain_log_ticks(panel.yaxis, 5)
         panel.tick_params(labelsize=7)
@@ -237,15 +238,12 @@ def _l_curves(comparison: Comparison) -> Figure | None:
     return figure
 
 
-def _l_curve(panel: Axes, curve: LCurve, chosen: list[tuple[str, str]]) -> None:
-    """Draw a curve with the choices of some solvers."""
+def _l_curve(panel: Axes, curve: LCurve, chosen: list[tuple[str, float]]) -> None:
+    """Draw a curve with the kappas of some solvers by their labels."""
     panel.plot(curve.residual_norm, curve.solution_norm, color=GREY, lw=1.2)
-    places = {f"tikhonov_{choice.rule}": choice for choice in curve.choices}
-    for k, (name, label) in enumerate(chosen):
-        at = places[name]
+    for k, (label, kappa) in enumerate(chosen):
         colour, marker = (BLUE, ORANGE, GREEN, PINK)[k % 4], "osD^v*"[k % 6]
-        place = at.residual_norm, at.solution_norm
-        panel.plot(*place, color=colour, marker=marker, mfc="none", ls="", ms=5, label=label)
+        panel.plot(*curve.place(kappa), color=colour, marker=marker, mfc="none", ls="", ms=5, label=label)
 
 
 def _seconds(comparison: Comparison) -> Figure | None:

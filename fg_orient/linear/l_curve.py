@@ -69,6 +69,17 @@ class LCurve:
     curvature: Array
     choices: tuple[Choice, ...]
 
+    def place(self, kappa: float) -> tuple[float, float]:
+        """Norms of residuals and solution at a kappa: of the rule that chose it, else interpolated; nan beyond."""
+        for choice in self.choices:
+            if choice.kappa == kappa:
+                return choice.residual_norm, choice.solution_norm
+        if not self.kappa[0] <= kappa <= self.kappa[-1]:
+            return float("nan"), float("nan")
+        at = np.log(kappa), np.log(self.kappa)
+        found = (float(np.exp(np.interp(*at, np.log(norm)))) for norm in (self.residual_norm, self.solution_norm))
+        return next(found), next(found)
+
 
 def l_curve_of(system: LinearSystem) -> LCurve:
     """L-curve of a system with the choices of all rules that need nothing else.

@@ -50,6 +50,15 @@ def test_rules_have_their_places(system: LinearSystem) -> None:
         assert choice.kappa == 0.0 or curve.kappa[0] <= choice.kappa * (1 + 1e-12) <= curve.kappa[-1] * (1 + 2e-12)
 
 
+def test_any_kappa_has_its_place(system: LinearSystem) -> None:
+    curve = l_curve_of(system)
+    gcv = next(c for c in curve.choices if c.rule == "gcv")
+    assert curve.place(gcv.kappa) == (gcv.residual_norm, gcv.solution_norm)
+    between = float(np.sqrt(curve.kappa[40] * curve.kappa[41]))
+    assert curve.place(between) == pytest.approx(norms(system, between), rel=1e-3)
+    assert np.isnan(curve.place(2.0 * curve.kappa[-1])).all() and np.isnan(curve.place(float("nan"))).all()
+
+
 def test_the_corner_bends_most(system: LinearSystem) -> None:
     """Curvature of the recorded polyline itself, by differences; the chosen kappa stands at its largest."""
     curve = l_curve_of(system)
