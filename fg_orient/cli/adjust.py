@@ -24,6 +24,7 @@ from fg_orient.cli.common import (
     number,
     outcome,
     read_dem,
+    require_project,
     say,
     table,
 )
@@ -165,8 +166,7 @@ def adjust(
     }  # fmt: skip
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     with outcome(as_json, debug, quiet, log):
-        if not project.is_file():
-            raise InputError.of("project.missing_file", file=project, folder="the current folder")
+        require_project(project)
         load()
         from fg_orient.run import checkpoint_path, run_project
 

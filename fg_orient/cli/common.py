@@ -174,6 +174,20 @@ def number(value: object, digits: int = 3) -> str:
     return "-" if not isinstance(value, (int, float)) or value != value else f"{value:.{digits}f}"
 
 
+def require_project(path: Path) -> None:
+    """Refuse a project file that is none, before anything heavy is loaded.
+
+    Raises
+    ------
+    InputError
+        It does not exist, or is a folder.
+    """
+    if not path.is_file():
+        from fg_orient.io.project import no_project_file
+
+        raise no_project_file(path)
+
+
 def read_image(path: Path, model: str, extrapolate_s: float, result: Path | None = None, image_id: str = "") -> Any:
     """Read a sensor as the options ``--model``, ``--extrapolate-attitude`` and ``--result`` say."""
     from fg_orient.io.sensor import read_sensor

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, require_project, say, table
 from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
@@ -70,8 +70,7 @@ def compare(
         "look_polynomial": look_polynomial, "target_m": target, "workers": workers, "cluster": scheduler,
     }  # fmt: skip
     with outcome(as_json, debug, quiet, log):
-        if not project.is_file():
-            raise InputError.of("project.missing_file", file=project, folder="the current folder")
+        require_project(project)
         from fg_orient.comparison.folder import compare_project
 
         with _named_as_typed(), progress_bar("reading the project") as callback:

@@ -87,6 +87,8 @@ def convert(
             raise InputError.of("options.value", place="--sigma-axes", value=sigma_axes, expected="ecef or enu")
         reader = format_named(source, place="--from") if source else format_of(files[0], place="--from")
         writer = format_named(target, place="--to") if target else format_of(out[0], place="--to")
+        _require_crs(crs, "--crs")
+        _require_crs(to_crs, "--to-crs")
         settings = Settings(crs, image, sigma_axes, _sizes(image_size or []))
         if reader.read_model is not None and writer.write_model is not None:
             _convert_model(files, reader, out[0], writer, settings, accept_unverified, overwrite, as_json)
@@ -99,6 +101,17 @@ def convert(
         settings = Settings(to_crs, image, sigma_axes, settings.image_sizes)
         written, lost = write_survey(survey, out, writer, settings, overwrite=overwrite)
         _show(survey, [reader.name, writer.name], written, remarks, lost, as_json)
+
+
+def _require_crs(crs: str, option: str) -> None:
+    """Refuse a CRS by the name of its option; none given is none wrong."""
+    from fg_orient.geodesy import crs_kind
+
+    try:
+        if crs:
+            crs_kind(crs)
+    except InputError as error:
+        raise InputError(*(replace(problem, place=option) for problem in error.problems)) from None
 
 
 def _convert_model(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, number, outcome, require_project, say, table
 from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
@@ -49,8 +49,7 @@ def reduce(
     }  # fmt: skip
     with outcome(as_json, debug, quiet, log):
         folds = _folds(cross_validation)
-        if not project.is_file():
-            raise InputError.of("project.missing_file", file=project, folder="the current folder")
+        require_project(project)
         from fg_orient.io.project import read_project
         from fg_orient.reduction import reduce_unknowns
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.block import Block, Image, Options, Source
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import FgOrientError, InputError, Problem, problem
 from fg_orient.geodesy import crs_kind
 from fg_orient.io.assemble import assemble
 from fg_orient.io.geometry import geometry_remarks
@@ -174,6 +174,14 @@ def _blame(found: Problem, overrides: Mapping[str, object]) -> Problem:
     return found
 
 
+def no_project_file(path: Path) -> FgOrientError:
+    """Error of a path that does not exist, or is a folder; then with a project file in it."""
+    if path.is_dir():
+        inside = next(iter(sorted(path.glob("*.toml"))), path / "project.toml")
+        return InputError.of("project.folder", file=path, inside=inside)
+    return InputError.of("project.missing_file", file=path, folder="the current folder")
+
+
 def parse_toml(path: Path) -> dict[str, Any]:
     """Content of a TOML file.
 
@@ -184,8 +192,8 @@ def parse_toml(path: Path) -> dict[str, Any]:
     """
     try:
         text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise InputError.of("project.missing_file", file=path, folder="the current folder") from None
+    except (FileNotFoundError, IsADirectoryError):
+        raise no_project_file(path) from None
     except OSError as error:
         raise InputError.of("project.unreadable", file=path, value=error.strerror) from None
     except UnicodeDecodeError as error:

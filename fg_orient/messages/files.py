@@ -200,7 +200,7 @@ GEODESY: Final = {
 TABLE: Final = {
     "table.missing_file": (
         "the file does not exist",
-        "check the path; it is taken relative to the project file's folder",
+        "check the path; tables that a project file names are taken relative to its folder, others to the current one",
     ),
     "table.unreadable": ("the file cannot be read", "give a readable file"),
     "table.utf16": ("the file is UTF-16", "save it as UTF-8 text with commas (in Excel: CSV UTF-8)"),
@@ -287,6 +287,7 @@ OBSERVATIONS: Final = {
 
 PROJECT: Final = {
     "project.missing_file": ("the file does not exist", "check the path; it is taken relative to {folder}"),
+    "project.folder": ("this is a folder, not a project file", "give the project file in it, such as {inside}"),
     "project.unreadable": ("the file cannot be read", "give a readable text file"),
     "project.encoding": ("the project file is not UTF-8", "save it as UTF-8 text"),
     "project.syntax": ("the project file is not valid TOML", "mend the line; strings stand in double quotes"),

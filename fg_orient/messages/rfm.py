@@ -29,8 +29,12 @@ RFM: Final = {
     "rfm.folds": ("the number of folds must lie between 2 and the number of points", "there are {points} points"),
     "rfm.selector": ("no such selection of coefficients", "choose one of {known}"),
     "rfm.grid": (
-        "the virtual grid needs at least {least} values per axis and two heights that differ",
-        "take more lines, samples or layers; heights in m above the ellipsoid",
+        "the virtual grid needs at least {least} values per axis",
+        "take more lines, samples or layers",
+    ),
+    "rfm.heights": (
+        "the lowest height has to lie below the highest",
+        "give the lowest first, then the highest, in m above the ellipsoid",
     ),
     "rfm.data": (
         "the file must hold rows of id, line, sample, latitude, longitude (degrees), height (m)",

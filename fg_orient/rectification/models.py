@@ -154,7 +154,8 @@ def find_model(name: str, degree: int | None = None) -> Model:
         raise InputError.of("rectify.model", place="model", value=name, known=", ".join(NAMES))
     most = plane.MAX_DEGREE
     if (degree is None) == (name == "polynomial") or not (degree is None or 1 <= degree <= most):
-        raise InputError.of("rectify.degree", place=name, value="none" if degree is None else degree, most=most)
+        given = "none" if degree is None else degree
+        raise InputError.of("rectify.degree", place=f"degree of {name}", value=given, most=most)
     if name == "polynomial" and degree is not None:
         return Model(name, f"polynomial of degree {degree}", plane.POLYNOMIAL, 2, degree, _polynomial_names(degree))
     if name == "affine":

@@ -131,13 +131,15 @@ def fit_sensor(
     Raises
     ------
     InputError
-        Too small a grid, heights that do not differ or are not finite, a ray that misses a layer.
+        Too small a grid, heights that do not rise or are not finite, a ray that misses a layer.
     NoSolutionError
         The fit does not end, or has a pole in the grid.
     """
     low, high = heights_m
-    if min(shape) < LEAST or not (np.isfinite([low, high]).all() and high > low):
-        raise InputError.of("rfm.grid", place="virtual grid", value=f"{shape}, heights {heights_m}", least=LEAST)
+    if min(shape) < LEAST:
+        raise InputError.of("rfm.grid", place="virtual grid", value=shape, least=LEAST)
+    if not (np.isfinite([low, high]).all() and high > low):
+        raise InputError.of("rfm.heights", place="heights", value=f"{low:g}, {high:g}")
     last = getattr(sensor, "last_line", sensor.n_lines - 1.0), getattr(sensor, "last_sample", sensor.n_samples - 1.0)
     first = getattr(sensor, "first_line", 0.0), getattr(sensor, "first_sample", 0.0)
     axes = [_nodes(a, b, n) for a, b, n in zip((*first, low), (*last, high), shape, strict=True)]

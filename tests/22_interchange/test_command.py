@@ -129,3 +129,10 @@ def test_validate_marks_unverified_formats(folder: Path) -> None:
     assert in_process(*words).code == 2
     own = in_process("validate", folder / "points.csv", "--format", "csv", "--json")
     assert own.json["remarks"] == [] and own.json["crs"] == "EPSG:32636"
+
+
+@pytest.mark.parametrize("option", ["--crs", "--to-crs"])
+def test_a_crs_that_is_none_is_refused_by_its_option(tmp_path: Path, option: str) -> None:
+    words = ("convert", tmp_path / "points.csv", "--from", "csv", option, "WGS84", "--out", tmp_path / "points.geojson")
+    (error,) = in_process(*words, "--json").json["errors"]
+    assert (error["code"], error["place"], error["value"]) == ("geodesy.not_epsg", option, "WGS84")

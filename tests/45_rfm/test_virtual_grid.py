@@ -68,12 +68,18 @@ def test_validity_is_that_of_the_grid(fitted: SensorRfm) -> None:
 
 
 @pytest.mark.parametrize(
-    ("heights", "shape"), [((0.0, 0.0), SHAPE), ((5.0, 0.0), SHAPE), ((0.0, np.nan), SHAPE), ((0.0, 9.0), (12, 12, 4))]
+    ("heights", "shape", "said"),
+    [
+        ((0.0, 0.0), SHAPE, "lowest height"),
+        ((5.0, 0.0), SHAPE, "lowest height"),
+        ((0.0, np.nan), SHAPE, "lowest height"),
+        ((0.0, 9.0), (12, 12, 4), "virtual grid"),
+    ],
 )
 def test_bad_grids_are_refused(
-    sensor: PushbroomSensor, heights: tuple[float, float], shape: tuple[int, int, int]
+    sensor: PushbroomSensor, heights: tuple[float, float], shape: tuple[int, int, int], said: str
 ) -> None:
-    with pytest.raises(InputError, match="virtual grid"):
+    with pytest.raises(InputError, match=said):
         fit_sensor(sensor, heights, shape=shape)
 
 

@@ -605,7 +605,9 @@ def test_fit_to_a_sensor(run: Run, file: Path, model: RpcModel, tmp_path: Path) 
     for extra, code in ((("--kappa", 1.0), "rpc.foreign_option"), (("--no-normalise",), "rpc.foreign_option")):
         assert run(*words, "--overwrite", *extra).json["errors"][0]["code"] == code
     assert run("rpc", "fit", file, "--json").json["errors"][0]["code"] == "rpc.no_heights"
-    assert run("rpc", "fit", file, "--heights", 5, 5, "--json").json["errors"][0]["code"] == "rfm.grid"
+    for pair in ((5, 5), (3000, 0)):
+        (error,) = run("rpc", "fit", file, "--heights", *pair, "--json").json["errors"]
+        assert (error["code"], error["place"]) == ("rfm.heights", "heights")
 
 
 def test_independent_points_of_a_sensor_depend_on_the_seed_only(model: RpcModel) -> None:

@@ -13,6 +13,7 @@ import pytest
 from fg_orient.errors import InputError, Problem
 from fg_orient.io.project import read_project
 from fg_orient.io.validate import validate_project
+from tests.support.command import in_process
 from tests.support.project_folder import ProjectFolder
 
 HEADER = "id,role,lon_deg,lat_deg,height_m,sigma_east_m,sigma_north_m,sigma_up_m"
@@ -180,7 +181,7 @@ def test_coordinates_outside_the_projection(folder):
 def test_project_that_is_a_folder(tmp_path):
     with pytest.raises(InputError) as caught:
         read_project(tmp_path)
-    assert caught.value.problems[0].code == "project.unreadable"
+    assert caught.value.problems[0].code == "project.folder"
 
 
 def test_no_control(folder):
@@ -275,6 +276,15 @@ def test_missing_project_file(tmp_path):
         read_project(tmp_path / "nowhere.toml")
     (found,) = caught.value.problems
     assert found.code == "project.missing_file" and found.file.endswith("nowhere.toml") and found.remedy
+
+
+@pytest.mark.parametrize("command", ["adjust", "validate", "compare", "reduce"])
+def test_folder_in_place_of_the_project_file_names_the_file_in_it(command, tmp_path):
+    ended = in_process(command, tmp_path)
+    assert (ended.code, ended.stderr.count("\n")) == (2, 1)
+    assert f"{tmp_path}: this is a folder" in ended.stderr and "project.toml" in ended.stderr
+    (tmp_path / "block.toml").write_text("")
+    assert f"such as {tmp_path / 'block.toml'}" in in_process(command, tmp_path).stderr
 
 
 def test_bad_metadata_is_reported_with_the_other_faults(folder, monkeypatch):
