@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, note, number, outcome, say, table
-from fg_orient.cli.progress import progress_bar
+from fg_orient.cli.progress import progress
 from fg_orient.errors import InputError
 
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
@@ -147,11 +147,12 @@ def bundle(
 
         if sigma_control != 0.0:
             _positive("--sigma-control", sigma_control)
-        with progress_bar("adjusting"):
+        with progress() as watch:
             record = run_bundle(
                 points, photos, control=control, start=start, constraints=constraints,
                 sigma=_positive("--sigma", sigma), sigma_control_m=sigma_control, unknown=_words(unknown),
                 shared=_words(shared), backend=backend, out=out, overwrite=overwrite, command=_command(),
+                callback=watch.iteration, stage=watch.stage,
             )  # fmt: skip
         _finish(record, as_json, _show_bundle)
 

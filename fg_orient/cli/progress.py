@@ -176,8 +176,12 @@ class _Steps:
     def __init__(self, bar: _Bar | None, told: Session) -> None:
         self._bar, self._told = bar, told
         self._begin, self._logged = time.perf_counter(), -math.inf
+        self._done, self._text = 0, ""
 
     def __call__(self, done: int, total: int, text: str = "") -> None:
+        if done < self._done or (done == 0 and text != self._text):  # other work has begun, at its own rate
+            self._begin, self._logged = time.perf_counter(), -math.inf
+        self._done, self._text = done, text
         seconds = time.perf_counter() - self._begin
         if done >= total or seconds - self._logged >= LOG_EVERY_S:
             self._logged = seconds

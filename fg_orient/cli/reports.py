@@ -45,8 +45,8 @@ def report(
         if figures or figures_out is not None:
             from fg_orient.figures.write import write_figures
 
-            with progress_bar("drawing the figures"):
-                drawn, names = write_figures(folder, figures_out, overwrite=overwrite)
+            with progress_bar("drawing the figures") as progress:
+                drawn, names = write_figures(folder, figures_out, overwrite=overwrite, progress=progress)
             record["figures"] = {"folder": str(drawn), "files": names}
         if export is not None:
             from fg_orient.figures.geofiles import export as write_layers

@@ -31,6 +31,7 @@ from fg_orient.names import EXIT_CODE, Status
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from fg_orient.rfm.validate import Progress
     from fg_orient.rpc.fitting import FitOptions
     from fg_orient.sensors.rpc import RpcModel
 
@@ -265,8 +266,8 @@ def fit(
         if source.suffix.lower() == ".csv":
             of_sensor = {"--heights": heights, "--grid": grid, "--result": result}
             _refuse(source, of_sensor, "control points")
-            with progress_bar("fitting"):
-                model, record = _fit_points(source, common | given, out)
+            with progress_bar("fitting") as progress:
+                model, record = _fit_points(source, common | given, out, progress)
         else:
             names = {"selection": "--select", "normalise": "--no-normalise"}
             _refuse(source, {names.get(name, f"--{name}"): value for name, value in given.items()}, "a sensor")
@@ -288,14 +289,16 @@ def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
             raise InputError.of("rpc.foreign_option", file=source, place=name, option=name, source=what)
 
 
-def _fit_points(source: Path, options: dict[str, Any], out: Path | None) -> tuple[RpcModel, dict[str, Any]]:
+def _fit_points(
+    source: Path, options: dict[str, Any], out: Path | None, progress: Progress | None
+) -> tuple[RpcModel, dict[str, Any]]:
     from fg_orient.rpc.fitting import FitOptions, fit_points
     from fg_orient.rpc.points import read_measured
 
     chosen: FitOptions = FitOptions(**options)
     if out is not None and not chosen.normalise:
         raise InputError.of("rpc.unscaled", file=out, place="--no-normalise")
-    return fit_points(read_measured(source), chosen)
+    return fit_points(read_measured(source), chosen, progress)
 
 
 def _fit_image(

@@ -99,8 +99,8 @@ def block(
             control_share=control_share, check_share=check_share, image_noise_px=image_noise, errors=errors,
             max_height_m=max_height,
         )  # fmt: skip
-        with progress_bar("simulating"):
-            project = simulate_block(out, options, overwrite=overwrite)
+        with progress_bar("simulating") as progress:
+            project = simulate_block(out, options, overwrite=overwrite, progress=progress)
         _tell(project, as_json)
 
 

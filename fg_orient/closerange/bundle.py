@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.extended_collinearity import NAMES
-from fg_orient.adjustment.loop import OPTIMIZERS, LoopResult
+from fg_orient.adjustment.loop import OPTIMIZERS, Callback, LoopResult
 from fg_orient.adjustment.network import DenseNetwork, Network, dependent
 from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.closerange.bundle_determined import require_determined, require_rays
@@ -206,6 +206,7 @@ def adjust_bundle(
     point: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0,
     control: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]] | None = None, constraints: Sequence[Constraint] = (),
     residual: Residual = "image", backend: str = "dense", optimizer: str = "levenberg-marquardt",
+    callback: Callback | None = None,
 ) -> Bundle:  # fmt: skip
     """Adjust photos and points together.
 
@@ -233,6 +234,8 @@ def adjust_bundle(
         of sigma 0.
     optimizer : str
         "levenberg-marquardt" or "gauss-newton".
+    callback : callable, optional
+        Called with an ``IterationRecord`` after each iteration.
 
     Returns
     -------
@@ -262,11 +265,11 @@ def adjust_bundle(
             raise InputError.of("linear.too_large", place="bundle", value=network.n_unknowns, limit=MAX_UNKNOWNS)
         require_rays(built, which, of)
         engine = BACKENDS[backend](network)
-        found = _solved(built, engine, optimizer)
+        found = _solved(built, engine, optimizer, callback)
         return _result(built, engine, found, which, of, given)
 
 
-def _solved(built: Built, engine: Any, optimizer: str) -> LoopResult[Array]:
+def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None) -> LoopResult[Array]:
     """Run the loop; the start and the end must determine all unknowns."""
     network = built.network
     try:
@@ -275,7 +278,9 @@ def _solved(built: Built, engine: Any, optimizer: str) -> LoopResult[Array]:
         if label:
             raise InputError.of("closerange.dependent", place=label)
         require_determined(built, rows)
-        found: LoopResult[Array] = OPTIMIZERS[optimizer](engine, network.start, MAX_ITERATIONS, tolerance=TOLERANCE)
+        found: LoopResult[Array] = OPTIMIZERS[optimizer](
+            engine, network.start, MAX_ITERATIONS, callback, tolerance=TOLERANCE
+        )
         if not found.converged:
             raise _not_converged(network, plain_reason(found.reason))
         rows = network.rows(found.state)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.extended_collinearity import NAMES
+from fg_orient.adjustment.loop import Callback
 from fg_orient.closerange.bundle import Adjustment, Bundle, BundlePhoto, adjust_bundle
 from fg_orient.closerange.constraints import Constraint
 from fg_orient.closerange.corrections import parameters_of
@@ -36,6 +37,8 @@ from fg_orient.linear.threads import one_blas_thread
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+#: Told of each stage of the work: its name, and the number of image points where it is known.
+Stage = Callable[[str, int], None]
 
 
 def run_bundle(
@@ -43,6 +46,7 @@ def run_bundle(
     constraints: Path | None = None, sigma: float | None = None, sigma_control_m: float = 0.0,
     unknown: Sequence[str] = (), shared: Sequence[str] = (), backend: str = "dense",
     out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
+    callback: Callback | None = None, stage: Stage | None = None,
 ) -> Record:  # fmt: skip
     """Adjust the photos and points of a table.
 
@@ -69,6 +73,9 @@ def run_bundle(
         "dense" or "graph".
     out, overwrite, command
         Folder of the results; replace it; words of the command line, for the record.
+    callback, stage : callable, optional
+        Called with an ``IterationRecord`` after each iteration; with the name of each stage as it begins, and the
+        number of image points (0 before they are read).
 
     Raises
     ------
@@ -78,6 +85,8 @@ def run_bundle(
     """
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
+    tell = stage or (lambda name, count: None)
+    tell("reading", 0)
     table = read_image_points(path)
     own, common = parameters_of(unknown, "--unknown"), parameters_of(shared, "--shared")
     known, begun = _control(control, sigma_control_m), _control(start, 0.0)
@@ -91,13 +100,15 @@ def run_bundle(
     require_absolute(
         path, table, sigma, [*_own_sigmas(control, sigma_control_m, known), *_stated(constraints, entries)]
     )
+    tell("start values", len(table.ids))
     with one_blas_thread():
         starts, doubts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma))
         given = [BundlePhoto(n, i, r, c, own, "all", common) for n, (i, r, c) in zip(names, starts, strict=True)]
+        begin = _points(starts, names, table, which, of, ids, places)
+        tell("iterations", len(table.ids))
         found = adjust_bundle(
-            given, ids, _points(starts, names, table, which, of, ids, places), which, of, table.image,
-            sigma=weights_of(table, sigma), control={i: known[i] for i in ids if i in known}, constraints=stated,
-            backend=backend,
+            given, ids, begin, which, of, table.image, sigma=weights_of(table, sigma),
+            control={i: known[i] for i in ids if i in known}, constraints=stated, backend=backend, callback=callback,
         )  # fmt: skip
     photos_of = [] if found.beyond else found.oriented()
     texts = [

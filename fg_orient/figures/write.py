@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -15,6 +15,8 @@ from fg_orient.io.folder import Contents, require_free, staged_folder, writing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+#: Called after each figure: how many are done, of how many, and what.
+Progress = Callable[[int, int, str], None]
 FORMATS: Final = ("svg", "pdf")
 CAPTIONS_FILE: Final = "captions.md"
 #: What a folder of figures holds; the captions are its mark.
@@ -59,24 +61,21 @@ PLOTS: Final = (
 )
 
 
-def figures(folder: Folder) -> Iterator[tuple[str, str, list[str], Figure]]:
-    """Give every figure that the result supports: file name, name of the plot, ids of its images, figure.
-
-    To be called inside ``matplotlib.rc_context(style.STYLE)``.
-    """
-    chosen = folder.images[:MAX_IMAGES]
+def planned(folder: Folder) -> list[tuple[str, Plot, list[str]]]:
+    """File name, plot and ids of the images of every figure that is tried."""
+    chosen, out = folder.images[:MAX_IMAGES], []
     for plot in PLOTS:
         step = plot.images or max(len(chosen), 1)
         groups = [chosen[k : k + step] for k in range(0, len(chosen), step)] if plot.images else [chosen]
-        for number, group in enumerate(groups, start=1):
-            figure = plot.draw(folder, group)
-            if figure is not None:
-                yield plot.name if len(groups) == 1 else f"{plot.name}_{number:02d}", plot.name, group, figure
+        names = [plot.name] if len(groups) == 1 else [f"{plot.name}_{k:02d}" for k in range(1, len(groups) + 1)]
+        out += [(name, plot, group) for name, group in zip(names, groups, strict=True)]
+    return out
 
 
 def write_figures(
-    folder: str | Path, out: str | Path | None = None, *, overwrite: bool = False, formats: Sequence[str] = FORMATS
-) -> tuple[Path, list[str]]:
+    folder: str | Path, out: str | Path | None = None, *, overwrite: bool = False, formats: Sequence[str] = FORMATS,
+    progress: Progress | None = None,
+) -> tuple[Path, list[str]]:  # fmt: skip
     """Write all figures of a result folder, whole or not at all.
 
     Parameters
@@ -89,6 +88,8 @@ def write_figures(
         Replace a folder of figures.
     formats : sequence of str
         ``svg``, ``pdf``.
+    progress : callable, optional
+        Called with (done, of, text) after each figure.
 
     Returns
     -------
@@ -110,7 +111,7 @@ def write_figures(
     given = read_folder(Path(folder))
     require_free(target, overwrite=overwrite, contents=FIGURES)
     with staged_folder(target, overwrite=overwrite, contents=FIGURES) as staged:
-        files, told = _draw(given, formats)
+        files, told = _draw(given, formats, progress)
         with writing(target):
             for name, data in files.items():
                 (staged / name).write_bytes(data)
@@ -118,15 +119,21 @@ def write_figures(
     return target, sorted([*files, CAPTIONS_FILE])
 
 
-def _draw(folder: Folder, formats: Sequence[str]) -> tuple[dict[str, bytes], dict[str, tuple[str, list[str]]]]:
+def _draw(
+    folder: Folder, formats: Sequence[str], progress: Progress | None
+) -> tuple[dict[str, bytes], dict[str, tuple[str, list[str]]]]:
     """Bytes by file name; plot and images by name of figure."""
     import matplotlib
 
     files: dict[str, bytes] = {}
     told: dict[str, tuple[str, list[str]]] = {}
+    wanted = planned(folder)
     with matplotlib.rc_context(style.STYLE):
-        for name, plot, images, figure in figures(folder):
-            told[name] = plot, images
-            for kind in formats:
-                files[f"{name}.{kind}"] = style.file_of(figure, kind)
+        for done, (name, plot, images) in enumerate(wanted, start=1):
+            figure = plot.draw(folder, images)
+            if figure is not None:
+                told[name] = plot.name, images
+                files |= {f"{name}.{kind}": style.file_of(figure, kind) for kind in formats}
+            if progress is not None:
+                progress(done, len(wanted), "figures")
     return files, told

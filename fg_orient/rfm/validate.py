@@ -15,6 +15,8 @@ from fg_orient.rfm.points import ControlPoints
 
 Array = npt.NDArray[np.float64]
 Estimator = Callable[[ControlPoints], RfmFit]
+#: Called with how many are done, of how many, and of what.
+Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,9 @@ class CrossValidation:
 
 
 def cross_validate(
-    points: ControlPoints, estimator: Estimator, *, folds: int | None = None, seed: int = 1
-) -> CrossValidation:
+    points: ControlPoints, estimator: Estimator, *, folds: int | None = None, seed: int = 1,
+    progress: Progress | None = None,
+) -> CrossValidation:  # fmt: skip
     """Leave out each point, or each of k folds, fit the others, project what was left out.
 
     The estimator sees the points of the other folds only: a kappa or a selection that it chooses is chosen anew in each
@@ -64,6 +67,8 @@ def cross_validate(
         k; default leave-one-out.
     seed : int
         Of the assignment of points to folds.
+    progress : callable, optional
+        Called with (done, of, text) before each fold.
 
     Returns
     -------
@@ -83,6 +88,8 @@ def cross_validate(
     fits: list[RfmFit | None] = []
     failures: dict[int, str] = {}
     for fold in range(k):
+        if progress is not None:
+            progress(fold, k, "cross-validation")
         out = place == fold
         try:
             fit = estimator(points.take(~out))

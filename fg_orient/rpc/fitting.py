@@ -14,7 +14,7 @@ from fg_orient.rfm.fit import RfmFit
 from fg_orient.rfm.form import Denominators, RfmForm
 from fg_orient.rfm.points import ControlPoints
 from fg_orient.rfm.select import fit_selected
-from fg_orient.rfm.validate import CrossValidation, cross_validate
+from fg_orient.rfm.validate import CrossValidation, Progress, cross_validate
 from fg_orient.rfm.virtual_grid import SHAPE, Errors, LocatingSensor, fit_sensor
 from fg_orient.rpc.check import NEAR_ZERO
 from fg_orient.rpc.points import MeasuredPoints, statistics
@@ -104,8 +104,12 @@ class FitOptions:
         return method(points, form, normalise=self.normalise, kappa=kappa, penalty=self.penalty, allow_pole=True)
 
 
-def fit_points(measured: MeasuredPoints, options: FitOptions) -> tuple[RpcModel, dict[str, Any]]:
+def fit_points(
+    measured: MeasuredPoints, options: FitOptions, progress: Progress | None = None
+) -> tuple[RpcModel, dict[str, Any]]:
     """Fit to control points and judge by cross-validation and at check points.
+
+    ``progress`` is called with (done, of, text) for each fold of the cross-validation.
 
     Returns
     -------
@@ -125,7 +129,7 @@ def fit_points(measured: MeasuredPoints, options: FitOptions) -> tuple[RpcModel,
     control, check = measured.take(~measured.check).points, measured.take(measured.check)
     _require_enough(control, options)
     fit = options.fit(control)
-    validation = _validation(control, options)
+    validation = _validation(control, options, progress)
     least = fit.least_denominators
     record = {
         "source": "points", "degree": options.degree, "denominators": options.denominators,
@@ -158,11 +162,12 @@ def _require_enough(control: ControlPoints, options: FitOptions) -> None:
         raise InputError.of("rfm.few_points", place=place, value=len(control), unknowns=len(form), least=least)
 
 
-def _validation(control: ControlPoints, options: FitOptions) -> CrossValidation | None:
+def _validation(control: ControlPoints, options: FitOptions, progress: Progress | None) -> CrossValidation | None:
     """Cross-validation with every choice made anew in each fold; None if a fold has too few points for it."""
     folds = options.folds or min(FOLDS, len(control))
     try:
-        return cross_validate(control, options.fit, folds=None if folds == len(control) else folds, seed=options.seed)
+        every = None if folds == len(control) else folds
+        return cross_validate(control, options.fit, folds=every, seed=options.seed, progress=progress)
     except InputError:
         if options.folds is not None:
             raise

@@ -11,7 +11,8 @@ ground point. Geometry on the real ellipsoid.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,13 @@ from fg_orient.block import Block
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.names import Role
 from fg_orient.sensors.correction import Correction
-from fg_orient.simulate.files import simulate_to
+from fg_orient.simulate.files import DIMAP, images_of, simulate_to
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
     ERRORS,
+    Progress,
     Simulation,
     Truth,
     draw_errors,
@@ -114,7 +116,9 @@ class BlockOptions:
         require(0.0 <= self.max_height_m <= 8000.0, "max_height_m", self.max_height_m, "0 to 8000 m")
 
 
-def simulate_block(out: str | Path, options: BlockOptions | None = None, *, overwrite: bool = False) -> Path:
+def simulate_block(
+    out: str | Path, options: BlockOptions | None = None, *, overwrite: bool = False, progress: Progress | None = None
+) -> Path:
     """Write a synthetic block: metadata files, points, observations, project file and ``truth/``.
 
     Parameters
@@ -124,6 +128,8 @@ def simulate_block(out: str | Path, options: BlockOptions | None = None, *, over
     options : BlockOptions, optional
     overwrite : bool
         Replace a folder that an earlier simulation wrote.
+    progress : callable, optional
+        Called with (done, of, text); each part of the work counts from 0.
 
     Returns
     -------
@@ -136,7 +142,10 @@ def simulate_block(out: str | Path, options: BlockOptions | None = None, *, over
         The folder exists (without ``overwrite``) or cannot be written.
     """
     chosen = options or BlockOptions()
-    return simulate_to(out, lambda: simulate(chosen), chosen, "simulate block", overwrite=overwrite)
+    writer = DIMAP if progress is None else replace(DIMAP, images=partial(images_of, progress=progress))
+    return simulate_to(
+        out, lambda: simulate(chosen, progress), chosen, "simulate block", overwrite=overwrite, writer=writer
+    )
 
 
 def grid_block(options: BlockOptions | None = None) -> tuple[Block, Truth]:
@@ -145,12 +154,13 @@ def grid_block(options: BlockOptions | None = None) -> tuple[Block, Truth]:
     return simulation.block(), simulation.truth
 
 
-def simulate(options: BlockOptions) -> Simulation:
+def simulate(options: BlockOptions, progress: Progress | None = None) -> Simulation:
     """Draw the block of these options."""
     streams = random_streams(options.seed)
     centres = _centres(options)
-    scenes = _scenes(options, centres)
-    lon_lat_height, visible = _points(options, scenes, streams["points"])
+    tell = progress or (lambda done, total, text: None)
+    scenes = _scenes(options, centres, tell)
+    lon_lat_height, visible = _points(options, scenes, streams["points"], tell)
     roles = _roles(options, streams["roles"])
     width = len(str(options.points))
     ids = tuple(f"{k + 1:0{width}d}" for k in range(options.points))
@@ -158,7 +168,7 @@ def simulate(options: BlockOptions) -> Simulation:
     errors = draw_errors(options.errors, streams["orientation"], len(scenes))
     name, noise = f"block of {len(scenes)} images", options.image_noise_px
     look, image_noise = np.zeros((2, 0)), streams["image_noise"]
-    return observe(name, scenes, ground, visible, errors, look, noise, image_noise, options.max_height_m)
+    return observe(name, scenes, ground, visible, errors, look, noise, image_noise, options.max_height_m, progress)
 
 
 def _centres(options: BlockOptions) -> Array:
@@ -178,10 +188,11 @@ def _shifted(offset_m: Array) -> Array:
     return np.stack([lon, lat], axis=1)
 
 
-def _scenes(options: BlockOptions, centres: Array) -> tuple[Scene, ...]:
+def _scenes(options: BlockOptions, centres: Array, tell: Progress) -> tuple[Scene, ...]:
     out = []
     width = len(str(len(centres)))
     for k, centre in enumerate(centres):
+        tell(k, len(centres), "orbits")
         side = 1.0 if sum(divmod(k, options.columns)) % 2 else -1.0
         mirror = side * math.radians(options.roll_deg)
         orbit = find_pass(centre, mirror)
@@ -191,7 +202,7 @@ def _scenes(options: BlockOptions, centres: Array) -> tuple[Scene, ...]:
 
 
 def _points(
-    options: BlockOptions, scenes: tuple[Scene, ...], rng: np.random.Generator
+    options: BlockOptions, scenes: tuple[Scene, ...], rng: np.random.Generator, tell: Progress
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Points seen twice or more: longitude, latitude (degrees), height (m), (n, 3); who sees them (m, n)."""
     sensors = [as_read(scene.metadata()) for scene in scenes]
@@ -199,6 +210,7 @@ def _points(
     half = BORDER_M + options.spacing_m * (np.array([options.columns, options.rows]) - 1) / 2.0
     found, visible = np.empty((0, 3)), np.empty((len(scenes), 0), bool)
     while len(found) < options.points:
+        tell(len(found), options.points, "ground points")
         unit = rng.random((options.points + 100, 3))
         lon_lat = _shifted((2.0 * unit[:, :2] - 1.0) * half)
         drawn = np.column_stack([lon_lat, options.max_height_m * unit[:, 2]])

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from fg_orient.block import Options
     from fg_orient.sensors.metadata import PushbroomMetadata
-    from fg_orient.simulate.simulation import Simulation, Truth
+    from fg_orient.simulate.simulation import Progress, Simulation, Truth
 
     #: Writes further files of a simulation into its folder.
     More = Callable[[Path, Any], None]
@@ -134,15 +134,20 @@ def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any], w
     )  # fmt: skip
 
 
-def write_dimaps(folder: Path, name: str, images: Sequence[PushbroomMetadata]) -> list[str]:
+def write_dimaps(
+    folder: Path, name: str, images: Sequence[PushbroomMetadata], progress: Progress | None = None
+) -> list[str]:
     """Write DIMAP 1.1 of images; give the file names."""
-    for metadata in images:
+    for k, metadata in enumerate(images):
+        if progress is not None:
+            progress(k, len(images), "metadata files")
         write_dimap1(folder / metadata.file, metadata, dataset_name=f"{name}, simulated")
     return [metadata.file for metadata in images]
 
 
-def _images_of(folder: Path, simulation: Simulation) -> list[tuple[str, str]]:
-    files = write_dimaps(folder, simulation.name, simulation.metadata)
+def images_of(folder: Path, simulation: Simulation, progress: Progress | None = None) -> list[tuple[str, str]]:
+    """Write DIMAP 1.1 of the images of a simulation; give their ids and file names."""
+    files = write_dimaps(folder, simulation.name, simulation.metadata, progress)
     return list(zip(simulation.truth.image_ids, files, strict=True))
 
 
@@ -179,4 +184,4 @@ def _csv(header: list[str], rows: list[list[str]]) -> str:
 
 
 #: A ``Simulation``: one DIMAP 1.1 for each image.
-DIMAP: Final = ImageWriter(_images_of, eop_rows)
+DIMAP: Final = ImageWriter(images_of, eop_rows)

@@ -8,7 +8,6 @@ rectification, and no projection ground to image takes part.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,11 +21,10 @@ from fg_orient.io.rasters import rasterio_of
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.scene import as_read
-from fg_orient.simulate.simulation import Simulation, require
+from fg_orient.simulate.simulation import Progress, Simulation, require
 from fg_orient.simulate.terrain import STEP_M, Terrain, terrain_through, write_terrain
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
 
 DEM_FILE: Final = "dem.tif"
 #: Intervals between knots along an image axis: 75 pixels of 12000; bilinear errors of 0.003 px.

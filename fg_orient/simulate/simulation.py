@@ -8,7 +8,7 @@ vanishes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,6 +26,8 @@ from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import Scene, as_read
 
 Array = npt.NDArray[np.float64]
+#: Called with how many are done, of how many, and of what.
+Progress = Callable[[int, int, str], None]
 
 #: Sigma of image points given to the adjustment when the simulated noise is zero.
 NOMINAL_IMAGE_SIGMA_PX = 0.3
@@ -200,6 +202,7 @@ def observe(
     image_noise_px: float,
     rng: np.random.Generator,
     max_height_m: float | None = None,
+    progress: Progress | None = None,
 ) -> Simulation:
     """Take the images: metadata with errors, true pixels through them, noise.
 
@@ -216,12 +219,16 @@ def observe(
     max_height_m : float, optional
         Heights lie between 0 and this: the images are projected by polynomials and a few steps on the same conditions,
         which pays from some thousand points per image. Without it each sensor projects.
+    progress : callable, optional
+        Called with (done, of, text) before each image.
     """
     metadata = tuple(scene.metadata(error) for scene, error in zip(scenes, errors, strict=True))
     corrections = tuple(Correction(error, look) for error in errors)
     image, point = (a.astype(np.intp) for a in np.nonzero(visible))
     pixels = np.empty((len(image), 2))
     for k, (written, correction) in enumerate(zip(metadata, corrections, strict=True)):
+        if progress is not None:
+            progress(k, len(metadata), "images taken")
         rows = image == k
         sensor, seen = as_read(written), point[rows]
         if max_height_m is None:

@@ -22,10 +22,11 @@ from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.point_sets import CHECK_COUNT, N_POINTS, roles_of
-from fg_orient.simulate.render import Progress, RasterOptions, write_rasters
+from fg_orient.simulate.render import RasterOptions, write_rasters
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
     ERRORS,
+    Progress,
     Simulation,
     Truth,
     draw_errors,

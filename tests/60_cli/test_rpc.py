@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -545,8 +546,11 @@ def test_fit_says_that_m0_of_the_linear_form_is_not_the_accuracy(run: Run, model
     ended = run("rpc", "fit", points, "--equations", "linear", "--solver", "svd_scaled", "--json")
     assert (ended.code, ended.json["unknowns"]) == (4, 78)
     assert ended.json["m0_px"] is None or ended.json["m0_px"] > ended.json["m0_linear_px"]
-    good = run("rpc", "fit", points, "--degree", 2, "--json")
+    good = run("rpc", "fit", points, "--degree", 2, "--json", "--log", tmp_path / "fit.log")
     assert good.code == 0
+    told = [json.loads(line) for line in (tmp_path / "fit.log").read_text("utf-8").splitlines()]
+    folds = good.json["cross_validation"]["folds"]
+    assert {(e["total"], e["text"]) for e in told if e["event"] == "progress"} == {(folds, "cross-validation")}
     assert good.json["choice"].keys() == {"kappa"}
     assert sum(good.json["cross_validation"]["choices"].values()) == 10
 

@@ -22,6 +22,7 @@ from fg_orient.cli.common import LOGGED, emit, table
 from fg_orient.cli.log import LogFile, opened, session
 from fg_orient.cli.progress import describe_steps, duration, progress_bar
 from fg_orient.errors import InputError
+from tests.support.command import Run
 
 UTC = re.compile(r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z$")
 SHARED = {"quiet", "log", "as_json", "debug"}
@@ -134,6 +135,29 @@ def test_steps_are_logged_once_a_second_and_at_the_end(tmp_path: Path) -> None:
             tell(done, 100, "windows")
     steps = [line["done"] for line in events(log) if line["event"] == "progress"]
     assert steps[0] == 1 and steps[-1] == 100 and len(steps) < 20
+
+
+def test_other_work_has_a_rate_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first hundred took ten seconds; the second count begins a new clock."""
+    clock = [0.0]
+    log = tmp_path / "run.log"
+    with opened(log, as_json=True, quiet=False), progress_bar("orbits") as tell:
+        assert tell is not None
+        monkeypatch.setattr("fg_orient.cli.progress.time.perf_counter", lambda: clock[0])
+        tell(0, 100, "orbits")
+        for clock[0], done, text in ((10.0, 100, "orbits"), (10.0, 0, "images"), (12.0, 10, "images")):
+            tell(done, 100, text)
+    steps = [(line["text"], line["done"], line["seconds"]) for line in events(log) if line["event"] == "progress"]
+    assert steps[-2:] == [("images", 0, 0.0), ("images", 10, 2.0)]
+
+
+def test_long_commands_tell_how_far_they_are(tmp_path: Path, run: Run) -> None:
+    """The rate and time left of a bar come from these steps; the log holds the same."""
+    log = tmp_path / "run.log"
+    words = ("--rows", 1, "--columns", 2, "--points", 60, "--out", tmp_path / "block", "--log", log)
+    assert run("simulate", "block", *words).code == 0
+    counted = {line["text"]: line["total"] for line in events(log) if line["event"] == "progress"}
+    assert counted == {"orbits": 2, "ground points": 60, "images taken": 2, "metadata files": 2}
 
 
 def test_words_of_progress() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +35,13 @@ def test_bundle_from_tables(tmp_path: Path) -> None:
     words = ("closerange", "bundle", tmp_path / "image.csv", tmp_path / "cameras.toml", "--control",
              tmp_path / "control.csv", "--constraints", tmp_path / "constraints.toml", "--shared", "k1", "--sigma",
              str(SIGMA))  # fmt: skip
-    done = run(*words, "--out", tmp_path / "out", "--json")
+    done = run(*words, "--out", tmp_path / "out", "--json", "--log", tmp_path / "run.log")
     assert done.code == 0, done.stderr
     record = done.json
+    log = [json.loads(line) for line in (tmp_path / "run.log").read_text("utf-8").splitlines()]
+    stages = [(e["stage"], e["image_points"]) for e in log if e["event"] == "stage"]
+    assert stages == [("reading", 0), ("start values", 28), ("iterations", 28)]
+    assert [e["iteration"] for e in log if e["event"] == "iteration"][-1] == record["iterations"]
     assert (record["redundancy"], record["unknowns"]) == (56 + 1 - 13 - 18, 31)
     assert 0.6 <= record["m0"] <= 1.4 and record["weights"] == "absolute"
     k1 = record["cameras"][0]["parameters"][0]

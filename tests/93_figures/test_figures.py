@@ -249,15 +249,17 @@ def test_what_is_not_drawn_is_told(result: Path) -> None:
 
 def test_images_beyond_the_limit_are_told(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(write, "MAX_IMAGES", 1)
-    names = {name: (plot, images) for name, plot, images, _ in write.figures(folder)}
+    names = {name: (plot.name, images) for name, plot, images in write.planned(folder) if plot.name in DRAWN}
     assert names["residuals"] == ("residuals", ["left"])
     assert "1 more images have no figures of their own" in captions.page(folder, names)
 
 
 def test_command(run: Any, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(write, "PLOTS", tuple(p for p in write.PLOTS if p.name == "iterations"))
-    ended = run("report", result, "--figures", "--json")
+    ended = run("report", result, "--figures", "--json", "--log", result.parent / "run.log")
     assert ended.code == 0, ended.stderr
+    log = [json.loads(line) for line in (result.parent / "run.log").read_text("utf-8").splitlines()]
+    assert [(e["done"], e["total"], e["text"]) for e in log if e["event"] == "progress"] == [(1, 1, "figures")]
     files = ["captions.md", "iterations.pdf", "iterations.svg"]
     assert ended.json["figures"] == {"folder": str(result / "figures"), "files": files}
     assert sorted(p.name for p in (result / "figures").iterdir()) == files
