@@ -19,24 +19,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from factors._compile import F as F
+from factors._compile import compiled as compiled
+from factors._compile import inlined as inlined
 
 Array = npt.NDArray[np.float64]
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def compiled(function: F) -> F:
-    """Compile with numba: cached, no fast-math, division by zero gives inf (then refused)."""
-    return cast(F, njit(cache=True, error_model="numpy")(function))
-
-
-def inlined(function: F) -> F:
-    """As :func:`compiled`, and always put into its caller: a loop that calls it can become vector instructions."""
-    return cast(F, njit(cache=True, error_model="numpy", forceinline=True)(function))
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_rows import Index, threaded
+from factors.batch_rows import Index
 
 
 @threaded

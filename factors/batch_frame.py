@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from factors import frame, frame_measured
+from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_rows import Index, threaded
+from factors.batch_rows import Index
 from factors.frame_camera import CAMERA_SIZE, direction, pixel, row_of
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_pairs import Small
-from factors.batch_rows import Index, threaded
+from factors.batch_pairs import Small, place_in_sum
+from factors.batch_rows import Index
 
 
 @threaded
@@ -29,17 +30,27 @@ def gather_blocks(
     """
     b2, end = sums.shape[1], sums.shape[2]
     total, half = np.empty((b2, end)), np.empty((b2, end))
-    place, component = np.empty(wide.shape[1], np.int64), np.empty(wide.shape[1], np.int64)
+    flat, offset, step = total.reshape(b2 * end), np.empty(wide.shape[1], np.int64), np.empty(wide.shape[1], np.int64)
     for n in range(lo, hi):
         i, j = row[n], column[n]
         c_a, c_b, b_b = n_components[i], n_components[j], n_basis[j]
         for q in range(size[j]):
-            place[q], component[q] = wide[j, q] // c_b, wide[j, q] % c_b
+            b_q, c_q = wide[j, q] // c_b, wide[j, q] % c_b
+            offset[q] = b_q * end + place_in_sum(0, c_q, c_a, c_b)
+            step[q] = place_in_sum(1, c_q, c_a, c_b) - place_in_sum(0, c_q, c_a, c_b)
         _add_up(begin[n], begin[n + 1], order, own, sums, n_basis[i], b_b, c_b, i == j, half, total)
         for p in range(size[i]):
-            b_p, c_p = wide[i, p] // c_a, wide[i, p] % c_a
+            at, c_p, factor = wide[i, p] // c_a * b_b * end, wide[i, p] % c_a, scale[i, p]
             for q in range(size[j]):
-                out[n, p, q] = scale[i, p] * scale[j, q] * total[b_p * b_b + place[q], c_p * c_b + component[q]]
+                out[n, p, q] = factor * scale[j, q] * flat[at + offset[q] + step[q] * c_p]
+
+
+@threaded
+def _add_slot(sums: Array, s: int, out: Array) -> None:
+    """Add the sums (b^2, e) of a slot."""
+    for m in range(out.shape[0]):
+        for e in range(out.shape[1]):
+            out[m, e] += sums[s, m, e]
 
 
 @threaded
@@ -54,12 +65,10 @@ def _add_up(
             total[m, e], half[m, e] = 0.0, 0.0
     for k in range(lo, hi):
         s = order[k]
-        for m in range(b2):
-            for e in range(end):
-                if own[s] > 0:
-                    half[m, e] += sums[s, m, e]
-                else:
-                    total[m, e] += sums[s, m, e]
+        if own[s] > 0:
+            _add_slot(sums, s, half)
+        else:
+            _add_slot(sums, s, total)
     if not diagonal:
         return
     for p in range(b_a):
@@ -67,8 +76,8 @@ def _add_up(
             for c in range(c_b):
                 for d in range(c_b):
                     low, high = p * b_b + q, q * b_b + p
-                    from_half = half[low, c * c_b + d] if p <= q else half[high, d * c_b + c]
-                    total[low, c * c_b + d] += from_half
+                    here, turned = place_in_sum(c, d, c_b, c_b), place_in_sum(d, c, c_b, c_b)
+                    total[low, here] += half[low, here] if p <= q else half[high, turned]
 
 
 @threaded

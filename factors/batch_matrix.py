@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_rows import Index, threaded
+from factors.batch_rows import Index
 
 
 @threaded

@@ -14,14 +14,31 @@ from __future__ import annotations
 
 import numpy as np
 
+from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_rows import Index, threaded
-from factors.vectors import add_eight, add_one, outer_nine
+from factors.batch_rows import Index
+from factors.vectors import LANES, add_eight, add_one, combine_nine, outer_nine
 
 Small = np.ndarray[tuple[int], np.dtype[np.int32]]
 
 #: Points whose pairs are formed before they are added up: what is read and written then stays near the processor.
 BATCH = 16
+
+
+@threaded
+def place_in_sum(c: int, d: int, c_a: int, c_b: int) -> int:
+    """Place of the product of components c of c_a and d of c_b; of nine by nine as ``vectors.outer_nine`` writes it."""
+    if c_a == 9 and c_b == 9:
+        return 8 * c + d if d < 8 else 72 + c
+    return c * c_b + d
+
+
+@threaded
+def _aligned(rows: int, width: int) -> Array:
+    """Zeros (rows, width) from the start of a cache line: vectors across two lines are half as fast (measured)."""
+    space = np.zeros(rows * width + 8)
+    skip = (-space.ctypes.data % 64) // 8
+    return space[skip : skip + rows * width].reshape(rows, width)
 
 
 @threaded
@@ -40,8 +57,8 @@ def _form(
         )  # fmt: skip
         m00, m01 = same - (x0 * y0 + x1 * y1 + x2 * y2), -(x0 * y3 + x1 * y4 + x2 * y5)
         m10, m11 = -(x3 * y0 + x4 * y1 + x5 * y2), same - (x3 * y3 + x4 * y4 + x5 * y5)
-        if d_image.shape[2] == 9 and c_a == 9 and c_b == 9:
-            outer_nine(t, k * t.shape[1], d_image, i, j, m00, m01, m10, m11)
+        if c_a == 9 and c_b == 9:
+            outer_nine(t, k * t.shape[1], d_image, d_image.shape[2], i, j, m00, m01, m10, m11)
             continue
         for c in range(c_a):
             l0 = d_image[i, 0, c] * m00 + d_image[i, 1, c] * m10
@@ -72,30 +89,27 @@ def _add(n: int, weight: Array, m: int, t: Array, end: int, out: Array, s: int) 
     """Add n rows of t, times their weights, to ``out[s, m]``: by eights, then one by one."""
     at, stride, width, k = (s * out.shape[1] + m) * out.shape[2], t.shape[1], weight.shape[1], 0
     while k + 8 <= n:
-        add_eight(out, at, t, k * stride, stride, weight, m * width + k, end // 4)
+        add_eight(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
         k += 8
     while k < n:
-        add_one(out, at, t, k * stride, stride, weight, m * width + k, end // 4)
+        add_one(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
         k += 1
 
 
 @threaded
 def _add_gradient(
-    n: int, a: int, rays: int, base: int, place: int, n_b: int, n_c: int, basis: Array, value: Array, d_image: Array,
-    scaled: Array, root: Array, gradient: Array, reduced: bool, t: Array, weight: Array, out: Array, s: int,
+    n: int, a: int, rays: int, base: int, n_b: int, n_c: int, basis: Array, value: Array, place: int, d_image: Array,
+    t: Array, weight: Array, out: Array, s: int,
 ) -> None:  # fmt: skip
-    """Add to the gradient of a slot what the ray a and its followers give; reduced by their points, or not."""
+    """Add ``D^T r`` of the ray a and of its followers to the gradient of a slot; r stands from ``place`` of value."""
     for k in range(n):
-        i, p = a + k * rays - base, place + k
-        q0, q1 = value[i, 0], value[i, 1]
-        if reduced:
-            g0, g1, g2 = gradient[p, 0], gradient[p, 1], gradient[p, 2]
-            u0, u1 = root[p, 0] * g0, root[p, 1] * g0 + root[p, 2] * g1
-            u2 = root[p, 3] * g0 + root[p, 4] * g1 + root[p, 5] * g2
-            q0 -= scaled[i, 0] * u0 + scaled[i, 1] * u1 + scaled[i, 2] * u2
-            q1 -= scaled[i, 3] * u0 + scaled[i, 4] * u1 + scaled[i, 5] * u2
-        for c in range(n_c):
-            t[k, c] = d_image[i, 0, c] * q0 + d_image[i, 1, c] * q1
+        i = a + k * rays - base
+        q0, q1 = value[i, place], value[i, place + 1]
+        if n_c == 9:
+            combine_nine(t, k * t.shape[1], d_image, d_image.shape[2], i, q0, q1)
+        else:
+            for c in range(n_c):
+                t[k, c] = d_image[i, 0, c] * q0 + d_image[i, 1, c] * q1
         for b in range(n_b):
             weight[b, k] = basis[base + i, b]
     for b in range(n_b):
@@ -116,8 +130,7 @@ def _clear(lo: int, hi: int, sums: Array, gradients: Array) -> None:
 @threaded
 def pair_blocks(
     lo: int, hi: int, chunks: Index, pieces: Index, slots: Small, slot_begin: Index, image: Small, n_basis: Index,
-    n_components: Index, basis: Array, base: int, value: Array, d_image: Array, scaled: Array, root: Array,
-    gradient: Array, sums: Array, gradients: Array,
+    n_components: Index, basis: Array, base: int, d_image: Array, scaled: Array, sums: Array, gradients: Array,
 ) -> None:  # fmt: skip
     """Write sums (S, b^2, e) over pairs of basis values and of components, and gradients (S, b, c), of chunks lo to hi.
 
@@ -130,14 +143,14 @@ def pair_blocks(
     slots : int array
         Slot of each pair of rays j <= k of a piece, by j, then k; -1 for none.
     base : int
-        Image point of row 0 of ``value`` (n, 2), ``d_image`` (n, 2, c), ``scaled`` (n, 6: Z); ``basis`` and ``image``
-        are those of all. ``d_image`` has :data:`factors.vectors.SLACK` numbers more behind it.
-    root, gradient : (P, 6), (P, 3) arrays
-        Of the points.
+        Image point of row 0 of ``d_image`` (n, 2, c) and ``scaled`` (n, 8: Z, residuals reduced by the point);
+        ``basis`` and ``image`` are those of all. ``d_image`` has :data:`factors.vectors.SLACK` numbers more behind it.
+    sums : (S, b^2, e) array
+        Components c, d of a sum stand at :func:`place_in_sum`.
     """
     size = sums.shape[2]
     # one row more than used: the last product of nine writes beyond its own
-    t, weight = np.zeros((BATCH + 1, max(size, gradients.shape[2]))), np.zeros((sums.shape[1], BATCH))
+    t, weight = _aligned(BATCH + 1, max(size, gradients.shape[2])), np.zeros((sums.shape[1], BATCH))
     for g in range(lo, hi):
         _clear(slot_begin[g], slot_begin[g + 1], sums, gradients)
         for piece in range(chunks[g], chunks[g + 1]):
@@ -153,15 +166,16 @@ def pair_blocks(
                         if s < 0:
                             continue
                         c_b, b_b = n_components[j], n_basis[j]
-                        end = min(size, (c_a * c_b + 3) // 4 * 4)
+                        end = min(size, -(-c_a * c_b // LANES) * LANES)
                         _form(n, a, b, rays, base, d_image, scaled, c_a, c_b, t)
                         _weigh(n, a, b, rays, basis, b_a, b_b, weight)
                         for p in range(b_a):
                             for q in range(p if a == b else 0, b_b):  # symmetric for a ray with itself
                                 _add(n, weight, p * b_b + q, t, end, sums, s)
                         if a == b:
-                            _add_gradient(n, a, rays, base, pieces[piece, 1] + start, b_a, c_a, basis, value, d_image,
-                                          scaled, root, gradient, True, t, weight, gradients, s)  # fmt: skip
+                            _add_gradient(
+                                n, a, rays, base, b_a, c_a, basis, scaled, 6, d_image, t, weight, gradients, s
+                            )
                         elif i == j:  # two rays in one image stand in both orders
                             _form(n, b, a, rays, base, d_image, scaled, c_b, c_a, t)
                             _weigh(n, b, a, rays, basis, b_b, b_a, weight)
@@ -172,8 +186,7 @@ def pair_blocks(
 @threaded
 def image_gradients(
     lo: int, hi: int, chunks: Index, pieces: Index, slots: Small, slot_begin: Index, image: Small, n_basis: Index,
-    n_components: Index, basis: Array, base: int, value: Array, d_image: Array, scaled: Array, root: Array,
-    gradient: Array, gradients: Array,
+    n_components: Index, basis: Array, base: int, value: Array, d_image: Array, gradients: Array,
 ) -> None:  # fmt: skip
     """Write the gradients (S, b, c) of chunks lo to hi, not reduced; see :func:`pair_blocks`."""
     t, weight = np.zeros((BATCH, gradients.shape[2])), np.zeros((gradients.shape[1], BATCH))
@@ -188,7 +201,7 @@ def image_gradients(
                 entry = pieces[piece, 4]
                 for j in range(rays):
                     a = first + start * rays + j
-                    _add_gradient(min(BATCH, count - start), a, rays, base, 0, n_basis[image[a]],
-                                  n_components[image[a]], basis, value, d_image, scaled, root, gradient, False, t,
-                                  weight, gradients, slots[entry])  # fmt: skip
+                    _add_gradient(min(BATCH, count - start), a, rays, base, n_basis[image[a]],
+                                  n_components[image[a]], basis, value, 0, d_image, t, weight, gradients,
+                                  slots[entry])  # fmt: skip
                     entry += rays - j

@@ -11,8 +11,9 @@ import math
 
 import numpy as np
 
+from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_rows import Index, threaded
+from factors.batch_rows import Index
 
 Small = np.ndarray[tuple[int], np.dtype[np.int32]]
 Flags = np.ndarray[tuple[int], np.dtype[np.int8]]
@@ -28,7 +29,7 @@ def point_blocks(
     lo: int, hi: int, first: Small, number: Small, free: Flags, control: Array, ground: Array, damping: float,
     base: int, value: Array, d_ground: Array, root: Array, gradient: Array, scaled: Array,
 ) -> int:  # fmt: skip
-    """Write R (P, 6) as r00 r10 r11 r20 r21 r22, the gradient (P, 3) and Z = G R^T of the rays of points lo to hi.
+    """Write R (P, 6) as r00 r10 r11 r20 r21 r22 and the gradient (P, 3); of each ray Z = G R^T and reduced residuals.
 
     Parameters
     ----------
@@ -41,7 +42,8 @@ def point_blocks(
     control : (N, 12) array
         W row-major and the observed coordinates.
     base : int
-        Observation of row 0 of ``value`` (n, 2), ``d_ground`` (n, 2, 3) and ``scaled`` (n, 6).
+        Observation of row 0 of ``value`` (n, 2), ``d_ground`` (n, 2, 3) and ``scaled`` (n, 8): Z row by row, then
+        ``residual - Z R g``: what is left of a residual when the point has moved to its own minimum.
 
     Returns
     -------
@@ -66,12 +68,16 @@ def point_blocks(
         for k in range(3):
             gradient[p, k] = g[k]
         r0, r1, r2, r3, r4, r5 = root[p, 0], root[p, 1], root[p, 2], root[p, 3], root[p, 4], root[p, 5]
+        u0, u1, u2 = r0 * g[0], r1 * g[0] + r2 * g[1], r3 * g[0] + r4 * g[1] + r5 * g[2]
         for a in range(first[p] - base, first[p + 1] - base):
             for r in range(2):
                 x, y, z = d_ground[a, r, 0], d_ground[a, r, 1], d_ground[a, r, 2]
                 scaled[a, 3 * r] = r0 * x
                 scaled[a, 3 * r + 1] = r1 * x + r2 * y
                 scaled[a, 3 * r + 2] = r3 * x + r4 * y + r5 * z
+                scaled[a, 6 + r] = value[a, r] - (
+                    u0 * (r0 * x) + u1 * (r1 * x + r2 * y) + u2 * (r3 * x + r4 * y + r5 * z)
+                )
     return bad
 
 

@@ -7,13 +7,13 @@ whatever its place in a block.
 
 from __future__ import annotations
 
-from typing import Final, cast
+from typing import Final
 
 import numpy as np
-from numba import njit
 
 from factors import pushbroom
-from factors._contract import Array, F
+from factors._compile import exact
+from factors._contract import Array
 from factors.batch_rows import Index
 from factors.sight import STORED, derivatives, sight, store
 
@@ -22,12 +22,7 @@ BLOCK: Final = 32
 _SMALL: Final = 27
 
 
-def _exact(function: F) -> F:
-    """Compile with numba so that threads run side by side; no products and sums are fused."""
-    return cast(F, njit(cache=True, error_model="numpy", nogil=True)(function))
-
-
-@_exact
+@exact
 def _places(setup: Array) -> tuple[Index, Index]:
     """Place of each component among the corrections (11,), and of its derivative among the 14 of a row."""
     slot, column = np.empty(setup.shape[1], np.int64), np.empty(setup.shape[1], np.int64)
@@ -38,7 +33,7 @@ def _places(setup: Array) -> tuple[Index, Index]:
     return slot, column
 
 
-@_exact
+@exact
 def _any_small(first: int, size: int, members: Index, records: Array, row: Index) -> bool:
     """Whether an observation of a block has the small-angle form.
 
@@ -52,7 +47,7 @@ def _any_small(first: int, size: int, members: Index, records: Array, row: Index
     return flags != 0.0  # also where a number is nan
 
 
-@_exact
+@exact
 def _gather(
     first: int, size: int, members: Index, records: Array, row: Index, image: Index, point: Index, slot: Index,
     n_basis: int, basis: Array, wide: Array, ground: Array, constants: Array, d: Array, place: Array,
@@ -73,7 +68,7 @@ def _gather(
             d[slot[k] * BLOCK + i] = x
 
 
-@_exact
+@exact
 def _evaluate(constants: Array, d: Array, place: Array, size: int, small: bool, want: bool, out: Array) -> None:
     """Evaluate a block; the loops that matter are those of the full rotation."""
     n, full = np.int64(BLOCK), np.bool_(False)  # typed, so that numba makes no variant for each literal
@@ -92,7 +87,7 @@ def _evaluate(constants: Array, d: Array, place: Array, size: int, small: bool, 
             out[i + (STORED - 1) * n] = value[0] + value[1]
 
 
-@_exact
+@exact
 def _scatter(
     first: int, size: int, members: Index, column: Index, out: Array, value: Array, d_image: Array, d_ground: Array,
     want: bool,
@@ -113,7 +108,7 @@ def _scatter(
     return bad
 
 
-@_exact
+@exact
 def pushbroom_rows(
     lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,

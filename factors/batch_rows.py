@@ -7,21 +7,14 @@ same bits.
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from factors import rfm_equation
-from factors._contract import Array, F
+from factors._compile import threaded
+from factors._contract import Array
 
 Index = npt.NDArray[np.int64]
-
-
-def threaded(function: F) -> F:
-    """Compile with numba so that threads run side by side; products and sums may fuse, sums keep their order."""
-    return cast(F, njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})(function))
 
 
 @threaded

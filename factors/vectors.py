@@ -1,4 +1,4 @@
-"""What the pairs of rays spend their time in, in vector instructions of 256 bits.
+"""What the pairs of rays spend their time in, in vector instructions of 512 bits where the processor has them, or 256.
 
 Written out, because the compiler does not find them: it unrolls a loop of nine before it could vectorise it, and it
 asks before each sum of rows whether the arrays overlap, which takes as long as the sum. Nine components per image point
@@ -11,23 +11,30 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-#: Numbers that one call reads and writes beyond what it means: its vectors hold 12.
-SLACK: Final = 3
-_LANES = ir.VectorType(ir.DoubleType(), 4)
+#: Numbers of one vector; a sum has the same bits with any.
+LANES: Final = 8 if binding.get_host_cpu_features().get("avx512f") else 4
+#: Numbers that are read beyond nine: vectors are whole.
+SLACK: Final = -9 % LANES
+_LANES = ir.VectorType(ir.DoubleType(), LANES)
 _INT: Final = ir.IntType(64)
+
+
+def padded(n: int) -> int:
+    """Least multiple of :data:`LANES` that holds n numbers."""
+    return -(-n // LANES) * LANES
 
 
 def _splat(builder: Any, number: Any) -> Any:
     """All lanes one number."""
-    empty, places = ir.Constant(_LANES, ir.Undefined), ir.VectorType(ir.IntType(32), 4)
+    empty, places = ir.Constant(_LANES, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
     one = builder.insert_element(empty, number, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(one, empty, ir.Constant(places, [0] * 4))
+    return builder.shuffle_vector(one, empty, ir.Constant(places, [0] * LANES))
 
 
 def _sum(builder: Any, a: Any, x: Any, b: Any, y: Any) -> Any:
@@ -43,15 +50,20 @@ def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
 
 
 def _vector(builder: Any, pointer: Any, offset: Any) -> Any:
-    """Address of four numbers from an offset."""
+    """Address of a vector of numbers from an offset."""
     return builder.bitcast(builder.gep(pointer, [offset]), _LANES.as_pointer())
 
 
 def _load(builder: Any, pointer: Any, offset: Any) -> Any:
-    """Four numbers from an offset."""
+    """A vector of numbers from an offset."""
     out = builder.load(_vector(builder, pointer, offset))
     out.align = 8
     return out
+
+
+def _store(builder: Any, vector: Any, pointer: Any, offset: int) -> None:
+    """Write a vector from an offset."""
+    builder.store(vector, _vector(builder, pointer, ir.Constant(_INT, offset))).align = 8
 
 
 def _number(builder: Any, pointer: Any, offset: int) -> Any:
@@ -59,28 +71,57 @@ def _number(builder: Any, pointer: Any, offset: int) -> Any:
     return _splat(builder, builder.load(builder.gep(pointer, [ir.Constant(_INT, offset)])))
 
 
-def _outer_nine(
-    typing: Any, out: Any, at: Any, rows: Any, a: Any, b: Any, m00: Any, m01: Any, m10: Any, m11: Any
-) -> Any:
-    """Write ``D_a^T M D_b`` (9 x 9, row-major) from place ``at`` of ``out``; D are rows a and b of ``rows`` (n, 2, 9).
+def _columns(builder: Any, kind: Any, context: Any, array: Any, width: Any, row: Any) -> tuple[Any, Any]:
+    """Addresses of both lines of a row of an array (n, 2, width)."""
+    first = builder.gep(
+        _data(context, builder, kind, array), [builder.mul(builder.mul(row, width), ir.Constant(_INT, 2))]
+    )
+    return first, builder.gep(first, [width])
 
-    Arrays are contiguous. :data:`SLACK` numbers after the last row are read, and as many after the product written.
+
+def _outer_nine(
+    typing: Any, out: Any, at: Any, rows: Any, width: Any, a: Any, b: Any, m00: Any, m01: Any, m10: Any, m11: Any
+) -> Any:
+    """Write ``T = D_a^T M D_b`` (9 x 9) from place ``at`` of ``out``; D are rows a and b of ``rows`` (n, 2, width).
+
+    First eight columns of T, row by row, then the ninth, so that no vector stands across two lines of memory:
+    ``batch_pairs.place_in_sum``. Nine columns of D count, and more are read; the product is :func:`padded`.
     """
-    number = types.float64
-    signature = types.void(out, types.intp, rows, types.intp, types.intp, number, number, number, number)
+    number, place = types.float64, types.intp
+    signature = types.void(out, place, rows, place, place, place, number, number, number, number)
 
     def generate(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
-        target, source = (_data(context, builder, given.args[k], arguments[k]) for k in (0, 2))
-        target = builder.gep(target, [arguments[1]])
-        first, second = (builder.gep(source, [builder.mul(arguments[k], ir.Constant(_INT, 18))]) for k in (3, 4))
-        m = [_splat(builder, number) for number in arguments[5:]]
-        x, y = ([_load(builder, second, ir.Constant(_INT, 9 * r + 4 * k)) for k in range(3)] for r in range(2))
-        turned = [[_sum(builder, m[2 * r], x[k], m[2 * r + 1], y[k]) for k in range(3)] for r in range(2)]
-        for c in range(9):
-            d = [_number(builder, first, 9 * r + c) for r in range(2)]
-            for k in range(3):
-                product = _sum(builder, d[0], turned[0][k], d[1], turned[1][k])
-                builder.store(product, _vector(builder, target, ir.Constant(_INT, 9 * c + 4 * k))).align = 8
+        target = builder.gep(_data(context, builder, given.args[0], arguments[0]), [arguments[1]])
+        d_a, d_b = (_columns(builder, given.args[2], context, arguments[2], arguments[3], arguments[k]) for k in (4, 5))
+        m = [_splat(builder, number) for number in arguments[6:]]
+        for k in range(0, 8, LANES):
+            x, y = (_load(builder, line, ir.Constant(_INT, k)) for line in d_b)
+            turned = [_sum(builder, m[2 * r], x, m[2 * r + 1], y) for r in range(2)]
+            for c in range(9):
+                one, two = (_number(builder, line, c) for line in d_a)
+                product = _sum(builder, one, turned[0], two, turned[1])
+                _store(builder, product, target, 8 * c + k)
+        x, y = (_number(builder, line, 8) for line in d_b)
+        turned = [_sum(builder, m[2 * r], x, m[2 * r + 1], y) for r in range(2)]
+        for k in range(0, 9, LANES):
+            one, two = (_load(builder, line, ir.Constant(_INT, k)) for line in d_a)
+            _store(builder, _sum(builder, turned[0], one, turned[1], two), target, 72 + k)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+def _combine_nine(typing: Any, out: Any, at: Any, rows: Any, width: Any, a: Any, x: Any, y: Any) -> Any:
+    """Write ``D_a^T (x, y)``, nine numbers and what a vector holds beyond them, from place ``at`` of ``out``."""
+    signature = types.void(out, types.intp, rows, types.intp, types.intp, types.float64, types.float64)
+
+    def generate(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
+        target = builder.gep(_data(context, builder, given.args[0], arguments[0]), [arguments[1]])
+        one, two = _columns(builder, given.args[2], context, arguments[2], arguments[3], arguments[4])
+        x, y = (_splat(builder, number) for number in arguments[5:])
+        for k in range(0, 9, LANES):
+            place = ir.Constant(_INT, k)
+            _store(builder, _sum(builder, x, _load(builder, one, place), y, _load(builder, two, place)), target, k)
         return context.get_dummy_value()
 
     return signature, generate
@@ -90,7 +131,7 @@ def _adder(rows: int) -> Callable[..., None]:
     """Make the function that adds so many rows at once: an element of the sum is then loaded and stored once."""
 
     def add_rows(
-        typing: Any, out: Any, at: Any, t: Any, begin: Any, stride: Any, weight: Any, w: Any, fours: Any
+        typing: Any, out: Any, at: Any, t: Any, begin: Any, stride: Any, weight: Any, w: Any, vectors: Any
     ) -> Any:
         place = types.intp
         signature = types.void(out, place, t, place, place, weight, place, place)
@@ -102,7 +143,7 @@ def _adder(rows: int) -> Callable[..., None]:
             for _ in range(rows - 1):
                 start.append(builder.gep(start[-1], [arguments[4]]))
             with cgutils.for_range(builder, arguments[7]) as loop:
-                e = builder.mul(loop.index, ir.Constant(_INT, 4))
+                e = builder.mul(loop.index, ir.Constant(_INT, LANES))
                 total = [_load(builder, target, e)]
                 for r in range(rows):
                     product = builder.fmul(factors[r], _load(builder, start[r], e), flags=("contract",))
@@ -123,8 +164,9 @@ def _adder(rows: int) -> Callable[..., None]:
 
 #: Compiled only; the first argument is numba's.
 outer_nine: Callable[..., None] = intrinsic(_outer_nine)
-#: ``f(out, at, t, begin, stride, weight, w, fours)``: to ``out`` from ``at`` add eight rows, or one, of ``t``, the
-#: first from ``begin``, each ``stride`` behind the one before, times the numbers of ``weight`` from ``w``; four times
-#: ``fours`` elements.
+combine_nine: Callable[..., None] = intrinsic(_combine_nine)
+#: ``f(out, at, t, begin, stride, weight, w, vectors)``: to ``out`` from ``at`` add eight rows, or one, of ``t``, the
+#: first from ``begin``, each ``stride`` behind the one before, times the numbers of ``weight`` from ``w``; ``vectors``
+#: times :data:`LANES` elements.
 add_eight = _adder(8)
 add_one = _adder(1)

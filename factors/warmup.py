@@ -142,7 +142,7 @@ def _compile_reduction(
         np.zeros((1, 6)),
         np.zeros((1, 3)),
         np.zeros((1, 3)),
-        value.repeat(3, 1),
+        np.zeros((2, 8)),
         np.zeros(1),
     )
     number, one, components = np.zeros(1, np.int32), np.ones(2, np.int64), np.full(2, n_components)
@@ -156,9 +156,9 @@ def _compile_reduction(
     batch_points.product(0, 1, places, first, free, *rays, wide, 0, 1.0, value, d_image, d_ground, step, squares)
     slots, begin, own = np.arange(3, dtype=np.int32), np.array([0, 3]), np.array([1, 0, 1], np.int32)
     sums, gradients = np.zeros((3, 1, n_components**2 + 8)), np.zeros((3, 1, n_components + 8))
-    pairs = (chunks, pieces, slots, begin, *rays, 0, value, d_image, scaled, root, gradient)
-    batch_pairs.pair_blocks(0, 1, *pairs, sums, gradients)
-    batch_pairs.image_gradients(0, 1, *pairs, gradients)
+    pairs = (chunks, pieces, slots, begin, *rays, 0)
+    batch_pairs.pair_blocks(0, 1, *pairs, d_image, scaled, sums, gradients)
+    batch_pairs.image_gradients(0, 1, *pairs, value, d_image, gradients)
     to, row, column = np.arange(4), np.array([0, 0, 1]), np.array([0, 1, 1])
     wide_place, scale = np.zeros((2, 1), np.int64), np.ones((2, 1))
     batch_gather.gather_blocks(0, 3, to, slots, own, row, column, sums, wide_place, scale, one, one, components,

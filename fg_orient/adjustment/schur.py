@@ -181,8 +181,7 @@ class SchurSystem:
             self._point_blocks(rows, damping)
             backend.workers.run(
                 pair_blocks, s.cost[lo : hi + 1], s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis,
-                s.n_components, s.basis, tile.points[0], rows.value, rows.d_image, b.scaled, b.root, b.gradient,
-                b.sums, b.gradients, start=lo,
+                s.n_components, s.basis, tile.points[0], rows.d_image, b.scaled, b.sums, b.gradients, start=lo,
             )  # fmt: skip
         self._eliminated_at = damping
 
@@ -258,7 +257,7 @@ class SchurSystem:
             self._point_blocks(rows, 0.0)
             self._backend.workers.run(
                 image_gradients, hi - lo, s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis, s.n_components,
-                s.basis, tile.points[0], rows.value, rows.d_image, b.scaled, b.root, b.gradient, b.gradients, start=lo,
+                s.basis, tile.points[0], rows.value, rows.d_image, b.gradients, start=lo,
             )  # fmt: skip
         return self._gathered_gradient(), b.gradient.copy()
 

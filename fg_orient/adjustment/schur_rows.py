@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.vectors import SLACK
+from factors.vectors import SLACK, padded
 from fg_orient.adjustment.schur_structure import Structure, Tile
 
 Array = npt.NDArray[np.float64]
@@ -42,9 +42,9 @@ class Buffers:
         self.value, self.trial, self.root_weight = np.empty((n, 2)), np.empty((largest, 2)), np.ones(0)
         self._kept, self._again = row_arrays(kept, c), row_arrays(again, c)
         self.held: Tile | None = None
-        self.members, self.scaled = np.arange(largest, dtype=np.int32), np.empty((largest, 6))
+        self.members, self.scaled = np.arange(largest, dtype=np.int32), _aligned(largest, 8)
         self.root, self.gradient, self.squares = np.empty((p, 6)), np.empty((p, 3)), np.empty(len(s.chunks) - 1)
-        self.sums = _aligned(slots, int(s.n_basis.max()) ** 2, (c * c + 3) // 4 * 4)
+        self.sums = _aligned(slots, int(s.n_basis.max()) ** 2, padded(c * c))
         self.gradients = np.zeros((slots, int(s.n_basis.max()), (c + 7) // 8 * 8))
         self.blocks = np.zeros((len(s.block_row), s.wide.shape[1], s.wide.shape[1]))
         self.control = control_records  # under a loss, a copy with weights: see SchurSystem

@@ -31,8 +31,8 @@ Small = npt.NDArray[np.int32]
 SERIAL_LIMIT: Final = 2000
 #: Chunks: about so many, of so many image points. Each has sums of its own (some blocks of 6 kB), and they are what is
 #: shared out among threads.
-CHUNKS: Final = 24
-LEAST_CHUNK: Final = 512
+CHUNKS: Final = 12
+LEAST_CHUNK: Final = 768
 MOST_CHUNK: Final = 16384
 #: Bytes per image point that the sums of the chunks may take, and bytes they always may; chunks there always are.
 SUMS: Final = 48
@@ -43,7 +43,7 @@ TILE: Final = 131_072
 #: Up to so many image points all rows are kept, 200 bytes each; of larger blocks this share, so that the working set
 #: stays below 256 bytes per image point. The others are computed three times instead of once.
 ALL_KEPT: Final = 300_000
-KEPT_SHARE: Final = 0.5
+KEPT_SHARE: Final = 0.28
 #: Records that are copied at once.
 RECORDS: Final = 32_768
 
