@@ -4,6 +4,9 @@ numba keeps compiled code beside the source and uses it as long as that one file
 compiled into it, so that a change in another file would go unnoticed, and numbers would be those of the old one: after
 an update, or while somebody works on a kernel. Here the stamp of a function is that of its file and of all files of
 this package that it imports, directly or not.
+
+Whether products and sums may fuse, and whether a function is put into its caller, is said for each one: numba lets a
+function that says nothing take it from whatever caller is compiled first, and its last bits would depend on that.
 """
 
 from __future__ import annotations
@@ -26,22 +29,24 @@ _IMPORT: Final = re.compile(rf"^from {_HERE.name}(?:\.([\w.]+) import|\s+import\
 
 def compiled(function: F) -> F:
     """Compile with numba: cached, no fast-math, division by zero gives inf (then refused)."""
-    return _stamped(njit(cache=True, error_model="numpy")(function), function)
+    return _stamped(njit(cache=True, error_model="numpy", fastmath=False, forceinline=False)(function), function)
 
 
 def inlined(function: F) -> F:
     """As :func:`compiled`, and always put into its caller: a loop that calls it can become vector instructions."""
-    return _stamped(njit(cache=True, error_model="numpy", forceinline=True)(function), function)
+    return _stamped(njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)(function), function)
 
 
 def exact(function: F) -> F:
     """Compile so that threads run side by side; no products and sums are fused."""
-    return _stamped(njit(cache=True, error_model="numpy", nogil=True)(function), function)
+    options = njit(cache=True, error_model="numpy", nogil=True, fastmath=False, forceinline=False)
+    return _stamped(options(function), function)
 
 
 def threaded(function: F) -> F:
     """Compile so that threads run side by side; products and sums may fuse, sums keep their order."""
-    return _stamped(njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})(function), function)
+    options = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, forceinline=False)
+    return _stamped(options(function), function)
 
 
 def stamp(file: Path) -> bytes:

@@ -6,8 +6,8 @@ import numpy as np
 
 from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_pairs import Small, place_in_sum
-from factors.batch_rows import Index
+from factors.batch_rows import Index, Small
+from factors.vectors import place_in_sum
 
 
 @threaded

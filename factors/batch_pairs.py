@@ -16,29 +16,11 @@ import numpy as np
 
 from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_rows import Index
-from factors.vectors import LANES, add_eight, add_one, combine_nine, outer_nine
-
-Small = np.ndarray[tuple[int], np.dtype[np.int32]]
+from factors.batch_rows import Index, Small
+from factors.vectors import LANES, add_eight, add_one, aligned, combine_nine, outer_nine
 
 #: Points whose pairs are formed before they are added up: what is read and written then stays near the processor.
 BATCH = 16
-
-
-@threaded
-def place_in_sum(c: int, d: int, c_a: int, c_b: int) -> int:
-    """Place of the product of components c of c_a and d of c_b; of nine by nine as ``vectors.outer_nine`` writes it."""
-    if c_a == 9 and c_b == 9:
-        return 8 * c + d if d < 8 else 72 + c
-    return c * c_b + d
-
-
-@threaded
-def _aligned(rows: int, width: int) -> Array:
-    """Zeros (rows, width) from the start of a cache line: vectors across two lines are half as fast (measured)."""
-    space = np.zeros(rows * width + 8)
-    skip = (-space.ctypes.data % 64) // 8
-    return space[skip : skip + rows * width].reshape(rows, width)
 
 
 @threaded
@@ -146,11 +128,11 @@ def pair_blocks(
         Image point of row 0 of ``d_image`` (n, 2, c) and ``scaled`` (n, 8: Z, residuals reduced by the point);
         ``basis`` and ``image`` are those of all. ``d_image`` has :data:`factors.vectors.SLACK` numbers more behind it.
     sums : (S, b^2, e) array
-        Components c, d of a sum stand at :func:`place_in_sum`.
+        Components c, d of a sum stand at :func:`factors.vectors.place_in_sum`.
     """
     size = sums.shape[2]
     # one row more than used: the last product of nine writes beyond its own
-    t, weight = _aligned(BATCH + 1, max(size, gradients.shape[2])), np.zeros((sums.shape[1], BATCH))
+    t, weight = aligned(BATCH + 1, max(size, gradients.shape[2])), np.zeros((sums.shape[1], BATCH))
     for g in range(lo, hi):
         _clear(slot_begin[g], slot_begin[g + 1], sums, gradients)
         for piece in range(chunks[g], chunks[g + 1]):

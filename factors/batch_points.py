@@ -13,10 +13,7 @@ import numpy as np
 
 from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_rows import Index
-
-Small = np.ndarray[tuple[int], np.dtype[np.int32]]
-Flags = np.ndarray[tuple[int], np.dtype[np.int8]]
+from factors.batch_rows import Flags, Index, Small
 
 #: A point whose pivot falls below this part of its diagonal element is not determined.
 SINGULAR = 1e-14
@@ -42,8 +39,7 @@ def point_blocks(
     control : (N, 12) array
         W row-major and the observed coordinates.
     base : int
-        Observation of row 0 of ``value`` (n, 2), ``d_ground`` (n, 2, 3) and ``scaled`` (n, 8): Z row by row, then
-        ``residual - Z R g``: what is left of a residual when the point has moved to its own minimum.
+        Observation of row 0 of ``value`` (n, 2), ``d_ground`` (n, 2, 3), ``scaled`` (n, 8: Z, ``residual - Z R g``).
 
     Returns
     -------
@@ -107,10 +103,9 @@ def _add(h: Array, g: Array, x: float, y: float, z: float, residual: float) -> N
 @threaded
 def _inverse_root(h: Array, out: Array, p: int) -> bool:
     """Write the inverse of the Cholesky factor of a lower triangle to out[p]; False if it is singular."""
-    d0 = h[0]
-    if not d0 > 0.0:
+    if not h[0] > 0.0:
         return False
-    l00 = math.sqrt(d0)
+    l00 = math.sqrt(h[0])
     l10, l20 = h[1] / l00, h[3] / l00
     d1 = h[2] - l10 * l10
     if not d1 > SINGULAR * h[2]:
@@ -193,9 +188,8 @@ def product(
     for n in range(lo, hi):
         total = 0.0
         for p in range(places[n], places[n + 1]):
-            x0, x1, x2 = step[p, 0], step[p, 1], step[p, 2]
-            if free[p] == 0:
-                x0, x1, x2 = 0.0, 0.0, 0.0
+            moves = 1.0 if free[p] > 0 else 0.0
+            x0, x1, x2 = moves * step[p, 0], moves * step[p, 1], moves * step[p, 2]
             for a in range(first[p], first[p + 1]):
                 k, i = a - base, image[a]
                 y = _along(a, base, d_image, basis, i, wide, n_basis[i], n_components[i])

@@ -15,6 +15,8 @@ from factors._compile import threaded
 from factors._contract import Array
 
 Index = npt.NDArray[np.int64]
+Small = np.ndarray[tuple[int], np.dtype[np.int32]]
+Flags = np.ndarray[tuple[int], np.dtype[np.int8]]
 
 
 @threaded

@@ -8,9 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from factors._compile import threaded
-from factors.batch_pairs import Small
-from factors.batch_points import Flags
-from factors.batch_rows import Index
+from factors.batch_rows import Flags, Index, Small
 
 #: Multiplier of a hash over a sequence (Knuth 1998, 6.4): 2^64 over the golden ratio, odd.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

@@ -50,3 +50,10 @@ def test_numba_uses_the_stamp(kernel: object, callee: str) -> None:
         waiting += new
     assert FOLDER / f"{callee}.py" in seen
     assert Path(light.__file__) not in seen
+
+
+def test_a_function_does_not_take_the_rounding_of_its_first_caller() -> None:
+    """Numba hands fastmath and forceinline on to functions that say nothing and are compiled for a caller."""
+    for compile_ in (_compile.compiled, _compile.inlined, _compile.exact, _compile.threaded):
+        options = compile_(lambda x: x * x).targetoptions  # type: ignore[attr-defined]
+        assert {"fastmath", "forceinline"} <= options.keys()
