@@ -103,7 +103,7 @@ numpydoc_class_members_toctree = False
 
 html_theme = "alabaster"
 html_static_path = ["_static"]
-html_theme_options = {"description": "Orientation of optical satellite images", "fixed_sidebar": True}
+html_theme_options = {"description": "Orientation of optical images", "fixed_sidebar": True}
 
 # Several classes stand under two names (fg_orient.Block is fg_orient.block.Block): either target is right.
 suppress_warnings = ["ref.python"]
