@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.contamination import METHODS, PLAIN, RESULTS
+from benchmarks.contamination import METHODS, PLAIN, RESULTS, SNOOPING
 from benchmarks.page import markdown
 
 PAGE: Final = Path(__file__).parents[1] / "docs" / "robust.md"
@@ -136,22 +136,21 @@ def figure(results: dict[str, Any], digest: str) -> None:
     mpl.rcParams["svg.hashsalt"] = "robust"
     from matplotlib import pyplot as plt
 
-    drawn = (PLAIN, "huber", "hampel", "tukey", "tukey, start least squares", "tukey, start LTS", "GNC, tls",
+    drawn = (PLAIN, SNOOPING, "huber", "hampel", "tukey", "tukey, start least squares", "tukey, start LTS", "GNC, tls",
              "danish_original", "lad")  # fmt: skip
     found = ratios(results["entries"])
-    panels, axes = plt.subplots(1, 2, figsize=(9.0, 3.8), sharey=True)
+    panels, axes = plt.subplots(1, 2, figsize=(9.0, 4.4), sharey=True, layout="constrained")
     for axis, (case, title) in zip(axes, CASES.items(), strict=True):
         for k, method in enumerate(drawn):
             points = sorted((100.0 * s, r) for (c, s, m), r in found.items() if (c, m) == (case, method))
             if not points:
                 continue
-            axis.plot(*zip(*points, strict=True), marker="osv^D<>Px"[k], markersize=4, linewidth=1, label=method)
+            axis.plot(*zip(*points, strict=True), marker="os*v^D<>Px"[k], markersize=4, linewidth=1, label=method)
         axis.axhline(LIMIT, color="grey", linewidth=0.8, linestyle="--")
         axis.set(title=title, xlabel="gross errors, %", yscale="log")
         axis.title.set_fontsize(9)
     axes[0].set_ylabel("RMSE of check points / clean")
-    axes[1].legend(fontsize=7)
-    panels.tight_layout()
+    panels.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8)
     panels.savefig(FIGURE, metadata={"Date": None, "Description": f"results {digest}"})
     plt.close(panels)
 
