@@ -18,7 +18,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.errors import NoSolutionError
@@ -53,13 +52,11 @@ def freedoms(residuals: Residuals, found: Sequence[Suspects], components: Varian
     (n,) array
         Where the block is too large to form R, those of the suspect's own group.
     """
-    covariance = _covariance(components)
-    r, groups = residuals.projector(), _groups(residuals)
-    select = np.eye(len(covariance))[groups]
+    covariance, parts = _covariance(components), residuals.parts
     out = [np.zeros(0)]
     for s in found:
         rows, columns = residuals.rows_of(s), residuals.columns_of(s)
-        share = _own(select, rows, columns) if r is None else _shares(select, r, rows, columns)
+        share = _own(residuals, rows, columns) if parts is None else parts.shares(s.point, rows, columns)
         out.append(_satterthwaite(share, covariance))
     return np.concatenate(out)
 
@@ -73,30 +70,15 @@ def _covariance(components: VarianceComponents) -> Array:
     return covariance
 
 
-def _groups(residuals: Residuals) -> Index:
-    """Groups of all rows, none being the last number."""
-    return np.where(residuals.labels < 0, len(residuals.groups.names), residuals.labels)
-
-
 def _satterthwaite(share: Array, covariance: Array) -> Array:
     """Degrees of freedom (n,) of shares (n, g)."""
     variance = np.einsum("ng,gh,nh->n", share, covariance, share)
     return np.asarray(np.minimum(KNOWN, 2.0 / np.maximum(variance, 2.0 / KNOWN)))
 
 
-def _shares(select: Array, r: Array, rows: Index, columns: Array) -> Array:
-    """Shares c (n, g): what each group contributes to the variance of an error, last what belongs to none."""
-    effect = np.einsum("rnm,nmk->rnk", r[:, rows], columns)
-    own = effect[rows, np.arange(len(rows))[:, None]]
-    size, axes = np.linalg.eigh(np.swapaxes(columns, 1, 2) @ own)
-    checked = size > 1e-6 * np.maximum(size[:, -1:], np.finfo(float).tiny)
-    scaled = np.where(checked[:, None], axes / np.sqrt(np.where(checked, size, 1.0))[:, None], 0.0)
-    weight = np.sum(np.einsum("rnk,nka->rna", effect, scaled) ** 2, axis=2) / np.maximum(checked.sum(axis=1), 1)
-    return np.asarray(weight.T @ select)
-
-
-def _own(select: Array, rows: Index, columns: Array) -> Array:
-    """The same where R is not known: only the groups of the suspect's own rows."""
+def _own(residuals: Residuals, rows: Index, columns: Array) -> Array:
+    """Shares where what groups give to each other's residuals is not known: those of the suspect's own rows."""
+    select = np.eye(len(residuals.groups.names) + 1)[residuals.labels]  # -1 is the last
     found = np.einsum("nm,nmg->ng", np.sum(columns**2, axis=2), select[rows])
     return np.asarray(found / found.sum(axis=1, keepdims=True))
 
@@ -105,22 +87,19 @@ def _own(select: Array, rows: Index, columns: Array) -> Array:
 class UnknownFreedom:
     """Degrees of freedom of tests of image unknowns: their variance is a mixture of the components, too.
 
-    ``x = H l`` with ``H = N^-1 A^T``, whitened, so of unknowns with cofactors ``Q = L L^T`` together
-    ``c_j = tr(L^-1 H E_j H^T L^-T) / d``.
+    Cofactors ``Q = sum_j W_j`` (``fg_orient.quality.group_cofactors``), so of unknowns with cofactors ``Q = L L^T``
+    together ``c_j = tr(L^-1 W_j L^-T) / d``.
 
     Parameters
     ----------
-    effect : (u, n) array
-        H of the image unknowns, shared ones once.
-    select : (n, g) array
-        1 where a row belongs to a group.
+    parts : (g, u, u) array
+        W_j of the image unknowns, shared ones once.
     covariance : (g, g) array
     free : (w,) int array
-        Row of ``effect`` of each place in ``problem.image_columns``.
+        Row of ``parts`` of each place in ``problem.image_columns``.
     """
 
-    effect: Array
-    select: Array
+    parts: Array
     covariance: Array
     free: Index
 
@@ -137,32 +116,27 @@ class UnknownFreedom:
             The block is too large.
         """
         groups = groups_of(problem, problem.block.options.variance_components)
-        residuals = Residuals(problem, state, cofactors, groups, known)
-        if not residuals.small:
-            raise NoSolutionError.of(
-                "statistics.components_large", place=problem.block.name, value=len(residuals.labels)
-            )
-        q, r, length = residuals.factors
+        parts = Residuals(problem, state, cofactors, groups, known).parts
         u = problem.n_free_unknowns
-        effect = solve_triangular(r, q.T)[:u] / length[:u, None]
-        select = np.eye(len(components.components) + 1)[_groups(residuals)]
+        if parts is None:
+            raise NoSolutionError.of("statistics.components_large", place=problem.block.name, value=u)
         free = np.arange(u) if problem.ties is None else problem.ties.of
-        return cls(effect, select, _covariance(components), free)
+        return cls(parts.parts, _covariance(components), free)
 
     def each(self) -> Array:
         """Degrees of freedom (w,) of every unknown alone, in the order of ``problem.image_columns``."""
-        share = self.effect**2 @ self.select
+        share = np.einsum("guu->ug", self.parts)
         return _satterthwaite(share / share.sum(axis=1, keepdims=True), self.covariance)[self.free]
 
     def together(self, index: Index) -> float:
         """Degrees of freedom of the F test of unknowns at these places."""
-        basis = np.linalg.qr((self.effect[self.free[index]] / self._length[self.free[index], None]).T).Q
-        share = np.sum(basis**2, axis=1) @ self.select / basis.shape[1]
+        mine = self.free[index]
+        parts = self.parts[:, mine[:, None], mine]
+        q = parts.sum(axis=0)
+        length = np.sqrt(np.diag(q))
+        scaled = parts / np.outer(length, length)
+        share = np.einsum("gii->g", np.linalg.solve(q / np.outer(length, length), scaled)) / len(mine)
         return float(_satterthwaite(share[None], self.covariance)[0])
-
-    @property
-    def _length(self) -> Array:
-        return np.asarray(np.linalg.norm(self.effect, axis=1))
 
 
 def least_freedom(components: VarianceComponents) -> float:

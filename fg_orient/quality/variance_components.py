@@ -27,12 +27,12 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.distributions import chi_square_median
 from fg_orient.errors import InputError
 from fg_orient.names import Role
 from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.group_cofactors import LARGEST, GroupCofactors, cost
 from fg_orient.quality.observation_groups import DEFAULT_GROUPS, Groups, groups_of
 from fg_orient.quality.residuals import ResidualCofactors, residual_cofactors
 from fg_orient.quality.suspects import Suspects
@@ -42,8 +42,6 @@ Index = npt.NDArray[np.intp]
 Method = Literal["helmert", "median"]
 
 METHODS: Final = ("helmert", "median")
-#: Rows of the whitened Jacobian up to which R is formed; its cost grows with their cube (1 s).
-EXACT_ROWS: Final = 1500
 #: A block of residuals with an eigenvalue of its cofactors below this is not checked in all directions.
 CHECKED: Final = 1e-6
 
@@ -151,7 +149,7 @@ class Residuals:
         known: ResidualCofactors | None = None,
     ) -> None:  # fmt: skip
         found = known or residual_cofactors(problem, state, cofactors)
-        self._problem, self._state, self.groups = problem, state, groups
+        self._problem, self._state, self._cofactors, self.groups = problem, state, cofactors, groups
         self._turns = turn = self._turn()
         self.observed = np.flatnonzero(problem.observed)
         self.image, self.image_cofactors = problem.image_residuals(state)[0], found.image
@@ -195,34 +193,12 @@ class Residuals:
         q, total = (np.bincount(rows[named], w[named], size).astype(float) for w in (v**2, r))
         return q, total, count
 
-    @property
-    def small(self) -> bool:
-        """Whether matrices of all rows may be formed."""
-        return len(self.labels) <= EXACT_ROWS
-
     @cached_property
-    def factors(self) -> tuple[Array, Array, Array]:
-        """QR of the whitened Jacobian of all rows (:attr:`labels`) in the axes of the groups, columns of length 1.
-
-        Q, R and the lengths; columns are the unknowns of the images, shared ones once, then those of the points.
-        """
-        _, design = assemble(self._problem, self._state)
-        design = design if self._problem.ties is None else self._problem.ties.columns(design)
-        first = 2 * len(self.image)
-        rows = design[first : first + 3 * len(self.observed)].reshape(len(self.observed), 3, design.shape[1])
-        design[first : first + 3 * len(self.observed)] = (self._turns @ rows).reshape(-1, design.shape[1])
-        length = np.linalg.norm(design, axis=0)
-        return (*np.linalg.qr(design / length), length)
-
-    @cached_property
-    def _projector(self) -> Array:
-        """R in the axes of the groups."""
-        basis = self.factors[0]
-        return np.asarray(np.eye(len(basis)) - basis @ basis.T)
-
-    def projector(self) -> Array | None:
-        """R of all rows (:attr:`labels`); None where the block is too large."""
-        return self._projector if self.small else None
+    def parts(self) -> GroupCofactors | None:
+        """What the groups give to cofactors; None where the block is too large."""
+        if cost(self._problem, len(self.groups.names)) > LARGEST:
+            return None
+        return GroupCofactors(self._problem, self._state, self._cofactors, self.labels, len(self.groups.names))
 
     def rows_of(self, found: Suspects) -> Index:
         """Rows (n, m) of suspects: their image points, then the coordinates of their point if m is odd."""
@@ -245,12 +221,7 @@ class Residuals:
 
     def shared(self) -> Array | None:
         """S of all groups, last row and column: what belongs to none; None where the block is too large."""
-        r = self.projector()
-        if r is None:
-            return None
-        select = np.zeros((len(r), len(self.groups.names) + 1))
-        select[np.arange(len(r)), self.labels] = 1.0  # -1 is the last
-        return np.asarray(select.T @ r**2 @ select)
+        return None if self.parts is None else self.parts.shared
 
     def medians(self) -> Array:
         """Median of the quadratic form of each group's units over that of chi-square; nan where nothing is checked.

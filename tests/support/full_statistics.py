@@ -32,6 +32,18 @@ class Full:
         return cls(v, design, half @ half.T, np.eye(len(v)) - u @ u.T, Columns.of(problem))
 
 
+def turned_design(problem: Problem, state: State) -> np.ndarray:
+    """Whitened Jacobian with the rows of control points in East, North, Up, in sigmas; shared unknowns once."""
+    _, a = assemble(problem, state)
+    a, n = a if problem.ties is None else problem.ties.columns(a), 2 * len(problem.observations)
+    for k, j in enumerate(np.flatnonzero(problem.observed)):
+        rows, record = slice(n + 3 * k, n + 3 * k + 3), problem.control_records[j]
+        axes = problem.axes(record[None, 9:] + problem.origin_m)[0]
+        sigma = problem.block.points.known.sigma_enu_m[j]
+        a[rows] = axes / sigma[:, None] @ np.linalg.inv(record[:9].reshape(3, 3)) @ a[rows]
+    return a
+
+
 def options(block: Block, **given: object) -> Block:
     return replace(block, options=replace(block.options, **given))
 
