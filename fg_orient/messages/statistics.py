@@ -51,9 +51,9 @@ STATISTICS: Final = {
         "test the model with the sigmas given, or by check points",
     ),
     "statistics.components_large": (
-        "estimated sigmas leave tests of unknowns degrees of freedom of their own, and with {value} observations the "
-        "block is too large to form them",
-        "fix the sigmas found in the input, and adjust without variance components",
+        "estimated sigmas leave tests of unknowns degrees of freedom of their own, and with {value} unknowns of images "
+        "in {groups} groups they are too large to form",
+        "name fewer groups (not image_by_image), or fix the sigmas found in the input and adjust without components",
     ),
     "statistics.no_redundancy": (
         "there is no redundancy, so there is no unit weight to test unknowns with",

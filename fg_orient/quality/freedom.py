@@ -50,7 +50,7 @@ def freedoms(residuals: Residuals, found: Sequence[Suspects], components: Varian
     Returns
     -------
     (n,) array
-        Where the block is too large to form R, those of the suspect's own group.
+        Where image unknowns and groups are too many, those of the suspect's own group.
     """
     covariance, parts = _covariance(components), residuals.parts
     out = [np.zeros(0)]
@@ -113,13 +113,15 @@ class UnknownFreedom:
         Raises
         ------
         NoSolutionError
-            The block is too large.
+            Image unknowns and groups are too many.
         """
         groups = groups_of(problem, problem.block.options.variance_components)
         parts = Residuals(problem, state, cofactors, groups, known).parts
         u = problem.n_free_unknowns
         if parts is None:
-            raise NoSolutionError.of("statistics.components_large", place=problem.block.name, value=u)
+            raise NoSolutionError.of(
+                "statistics.components_large", place=problem.block.name, value=u, groups=len(groups.names)
+            )
         free = np.arange(u) if problem.ties is None else problem.ties.of
         return cls(parts.parts, _covariance(components), free)
 

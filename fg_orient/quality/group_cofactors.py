@@ -75,7 +75,7 @@ class _Rows:
 
 def cost(problem: Problem, n_groups: int) -> int:
     """Elements of the matrices that :class:`GroupCofactors` forms, one per group and one of what belongs to none."""
-    return (n_groups + 1) * (problem.n_free_unknowns + 3 * len(_named(problem)) + 1) ** 2
+    return (n_groups + 1) * (problem.n_free_unknowns + 3 * len(_named(problem))) ** 2
 
 
 def _named(problem: Problem) -> list[int]:
@@ -104,22 +104,21 @@ class GroupCofactors:
         self._jacobians = self._image_rows()
 
     def _cofactors(self, cofactors: Cofactors) -> Array:
-        """Q of the image unknowns, shared ones once, then the named points; a last row and column of zeros."""
+        """Q of the image unknowns, shared ones once, then the named points."""
         problem = self._problem
         q = cofactors.joint(tuple(range(problem.n_images)), tuple(self._named))
         if problem.ties is not None:
             points = np.arange(problem.n_image_unknowns, len(q))
             place = np.concatenate([problem.ties.place, points])
             q = q[np.ix_(place, place)]
-        return np.pad(q, (0, 1))
+        return q
 
     def _image_columns(self, images: Index) -> Index:
-        """Columns (n, k) of the unknowns of images, filled up with the last, which is none."""
+        """Columns (n, k) of the unknowns of images, filled up with the first, where Jacobians are zero."""
         first, size = self._problem.first, np.diff(self._problem.first)
-        wide = first[images, None] + np.arange(size.max())
-        none = np.arange(size.max()) >= size[images, None]
-        free = wide if self._problem.ties is None else self._problem.ties.of[np.where(none, 0, wide)]
-        return np.where(none, len(self._q) - 1, free)
+        exists = np.arange(size.max()) < size[images, None]
+        wide = np.where(exists, first[images, None] + np.arange(size.max()), 0)
+        return wide if self._problem.ties is None else self._problem.ties.of[wide]
 
     def _point_columns(self, point: int) -> Index:
         """Columns (3,) of a named point."""

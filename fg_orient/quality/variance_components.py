@@ -8,9 +8,9 @@ With whitened residuals v, their cofactors ``R = I - A N^-1 A^T`` and the rows o
 
 Both have the same fixed point, s_i = 1 for all groups, since the rows of S sum up to r; there it is the maximum of the
 residual (restricted) likelihood (Patterson & Thompson 1971), and ``2 S^-1`` the covariance of the s_i^2. Helmert's
-equations reach it in a few rounds and are taken where R can be formed; Foerstner's are never negative and are taken
-elsewhere, and for variances that Helmert's make negative. A round of either needs a new adjustment
-(``fg_orient.components``).
+equations reach it in a few rounds (S point by point: ``fg_orient.quality.group_cofactors``); Foerstner's are never
+negative and are taken for variances that Helmert's make negative, and where image unknowns and groups are too many.
+A round of either needs a new adjustment (``fg_orient.components``).
 
 What is not named in ``groups`` has the sigmas that it was given. A component whose estimate is not above its own
 standard deviation has too little redundancy: it is held. The robust variant puts medians in the place of sums; half
@@ -114,9 +114,9 @@ class VarianceComponents:
         ]
         if not self.exact and self.method == "helmert":
             said.append(
-                "standard deviations of variance components are lower bounds: the block is too large to form what "
-                "groups share; outlier tests take the degrees of freedom of each observation's own group, which is "
-                "too lax (any false alarm in about 11 % of simulated blocks instead of 5 %)"
+                "standard deviations of variance components are lower bounds: image unknowns and groups are too many "
+                "to form what groups share; outlier tests take the degrees of freedom of each observation's own group, "
+                "which gives too many false alarms (any in 18 % of simulated blocks instead of 5 %)"
             )
         return tuple(said)
 

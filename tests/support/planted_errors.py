@@ -10,6 +10,7 @@ import numpy as np
 from fg_orient.block import Block, Coordinates
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.names import Role
+from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.rpc_block import rpc_twin
 
 #: Sigmas that make all three groups estimable: half of a pixel of 5 m is about a position, five a height.
@@ -25,12 +26,12 @@ class Planted:
 
     def draw(self, rng: np.random.Generator, image: float = 1.0, position: float = 1.0, height: float = 1.0) -> Block:
         """A block with fresh errors."""
-        o, n = self.block.observations, len(self.ecef_m)
-        pixel = rng.normal(size=(2, len(o))) * SIGMA_PX * image
+        o, known = self.block.observations, self.block.points.known
+        pixel = rng.normal(size=(2, len(o))) * [o.sigma_line_px, o.sigma_sample_px] * image
         lon, lat, _ = ecef_to_geodetic(self.ecef_m)
-        enu = rng.normal(size=(n, 3)) * SIGMA_ENU_M * [position, position, height]
+        enu = rng.normal(size=self.ecef_m.shape) * known.sigma_enu_m * [position, position, height]
         ecef = self.ecef_m + np.einsum("nji,nj->ni", enu_from_ecef(lon, lat), enu)
-        known = replace(self.block.points.known, ecef_m=ecef)
+        known = replace(known, ecef_m=np.where(np.isnan(known.ecef_m), np.nan, ecef))
         return replace(
             self.block, points=replace(self.block.points, known=known),
             observations=replace(o, line=o.line + pixel[0], sample=o.sample + pixel[1]),
@@ -48,3 +49,21 @@ def planted() -> Planted:
     observations = replace(o, sigma_line_px=sigma, sigma_sample_px=sigma)
     block = replace(twin.block, points=points, observations=observations)
     return Planted(replace(block, withheld=replace(twin.block.withheld, ids=())), twin.ecef_m)
+
+
+@cache
+def planted_large() -> Planted:
+    """Four images of 1730 rows: 330 points, 20 of them control, whose heights are worth little beside the images."""
+    chosen = BlockOptions(
+        points=330, control_share=0.06, check_share=0.0, seed=2, image_noise_px=0.0, errors="none",
+        ground_noise_m=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    block, truth = grid_block(chosen)
+    o, known = block.observations, block.points.known
+    sigma = np.full(len(o), SIGMA_PX)
+    block = replace(
+        block, observations=replace(o, sigma_line_px=sigma, sigma_sample_px=sigma),
+        points=replace(block.points, known=replace(known, sigma_enu_m=np.tile([3.0, 3.0, 6.0], (len(known.fixed), 1)))),
+        options=replace(block.options, eop_set=10, priors=False, backend="schur"),
+    )  # fmt: skip
+    return Planted(block, truth.ecef_m)
