@@ -50,7 +50,10 @@ def compile_kernels() -> float:
     rotations.orbital_frames(p, v)
     rotations.attitude_matrices(np.zeros((2, 3)), False)
     rotations.quaternion_matrices(np.ones((2, 4)))
-    ellipsoid.geodetic_array(ellipsoid.intersect(p, -p / np.linalg.norm(p, axis=1, keepdims=True), np.zeros(2)))
+    for heights in (np.zeros(2), _read_only(np.zeros(2))):  # one height for all rays is a view that cannot be written
+        ground = ellipsoid.intersect(p, -p / np.linalg.norm(p, axis=1, keepdims=True), heights)
+    for points in (ground, _read_only(ground)):
+        ellipsoid.geodetic_array(points)
     ephemeris.lagrange(np.arange(4.0), np.ones((4, 6)), np.array([1.5]))
     _compile_rational_function()
     _compile_frame()
