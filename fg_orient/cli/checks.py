@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,15 +15,20 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.memory import Need
     from fg_orient.block import Block
     from fg_orient.errors import Problem
+    from fg_orient.interchange.registry import Format, Settings
 
 
 def validate(
-    project: Annotated[
-        Path,
-        typer.Argument(metavar="PROJECT.toml", help="Project file; or, with --format, points.", show_default=False),
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="PROJECT.toml",
+            help="Project file; or, with --format, one file of points or more.",
+            show_default=False,
+        ),
     ],
     format_name: Annotated[
-        str, typer.Option("--format", metavar="FORMAT", help="Check a file of points of another program instead.")
+        str, typer.Option("--format", metavar="FORMAT", help="Check files of points of another program instead.")
     ] = "",
     crs: Annotated[str, typer.Option(metavar="EPSG:N", help="Its CRS, where the file does not say it.")] = "",
     quiet: Quiet = False,
@@ -33,8 +39,11 @@ def validate(
     """Check a project and all its files: errors (exit code 2) and remarks."""
     with outcome(as_json, debug, quiet, log):
         if format_name:
-            _validate_points(project, format_name, crs, as_json)
+            _validate_points(sources, format_name, crs, as_json)
             return
+        project = sources[0]
+        if len(sources) > 1:
+            raise InputError.of("cli.one_project", file=sources[1], place="PROJECT.toml", value=f"{len(sources)} files")
         from fg_orient.io.validate import checked_project, is_remark
 
         block, found = checked_project(project)
@@ -62,19 +71,61 @@ def validate(
             raise typer.Exit(InputError.exit_code)
 
 
-def _validate_points(path: Path, format_name: str, crs: str, as_json: bool) -> None:
-    """Check points of another program; unverified formats are remarked."""
-    from fg_orient.interchange.convert import read_survey
+def _validate_points(paths: list[Path], format_name: str, crs: str, as_json: bool) -> None:
+    """Check points of another program; unverified formats are remarked.
+
+    The files of a format that has several are one survey; of the others each is one.
+    """
     from fg_orient.interchange.registry import Settings, format_named
 
     found = format_named(format_name, place="--format")
-    survey, remarks = read_survey([path], found, Settings(crs), accept_unverified=True)
+    together = len(found.files) > 1
+    checked = [_checked_points(part, found, Settings(crs)) for part in ([paths] if together else [[p] for p in paths])]
+    errors = [p for c in checked for p in c.errors]
+    remarks = [p for c in checked for p in c.remarks]
     if as_json:
-        emit({"errors": [], "remarks": [p.as_dict() for p in remarks], "points": len(survey.ids), "crs": survey.crs})
-        return
-    for p in remarks:
-        say(f"remark: {p}")
-    say(f"{len(survey.ids)} points, {len(survey.observed)} image points, no errors")
+        crs_of = {c.crs for c in checked}
+        emit({"errors": [p.as_dict() for p in errors], "remarks": [p.as_dict() for p in remarks],
+              "points": sum(c.points for c in checked), "crs": crs_of.pop() if len(crs_of) == 1 else None,
+              "files": [c.as_dict() for c in checked]})  # fmt: skip
+    for p in errors:
+        fault(p)
+    for c in () if as_json else checked:
+        for p in c.remarks:
+            say(f"remark: {p}")
+        if not c.errors:
+            where = f"{c.files[0]}: " if len(checked) > 1 else ""
+            say(f"{where}{c.points} points, {c.image_points} image points, no errors")
+    if errors:
+        raise typer.Exit(InputError.exit_code)
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """What was found in one survey."""
+
+    files: list[str]
+    points: int = 0
+    image_points: int = 0
+    crs: str = ""
+    remarks: tuple[Problem, ...] = ()
+    errors: tuple[Problem, ...] = ()
+
+    def as_dict(self) -> dict[str, object]:
+        return {"files": self.files, "points": self.points, "image_points": self.image_points, "crs": self.crs,
+                "n_errors": len(self.errors), "n_remarks": len(self.remarks)}  # fmt: skip
+
+
+def _checked_points(paths: list[Path], found: Format, settings: Settings) -> _Checked:
+    """Read the files of one survey."""
+    from fg_orient.interchange.convert import read_survey
+
+    names = [str(p) for p in paths]
+    try:
+        survey, remarks = read_survey(paths, found, settings, accept_unverified=True)
+    except InputError as error:
+        return _Checked(names, errors=tuple(error.problems))
+    return _Checked(names, len(survey.ids), len(survey.observed), survey.crs, remarks)
 
 
 def _impossible(block: Block, project: Path) -> list[Problem]:

@@ -247,6 +247,10 @@ CLI: Final = {
     "cli.pixel": ("this is no pixel", "write --pixel LINE,SAMPLE, for instance --pixel 5999.5,120"),
     "cli.pixel_count": ("{pixels} pixel(s) for {images} image(s)", "give one --pixel per image, in order"),
     "cli.one_image": ("an intersection needs two images", "give several metadata files, or one project file (.toml)"),
+    "cli.one_project": (
+        "one project file is checked at a time",
+        "check one after the other; for several files of points add --format NAME",
+    ),
     "cli.no_frame": ("the file states no frame points of its own", "locate a pixel with --line and --sample"),
     "cli.three_numbers": (
         "these are not three numbers",

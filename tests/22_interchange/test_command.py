@@ -131,6 +131,41 @@ def test_validate_marks_unverified_formats(folder: Path) -> None:
     assert own.json["remarks"] == [] and own.json["crs"] == "EPSG:32636"
 
 
+def test_validate_takes_the_files_of_one_survey_together(folder: Path) -> None:
+    words = ("validate", folder / "points.csv", folder / "observations.csv", "--format", "csv")
+    record = in_process(*words, "--json").json
+    alone = in_process(*words[:2], *words[3:], "--json").json
+    (both,) = record["files"]
+    assert both["image_points"] > 0 == alone["files"][0]["image_points"] and record["points"] == alone["points"]
+    assert in_process(*words).stdout == f"{both['points']} points, {both['image_points']} image points, no errors\n"
+
+
+def test_validate_takes_several_files_each_for_itself(folder: Path) -> None:
+    """A file that is wrong does not hide the others, and every fault is told with its file."""
+    for name in ("one", "two"):
+        out = folder / f"{name}.geojson"
+        assert (
+            in_process("convert", folder / "points.csv", "--from", "csv", "--to-crs", "EPSG:4979", "--out", out).code
+            == 0
+        )
+    (folder / "bad.geojson").write_text("{", encoding="utf-8")
+    good = [folder / "one.geojson", folder / "two.geojson"]
+    ended = in_process("validate", *good, "--format", "geojson", "--json")
+    assert ended.code == 0, ended.stderr
+    assert [f["files"] for f in ended.json["files"]] == [[str(p)] for p in good]
+    assert ended.json["points"] == 2 * ended.json["files"][0]["points"] > 0
+    words = ("validate", good[0], folder / "bad.geojson", good[1], "--format", "geojson")
+    ended = in_process(*words)
+    assert ended.code == 2 and "bad.geojson" in ended.stderr and ended.stderr.count("\n") == 1
+    assert [line.split(": ")[0] for line in ended.stdout.splitlines() if "no errors" in line] == [str(p) for p in good]
+    assert [f["n_errors"] for f in in_process(*words, "--json").json["files"]] == [0, 1, 0]
+
+
+def test_validate_takes_one_project(folder: Path) -> None:
+    ended = in_process("validate", folder / "a.toml", folder / "b.toml")
+    assert ended.code == 2 and "b.toml" in ended.stderr and "one project file is checked at a time" in ended.stderr
+
+
 @pytest.mark.parametrize("option", ["--crs", "--to-crs"])
 def test_a_crs_that_is_none_is_refused_by_its_option(tmp_path: Path, option: str) -> None:
     words = ("convert", tmp_path / "points.csv", "--from", "csv", option, "WGS84", "--out", tmp_path / "points.geojson")
