@@ -85,21 +85,24 @@ class Deviations:
         return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
 
 
-class _Backend:
+class Backend:
     """What the loop needs; see ``adjustment.loop.Backend``."""
 
-    def __init__(self, rows: Rows, moved: Callable[[Array, Array], Array]) -> None:
+    def __init__(self, rows: Rows, moved: Callable[[Array, Array], Array] = np.add) -> None:
         self._rows, self._moved = rows, moved
 
     def linearise(self, state: Array) -> DenseSystem:
+        """Rows and their derivatives at a state."""
         return DenseSystem(*self._rows(state, True), SOLVER)
 
     def error(self, state: Array) -> float:
+        """Half the sum of squares."""
         with np.errstate(all="ignore"):  # a trial step may leave the model: an error that is not finite is rejected
             residual, _ = self._rows(state, False)
             return 0.5 * float(residual @ residual)
 
     def retract(self, state: Array, step: DenseStep) -> Array:
+        """State after a step."""
         return self._moved(state, step.data)
 
 
@@ -121,7 +124,7 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
     NoSolutionError
         The iteration does not converge, or an equation has no finite value.
     """
-    found = OPTIMIZERS["levenberg-marquardt"](_Backend(rows, moved or np.add), start, MAX_ITERATIONS)
+    found = OPTIMIZERS["levenberg-marquardt"](Backend(rows, moved or np.add), start, MAX_ITERATIONS)
     if not found.converged:
         raise NoSolutionError.of("closerange.not_converged", place=what, reason=plain_reason(found.reason))
     residual, design = rows(found.state, True)

@@ -6,25 +6,30 @@ far away on nearly the same level, they say nothing of the valley; the profile d
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import fdtri
 
-from fg_orient.closerange.fitting import UNDETERMINED, Rows, adjust
+from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.closerange.fitting import MAX_ITERATIONS, UNDETERMINED, Backend, Rows
 from fg_orient.distributions import chi_square_limit
-from fg_orient.errors import NoSolutionError
 
 Array = npt.NDArray[np.float64]
 
 #: Error probability of an interval; where squares grow as a parabola the judgement does not depend on it.
 LEVEL: Final = 1e-3
-#: Sigmas of points may be too small by this factor (a real surface is no spheroid) without changing the judgement. Six
-#: points on two levels gain up to 20 from noise, those on three 1200 and more, with the sigmas of Ayhan's points.
+#: Sigmas of points may be too small by this factor (a real surface is no spheroid) without changing the judgement; by
+#: more where the residuals say so. Noise of f sigmas gains f^2 times a chi-square of one degree of freedom, no more,
+#: where points leave a semi-axis open; m0 of a redundancy of one or two says too little to go before the given sigmas.
 OPTIMISTIC: Final = 5.0
 #: Parts of the way on which the fit is followed.
 _WAY: Final = (1 / 64, 1 / 8, 1.0)
+#: Iterations after which a fit far away is looked at, and how often it goes on if it still falls towards the limit.
+_ROUND: Final = 50
+_ROUNDS: Final = 8
 
 
 def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tuple[float, float] | None:
@@ -48,7 +53,7 @@ def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tupl
     """
     own = squares / redundancy if redundancy > 0 else 1.0
     if known:
-        scale, limit = OPTIMISTIC**2 * max(1.0, own), float(chi_square_limit(1.0, LEVEL))
+        scale, limit = max(OPTIMISTIC**2, own), float(chi_square_limit(1.0, LEVEL))
     elif redundancy > 0:
         scale, limit = own, float(fdtri(1, redundancy, 1.0 - LEVEL))
     else:
@@ -56,13 +61,39 @@ def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tupl
     return UNDETERMINED * sigma * float(np.sqrt(scale * limit)), scale * limit
 
 
-def held(rows: Rows, state: Array, k: int, value: float, what: str) -> tuple[Array, float]:
-    """State with the least weighted squares among those with one unknown held, and these squares.
+@dataclass(frozen=True)
+class Held:
+    """Fit with one unknown held.
 
-    Raises
-    ------
-    NoSolutionError
-        The iteration does not converge.
+    Parameters
+    ----------
+    state : (u,) array
+    squares : float
+        Least weighted squares found.
+    converged : bool
+        False: they are below the limit, or their fall in half of the iterations would not lead there if it went on.
+    """
+
+    state: Array
+    squares: float
+    converged: bool
+
+
+def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) -> Held | None:
+    """State with the least weighted squares among those with one unknown held.
+
+    Far from the points' own shape the iteration may creep for hundreds of steps at squares that are thousands of times
+    the limit. So it need not end: squares that stay above the limit suffice.
+
+    Parameters
+    ----------
+    limit : float
+        Weighted squares that matter: whether the least ones lie below is asked. Default: the iteration has to converge.
+
+    Returns
+    -------
+    Held or None
+        None: neither converged nor below the limit nor clearly above it.
     """
     free = np.arange(len(state)) != k
 
@@ -73,18 +104,26 @@ def held(rows: Rows, state: Array, k: int, value: float, what: str) -> tuple[Arr
         residual, design = rows(full(part), want)
         return residual, design[:, free]
 
-    found = adjust(some, state[free], what)
-    return full(found.state), float(found.residual @ found.residual)
+    start, far = state[free], np.isfinite(limit)
+    for _ in range(_ROUNDS if far else 1):
+        found = OPTIMIZERS["levenberg-marquardt"](Backend(some), start, _ROUND if far else MAX_ITERATIONS)
+        squares, start = 2.0 * found.error, found.state
+        if found.converged and np.isfinite(squares):
+            return Held(full(start), squares, True)
+        above = squares - limit > found.log[len(found.log) // 2].chi2 - squares
+        if far and (squares < limit or above):
+            return Held(full(start), squares, False)
+    return None
 
 
-def followed(rows: Rows, state: Array, k: int, to: float, what: str) -> tuple[Array, float] | None:
+def followed(rows: Rows, state: Array, k: int, to: float, limit: float) -> tuple[Array, float] | None:
     """The fit with an unknown held at ``to``, far from a state; each step begins on the line through the two before.
 
     Returns
     -------
     tuple of (state (u,), weighted squares) or None
         State after the first step, where directions are still those near by, and the squares at the end; None where
-        no such fit exists.
+        they may lie on either side of the limit (:func:`held`).
     """
     path, squares = [state, state], np.inf
     for part in _WAY:
@@ -92,13 +131,15 @@ def followed(rows: Rows, state: Array, k: int, to: float, what: str) -> tuple[Ar
         before, now = path[-2:]
         run = now[k] - before[k]
         begin = now + (now - before) * ((value - now[k]) / run if run else 0.0)
+        fits = list[Held]()
         for first in (begin, now):
-            try:
-                found, squares = held(rows, first, k, value, what)
+            found = held(rows, first, k, value, limit)
+            fits += [] if found is None else [found]
+            if found is not None and found.converged:
                 break
-            except NoSolutionError:
-                continue
-        else:
+        if not fits:
             return None
-        path.append(found)
+        best = min(fits, key=lambda one: one.squares)
+        path.append(best.state)
+        squares = best.squares
     return path[2], squares

@@ -202,7 +202,9 @@ def _fitted(given: _Points, model: Model, method: str, priors: Priors) -> tuple[
     except NoSolutionError:
         _require_determined(given, model, model.start, priors)
         for k in _semi_axes(model, priors):
-            _require_steep(given, model, _begun(given, model, k, priors), k, priors)
+            begun = _begun(given, model, k, priors)
+            if begun is not None:
+                _require_steep(given, model, begun, k, priors)
         raise
 
 
@@ -278,10 +280,8 @@ def _least(given: _Points, model: Model, state: Array, priors: Priors) -> tuple[
 
 def _begun(given: _Points, model: Model, k: int, priors: Priors) -> tuple[Array, float] | None:
     """Fit with a semi-axis held at its start."""
-    try:
-        return held(_geometric(given, model, priors), model.start, k, float(model.start[k]), model.kind)
-    except NoSolutionError:
-        return None
+    found = held(_geometric(given, model, priors), model.start, k, float(model.start[k]))
+    return None if found is None else (found.state, found.squares)
 
 
 def _require_steep(
@@ -292,10 +292,11 @@ def _require_steep(
     Raises
     ------
     InputError
-        Names the parameters and the direction, those where the way begins.
+        Names the parameters and the direction, those where the way begins; or the semi-axis of which it cannot be
+        told, since neither a fit there converges nor its squares stay far above.
     """
     if base is None:
-        return
+        raise _unverified(given, model, k, float(model.values(model.start)[k]))
     state, squares = base
     redundancy = len(given.points) + len(priors) - len(state)
     ends = reach(given.typical_sigma, squares, redundancy, known=given.known)
@@ -305,10 +306,18 @@ def _require_steep(
     for away in (far, -far):
         if model.values(state)[k] + away <= 0.0:
             continue
-        other = followed(rows, state, k, float(state[k] + away), model.kind)
-        if other is not None and other[1] - squares < growth:
+        other = followed(rows, state, k, float(state[k] + away), squares + growth)
+        if other is None:
+            raise _unverified(given, model, k, float(model.values(state)[k] + away))
+        if other[1] - squares < growth:
             judged = determination(rows(other[0], True)[1])
             raise _open(given, model, judged.weakest, judged.condition)
+
+
+def _unverified(given: _Points, model: Model, k: int, value: float) -> FgOrientError:
+    """Refusal where nobody can tell whether a semi-axis is determined."""
+    return InputError.of("closerange.unverified", place=model.kind, name=model.names[k],
+                         value=f"{model.names[k]} held at {value * given.size:.4g} m")  # fmt: skip
 
 
 def _tangent(model: Model, x: Array) -> Array:

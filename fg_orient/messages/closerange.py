@@ -40,6 +40,10 @@ CLOSERANGE: Final = {
         "measure points elsewhere (other levels of the surface, other depths), or observe a parameter; give the "
         "sigma of the points if it is known",
     ),
+    "closerange.unverified": (
+        "whether the points determine {name} could not be verified: no fit with it held far away converges",
+        "measure points elsewhere (other levels of the surface), observe {name}, or give the sigma of the points",
+    ),
     "closerange.camera": ("this value of the camera is not possible", "give {expected}"),
     "closerange.fold": (
         "the distortion of the camera cannot be inverted here",

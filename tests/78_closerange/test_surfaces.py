@@ -14,8 +14,9 @@ from scipy.stats import chi2
 from factors import surfaces
 from fg_orient.cells import CellKey
 from fg_orient.classical.gauss_helmert import gauss_helmert
+from fg_orient.closerange import profile, surface_fit
 from fg_orient.closerange.feet import Conditions, feet
-from fg_orient.closerange.profile import reach
+from fg_orient.closerange.profile import held, reach
 from fg_orient.closerange.surface import Kind, Surface, map_points, shape_of
 from fg_orient.closerange.surface_fit import Method, SurfaceFit, fit_surface
 from fg_orient.errors import InputError
@@ -136,7 +137,14 @@ def test_geometric_fit_is_the_general_adjustment_of_conditions(land: Array) -> N
     assert np.abs(fit_surface(points, "spheroid", sigma_m=mutated).values - x).max() > 1e-5
 
 
-@pytest.mark.parametrize("runs", [8, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.fixture
+def without_profile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits at their minimum only: nothing held far away, which changes no number and takes 98 % of the time."""
+    monkeypatch.setattr(surface_fit, "_require_steep", lambda *given: None)
+
+
+@pytest.mark.usefixtures("without_profile")
+@pytest.mark.parametrize("runs", [40, pytest.param(500, marks=pytest.mark.slow)])
 def test_standard_deviations_are_those_of_repeated_fits(runs: int) -> None:
     """Spheroids: weighted squares of the errors against chi-square; with half the sigmas they leave the interval."""
     rng, truth, errors = np.random.default_rng(3), np.array([1.0, 0.7, 0.0, 0.0, 0.0]), []
@@ -165,6 +173,7 @@ def test_exact_points_give_the_exact_surface() -> None:
     assert free.parameters["b"] == pytest.approx(0.7, abs=1e-9)
 
 
+@pytest.mark.usefixtures("without_profile")
 def test_quadric_and_ellipsoid_are_one_surface() -> None:
     """Other unknowns, nine each: the same distances."""
     points = ellipsoid_points(60, 7, noise=2e-3)
@@ -233,9 +242,34 @@ def test_growth_at_a_distance_is_that_of_the_limit() -> None:
         assert ends is not None
         assert (ends[0] / 1.0) ** 2 == pytest.approx(ends[1])
     assert reach(1e-3, 0.0, 0, known=False) is None
+    for squares, scale in ((4.0, 25.0), (96.0, 25.0), (400.0, 100.0)):  # five sigmas, or m0 where that is more
+        ends = reach(1e-3, squares, 4, known=True)
+        assert ends is not None and ends[1] == pytest.approx(scale * chi2.ppf(0.999, 1))
     few, many = reach(1.0, 1.0, 1, known=False), reach(1.0, 100.0, 100, known=False)
     assert few is not None and many is not None
     assert few[1] == pytest.approx(405284.0, rel=1e-5) and many[1] == pytest.approx(11.495, abs=1e-3)
+
+
+@pytest.mark.parametrize("method", ["geometric", "algebraic"])
+def test_what_cannot_be_verified_is_refused(monkeypatch: pytest.MonkeyPatch, land: Array, method: Method) -> None:
+    """Neither convergence nor squares that stay above the limit: as after two steps of each fit far away."""
+    monkeypatch.setattr(profile, "_ROUND", 2)
+    monkeypatch.setattr(profile, "_ROUNDS", 1)
+    with pytest.raises(InputError, match="whether the points determine b could not be verified"):
+        fit_surface(land[::6], "spheroid", sigma_m=1e-3, method=method)
+
+
+def test_a_fit_that_creeps_is_judged_by_the_limit_that_matters() -> None:
+    """Squares 1 + exp(-2x), whose minimum is nowhere: above 0.9, below 2; of 1 and of the minimum nothing is told."""
+
+    def creeping(x: Array, want: bool) -> tuple[Array, Array]:
+        tail = np.exp(-x[1])
+        return np.array([1.0, tail]), np.array([[0.0, 0.0], [0.0, -tail]]) if want else np.empty((0, 2))
+
+    above, below = (held(creeping, np.zeros(2), 0, 0.5, limit) for limit in (0.9, 2.0))
+    assert above is not None and below is not None
+    assert not above.converged and 1.0 <= above.squares < 1.01 and below.squares < 2.0
+    assert held(creeping, np.zeros(2), 0, 0.5, 1.0) is None and held(creeping, np.zeros(2), 0, 0.5) is None
 
 
 @pytest.mark.parametrize("numbers", [(1, 6, 11, 34, 38, 49), (1, 9, 18, 22, 34, 38)], ids=["3 + 2 + apex", "2 + 2 + 2"])

@@ -11,6 +11,7 @@ import pytest
 from fg_orient.adjustment.loop import gauss_newton
 from fg_orient.adjustment.network import DenseNetwork, Network, Variable, bordered_inverse
 from fg_orient.adjustment.network_graph import GraphNetwork
+from fg_orient.closerange import surface_fit
 from fg_orient.closerange.bundle_network import observed_place
 from fg_orient.closerange.constraints import (
     FIGURES,
@@ -175,7 +176,9 @@ def check(found: Found) -> None:
 
 @pytest.mark.parametrize("runs", [3, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_random_configurations(kind: str, runs: int) -> None:
+def test_random_configurations(kind: str, runs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    # whether points determine a surface is no question of the constraint, whose start it is
+    monkeypatch.setattr(surface_fit, "_require_steep", lambda *given: None)
     for seed in range(runs):
         check(examined(kind, 2 * seed))
 
