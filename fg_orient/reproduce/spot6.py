@@ -143,6 +143,9 @@ def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
         return hadamard
     if math.isnan(cell.value):
         return "not_reproducible", f"printed NaN; computed {runs[0]:.2g}"
+    overflows = int(np.isinf(runs[1:]).sum())
+    if math.isinf(cell.value) and overflows:
+        return "rounding", f"beyond the largest number, as printed, in {overflows} of {len(runs) - 1} permutations"
     if not len(sizes):
         return "not_reproducible", f"no result in any of {len(runs) - 1} permutations"
     span = f"{sizes.min():.2g} to {sizes.max():.2g} in {len(sizes)} of {len(runs) - 1} permutations"
