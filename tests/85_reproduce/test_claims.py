@@ -24,8 +24,8 @@ NOT_MET = {
 }
 
 
-#: Failures in 30 seeds that a part which holds in 90 % of them exceeds once in a thousand times. Which elimination meets
-#: a meaningless pivot differs between the kernels of OpenBLAS: V of set 5 failed in 0 to 4 of the same 30 seeds.
+#: Failures in 30 seeds that a part which holds in 90 % of them exceeds once in a thousand times. Which elimination
+#: meets a meaningless pivot differs between the kernels of OpenBLAS: V of set 5 failed in 0 to 4 of the same 30 seeds.
 MOST_FAILURES = int(stats.binom.ppf(0.999, 30, 0.1))
 
 #: Parts that may fail in a single seed; all others hold in every one.
