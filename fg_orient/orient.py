@@ -29,7 +29,7 @@ from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.components import adjust_with_components
 from fg_orient.errors import InputError
-from fg_orient.names import Role
+from fg_orient.names import Role, Status
 from fg_orient.outlier_search import require_possible_search, search
 from fg_orient.parallel.pool import Execution
 from fg_orient.parallel.solve import solve_in_parts
@@ -50,6 +50,7 @@ from fg_orient.quality.free_network import (
     with_minimal_datum,
     without_priors,
 )
+from fg_orient.quality.mix_ups import mix_ups
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.suspects import Kind
 from fg_orient.solution import Seconds, Solution
@@ -304,6 +305,8 @@ def conclude(
     accuracy = _assess(compiled, ground, located, cofactors)
     found = verdict.judge(compiled, estimate, withheld)
     warnings = verdict.warnings(compiled, estimate, found, observability, block_view, accuracy)
+    if found.status is Status.NOT_TRUSTWORTHY:
+        warnings = (*warnings[:1], *mix_ups(compiled.block), *warnings[1:])
     if located is not None and len(located.lost):
         names = ", ".join(compiled.block.points.ids[j] for j in located.lost[: verdict.NAMED])
         warnings += (
