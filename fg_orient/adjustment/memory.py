@@ -19,7 +19,7 @@ from factors import pushbroom
 from fg_orient.adjustment.models.contract import image_models
 from fg_orient.adjustment.point_cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.problem import participating
-from fg_orient.adjustment.schur_structure import LEAST_CHUNKS
+from fg_orient.adjustment.schur_structure import ALL_KEPT, LEAST_CHUNKS
 from fg_orient.adjustment.solve import suitable_backend
 from fg_orient.block import Block
 from fg_orient.errors import InputError, Problem, problem
@@ -94,7 +94,8 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     rays = participating(block)
     backend = suitable_backend(block, models, len(rays), not bool(block.points.known.fixed[rays.point].all()))
     working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
-    working -= n * SCHUR if backend == "schur" and elsewhere else 0
+    if backend == "schur":  # small blocks keep their records once more, in another order
+        working += -n * SCHUR if elsewhere else n * records if n <= ALL_KEPT else 0
     working += _statistics(len(block.images), n, max(sizes)) if full_statistics(options, n, u) else 0
     return Need(backend, int(FIXED + common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
 

@@ -27,7 +27,9 @@ from fg_orient.adjustment.schur_own import OwnOfImages, SchurStep
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_rows import Buffers, Rows, row_arrays
 from fg_orient.adjustment.schur_structure import (
+    ALL_KEPT,
     SERIAL_LIMIT,
+    Small,
     Structure,
     Tile,
     compile_structure,
@@ -297,6 +299,16 @@ class SchurSystem:
         return SchurStep(image, ground, length, error, self.state, moved)
 
 
+def _in_order(records: Array, s: Structure) -> tuple[Array, Small]:
+    """Records and the row of each sorted image point: copied in that order where all rows are kept.
+
+    In the order of the input they cost 40 ns more per image point and iteration (measured at 1e5).
+    """
+    if len(s.row) > ALL_KEPT:
+        return records, s.row
+    return records[s.row], np.arange(len(s.row), dtype=np.int32)
+
+
 class SchurBackend:
     """The problem as arrays, driven by ``fg_orient.adjustment.loop``.
 
@@ -329,6 +341,7 @@ class SchurBackend:
         self.prior = 1.0 if problem.block.options.priors else 0.0
         self.own = OwnOfImages(problem, self.structure)
         self.reduced = ReducedSystems(self.structure, problem.first, reduced, problem.ties)
+        self.records, self.row = _in_order(problem.records, self.structure)
         self.buffers = Buffers(self.structure, problem.control_records)
         self.robust: Weighing | None = None
         self.last_damping = 0.0
@@ -398,7 +411,7 @@ class SchurBackend:
                 members = group.members[first:end] - np.int32(lo)
             kernel: Callable[..., Any] = group.rows
             bad = self.workers.run(
-                kernel, len(members), members, self.problem.records, s.row[at], s.image[at], s.point[at],
+                kernel, len(members), members, self.records, self.row[at], s.image[at], s.point[at],
                 group.columns.setup, group.n_basis, s.basis[at], wide, state.ground, rows.value, rows.d_image,
                 rows.d_ground, want,
             )  # fmt: skip
