@@ -29,18 +29,33 @@ def fill_lower(
     """
     for b in range(len(row)):
         i, j = row[b], column[b]
-        for p in range(size[i]):
+        r, c = place[j], place[i]
+        if r == c:
+            for p in range(size[i]):
+                _fill_column(b, p, p, size[j], True, blocks, r, c + p, scale, banded, out, sums)
+                sums[c + p] -= abs(blocks[b, p, p]) * scale[c + p] * scale[c + p]  # it was added twice
+        elif r > c:
+            for p in range(size[i]):
+                _fill_column(b, p, 0, size[j], True, blocks, r, c + p, scale, banded, out, sums)
+        else:
             for q in range(size[j]):
-                r, c = place[j] + q, place[i] + p
-                if i == j and r < c:
-                    continue
-                if r < c:
-                    r, c = c, r
-                value = blocks[b, p, q] * scale[r] * scale[c]
-                out[c, r - c if banded else r] = value
-                sums[c] += abs(value)
-                if r != c:
-                    sums[r] += abs(value)
+                _fill_column(b, q, 0, size[i], False, blocks, c, r + q, scale, banded, out, sums)
+
+
+@threaded
+def _fill_column(
+    b: int, p: int, lo: int, hi: int, by_row: bool, blocks: Array, r: int, c: int, scale: Array, banded: bool,
+    out: Array, sums: Array,
+) -> None:  # fmt: skip
+    """Write row p of a block, or its column p, from element lo to hi to rows r + lo ... of column c of the matrix."""
+    here, shift, total = scale[c], c if banded else 0, 0.0
+    for q in range(lo, hi):
+        value = (blocks[b, p, q] if by_row else blocks[b, q, p]) * scale[r + q] * here
+        out[c, r + q - shift] = value
+        sums[r + q] += abs(value)
+    for q in range(lo, hi):
+        total += abs(out[c, r + q - shift])
+    sums[c] += total
 
 
 @threaded

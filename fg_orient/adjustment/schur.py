@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.batch_gather import gather_blocks, gather_gradients
+from factors.batch_ground import control_squares, move
 from factors.batch_pairs import image_gradients, pair_blocks
 from factors.batch_points import back_substitute, point_blocks, product
 from factors.batch_weights import scale_rows
@@ -382,7 +383,7 @@ class SchurBackend:
 
     def control_squares(self, state: State) -> Array:
         """Squared norms (m,) of the residuals of the observed control points."""
-        return np.asarray(np.sum(self._control_residuals(state, self.problem.control_records) ** 2, axis=1))
+        return self._squares(state, self.problem.control_records)
 
     def retract(self, state: State, step: SchurStep) -> State:
         """State after a step."""
@@ -391,7 +392,7 @@ class SchurBackend:
     def moved(self, state: State, image: Array, ground: Array) -> State:
         """State moved by image unknowns (u,) and points (P, 3)."""
         moved = state.ground.copy()
-        moved[self.structure.number] += ground
+        move(self.structure.number, ground, moved)
         return State(state.image + self.problem.image_matrix(image), moved)
 
     def evaluate(self, rows: Rows, state: State, *, want: bool) -> None:
@@ -420,11 +421,11 @@ class SchurBackend:
                     label = self.problem.label(int(s.row[lo + a]))
                     raise NotFiniteError(f"{label}: residual or Jacobian is not finite")
 
-    def _control_residuals(self, state: State, records: Array) -> Array:
-        """Whitened residuals (m, 3) of the observed control points, by their records (N, 12)."""
-        observed = self.structure.observed
-        difference = state.ground[observed] - records[observed, 9:]
-        return np.asarray(np.einsum("nij,nj->ni", records[observed, :9].reshape(-1, 3, 3), difference))
+    def _squares(self, state: State, records: Array) -> Array:
+        """Squared norms (m,) of the whitened residuals of the observed control points, by their records (N, 12)."""
+        out = np.empty(len(self.structure.observed))
+        control_squares(state.ground, records, self.structure.observed, out)
+        return out
 
     def half_squares(self, value: Array, state: State, records: Array) -> float:
         """Half the weighted sum of squares, from whitened residuals of the image points and control records."""
@@ -438,5 +439,5 @@ class SchurBackend:
 
     def half_linear(self, state: State, records: Array | None = None) -> float:
         """Half the weighted sum of squares of control points and priors."""
-        control = self._control_residuals(state, self.problem.control_records if records is None else records)
-        return 0.5 * float(np.sum(control**2) + self.prior * self.problem.prior_squares(state))
+        control = self._squares(state, self.problem.control_records if records is None else records)
+        return 0.5 * float(np.sum(control) + self.prior * self.problem.prior_squares(state))
