@@ -34,6 +34,8 @@ Array = npt.NDArray[np.float64]
 WGS84: Final = "EPSG:4979"
 #: Per cent of agreement from which PROJ's search for an EPSG code is believed: all but the names is equal.
 _CONFIDENCE: Final = 70
+#: Begin of the names of a datum that a file leaves open, as a PROJ string with an ellipsoid alone does.
+_NO_DATUM: Final = ("unknown", "unspecified", "not specified")
 _UTM = re.compile(r"WGS ?84[ /]+UTM(?: zone)?[ /]+([0-9]{1,2}) ?([NS])", re.IGNORECASE)
 _CODE = re.compile(r"EPSG:{1,2}([0-9]{1,6}(?:\+[0-9]{1,6})?)", re.IGNORECASE)
 
@@ -59,9 +61,18 @@ def epsg_code(text: str) -> str:
         return ""
     if code:
         return f"EPSG:{code[1]}"
+    found = _without_null_shift(found)
     parts = found.sub_crs_list or [found if len(found.axis_info) < 3 or found.to_epsg() else found.to_2d()]
-    codes = [_code_of(part) for part in parts]
+    codes = [_code_of(_without_null_shift(part)) for part in parts]
     return "" if None in codes else f"EPSG:{'+'.join(map(str, codes))}"
+
+
+def _without_null_shift(found: CRS) -> CRS:
+    """CRS that a file binds to WGS84 by a shift of zero, as ``TOWGS84[0,0,0,0,0,0,0]``; any other stays."""
+    if not found.is_bound or found.source_crs is None or found.coordinate_operation is None:
+        return found
+    shift = found.coordinate_operation.towgs84  # empty for a grid of shifts
+    return found.source_crs if shift and not any(shift) else found
 
 
 def _code_of(found: CRS) -> int | None:
@@ -69,6 +80,9 @@ def _code_of(found: CRS) -> int | None:
     stated = found.to_json_dict().get("id", {})
     if stated.get("authority") == "EPSG":
         return int(stated["code"])
+    datum = found.datum
+    if datum is not None and datum.name.lower().startswith(_NO_DATUM):
+        return None  # PROJ would find any datum of this ellipsoid equal, several hundred metres away or not
     number: int | None = found.to_epsg(min_confidence=_CONFIDENCE)
     return number
 

@@ -2,7 +2,8 @@
 
 The first line names the CRS: ``EPSG:32632``, a PROJ string, or ``WGS84 UTM 32N``. Then, between blanks, ``geo_x geo_y
 geo_z im_x im_y image`` and, if given, the name of the point and more, which is ignored. geo_x is longitude or easting;
-``NaN`` is an unknown height. (0, 0) is taken as the centre of the first pixel.
+``NaN`` is an unknown height. Without the first line the CRS must be given. (0, 0) is taken as the
+centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -35,11 +36,12 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     faults.raise_if_any()
     if not lines:
         raise InputError.of("interchange.empty", file=path)
-    crs = decided_crs(" ".join(lines[0][1]), settings.crs, path)
+    headless = _is_point(lines[0][1])
+    crs = decided_crs("" if headless else " ".join(lines[0][1]), settings.crs, path)
     gathered = Gathering(faults)
     placed: dict[str, tuple[tuple[str, ...], int]] = {}
     numbered: dict[tuple[str, ...], str] = {}
-    for n, cells in lines[1:]:
+    for n, cells in lines if headless else lines[1:]:
         if len(cells) < _FEWEST:
             faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected="6 or 7")
             continue
@@ -55,6 +57,14 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
         gathered.measure(row.cells["image"], name, y, x, line=n)
     notes = [f"{len(numbered)} points without a name are numbered in their order"] if numbered else []
     return gathered.finished(crs, notes=notes)
+
+
+def _is_point(cells: list[str]) -> bool:
+    """Tell whether a first line is an image point already, so that the file lacks its CRS."""
+    try:
+        return len([float(cell) for cell in cells[:2]]) == 2 and len(cells) >= _FEWEST
+    except ValueError:
+        return False
 
 
 def _coordinates(row: Row, faults: Faults) -> tuple[float, ...]:

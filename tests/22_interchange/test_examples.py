@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fg_orient.crs import wkt
+from fg_orient.errors import InputError
 from fg_orient.interchange.registry import Settings, formats
 from fg_orient.interchange.survey import Survey
 from fg_orient.names import Role
@@ -152,6 +154,44 @@ def test_odm_with_each_way_to_name_the_crs(tmp_path: Path, crs: str) -> None:
     assert_pixels(found)
     o = found.observed
     assert np.stack([o.line, o.sample], axis=1)[o.point == 1].tolist() == [[20.0, 10.0], [40.0, 30.0]]
+
+
+def test_odm_without_its_first_line_keeps_every_point_and_asks_for_the_crs(tmp_path: Path) -> None:
+    headless = ODM.partition("\n")[2]
+    whole, found = (
+        read(tmp_path, "odm", ODM.format(crs="EPSG:32636")),
+        read(tmp_path, "odm", headless, crs="EPSG:32636"),
+    )
+    assert found.ids == whole.ids
+    np.testing.assert_array_equal(found.coordinates, whole.coordinates)
+    np.testing.assert_array_equal(found.observed.line, whole.observed.line)
+    with pytest.raises(InputError, match="does not say its CRS"):
+        read(tmp_path, "odm", headless)
+
+
+def bound(shift: str) -> str:
+    """UTM zone 36 as Metashape writes it: with a shift to WGS84, and its own name of the datum."""
+    datum = f'DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,298.257223563],TOWGS84[{shift}]]'
+    text = re.sub(r'DATUM\["WGS_1984",SPHEROID\[[^]]*\[[^]]*\]\],AUTHORITY\["EPSG","6326"\]\]', datum, UTM)
+    assert "TOWGS84" in text
+    return text
+
+
+def test_crs_with_a_shift_of_zero_is_that_without_it_and_no_other_shift_is(tmp_path: Path) -> None:
+    found = read(tmp_path, "metashape-csv", METASHAPE_CSV.replace(UTM, bound("0,0,0,0,0,0,0")))
+    assert found.crs == "EPSG:32636"
+    for shift in ("0,0,5,0,0,0,0", "0,0,0,0,0,0,2"):
+        with pytest.raises(InputError, match="none of EPSG"):
+            read(tmp_path, "metashape-csv", METASHAPE_CSV.replace(UTM, bound(shift)))
+    with pytest.raises(InputError, match="not the one given"):
+        read(tmp_path, "metashape-csv", METASHAPE_CSV.replace(UTM, bound("0,0,0,0,0,0,0")), crs="EPSG:32635")
+
+
+@pytest.mark.parametrize("ellipsoid", ["intl", "GRS80", "WGS84"])
+def test_ellipsoid_alone_is_no_datum(tmp_path: Path, ellipsoid: str) -> None:
+    # PROJ finds Ain el Abd / UTM zone 36N, BGS2005 / UTM zone 36N, WGS 84 / TMzn36N equal, datum aside.
+    with pytest.raises(InputError, match="none of EPSG"):
+        read(tmp_path, "odm", ODM.format(crs=f"+proj=utm +zone=36 +ellps={ellipsoid} +units=m +no_defs"))
 
 
 @pytest.mark.parametrize("older", [False, True])

@@ -45,7 +45,7 @@ ROW = "P,400000.5,4580000.25,120.5\n"
         ("pix4d", "P;400000,5;4580000,25;120,5\n", UTM, "decimal comma"),
         ("pix4d", "P,400000,5,4580000,25,120,5\n", UTM, "wrong number of cells"),
         ("odm", "EPSG:32636\n400000,5 4580000 120 1 2 a.tif p\n", "", "decimal comma"),
-        ("odm", "400000.5 4580000 120 1 2 a.tif p\n", "", "none of EPSG"),
+        ("odm", "400000.5 4580000 120 1 2 a.tif p\n", "", "does not say its CRS"),
         ("odm", "EPSG:32636\n4e5 4.58e6 9 1 2 a.tif p\n4e5 4.58e6 8 1 2 b.tif p\n", "", "coordinates on line 2"),
         ("odm", "EPSG:32636\n4e5 4.58e6 9 1 2\n", "", "wrong number of cells"),
         ("odm", "", "", "no points"),
