@@ -18,6 +18,8 @@ from fg_orient.report.words import accuracy_words, in_words, orientation_words, 
 
 #: Rows of a table, and images, that the page shows; the files hold all.
 MANY: Final = {"rows": 100, "images": 40, "terms": 1500}
+#: Suspicious observations that the first page names.
+SUSPECTS: Final = 3
 #: Parts of the page and their words.
 SECTIONS: Final = (
     ("map", "Map"), ("accuracy", "Accuracy"), ("residuals", "Residuals"), ("orientation", "Orientation"),
@@ -33,7 +35,7 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     found, kept = verdict(record), record.get("regularisation")
     return environment().get_template("report.html.j2").render(
         r=record, verdict={**found, "text": [found["text"], *accuracy_words(record)]}, axes=_AXES, many=MANY,
-        problems=[in_words(t) for t in record["warnings"]], sections=SECTIONS, what=orientation_words(record),
+        problems=_problems(record, found["text"]), sections=SECTIONS, what=orientation_words(record),
         payload=payload(result), point_map=point_map(result), up_map=point_map(result, up=True),
         residuals=summaries, panels=residual_panels(result, summaries), outliers=largest_residuals(result),
         tested=normalised(result, np.arange(len(result.residuals)))[1], redundancy=redundancy_chart(result),
@@ -43,6 +45,15 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
         history=iteration_charts(result.iterations), truth=comparison, l_curve=l_curve_chart(kept),
         rules=ranked(kept) if kept else [],
     )  # fmt: skip
+
+
+def _problems(record: dict[str, Any], verdict_words: str) -> list[str]:
+    """Warnings that the verdict does not say already, after the observations that a test names."""
+    texts = [in_words(text) for text in record["warnings"] if text != verdict_words]
+    suspects = record.get("suspicious_observations") or []
+    named = [f"look at {suspect['sentence']}" for suspect in suspects[:SUSPECTS]]
+    left = len(suspects) - len(named)
+    return [*named, *([f"{left} more observations to look at are listed with the residuals"] if left else []), *texts]
 
 
 def _not_determined(record: dict[str, Any]) -> list[tuple[str, str, str, float | None]]:

@@ -187,3 +187,21 @@ def test_the_policy_lets_nothing_else_run(tab: Page, folder: Path) -> None:
     tab.value("new Promise((done) => setTimeout(done, 200))")
     assert tab.value("window.planted") is None
     assert sum("Content Security Policy" in text for text in tab.troubles) == 2, tab.troubles
+
+
+def test_names_of_images_that_are_out_of_sight_are_not_drawn(page: Page) -> None:
+    page.value(
+        "window.named = []; const write = CanvasRenderingContext2D.prototype.fillText;"
+        " CanvasRenderingContext2D.prototype.fillText = function (text, ...at)"
+        " { window.named.push(text); write.call(this, text, ...at) }"
+    )
+    drawn(page)
+    x, y = middle(page)
+    page.mouse("mousePressed", x, y, button="left", clickCount=1)
+    page.mouse("mouseMoved", x + 3, y, button="left", buttons=1)
+    drawn(page)
+    assert {"left", "right"} <= set(page.value("window.named.splice(0)"))
+    page.mouse("mouseMoved", x + 3000, y, button="left", buttons=1)
+    drawn(page)
+    assert not {"left", "right"} & set(page.value("window.named.splice(0)"))
+    page.mouse("mouseReleased", x + 3000, y, button="left", clickCount=1)

@@ -224,3 +224,17 @@ def test_a_folder_without_arrays_has_no_heat_map(result: Result, folder: Path) -
     page = render(dataclasses.replace(result, cofactors={}))
     assert "Correlations of the unknowns" not in page
     assert "Correlations of the unknowns" in (folder / "report.html").read_text("utf-8")
+
+
+def test_first_page_names_what_a_test_suspects_and_repeats_no_verdict(result: Result) -> None:
+    said = "sigma0 = 51.14 lies above 1.19"
+    suspects = [{"sentence": f"point {k} in image right: gross error"} for k in ("a<b", "c", "d", "e", "f")]
+    record = {**result.record, "status": "not_trustworthy", "reason": said, "warnings": [said, "few check points"],
+              "suspicious_observations": suspects}  # fmt: skip
+    page = render(dataclasses.replace(result, record=record))
+    problems = page[page.index('id="problems"') : page.index("<nav")]
+    assert re.findall("<li>(.*?)</li>", problems) == [
+        *(f"look at point {k} in image right: gross error" for k in ("a&lt;b", "c", "d")),
+        "2 more observations to look at are listed with the residuals", "few check points",
+    ]  # fmt: skip
+    assert page.count(said) == 1

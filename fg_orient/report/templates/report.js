@@ -307,6 +307,9 @@
         if (!name) continue;
         const on = corners.map((p) => this.toScreen(...p));
         const top = on.reduce((a, b) => (b[1] < a[1] ? b : a));
+        const [left, right] = [Math.min, Math.max].map((of) => of(...on.map((p) => p[0])));
+        const bottom = Math.max(...on.map((p) => p[1]));
+        if (right < 0 || left > this.width || bottom < 0 || top[1] > this.height) continue; // else they pile up at the border
         const wide = paint.measureText(name).width;
         const x = clamp(top[0] - wide / 2, 4, this.width - wide - 4);
         let y = Math.max(top[1] + 16, 14);
