@@ -1,10 +1,10 @@
-"""Quantiles of chi-square, and the control of many tests at once: one function each for all floors above."""
+"""Quantiles of chi-square and of counts, control of many tests at once: one function each for all floors above."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri, gammaincinv
+from scipy.special import bdtr, chdtri, gammaincinv
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +28,14 @@ def chi_square_interval(freedom: float, level: float) -> tuple[float, float]:
 def chi_square_median(freedom: npt.ArrayLike) -> Array:
     """Median of chi-square with this many degrees of freedom."""
     return chi_square_quantile(freedom, 0.5)
+
+
+def binomial_limit(n: int, probability: float, level: float) -> int:
+    """Least count that n independent events of this probability exceed with probability ``level`` at most."""
+    spread = np.sqrt(n * probability * (1.0 - probability))
+    reach = min(n, int(np.ceil(n * probability + (spread + 1.0) / np.sqrt(level))))  # Cantelli's inequality, and more
+    counts = np.arange(reach + 1)
+    return int(counts[bdtr(counts, n, probability) >= 1.0 - level][0])
 
 
 def sidak(level: float, n: int) -> float:

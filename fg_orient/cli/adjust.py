@@ -246,6 +246,9 @@ def show(record: dict[str, Any]) -> None:
                 rows.append([f"{role} {name} ({found['n']})" if key == "rmse" else f"{role} {name}",
                              *(number(found[f"{key}_{axis}_m"]) for axis in ("east", "north", "up"))])  # fmt: skip
     table("", ("points, m", "East", "North", "Up"), rows)
+    beyond = record["accuracy"]["check"]["beyond_3_sigma"]
+    if beyond["by_chance"] and beyond["sentence"]:
+        say(beyond["sentence"])
     components = record["variance_components"]
     if components is not None:
         table(f"sigmas estimated in {components['rounds']} adjustments", ("group", "redundancy", "times given", "sd"), [

@@ -9,22 +9,85 @@ prior scale. Source: Terlemezoğlu 2019, eqs. 2.72-2.73 (ECEF RMSE); the rest is
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+
+from fg_orient.distributions import binomial_limit, chi_square_limit, sidak
 
 Array = npt.NDArray[np.float64]
 
 AXES = ("east", "north", "up", "ecef_x", "ecef_y", "ecef_z")
 #: Check points beyond this many standard deviations of the difference are listed.
 RATIO_LIMIT = 3.0
+#: Probability that a normal difference lies beyond it, on either side.
+BEYOND: Final = math.erfc(RATIO_LIMIT / math.sqrt(2.0))
+#: Probability with which good check coordinates exceed the most that chance is granted, in number or in size.
+CHANCE: Final = 0.001
 #: ASPRS edition 2 (2023) asks for at least this many check points.
 ASPRS_MINIMUM = 30
 #: RMSE of one axis to the radius or half-length that holds 90 or 95 % of normal errors (NSSDA, appendix 3-A).
 CIRCULAR_90, CIRCULAR_95, LINEAR_90, LINEAR_95 = 2.1460, 2.4477, 1.6449, 1.9600
 #: Least ratio of East and North RMSE for which the circular factors hold (NSSDA, appendix 3-A).
 CIRCULAR_RATIO = 0.6
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """Check coordinates beyond ``RATIO_LIMIT`` standard deviations of their difference, and what chance gives of them.
+
+    Counts are held against the binomial distribution, the largest against Sidak's limit of the largest of so many: both
+    take the coordinates as independent, which those of one image are only nearly.
+
+    Parameters
+    ----------
+    n : int
+        Coordinates with a standard deviation.
+    count : int
+        Of them beyond.
+    expected : float
+        Number that normal differences give.
+    limit : int
+        Number that they exceed with probability ``CHANCE`` at most.
+    largest_limit : float
+        Standard deviations that the largest of n normal differences exceeds with probability ``CHANCE``; nan of none.
+    far : tuple of str
+        Ids of points beyond ``largest_limit``, worst first.
+    """
+
+    n: int
+    count: int
+    expected: float
+    limit: int
+    largest_limit: float
+    far: tuple[str, ...]
+
+    @property
+    def by_chance(self) -> bool:
+        """Whether neither their number nor the largest is more than chance gives."""
+        return self.count <= self.limit and not self.far
+
+    @property
+    def sentence(self) -> str:
+        """What chance gives, beside the count; "" where nothing is beyond."""
+        if not self.count:
+            return ""
+        told = f"{self.count} of {self.n} check coordinates"
+        if self.by_chance:
+            verb = "lies" if self.count == 1 else "lie"
+            return f"{told} {verb} beyond 3 standard deviations of the difference: as many as chance gives " \
+                   f"({self.expected:.1f} expected, up to {self.limit} are not unusual)"  # fmt: skip
+        return f"{told}, {self.expected:.1f} expected by chance, up to {self.limit} not unusual"
+
+    def as_dict(self) -> dict[str, object]:
+        """For ``result.json`` (docs/results.md)."""
+        return {
+            "n_coordinates": self.n, "n_beyond": self.count, "expected": self.expected, "limit": self.limit,
+            "largest_limit": self.largest_limit, "by_chance": self.by_chance, "sentence": self.sentence,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -103,6 +166,13 @@ class PointDifferences:
         rows = [(self.ids[i], AXES[k], float(self.enu_m[i, k]), float(ratio[i, k]))
                 for i, k in zip(*np.nonzero(ratio > RATIO_LIMIT), strict=True)]  # fmt: skip
         return sorted(rows, key=lambda row: -row[3])
+
+    def beyond(self) -> Beyond:
+        """Count the check coordinates beyond the limit, and say how many chance gives."""
+        n, rows = int(np.count_nonzero(~np.isnan(self.ratio))), self.suspicious()
+        farthest = math.sqrt(float(chi_square_limit(1, sidak(CHANCE, n)))) if n else float("nan")
+        far = tuple(dict.fromkeys(name for name, _, _, ratio in rows if ratio > farthest))
+        return Beyond(n, len(rows), n * BEYOND, binomial_limit(n, BEYOND, CHANCE), farthest, far)
 
     def largest(self, count: int = 5) -> list[tuple[str, float, float, float]]:
         """The largest differences in metres: (id, east, north, up)."""

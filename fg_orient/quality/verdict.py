@@ -17,7 +17,7 @@ from fg_orient.adjustment.solve import Estimate
 from fg_orient.distributions import chi_square_interval
 from fg_orient.names import Role, Status
 from fg_orient.quality import conditioning
-from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy
+from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy, PointDifferences
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 
 #: Probability of the two-sided interval of sigma0.
@@ -211,17 +211,27 @@ def warnings(
             "not each alone"
         )
     out += _outside(problem, estimate)
-    suspicious = list(dict.fromkeys(row[0] for row in accuracy.check.suspicious()))
-    if suspicious:
-        more = f" ... ({len(suspicious)} of {len(accuracy.check)})" if len(suspicious) > NAMED else ""
-        named = ", ".join(suspicious[:NAMED]) + more
-        out.append(f"check points beyond 3 standard deviations of the difference: {named}")
+    out += beyond_sentences(accuracy.check)
     n = len(accuracy.check)
     if not n:
         out.append("no check points: the accuracy is not verified independently")
     elif n < ASPRS_MINIMUM:
         out.append(f"{n} check point{'s' if n > 1 else ''}: ASPRS (2023) asks for at least {ASPRS_MINIMUM}")
     return tuple(out)
+
+
+def beyond_sentences(check: PointDifferences) -> list[str]:
+    """Name check points beyond 3 standard deviations, if they are more than chance gives or one is too far for it."""
+    found = check.beyond()
+    if found.by_chance:
+        return []
+    if found.count <= found.limit:
+        far = f"check points beyond {found.largest_limit:.1f} standard deviations of the difference"
+        return [f"{far}, which chance hardly gives among {found.n} coordinates: {_named(list(found.far))}"]
+    points = list(dict.fromkeys(row[0] for row in check.suspicious()))
+    more = f" ... ({len(points)} of {len(check)})" if len(points) > NAMED else ""
+    told = "check points beyond 3 standard deviations of the difference"
+    return [f"{told}: {', '.join(points[:NAMED])}{more}; {found.sentence}"]
 
 
 def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:

@@ -132,7 +132,8 @@ def _check(points: PointDifferences) -> dict[str, Any]:
          "length_m": float(np.sqrt(east**2 + north**2 + up**2))}
         for name, east, north, up in points.largest()
     ]  # fmt: skip
-    return {**points.statistics(), "suspicious": suspicious, "largest": largest}
+    beyond = points.beyond().as_dict()
+    return {**points.statistics(), "suspicious": suspicious, "beyond_3_sigma": beyond, "largest": largest}
 
 
 def _missing(solution: Solution) -> list[str]:

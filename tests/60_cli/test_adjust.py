@@ -76,6 +76,8 @@ def test_not_trustworthy_is_exit_4_with_result(run: Any, twin: Path) -> None:
     assert record["rank_defect"] == {"left": 6, "right": 6}
     assert len(record["unobservable"]) == 12
     assert record["accuracy"]["check"]["suspicious"][0]["ratio"] > 3.0
+    assert not record["accuracy"]["check"]["beyond_3_sigma"]["by_chance"]
+    assert any(w.startswith("check points beyond 3 standard deviations of the difference: ") for w in record["warnings"])
     assert json.loads((twin.parent / "result" / "result.json").read_text("utf-8"))["status"] == "not_trustworthy"
 
 

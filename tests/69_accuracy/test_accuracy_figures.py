@@ -10,9 +10,11 @@ import pytest
 from scipy.stats import binom, chi2, ttest_1samp
 
 import fg_orient as fg
+from fg_orient.distributions import binomial_limit
 from fg_orient.errors import NoSolutionError
-from fg_orient.quality.accuracy import PointDifferences
+from fg_orient.quality.accuracy import BEYOND, CHANCE, PointDifferences
 from fg_orient.quality.prediction_test import PredictionTest, bias_test, prediction_test
+from fg_orient.quality.verdict import beyond_sentences
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.solution import Solution
 
@@ -54,6 +56,50 @@ def test_circular_factors_are_absent_where_they_do_not_hold() -> None:
     assert "ce90_rmse_m" not in found and "ce95_rmse_m" not in found
     assert "ce90_m" in found and "le95_rmse_m" in found
     assert not {"ce90_m", "le90_m", "le90_rmse_m"} & set(points(d[:1]).statistics())
+
+
+def test_binomial_limit_is_the_quantile() -> None:
+    for n in (0, 1, 3, 30, 90, 300, 9360, 1_000_000):
+        assert binomial_limit(n, BEYOND, CHANCE) == binom.ppf(1.0 - CHANCE, n, BEYOND), n
+    assert [binomial_limit(7, p, CHANCE) for p in (0.0, 1.0)] == [0, 7]
+    assert pytest.approx(chi2.sf(9.0, 1)) == BEYOND
+
+
+def test_as_many_differences_beyond_three_as_chance_gives_are_no_warning() -> None:
+    """3120 good points have some 25 coordinates beyond; half as many again, or one far off, are a warning."""
+    d = np.random.default_rng(4).normal(0.0, np.hypot(1.0, 0.5), (3120, 3))
+    found = points(d).beyond()
+    assert (found.n, found.limit, found.far) == (9360, 42, ()) and found.expected == pytest.approx(25.27, abs=0.01)
+    assert 10 < found.count <= 42 and found.by_chance and beyond_sentences(points(d)) == []
+    assert found.sentence.startswith(f"{found.count} of 9360 check coordinates lie beyond 3 standard deviations")
+    assert "as many as chance gives (25.3 expected" in found.sentence
+
+    many = points(1.15 * d)
+    (told,) = beyond_sentences(many)
+    assert many.beyond().count > 42 and "of 9360 check coordinates, 25.3 expected by chance, up to 42" in told
+    assert told.startswith(f"check points beyond 3 standard deviations of the difference: {many.suspicious()[0][0]}, ")
+
+    far = d.copy()
+    far[70, 1] = 6.0 * np.hypot(1.0, 0.5)
+    (told,) = beyond_sentences(points(far))
+    assert told.endswith("standard deviations of the difference, which chance hardly gives among 9360 coordinates: c70")
+    assert "beyond 5.3 " in told
+
+
+def test_few_check_points_are_named_by_number_or_size() -> None:
+    """Of ten points two coordinates beyond three are not unusual, three are, and one at five is."""
+    d = np.zeros((10, 3))
+    scale = np.hypot(1.0, 0.5)
+    d[[1, 4], [0, 2]] = 3.1 * scale
+    assert points(d).beyond().by_chance and beyond_sentences(points(d)) == []
+    d[6, 1] = -3.2 * scale
+    (told,) = beyond_sentences(points(d))
+    assert told.startswith("check points beyond 3 standard deviations of the difference: c6, c1, c4; 3 of 30 check")
+    d[[1, 4]] = 0.0
+    d[6, 1] = -5.0 * scale
+    assert "4.1 standard deviations" in beyond_sentences(points(d))[0]
+    withheld = replace(points(d), predicted_sigma_enu_m=np.full((10, 3), np.nan)).beyond()
+    assert (withheld.n, withheld.by_chance, withheld.sentence) == (0, True, "")
 
 
 def test_bias_test_is_students(rng: np.random.Generator) -> None:
