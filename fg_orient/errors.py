@@ -7,8 +7,10 @@ line: 2 bad input, 3 no solution, 4 solution not trustworthy.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import takewhile
+from typing import Final
 
 from fg_orient.messages import CATALOGUE
 
@@ -59,6 +61,30 @@ def problem(code: str, *, file: object = "", place: object = "", value: object =
     text = str(value)
     seen = text if len(text) <= 80 else text[:77] + "..."
     return Problem(code, message.format(**known), str(file), str(place), seen, remedy.format(**known))
+
+
+#: Faults of directions of a block, of which there may be dozens with one cause.
+_DIRECTIONS: Final = ("adjust.rank_deficient", "adjust.rank_without_control")
+#: Directions that one line names.
+_NAMED: Final = 3
+
+
+def folded(problems: Sequence[Problem]) -> list[Problem]:
+    """Faults for people: directions with one cause and one remedy on one line, some of them named."""
+    groups: dict[object, list[Problem]] = {}
+    for k, p in enumerate(problems):
+        groups.setdefault((p.file, p.message, p.remedy) if p.code in _DIRECTIONS else k, []).append(p)
+    return [group[0] if len(group) == 1 else replace(group[0], place=_places(group)) for group in groups.values()]
+
+
+def _places(group: Sequence[Problem]) -> str:
+    """Some places, what they begin with alike said once, and how many more there are."""
+    first = [p.place for p in group[:_NAMED]]
+    same = takewhile(lambda letters: len(set(letters)) == 1, zip(*first, strict=False))
+    alike = "".join(letters[0] for letters in same)
+    start = len("".join(alike.rpartition(": ")[:2]))
+    more = f" | and {len(group) - _NAMED} more (--json has all)" if len(group) > _NAMED else ""
+    return first[0][:start] + " | ".join(place[start:] for place in first) + more
 
 
 class FgOrientError(Exception):

@@ -101,6 +101,11 @@ class Problem:
         """Number of images."""
         return len(self.block.images)
 
+    @property
+    def has_control(self) -> bool:
+        """Whether a control point is measured in an image."""
+        return bool(np.isin(self.block.points.where(Role.CONTROL), self.observations.point).any())
+
     @cached_property
     def parameters(self) -> tuple[ImageParameters, ...]:
         """Unknowns of each image."""

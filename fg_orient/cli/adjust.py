@@ -29,7 +29,7 @@ from fg_orient.cli.common import (
     table,
 )
 from fg_orient.cli.progress import progress
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Problem, folded
 from fg_orient.names import EXIT_CODE, Status
 
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
@@ -182,8 +182,8 @@ def adjust(
                 dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs),
                 dem_vertical_crs=dem_vertical_crs,
             )  # fmt: skip
-        for found in record.get("errors", []):
-            note(f"error: {found['place']}: {found['message']}; {found['remedy']}")
+        for found in folded([Problem(**one) for one in record.get("errors", [])]):
+            note(f"error: {found}")
         if as_json:
             emit(record)
         elif record["out"]:

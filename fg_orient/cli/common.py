@@ -13,7 +13,7 @@ import typer
 
 from fg_orient.cli.log import opened, session
 from fg_orient.cli.tables import print_table
-from fg_orient.errors import FgOrientError, InputError, Problem
+from fg_orient.errors import FgOrientError, InputError, Problem, folded
 
 if TYPE_CHECKING:
     from fg_orient.sensors.surface import RasterDem
@@ -136,7 +136,7 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
     except FgOrientError as error:
         if as_json:
             emit_errors(*error.problems)
-        for found in error.problems:
+        for found in folded(error.problems):
             fault(found)
         raise typer.Exit(error.exit_code) from None
     except KeyboardInterrupt as stopped:

@@ -105,6 +105,10 @@ ADJUST: Final = {
         "use --optimizer gauss-newton, levenberg-marquardt or dogleg (the same linear algebra, driven from Python)",
     ),
     "adjust.rank_deficient": ("not observable without priors", "keep the priors or choose a smaller EOP set"),
+    "adjust.rank_without_control": (
+        "not observable without priors, and the block has no control point",
+        'keep the priors: datum = "priors"; or choose a smaller EOP set',
+    ),
     "adjust.extra_kind": (
         "an extra observation wants the other kind of unknown for its argument {argument}",
         'give a point as "point:12", an image as "image:left", in the order of the equation',

@@ -29,7 +29,9 @@ from fg_orient.quality.observability import (
 from fg_orient.quality.structure import Structure, analyse_structure
 
 #: Codes of faults that name what is not determined.
-DEFICIENT: Final = ("adjust.rank_deficient", "statistics.too_few", "statistics.motions")
+DEFICIENT: Final = (
+    "adjust.rank_deficient", "adjust.rank_without_control", "statistics.too_few", "statistics.motions",
+)  # fmt: skip
 #: Image points that tell the motions of a block that is too large to be decomposed.
 ENOUGH: Final = 20_000
 
@@ -131,7 +133,12 @@ def _structural(compiled: Problem, structure: Structure, observability: tuple[Im
         return out
     seen = [o for o in observability if lacks == () or o.rank_defect < len(o.singular_values)]
     sentences = [sentence for o in seen for sentence in o.sentences]
-    return out + [problem("adjust.rank_deficient", place=sentence) for sentence in sentences]
+    return out + [problem(_code(compiled), place=sentence) for sentence in sentences]
+
+
+def _code(compiled: Problem) -> str:
+    """Code of a direction that nothing shows: without control points the way out is another one."""
+    return "adjust.rank_deficient" if compiled.has_control else "adjust.rank_without_control"
 
 
 def _numerical(compiled: Problem, view: BlockObservability) -> list[Fault]:
@@ -143,7 +150,7 @@ def _numerical(compiled: Problem, view: BlockObservability) -> list[Fault]:
         near = [m for m in view.motions if not m.unobservable.all()]
         out += [problem("statistics.datum_near", place=part_sentence(m, priors=False), value=len(m)) for m in near]
     others = view.sentences[len(view.sentences) - view.unexplained :]
-    return out + [problem("adjust.rank_deficient", place=sentence) for sentence in others]
+    return out + [problem(_code(compiled), place=sentence) for sentence in others]
 
 
 def _motion_faults(view: BlockObservability) -> list[Fault]:

@@ -337,7 +337,8 @@ def _dead_sentences(
     told = told[: null.shape[1]]
     left = null.shape[1] - len(told)
     names = _names(problem)
-    told += [_block_sentence(rest[:, k], names) for k in range(min(left, rest.shape[1]))]
+    shown, control = min(left, rest.shape[1]), problem.has_control
+    told += [_block_sentence(rest[:, k], names, control=control) for k in range(shown)]
     return tuple(told), left
 
 
@@ -405,7 +406,8 @@ def _parts_sentence(problem: Problem, structure: Structure) -> str:
     )
 
 
-def _block_sentence(direction: Array, names: list[tuple[str, str]]) -> str:
+def _block_sentence(direction: Array, names: list[tuple[str, str]], *, control: bool) -> str:
     order = np.argsort(-np.abs(direction))[:4]
     parts = [f"{direction[j]:+.2f} {names[j][0]} {names[j][1]}" for j in order if abs(direction[j]) > 0.1]
-    return "block: the control points do not fix this combination (in prior sigmas): " + " ".join(parts)
+    who = "the control points do not fix" if control else "no control point fixes"
+    return f"block: {who} this combination (in prior sigmas): " + " ".join(parts)

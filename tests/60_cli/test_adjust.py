@@ -77,7 +77,7 @@ def test_not_trustworthy_is_exit_4_with_result(run: Any, twin: Path) -> None:
     assert len(record["unobservable"]) == 12
     assert record["accuracy"]["check"]["suspicious"][0]["ratio"] > 3.0
     assert not record["accuracy"]["check"]["beyond_3_sigma"]["by_chance"]
-    assert any(w.startswith("check points beyond 3 standard deviations of the difference: ") for w in record["warnings"])
+    assert any(w.startswith("check points beyond 3 standard deviations of the diff") for w in record["warnings"])
     assert json.loads((twin.parent / "result" / "result.json").read_text("utf-8"))["status"] == "not_trustworthy"
 
 
@@ -96,6 +96,24 @@ def test_rank_deficient_for_people(run: Any, twin: Path) -> None:
     assert ended.code == 3
     assert ended.stdout == ""
     assert "velocity across track acts as yaw" in ended.stderr
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("error: image left: velocity along track (constant) acts on nothing | radial velocity")
+    assert "| and 15 more (--json has all): not observable without priors; keep the priors or" in line
+
+
+def test_directions_without_control_points_are_one_line(run: Any, twin: Path) -> None:
+    """Not one line per direction that control points which do not exist fail to fix; the way out is the datum."""
+    points = twin.parent / "points.csv"
+    points.write_text(points.read_text("utf-8").replace(",control,", ",check,"), "utf-8")
+    ended = run("adjust", twin, "--datum", "inner")
+    assert (ended.code, ended.stdout) == (3, "")
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("error: block: no control point fixes this combination (in prior sigmas): ")
+    assert line.count(" | ") == 3 and line.count("this combination") == 1 and "the control points" not in line
+    assert " more (--json has all): not observable without priors, and the block has no control point; " in line
+    assert line.endswith('keep the priors: datum = "priors"; or choose a smaller EOP set')
+    record = run("adjust", twin, "--datum", "inner", "--json").json
+    assert len(record["unobservable"]) == len(record["errors"]) > 5
 
 
 def test_not_converged_is_exit_3(run: Any, twin: Path) -> None:
