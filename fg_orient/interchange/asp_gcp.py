@@ -34,7 +34,7 @@ EXPECTED: Final = "7 and 5 more for each image"
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read a ``.gcp``; the CRS of the settings has to be geographic."""
     path = paths[0]
-    crs = decided_crs("", settings.crs, path)
+    crs, _ = decided_crs("", settings.crs, path)
     if crs_kind(crs) != "geographic":
         raise InputError.of("interchange.geographic", file=path, place="--crs", value=crs)
     faults = Faults(str(path))

@@ -32,7 +32,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     content = _content(path)
     if settings.crs and not same_horizontal(settings.crs, WGS84):
         raise InputError.of("interchange.crs_differs", file=path, place="CRS", value=WGS84, given=settings.crs)
-    crs = decided_crs("", settings.crs or WGS84, path)
+    crs, _ = decided_crs("", settings.crs or WGS84, path)
     faults = Faults(str(path))
     gathered = Gathering(faults)
     for k, feature in enumerate(content["features"], start=1):

@@ -56,13 +56,13 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
         raise InputError.of("interchange.gpkg", file=path, value=str(error).split(";")[0]) from None
     if ground is None or "id" not in ground[2]:
         raise InputError.of("interchange.layer", file=path, value=", ".join(layers), layer=GROUND)
-    crs = decided_crs(ground[0]["crs"] or "", settings.crs, path)
+    crs, notes = decided_crs(ground[0]["crs"] or "", settings.crs, path)
     faults = Faults(str(path))
     gathered = Gathering(faults)
     _take_ground(gathered, shapely.from_wkb(ground[1]), ground[2])
     if image is not None:
         _take_image(gathered, image[2], path)
-    return gathered.finished(crs)
+    return gathered.finished(crs, notes=notes)
 
 
 def _take_ground(gathered: Gathering, geometry: Any, columns: dict[str, Any]) -> None:

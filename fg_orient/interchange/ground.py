@@ -20,9 +20,11 @@ Array = npt.NDArray[np.float64]
 
 #: Points this far outside the area that a CRS was made for are worth a remark, degrees.
 AREA_MARGIN_DEG: Final = 3.0
+#: Characters of a CRS that a note repeats.
+_LONG: Final = 80
 
 
-def decided_crs(stated: str, given: str, file: object) -> str:
+def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[str, ...]]:
     """CRS of a file that may state one, and of a user who may give one.
 
     Parameters
@@ -34,6 +36,11 @@ def decided_crs(stated: str, given: str, file: object) -> str:
     file : object
         For messages.
 
+    Returns
+    -------
+    tuple
+        EPSG code, and a note where the user's replaces what the file says, which nothing could hold against it.
+
     Raises
     ------
     InputError
@@ -44,13 +51,15 @@ def decided_crs(stated: str, given: str, file: object) -> str:
         crs_kind(given)
         if found and not same_horizontal(found, given):
             raise InputError.of("interchange.crs_differs", file=file, place="CRS", value=found, given=given)
-        return given
+        replaced = "" if found else " ".join(stated.split())
+        text = replaced if len(replaced) <= _LONG else replaced[: _LONG - 3] + "..."
+        return given, (f"the CRS of the file ({text}) is none of EPSG: {given} takes its place",) if replaced else ()
     if not stated.strip():
         raise InputError.of("interchange.no_crs", file=file, place="CRS")
     if not found:
         raise InputError.of("interchange.crs_unknown", file=file, place="CRS", value=stated)
     crs_kind(found)
-    return found
+    return found, ()
 
 
 def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tuple[Problem, ...]:

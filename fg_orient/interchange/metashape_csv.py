@@ -54,7 +54,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     text = read_text(path, faults) or ""
     faults.raise_if_any()
     stated = _CRS.search(text)
-    crs = decided_crs(stated[1] if stated else "", settings.crs, path)
+    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
     lines = list(enumerate(text.split("\n"), start=1))
     start, mark, columns, ignored = _header(lines, path)
     gathered = Gathering(faults)
@@ -65,7 +65,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             faults.add("interchange.cell_count", place=f"line {n}", value=value, expected=f"up to {len(columns)}")
         elif cells:
             _take(gathered, named(n, cells, columns))
-    notes = [f"columns not read: {', '.join(ignored)}"] if ignored else []
+    notes += (f"columns not read: {', '.join(ignored)}",) if ignored else ()
     return gathered.finished(crs, notes=notes)
 
 

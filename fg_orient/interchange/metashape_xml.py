@@ -39,7 +39,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     chunk = read_xml(path).one("chunk")
     reference = chunk.maybe("reference")
     stated = (reference.element.text or "") if reference is not None else ""
-    crs = decided_crs(stated, settings.crs, path)
+    crs, notes = decided_crs(stated, settings.crs, path)
     faults = Faults(str(path))
     gathered = Gathering(faults)
     cameras, labels = _labels(chunk, "cameras", "camera"), _labels(chunk, "markers", "marker")
@@ -48,7 +48,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     frame = chunk.maybe("frames/frame")
     for marker in _children(frame.maybe("markers") if frame is not None else None, "marker"):
         _locate(gathered, marker, cameras, labels)
-    return gathered.finished(crs)
+    return gathered.finished(crs, notes=notes)
 
 
 def _children(parent: XmlNode | None, name: str) -> Sequence[XmlNode]:

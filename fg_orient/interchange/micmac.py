@@ -25,7 +25,7 @@ MARK: Final = ("name", "image", "x", "y")
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read the points and, if given, their image points."""
-    crs = decided_crs("", settings.crs, paths[0])
+    crs, _ = decided_crs("", settings.crs, paths[0])
     faults = Faults(str(paths[0]))
     gathered = Gathering(faults)
     for n, cells in cells_of(paths[0], faults, "blank"):

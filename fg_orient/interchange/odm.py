@@ -37,7 +37,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     if not lines:
         raise InputError.of("interchange.empty", file=path)
     headless = _is_point(lines[0][1])
-    crs = decided_crs("" if headless else " ".join(lines[0][1]), settings.crs, path)
+    crs, notes = decided_crs("" if headless else " ".join(lines[0][1]), settings.crs, path)
     gathered = Gathering(faults)
     placed: dict[str, tuple[tuple[str, ...], int]] = {}
     numbered: dict[tuple[str, ...], str] = {}
@@ -55,7 +55,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             gathered.point(name, Role.CONTROL, _coordinates(row, faults), line=n)
         x, y = numbers(row, ("im_x", "im_y"), faults)
         gathered.measure(row.cells["image"], name, y, x, line=n)
-    notes = [f"{len(numbered)} points without a name are numbered in their order"] if numbered else []
+    notes += (f"{len(numbered)} points without a name are numbered in their order",) if numbered else ()
     return gathered.finished(crs, notes=notes)
 
 

@@ -27,7 +27,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     text = read_text(paths[0], faults)
     faults.raise_if_any()
     stated = _CRS.search(text or "")
-    crs = decided_crs(stated[1] if stated else "", settings.crs, paths[0])
+    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, paths[0])
     points = read_point_table(paths[0], crs, faults)
     faults.raise_if_any()
     if points is None:
@@ -43,7 +43,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
         observed = found.observations if found is not None else observed
     return Survey(
         crs, points.ids, points.roles, points.given, points.sigma_enu_m, points.fixed, images, observed,
-        points.lines,
+        points.lines, notes,
     )  # fmt: skip
 
 

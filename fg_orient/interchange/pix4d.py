@@ -29,7 +29,7 @@ CENTRE_PX: Final = 0.5
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     """Read the points and, if given, their marks."""
-    crs = decided_crs("", settings.crs, paths[0])
+    crs, _ = decided_crs("", settings.crs, paths[0])
     faults = Faults(str(paths[0]))
     gathered = Gathering(faults)
     backwards = north_first(crs)

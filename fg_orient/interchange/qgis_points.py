@@ -40,7 +40,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     lines = cells_of(path, faults, "comma")
     faults.raise_if_any()
     stated = _CRS.search(text or "")
-    crs = decided_crs(stated[1] if stated else "", settings.crs, path)
+    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
     image = settings.image or path.name.removesuffix(".points")
     gathered = Gathering(faults)
     names = _header(lines, path)
@@ -50,7 +50,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             faults.add("interchange.cell_count", place=f"line {n}", value=value, expected=f"4 to {len(names)}")
             continue
         _take(gathered, named(n, cells, names), str(k), image)
-    return gathered.finished(crs)
+    return gathered.finished(crs, notes=notes)
 
 
 def _header(lines: list[tuple[int, list[str]]], path: Path) -> list[str]:

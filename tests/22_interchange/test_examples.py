@@ -10,6 +10,7 @@ import pytest
 
 from fg_orient.crs import wkt
 from fg_orient.errors import InputError
+from fg_orient.interchange.ground import decided_crs
 from fg_orient.interchange.registry import Settings, formats
 from fg_orient.interchange.survey import Survey
 from fg_orient.names import Role
@@ -105,6 +106,20 @@ def test_metashape_csv(tmp_path: Path) -> None:
     assert found.roles == (Role.CONTROL, Role.CHECK, Role.TIE)
     np.testing.assert_array_equal(found.sigma_enu_m, [[0.02, 0.02, 0.05], [0.03] * 3, [np.nan] * 3])
     assert found.notes == ("columns not read: Error_(m)",)
+
+
+def test_a_crs_that_the_users_replaces_is_told(tmp_path: Path) -> None:
+    """Text that is no CRS of EPSG gives way to --crs, which a reader must know; one that is equal needs no note."""
+    grid = 'LOCAL_CS["Quarry grid",  UNIT["metre",1]]'
+    local = re.sub("(?<=# CoordinateSystem: ).*", grid, METASHAPE_CSV, count=1)
+    found = read(tmp_path, "metashape-csv", local, crs="EPSG:32636")
+    told = 'the CRS of the file (LOCAL_CS["Quarry grid", UNIT["metre",1]]) is none of EPSG: EPSG:32636 takes its place'
+    assert found.crs == "EPSG:32636" and found.notes == (told, "columns not read: Error_(m)")
+    assert read(tmp_path, "metashape-csv", METASHAPE_CSV, crs="EPSG:32636").notes == found.notes[1:]
+    for stated in ("", "EPSG:32636", "EPSG:32636+5773"):
+        assert decided_crs(stated, "EPSG:32636", "f")[1] == ()
+    (long,) = decided_crs("x y " * 50, "EPSG:32636", "f")[1]
+    assert "x y x..." in long and len(long) < 150
 
 
 @pytest.mark.parametrize("mark", [";", "\t"])
