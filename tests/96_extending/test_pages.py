@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
-import json
 import shutil
 import sys
 from collections.abc import Iterator
@@ -21,12 +21,10 @@ from fg_orient.adjustment.models import contract
 from fg_orient.block import Block
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.io import sensor as sensor_reader
-from fg_orient.io.points_write import write_observations, write_points, write_project
 from fg_orient.linear import kappa, registry
 from fg_orient.linear.kappa import Given, choose_kappa
 from fg_orient.linear.registry import solve
 from fg_orient.linear.system import LinearSystem
-from fg_orient.options import Options
 from fg_orient.plugins import load_plugin
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support import pages
@@ -56,12 +54,11 @@ def registries() -> Iterator[pytest.MonkeyPatch]:
 def files(
     repository: Path, tmp_path_factory: pytest.TempPathFactory, registries: pytest.MonkeyPatch
 ) -> dict[str, Path]:
-    """The first Python block of each page as a file."""
-    folder, out = tmp_path_factory.mktemp("own"), {}
+    """The first Python block of each page as a file, the only one in its folder."""
+    out = {}
     for page, name in PAGES.items():
-        code = next(f.text for f in fences_of(repository, page) if f.language == "python")
-        out[page] = folder / f"{name}.py"
-        out[page].write_text(code, "utf-8")
+        out[page] = tmp_path_factory.mktemp("own") / f"{name}.py"
+        out[page].write_text(python_of(repository, page)[0].text, "utf-8")
     return out
 
 
@@ -69,6 +66,11 @@ def fences_of(repository: Path, page: str) -> list[Fence]:
     """Give the blocks of a page on extending, or of the one above them."""
     path = repository / "docs" / ("extending.md" if page == "extending" else f"extending/{page}.md")
     return pages.fences(path, page)
+
+
+def python_of(repository: Path, page: str) -> list[Fence]:
+    """Give the Python blocks of a page on extending."""
+    return [fence for fence in fences_of(repository, page) if fence.language == "python"]
 
 
 @pytest.fixture(scope="module")
@@ -98,17 +100,18 @@ def check_jacobians(equation: _contract.Equation) -> None:
 
 @pytest.mark.parametrize("page", ["extending", *PAGES])
 def test_commands_and_further_blocks_of_the_page(
-    page: str, files: dict[str, Path], twin: Path, parallel: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:  # fmt: skip
-    """As a reader would, in the folder of the files with a project."""
-    monkeypatch.chdir(files["loss"].parent)
-    project = parallel / "project.toml" if page == "sensor" else twin
-    shutil.copytree(project.parent, ".", dirs_exist_ok=True)
-    shutil.copy(project, "PROJECT.toml")
+    page: str, files: dict[str, Path], twin: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a reader would, in the folder of the file with a project; the page of the sensor simulates its own."""
+    monkeypatch.chdir(files["loss" if page == "extending" else page].parent)
+    names: dict[str, Any] = {}
+    if page != "sensor":
+        shutil.copytree(twin.parent, ".", dirs_exist_ok=True)
+        shutil.copy(twin, "PROJECT.toml")
+        names["np"] = np
     found = fences_of(repository, page)
     if page != "extending":
         found.remove(next(f for f in found if f.language == "python"))
-    names: dict[str, Any] = {"np": np}
     if page == "equation":
         load_plugin(files[page])
     assert pages.run_page(found, names, repository, lambda _: True) >= 1
@@ -118,61 +121,46 @@ def test_commands_and_further_blocks_of_the_page(
 
 # --- a sensor ------------------------------------------------------------------------------------
 
-LON, LAT = 31.8, 41.4
-SHIFTS = {"left": (12.0, -7.0), "right": (-9.0, 15.0)}
-#: Pixels per metre by East, North, Up of two images that look from the West and from the East.
-MATRICES = {"left": [[0.0, -0.5, 0.0], [0.5, 0.0, -0.25]], "right": [[0.02, -0.5, 0.0], [0.5, 0.02, 0.3]]}
-
 
 @pytest.fixture(scope="module")
-def parallel(files: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Project of two images of the page's sensor, their shifts unknown; noise of 0.2 px."""
-    folder, rng = tmp_path_factory.mktemp("parallel"), np.random.default_rng(8)
-    for name, matrix in MATRICES.items():
-        given = {"lines": 2000, "samples": 2400, "place": [LON, LAT, 100.0], "matrix": matrix}
-        (folder / f"{name}.parallel").write_text(json.dumps(given))
-    enu = np.column_stack([rng.uniform(-1500.0, 1500.0, (20, 2)), rng.uniform(-80.0, 300.0, 20)])
-    axes = enu_from_ecef(LON, LAT)[0]
-    ground = geodetic_to_ecef(LON, LAT, 100.0)[0] + enu @ axes
-    roles, ids = [fg.Role.CONTROL] * 6 + [fg.Role.CHECK] * 14, [f"P{j}" for j in range(20)]
-    write_points(folder / "points.csv", ids, roles, np.stack(ecef_to_geodetic(ground), axis=1), np.full((20, 3), 0.05))
-    pixels = [enu @ np.array(MATRICES[name]).T + [999.5, 1199.5] + shift + rng.normal(0.0, 0.2, (20, 2))
-              for name, shift in SHIFTS.items()]  # fmt: skip
-    write_observations(folder / "observations.csv", [name for name in SHIFTS for _ in ids], ids * 2,
-                       np.concatenate(pixels), np.full((40, 2), 0.2))  # fmt: skip
-    write_project(folder / "project.toml", name="parallel", options=Options(),
-                  images=[(name, f"{name}.parallel") for name in SHIFTS])  # fmt: skip
-    return folder
+def parallel(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Folder of the images that the page simulates, and what its block calls by name: shifts, matrices, place."""
+    folder, names = tmp_path_factory.mktemp("parallel"), dict[str, Any]()
+    with contextlib.chdir(folder):
+        pages.run_python(python_of(repository, "sensor")[1], names)
+    return folder, names
 
 
-def test_sensor_in_a_project_file(parallel: Path, files: dict[str, Path]) -> None:
+def test_sensor_in_a_project_file(parallel: tuple[Path, dict[str, Any]], files: dict[str, Path]) -> None:
     """Adjusted by the command line: the planted shifts are found, and locate takes them from the result."""
+    folder, true = parallel
     own = ("--plugin", files["sensor"])
-    ended = in_process(*own, "adjust", parallel / "project.toml", "--out", parallel / "result", "--json")
+    ended = in_process(*own, "adjust", folder / "project.toml", "--out", folder / "result", "--json")
     assert ended.code == 0, ended.stderr
     assert ended.json["backend"] == "graph"
     assert ended.json["sigma0_interval_99_9"][0] < ended.json["sigma0"] < ended.json["sigma0_interval_99_9"][1]
-    solution = fg.adjust(fg.read_project(parallel / "project.toml"), backend="dense")
-    for name, shift in SHIFTS.items():
+    solution = fg.adjust(fg.read_project(folder / "project.toml"), backend="dense")
+    for name, shift in true["SHIFTS"].items():
         sigma = np.sqrt(np.diag(solution.covariance(f"image:{name}").values))
         assert np.abs(solution.correction(name) - shift).max() < 4.0 * sigma.max() < 1.0
         pixel = ("--line", 400, "--sample", 1700, "--height", 250)
-        words = (*own, "locate", parallel / f"{name}.parallel", *pixel, "--result", parallel / "result", "--json")
+        words = (*own, "locate", folder / f"{name}.parallel", *pixel, "--result", folder / "result", "--json")
         place = in_process(*words).json["points"][0]
-        true = place_of(name, (400.0, 1700.0), 250.0)
-        assert np.linalg.norm([place["x_m"], place["y_m"], place["z_m"]] - true) < 3.0
-    outside = in_process(*own, "project", parallel / "left.parallel", "--lon", LON, "--lat", LAT, "--height", 100)
+        where = place_of(true["PLACE"], np.array(true["MATRICES"][name]), np.subtract((400.0, 1700.0), shift), 250.0)
+        assert np.linalg.norm([place["x_m"], place["y_m"], place["z_m"]] - where) < 3.0
+    lon, lat, height = true["PLACE"]
+    outside = in_process(*own, "project", folder / "left.parallel", "--lon", lon, "--lat", lat, "--height", height)
     assert "999.500" in outside.stdout
     check_jacobians(_contract.registered()["docs_parallel"])
 
 
-def place_of(name: str, pixel: tuple[float, float], height_m: float) -> np.ndarray:
+def place_of(middle: tuple[float, float, float], matrix: np.ndarray, pixel: np.ndarray, height_m: float) -> np.ndarray:
     """Ground point by Newton on East, North, Up, its height being that above the ellipsoid."""
-    enu, axes = np.zeros(3), enu_from_ecef(LON, LAT)[0]
-    centre, matrix = geodetic_to_ecef(LON, LAT, 100.0)[0], np.array(MATRICES[name])
+    enu, axes = np.zeros(3), enu_from_ecef(*middle[:2])[0]
+    centre = geodetic_to_ecef(*middle)[0]
     for _ in range(10):
         height = ecef_to_geodetic((centre + enu @ axes)[None])[2][0]
-        miss = np.array([*(pixel - np.array([999.5, 1199.5]) - SHIFTS[name] - matrix @ enu), height_m - height])
+        miss = np.array([*(pixel - [999.5, 1199.5] - matrix @ enu), height_m - height])
         enu = enu + np.linalg.solve(np.vstack([matrix, [0.0, 0.0, 1.0]]), miss)
     return np.asarray(centre + enu @ axes)
 
