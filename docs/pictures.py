@@ -1,21 +1,25 @@
-"""Draw the pictures of the concepts page and of the tutorials, from the commands of the tutorials themselves.
+"""Draw the pictures of the concepts page, of the tutorials and of the examples, from their own commands.
 
     python docs/pictures.py [FOLDER]
 
 FOLDER is docs/_static unless another one is given. Pictures of tutorials are drawn after all blocks of their page have
-been run, in a folder that is thrown away; those of concepts from the simulated pair that the tutorials use.
+been run, in a folder that is thrown away; those of concepts from the simulated pair that the tutorials use, those of
+examples with the functions of the script.
 """
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import io
 import json
 import os
+import runpy
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -277,10 +281,57 @@ def calibrate(out: Path) -> None:
     keep(figure, out / "calibrate-residuals.svg")
 
 
+# --- examples --------------------------------------------------------------------------------------
+
+
+def functions(example: str) -> dict[str, Any]:
+    """Give what an example calls by name, without running it."""
+    return runpy.run_path(str(ROOT / "examples" / f"{example}.py"))
+
+
+def rectify_by_points(out: Path) -> None:
+    """Draw the residuals of the first fit, before the wrong point is left out."""
+    own = functions("rectify_by_points")
+    control = own["scene"](30, np.random.default_rng(1))
+    control.target[11] += (150.0, 0.0)
+    found = own["fit"](control, own["find_model"]("affine"))
+    v = control.target - found.transformation.apply(control.source)
+    suspected = own["point_tests"](found).suspicious
+    figure = style.new_figure(style.ONE_COLUMN, 2.8)
+    panel = figure.add_subplot()
+    for rows, ink, name in ((~suspected, style.BLUE, "control"), (suspected, style.ORANGE, "suspected")):
+        at = control.source[rows]
+        panel.plot(*at.T, ls="", marker="o", ms=3, color=ink, label=name)
+        arrows = panel.quiver(*at.T, *v[rows].T, color=ink, angles="uv", scale=600.0, scale_units="width", width=0.005)
+    panel.quiverkey(arrows, 0.85, 1.05, 50.0, "50 m", labelpos="W", fontproperties={"size": 7}, color=style.INK)
+    panel.set(xlim=(-100, 1123), ylim=(1123, -100), aspect="equal", xlabel="sample, px", ylabel="line, px")
+    panel.set_title("affine fit", loc="left")
+    panel.legend(loc="lower right")
+    keep(figure, out / "rectify-by-points.svg")
+
+
+def rpc_bundle(out: Path) -> None:
+    """Draw how far the rays of each point pass each other, with the RPC as they came and adjusted without control."""
+    own = functions("rpc_bundle")
+    with contextlib.redirect_stdout(io.StringIO()):
+        block = own["without_control"](own["rpc_block"]())
+    relative = fg.adjust(block, rpc_compensation="shift")
+    figure = style.new_figure(style.ONE_COLUMN, 2.3)
+    panel = figure.add_subplot()
+    cases = (("as they came", relative.problem.start, style.ORANGE, "s"), ("adjusted", relative.state, style.BLUE, "o"))
+    for name, state, ink, mark in cases:
+        parallax = own["y_parallaxes"](relative.problem, state)[1]
+        panel.plot(np.arange(1, len(parallax) + 1), parallax, ls="", marker=mark, ms=3, color=ink, label=name)
+    panel.set(xlabel="point", ylabel="y-parallax, px", ylim=(0.0, None))
+    panel.legend(loc="center right")
+    keep(figure, out / "rpc-bundle.svg")
+
+
 #: What is drawn, by the folder that it goes to.
 PICTURES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "concepts": (concepts,),
     "tutorials": (stereo, dense_sparse, rpc, calibrate),
+    "examples": (rectify_by_points, rpc_bundle),
 }
 
 

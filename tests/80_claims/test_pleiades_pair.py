@@ -13,6 +13,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from tests.support.examples import check_shown
 from tests.support.pages import run_script
 
 pytestmark = pytest.mark.real_data
@@ -81,7 +82,7 @@ def test_example_prints_one_json_object(repository: Path, real_data: Path) -> No
     assert all(row["ratio"] > 3.0 for row in out["details"]["10"]["beyond_3_sigma"])
     text = run_script(*command, "3")
     assert text.code == 0, text.stderr
-    assert "direct geolocation" in text.stdout
+    check_shown(repository, "pleiades_pair.py", text)
     unknown = run_script(*command, "nosuch")
     assert unknown.code != 0
     assert "no point nosuch" in unknown.stderr

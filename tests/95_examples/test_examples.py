@@ -1,4 +1,4 @@
-"""Every example runs as a user runs it; those on real files where the files are present."""
+"""Every example runs as a user runs it and prints what docs/examples.md shows; on real files where they are present."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.command import Ended
+from tests.support.examples import PAGE, check_shown, shown_of
 from tests.support.pages import run_script
 
 
-def run(repository: Path, name: str, *arguments: str) -> str:
+def run(repository: Path, name: str, *arguments: str, shown: bool = True) -> str:
     """Run an example in this process, where warnings are errors; the imports of an interpreter take longer than it."""
     ended = run_script(repository / "examples" / name, *arguments)
     assert ended.code == 0, ended.stderr
+    if shown:
+        check_shown(repository, name, ended)
     return ended.stdout
 
 
@@ -31,17 +35,28 @@ def test_every_example_has_a_test(repository: Path) -> None:
         assert path.name in text or path.stem in text
 
 
-def test_orient_twin(repository: Path, tmp_path: Path) -> None:
+def test_every_example_is_shown_with_its_source(repository: Path) -> None:
+    names = {path.name for path in (repository / "examples").glob("*.py")}
+    page = (repository / PAGE).read_text("utf-8")
+    assert set(shown_of(repository)) == names
+    assert set(re.findall(r"{literalinclude} \.\./examples/(\S+)", page)) == names
+    assert all(f"[{name}](#" in page for name in names)
+
+
+def test_orient_twin_and_read_its_image(repository: Path, tmp_path: Path) -> None:
     out = run(repository, "orient_twin.py", str(tmp_path / "twin"))
     assert out.count("converged") == 3
     assert "velocity across track acts as yaw" in out
     assert (tmp_path / "twin" / "project.toml").is_file()
+    out = run(repository, "read_dimap.py", str(tmp_path / "twin" / "left.DIM"), "100", "200.5", "300")
+    assert "and back: line 100.000000, sample 200.500000" in out
 
 
 def test_own_factor(repository: Path) -> None:
     """In an interpreter of its own: it adds to the registry of equations, which other tests walk through."""
     done = run_fresh(repository, "own_factor.py")
     assert done.returncode == 0, done.stderr
+    check_shown(repository, "own_factor.py", Ended(0, done.stdout, done.stderr))
     out = done.stdout
     assert float(re.search(r"complex step to (\S+)", out).group(1)) < 1e-12
     assert "redundancy 158 -> 159" in out
@@ -50,8 +65,9 @@ def test_own_factor(repository: Path) -> None:
     assert after < 0.03  # its sigma is 0.01 m
 
 
-def test_ill_conditioning(repository: Path, tmp_path: Path) -> None:
-    out = run(repository, "ill_conditioning.py", "--seeds", "1", "--out", str(tmp_path / "figures"))
+def test_ill_conditioning(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = run(repository, "ill_conditioning.py", "--seeds", "1", "--out", "figures")
     assert re.search(r"orthonormal: control-point RMSE \[0\. 0\. 0\.\] m", out)
     size, scatter = (float(v) for v in re.search(r"as run: .* mean (\S+) m, scatter (\S+) m", out).groups())
     assert 0.7 < size < 1.0
@@ -83,7 +99,7 @@ def test_rectify_by_points(repository: Path) -> None:
     "name", ["geocosicorr3d/SPOT5.DIM", "geocosicorr3d/SPOT6.XML", "geoetrim-pleiades/DIM_PHR1A_derived_img1.XML"]
 )
 def test_read_dimap(repository: Path, real_data: Path, name: str) -> None:
-    out = run(repository, "read_dimap.py", str(real_data / name), "100", "200.5", "300")
+    out = run(repository, "read_dimap.py", str(real_data / name), "100", "200.5", "300", shown=False)
     assert "and back: line 100.000000, sample 200.500000" in out
 
 

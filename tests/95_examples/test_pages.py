@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import re
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -75,7 +76,13 @@ SLOW: dict[tuple[str, str], float] = {
 }
 
 #: Pages that another test runs.
-RUN_ELSEWHERE = {"docs/extending*": "code as plugins outside the package, with more checks: tests/96_extending"}
+RUN_ELSEWHERE = {
+    "docs/examples.md": "test_examples.py and 80_claims/test_pleiades_pair.py hold each run against it",
+    "docs/extending*": "code as plugins outside the package, with more checks: tests/96_extending",
+}
+
+#: Folders of docs/_static whose pictures docs/pictures.py draws, and how many there are.
+DRAWN = {"concepts": 3, "tutorials": 5, "examples": 2}
 
 
 def camera_file(folder: Path) -> None:
@@ -143,7 +150,7 @@ def test_options_of_every_command_exist(name: str) -> None:
 
 
 def test_every_picture_is_small_told_in_words_and_shown() -> None:
-    """Alternative text for those who cannot see it; docs/pictures.py draws those of concepts and tutorials."""
+    """Alternative text for those who cannot see it; docs/pictures.py draws those of DRAWN."""
     shown: set[Path] = set()
     for name, path in PAGES.items():
         for words, target in re.findall(r"!\[(.*?)\]\((\S+?)\)", path.read_text("utf-8"), re.DOTALL):
@@ -151,8 +158,8 @@ def test_every_picture_is_small_told_in_words_and_shown() -> None:
             assert picture.is_file(), (name, target)
             assert len(words.split()) >= 3, (name, target)
             shown.add(picture)
-    drawn = [p for folder in ("concepts", "tutorials") for p in (REPOSITORY / "docs" / "_static" / folder).iterdir()]
-    assert len(drawn) == 8
+    drawn = [p for folder in DRAWN for p in (REPOSITORY / "docs" / "_static" / folder).iterdir()]
+    assert Counter(p.parent.name for p in drawn) == DRAWN
     for picture in drawn:
         assert picture in shown, picture
         assert picture.stat().st_size < 150_000, picture
@@ -165,7 +172,7 @@ def test_pictures_are_drawn_again(tmp_path: Path) -> None:
     assert ended.code == 0, ended.stderr
     kept = REPOSITORY / "docs" / "_static"
     drawn = {path.relative_to(tmp_path) for path in tmp_path.rglob("*.svg")}
-    assert drawn == {path.relative_to(kept) for path in (*kept.glob("concepts/*"), *kept.glob("tutorials/*"))}
+    assert drawn == {path.relative_to(kept) for folder in DRAWN for path in kept.glob(f"{folder}/*")}
 
 
 def start(name: str, prepared: Path, folder: Path) -> dict[str, Any]:
