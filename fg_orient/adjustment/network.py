@@ -271,9 +271,11 @@ class DenseNetwork:
 def _bordered(rows: Rows, damping: float) -> tuple[Array, Array]:
     """Normal matrix bordered by the conditions, scaled to a unit diagonal, and the scale of all its columns."""
     u, h = rows.design.shape[1], len(rows.condition)
-    normal = rows.design.T @ rows.design + damping * np.eye(u)
-    # figures that only hard conditions know have no diagonal: the length of their condition then
+    normal = rows.design.T @ rows.design
+    # figures that only hard conditions know have no diagonal: the length of their condition then, and not the damping,
+    # whose root would make columns of 1e6 and more, in which the points are lost in rounding
     known = np.where(normal.diagonal() > 0.0, normal.diagonal(), np.sum(rows.border**2, axis=0))
+    normal += damping * np.eye(u)
     across = 1.0 / np.sqrt(np.where(known > 0.0, known, 1.0))
     border = rows.border * across
     length = np.linalg.norm(border, axis=1)

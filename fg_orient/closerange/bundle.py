@@ -285,7 +285,7 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
             raise _not_converged(network, plain_reason(found.reason))
         rows = network.rows(found.state)
         if len(rows.condition) and np.abs(rows.condition).max() > HELD:
-            require_consistent(network)
+            raise _not_converged(network, "hard constraints are not met where the steps end")
         require_determined(built, rows)
     except (NotFiniteError, RuntimeError) as error:
         raise _not_converged(network, str(error)) from error

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from fg_orient.adjustment.loop import gauss_newton
+from fg_orient.adjustment.loop import gauss_newton, levenberg_marquardt
 from fg_orient.adjustment.network import DenseNetwork, Network, Variable, bordered_inverse
 from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.closerange import surface_fit
@@ -192,3 +192,13 @@ def test_graph_equals_correlates(kind: str) -> None:
     assert np.abs(dense - graph).max() <= 1e-9 * NOISE
     found = np.concatenate([np.sqrt(q.diagonal()) for q in GraphNetwork(net).cofactors(dense)])
     assert found == pytest.approx(roots, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damped_steps_end_where_full_steps_do(kind: str) -> None:
+    """Figures have no diagonal but for the damping, and it falls: commands damp, tests of configurations do not."""
+    (net,) = networks(kind, SHAPES[kind](np.random.default_rng(5)), np.random.default_rng(6), [None])
+    found = levenberg_marquardt(DenseNetwork(net), net.start, 60, tolerance=1e-12)
+    assert found.converged and len(found.log) <= 12
+    assert np.abs(net.rows(found.state).condition).max() <= 1e-12
+    assert np.abs(found.state - solved(net)).max() <= 1e-6 * NOISE
