@@ -88,12 +88,18 @@ class Deviations:
 class Backend:
     """What the loop needs; see ``adjustment.loop.Backend``."""
 
-    def __init__(self, rows: Rows, moved: Callable[[Array, Array], Array] = np.add) -> None:
-        self._rows, self._moved = rows, moved
+    def __init__(self, rows: Rows, moved: Callable[[Array, Array], Array] = np.add, what: str = "") -> None:
+        self._rows, self._moved, self._what = rows, moved, what
 
     def linearise(self, state: Array) -> DenseSystem:
-        """Rows and their derivatives at a state."""
-        return DenseSystem(*self._rows(state, True), SOLVER)
+        """Rows and their derivatives at a state.
+
+        Raises
+        ------
+        NoSolutionError
+            They are not finite: the centre of a sphere has no nearest point on it.
+        """
+        return DenseSystem(*finite_rows(self._rows, state, self._what), SOLVER)
 
     def error(self, state: Array) -> float:
         """Half the sum of squares."""
@@ -104,6 +110,20 @@ class Backend:
     def retract(self, state: Array, step: DenseStep) -> Array:
         """State after a step."""
         return self._moved(state, step.data)
+
+
+def finite_rows(rows: Rows, state: Array, what: str) -> tuple[Array, Array]:
+    """Rows and derivatives at a state.
+
+    Raises
+    ------
+    NoSolutionError
+        They are not finite.
+    """
+    residual, design = rows(state, True)
+    if not (np.isfinite(residual).all() and np.isfinite(design).all()):
+        raise NoSolutionError.of("closerange.not_converged", place=what, reason="an equation has no finite value")
+    return residual, design
 
 
 def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array], Array] | None = None) -> Adjusted:
@@ -124,13 +144,10 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
     NoSolutionError
         The iteration does not converge, or an equation has no finite value.
     """
-    found = OPTIMIZERS["levenberg-marquardt"](Backend(rows, moved or np.add), start, MAX_ITERATIONS)
+    found = OPTIMIZERS["levenberg-marquardt"](Backend(rows, moved or np.add, what), start, MAX_ITERATIONS)
     if not found.converged:
         raise NoSolutionError.of("closerange.not_converged", place=what, reason=plain_reason(found.reason))
-    residual, design = rows(found.state, True)
-    if not (np.isfinite(residual).all() and np.isfinite(design).all()):
-        raise NoSolutionError.of("closerange.not_converged", place=what, reason="an equation has no finite value")
-    return Adjusted(found.state, residual, design, found.log)
+    return Adjusted(found.state, *finite_rows(rows, found.state, what), found.log)
 
 
 def plain_reason(reason: str) -> str:

@@ -16,6 +16,7 @@ from scipy.special import fdtri
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.closerange.fitting import MAX_ITERATIONS, UNDETERMINED, Backend, Rows
 from fg_orient.distributions import chi_square_limit
+from fg_orient.errors import NoSolutionError
 
 Array = npt.NDArray[np.float64]
 
@@ -27,6 +28,8 @@ LEVEL: Final = 1e-3
 OPTIMISTIC: Final = 5.0
 #: Parts of the way on which the fit is followed.
 _WAY: Final = (1 / 64, 1 / 8, 1.0)
+#: Steps of normalised unknowns off a state where derivatives have no value.
+ASIDE: Final = 1e-5
 #: Iterations after which a fit far away is looked at, and how often it goes on if it still falls towards the limit.
 _ROUND: Final = 50
 _ROUNDS: Final = 8
@@ -104,9 +107,12 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
         residual, design = rows(full(part), want)
         return residual, design[:, free]
 
-    start, far = state[free], np.isfinite(limit)
+    start, far = _off_ridge(some, state[free]), np.isfinite(limit)
     for _ in range(_ROUNDS if far else 1):
-        found = OPTIMIZERS["levenberg-marquardt"](Backend(some), start, _ROUND if far else MAX_ITERATIONS)
+        try:
+            found = OPTIMIZERS["levenberg-marquardt"](Backend(some), start, _ROUND if far else MAX_ITERATIONS)
+        except NoSolutionError:
+            return None
         squares, start = 2.0 * found.error, found.state
         if found.converged and np.isfinite(squares):
             return Held(full(start), squares, True)
@@ -114,6 +120,16 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
         if far and (squares < limit or above):
             return Held(full(start), squares, False)
     return None
+
+
+def _off_ridge(rows: Rows, state: Array) -> Array:
+    """The state, or one beside it where a point has no single nearest point, as one on the axis of a long spheroid.
+
+    To both sides of it the squares fall, so no minimum is there.
+    """
+    if np.isfinite(rows(state, True)[1]).all():
+        return state
+    return np.asarray(state + ASIDE * np.cos(np.arange(len(state))))  # no two unknowns by the same
 
 
 def followed(rows: Rows, state: Array, k: int, to: float, limit: float) -> tuple[Array, float] | None:

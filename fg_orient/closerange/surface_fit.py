@@ -25,6 +25,7 @@ from fg_orient.closerange.fitting import (
     adjust,
     as_points,
     determination,
+    finite_rows,
     require_sigmas,
     unit_weight,
 )
@@ -239,8 +240,10 @@ def _require_determined(given: _Points, model: Model, x: Array, priors: Priors) 
     ------
     InputError
         Names the parameters and the direction that the points leave open.
+    NoSolutionError
+        Normal distances have no derivatives there.
     """
-    _, design = _distance_rows(given, model, x, priors, True)
+    _, design = finite_rows(_geometric(given, model, priors), x, model.kind)
     tangent = _tangent(model, x)
     found = determination(design @ tangent)
     if found.cofactors is not None:

@@ -19,7 +19,7 @@ from fg_orient.closerange.feet import Conditions, feet
 from fg_orient.closerange.profile import held, reach
 from fg_orient.closerange.surface import Kind, Surface, map_points, shape_of
 from fg_orient.closerange.surface_fit import Method, SurfaceFit, fit_surface
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.reproduce.ayhan1996_photos import PHOTO, points_of
 
 from .conftest import Array
@@ -277,6 +277,18 @@ def test_three_levels_pass(land: Array, numbers: tuple[int, ...]) -> None:
     fit = fit_surface(land[np.array(numbers) - 1], "spheroid", sigma_m=1e-3)
     assert fit.condition < 50.0
     assert fit.parameters["b"] == pytest.approx(0.8437, abs=0.006)
+
+
+def test_a_point_on_the_axis_is_no_fault() -> None:
+    """Seen from far away in the profile it has no single nearest point, so no derivatives; the set is determined."""
+    rings = [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+    found = fit_surface([*rings, (0.0, 1.9, 0.0), (0.0, -1.9, 0.0)], "spheroid", sigma_m=0.001)
+    assert found.values[:2] == pytest.approx([np.sqrt(2.0 / (1.0 - 1.9**-2)), 1.9], abs=1e-9)
+
+
+def test_a_point_at_the_centre_is_told_in_words() -> None:
+    with pytest.raises(NoSolutionError, match="^sphere: the adjustment does not converge: an equation has no finite"):
+        fit_surface([*np.eye(3), *-np.eye(3), np.zeros(3)], "sphere", sigma_m=0.001)
 
 
 def test_a_prior_closes_what_is_open(land: Array) -> None:
