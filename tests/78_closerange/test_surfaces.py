@@ -287,7 +287,7 @@ def test_a_point_on_the_axis_is_no_fault() -> None:
 
 
 def test_a_point_at_the_centre_is_told_in_words() -> None:
-    with pytest.raises(NoSolutionError, match="^sphere: the adjustment does not converge: an equation has no finite"):
+    with pytest.raises(NoSolutionError, match=r"^sphere: the adjustment does not converge: an equation has no finite"):
         fit_surface([*np.eye(3), *-np.eye(3), np.zeros(3)], "sphere", sigma_m=0.001)
 
 

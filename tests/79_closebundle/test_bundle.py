@@ -12,16 +12,18 @@ from scipy.spatial.transform import Rotation
 
 from factors.extended_collinearity import NAMES
 from factors.image_corrections import ideal_points
+from fg_orient.adjustment.loop import LoopResult
 from fg_orient.adjustment.network import DenseNetwork, Network, Observation, Variable, bordered_inverse
 from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.cells import CellKey
+from fg_orient.closerange import bundle
 from fg_orient.closerange.bundle import Bundle, BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_determined import motions
 from fg_orient.closerange.bundle_network import build
 from fg_orient.closerange.constraints import Constraint, observed_element
 from fg_orient.closerange.corrections import SETS, parameters_of
 from fg_orient.closerange.intersection import intersect_photos
-from fg_orient.errors import FgOrientError, InputError
+from fg_orient.errors import FgOrientError, InputError, NoSolutionError
 from fg_orient.reproduce import ayhan1996_bundle as thesis
 from fg_orient.reproduce.ayhan1996_photos import CONTROL, PHOTOS, POINTS, comparator, points_of
 
@@ -152,6 +154,19 @@ def test_equal_attitude_and_base_hold_in_the_bundle(backend: str) -> None:
     assert found.redundancy == free.redundancy + 4
     assert found.sigma_m is not None and free.sigma_m is not None
     assert (found.cofactors <= free.cofactors * (1.0 + 1e-9)).all()  # conditions only add
+
+
+def test_a_result_that_misses_a_hard_constraint_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop that says it converged where it began."""
+
+    def still(engine: DenseNetwork, start: Array, *_: object, **__: object) -> LoopResult[Array]:
+        return LoopResult(start, engine.error(start), (), True, "")
+
+    scene = make(7, 20, 3)
+    stated = [Constraint("plane", ("p6", "p7", "p8", "p9"))]
+    monkeypatch.setitem(bundle.OPTIMIZERS, "levenberg-marquardt", still)
+    with pytest.raises(NoSolutionError, match="hard constraints are not met where the steps end"):
+        adjusted(scene, scene.photos(), constraints=stated)
 
 
 def test_brown_parameters_are_recovered() -> None:
