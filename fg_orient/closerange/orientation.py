@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from factors.similarity import RECORD_SIZE, SIMILARITY
 from fg_orient.closerange.feet import Conditions, distance_rows, weighted_distances
 from fg_orient.closerange.fitting import (
     UNDETERMINED,
+    Determination,
     Deviations,
     Rows,
     adjust,
@@ -34,6 +36,8 @@ Array = npt.NDArray[np.float64]
 LEAST_RELATIVE: Final = 6
 LEAST_EIGHT_POINT: Final = 8
 LEAST_ABSOLUTE: Final = 3
+#: Difference of the largest and smallest singular values of a homography that is a rotation.
+FLAT: Final = 1e-12
 
 
 @dataclass(frozen=True)
@@ -103,8 +107,9 @@ def relative_orientation(
     Notes
     -----
     Coplanarity (Ayhan 1996, eqs. 9-19) as a condition between five unknowns and the four image coordinates of a point,
-    adjusted by feet on it. Starts: normal cases along the axes; from eight points on the essential matrix
-    (Longuet-Higgins 1981, normalised as Hartley 1997).
+    adjusted by feet on it. Starts: normal cases along the axes; the homography of a plane (Faugeras, Lustman 1988, in
+    the form of Ma et al. 2004); from eight points on the essential matrix (Longuet-Higgins 1981, normalised as Hartley
+    1997), which points of a plane leave open.
     """
     tangents = [
         camera.tangents(as_points(image, 2, place, InputError.of))
@@ -130,7 +135,36 @@ def relative_orientation(
 def _starts(points: Array) -> list[tuple[Array, Array]]:
     """Rotations and bases worth trying."""
     out = [(np.eye(3), sign * np.eye(3)[k]) for k in range(3) for sign in (1.0, -1.0)]
-    return out if len(points) < LEAST_EIGHT_POINT else [*_eight_points(points), *out[:2]]
+    many = len(points) >= LEAST_EIGHT_POINT
+    if many:
+        return [*_eight_points(points), *_plane(points), *out[:2]]
+    corners = np.array(list(product((1.0, -1.0), repeat=3))) / np.sqrt(3.0)
+    return [*out, *((np.eye(3), corner) for corner in corners), *_plane(points)]
+
+
+def _plane(points: Array) -> list[tuple[Array, Array]]:
+    """The four decompositions of the homography H = R (1 - b n^T) that leads rays d1 to points of a plane to d2."""
+    ones = np.ones((len(points), 1))
+    first, second = np.hstack([points[:, :2], ones]), np.hstack([points[:, 2:], ones])
+    # d2 x H d1 = 0
+    across = np.cross(second[:, None, :], np.eye(3)[None])
+    rows = np.einsum("nij,nk->njik", across, first).reshape(3 * len(points), 9)
+    h = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    h = h / np.linalg.svd(h)[1][1]
+    h = h * np.sign(np.sum(second * (first @ h.T)))
+    _, (s1, _, s3), axes = np.linalg.svd(h)
+    if s1 - s3 <= FLAT:  # no base
+        return []
+    v1, v2, v3 = axes * np.sign(np.linalg.det(axes))
+    out = []
+    for sign in (1.0, -1.0):
+        u = (np.sqrt(max(1.0 - s3**2, 0.0)) * v1 + sign * np.sqrt(max(s1**2 - 1.0, 0.0)) * v3) / np.sqrt(s1**2 - s3**2)
+        before, after = np.array([v2, u, np.cross(v2, u)]), np.array([h @ v2, h @ u, np.cross(h @ v2, h @ u)])
+        rotation = after.T @ before
+        base = -rotation.T @ (h - rotation) @ np.cross(v2, u)
+        base = base / np.linalg.norm(base)
+        out += [(rotation, base), (rotation, -base)]
+    return out
 
 
 def _eight_points(points: Array) -> list[tuple[Array, Array]]:
@@ -271,12 +305,10 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     a, b = from_.normalised(source), to.normalised(target)
     size = float(to.scale[0])
     start = _umeyama(a, b)
+    _require_off_line(_similarity_rows(a, b, sigma / size, *start), sigma / size)
     found = adjust(_similarity_rows(a, b, sigma / size, *start), np.zeros(7), "absolute orientation")
     rotation, scale, shift = _settled(start, found.state)
-    at_solution = _similarity_rows(a, b, sigma / size, rotation, scale, shift)(np.zeros(7), True)[1]
-    judged = determination(at_solution)
-    if judged.cofactors is None or judged.condition > 1e7:
-        raise InputError.of("closerange.line", place="absolute orientation", value=f"condition {judged.condition:.2g}")
+    judged, cofactors = _require_off_line(_similarity_rows(a, b, sigma / size, rotation, scale, shift), sigma / size)
     physical = scale * size / float(from_.scale[0])
     offset = physical * rotation @ from_.offset
     # shift = centre on the ground - scale R (middle of the model): turns and scale about that middle reach it
@@ -287,9 +319,18 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     redundancy = 3 * len(source) - 7
     residuals = found.residual.reshape(-1, 3) * sigma
     return Similarity(
-        physical, rotation, to.offset + size * shift - offset, away @ judged.cofactors @ away.T, residuals,
+        physical, rotation, to.offset + size * shift - offset, away @ cofactors @ away.T, residuals,
         unit_weight(float(found.residual @ found.residual), redundancy), redundancy, judged.condition,
     )  # fmt: skip
+
+
+def _require_off_line(rows: Rows, sigma: Array) -> tuple[Determination, Array]:
+    """Condition and cofactors where the rows begin; points on a line leave the turn about it open."""
+    judged = determination(rows(np.zeros(7), True)[1])
+    worst = np.inf if judged.cofactors is None else float(np.sqrt(np.diag(judged.cofactors).max()))
+    if judged.cofactors is None or worst > UNDETERMINED * float(np.sqrt(np.mean(sigma**2))):
+        raise InputError.of("closerange.line", place="absolute orientation", value=f"condition {judged.condition:.2g}")
+    return judged, judged.cofactors
 
 
 def _umeyama(a: Array, b: Array) -> tuple[Array, float, Array]:
