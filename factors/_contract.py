@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factors._compile import F as F
 from factors._compile import compiled as compiled
 from factors._compile import inlined as inlined
 

@@ -1,8 +1,12 @@
-"""Enumerations and field names shared by all floors."""
+"""Enumerations, field names and the one signature shared by all floors."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
+
+#: Told how many steps of long work are done, of how many, and which one this was.
+Progress = Callable[[int, int, str], None]
 
 
 class Role(StrEnum):

@@ -17,7 +17,7 @@ observations determine, 1 - q_jj, and v are residuals of observations only. Pred
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -29,6 +29,7 @@ from fg_orient.block import Block
 from fg_orient.cross_validation import CrossValidation, Parts, cross_validate, folds_of
 from fg_orient.distributions import sidak
 from fg_orient.errors import InputError, NoSolutionError, RankDeficientError
+from fg_orient.names import Progress
 from fg_orient.orient import adjust
 from fg_orient.parameters import EOP_SETS, N_EOP, eop_codes, parameter_name
 from fg_orient.quality.significance import GroupTest, group_test, places_of
@@ -36,8 +37,6 @@ from fg_orient.solution import Solution
 
 Array = npt.NDArray[np.float64]
 Direction = Literal["backward", "forward"]
-#: Told before each adjustment how many are done, how many there may be, and what it is for.
-Progress = Callable[[int, int, str], None]
 
 #: Probability of a false choice in one step, over all coefficients of the step.
 LEVEL: Final = 0.05

@@ -94,8 +94,10 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     rays = participating(block)
     backend = suitable_backend(block, models, len(rays), not bool(block.points.known.fixed[rays.point].all()))
     working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
-    if backend == "schur":  # small blocks keep their records once more, in another order
-        working += -n * SCHUR if elsewhere else n * records if n <= ALL_KEPT else 0
+    if backend == "schur" and elsewhere:
+        working -= n * SCHUR
+    elif backend == "schur" and n <= ALL_KEPT:  # small blocks keep their records once more, in another order
+        working += n * records
     working += _statistics(len(block.images), n, max(sizes)) if full_statistics(options, n, u) else 0
     return Need(backend, int(FIXED + common + working + n * RESULTS), allowed_bytes(options.memory_limit_gb))
 

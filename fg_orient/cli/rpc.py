@@ -31,7 +31,7 @@ from fg_orient.names import EXIT_CODE, Status
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from fg_orient.rfm.validate import Progress
+    from fg_orient.names import Progress
     from fg_orient.rpc.fitting import FitOptions
     from fg_orient.sensors.rpc import RpcModel
 

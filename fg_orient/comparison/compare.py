@@ -7,7 +7,7 @@ import hashlib
 import math
 import pickle
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,12 +23,9 @@ from fg_orient.comparison.model import BACKENDS, GRAPH_SOLVER, TYPES, Comparison
 from fg_orient.errors import InputError
 from fg_orient.linear.registry import solvers as known_solvers
 from fg_orient.linear.threads import one_blas_thread
-from fg_orient.names import Role
+from fg_orient.names import Progress, Role
 from fg_orient.parallel.study import study
 from fg_orient.parameters import EOP_SETS
-
-#: Called after each adjustment: how many are done, of how many, and which one.
-Progress = Callable[[int, int, str], None]
 
 
 def compare(

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from factors.warmup import compile_kernels
 from fg_orient.comparison import plots, selection
-from fg_orient.comparison.compare import Progress, compare
+from fg_orient.comparison.compare import compare
 from fg_orient.comparison.model import COLUMNS, Comparison
 from fg_orient.comparison.report import render
 from fg_orient.comparison.words import summaries, verdict
@@ -19,6 +19,7 @@ from fg_orient.errors import NoSolutionError
 from fg_orient.figures.style import available
 from fg_orient.io.folder import Contents, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
+from fg_orient.names import Progress
 from fg_orient.run.json import dumps, plain
 from fg_orient.run.provenance import provenance
 from fg_orient.run.tables import write_csv

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 from fg_orient.figures import style
 from fg_orient.figures.data import Folder
-from fg_orient.report.l_curve import on_curve, ranked
+from fg_orient.report.l_curve import neighbours, on_curve, ranked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Choices whose places differ by less than this share of the axes get one number.
+#: Choices whose places are less apart than this share of the axes get one number.
 _NEAR = 0.035
 
 
@@ -42,15 +42,9 @@ def l_curve(folder: Folder) -> Figure | None:
 
 def _number(axes: Axes, choices: list[dict[str, float]]) -> None:
     """Write the numbers of the rules beside their marks, of those that lie together into one label."""
-    groups: list[list[dict[str, float]]] = []
     to_axes = axes.transData + axes.transAxes.inverted()
-    places = [to_axes.transform((c["residual_norm"], c["solution_norm"])) for c in choices]
-    for k, choice in enumerate(choices):
-        if groups and abs(places[k] - places[k - 1]).max() < _NEAR:
-            groups[-1].append(choice)
-        else:
-            groups.append([choice])
-    for group in groups:
+    places = [tuple(to_axes.transform((c["residual_norm"], c["solution_norm"]))) for c in choices]
+    for group in ([choices[k] for k in found] for found in neighbours(places, _NEAR)):
         at = max(c["residual_norm"] for c in group), max(c["solution_norm"] for c in group)
         words = ", ".join(str(c["number"]) for c in group)
         axes.annotate(words, at, xytext=(4, 3), textcoords="offset points", fontsize=7)

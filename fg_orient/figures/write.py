@@ -11,12 +11,11 @@ from fg_orient.errors import InputError
 from fg_orient.figures import captions, checks, maps, orientation, regularisation, residuals, style
 from fg_orient.figures.data import Folder, read_folder
 from fg_orient.io.folder import Contents, require_free, staged_folder, writing
+from fg_orient.names import Progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Called after each figure: how many are done, of how many, and what.
-Progress = Callable[[int, int, str], None]
 FORMATS: Final = ("svg", "pdf")
 CAPTIONS_FILE: Final = "captions.md"
 #: What a folder of figures holds; the captions are its mark.

@@ -47,8 +47,8 @@ def frame_model_of(
         Of the images; else all are as large as the outermost image point of all demands, and square.
     notes : tuple of str
     """
-    n, side = len(data.cameras), assumed_side(data)
-    size = np.array(sizes if sizes is not None else [(side, side)] * n, int).reshape(n, 2)
+    n = len(data.cameras)
+    size = np.array(sizes if sizes is not None else [(assumed_side(data),) * 2] * n, int).reshape(n, 2)
     middle = (size - 1) / 2.0
     found = cameras_of(data)
     keys = tuple(names) if names is not None else tuple(map(str, range(n)))

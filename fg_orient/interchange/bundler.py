@@ -22,7 +22,7 @@ from fg_orient.io.atomic import write_bytes
 from fg_orient.io.bal import BalData
 from fg_orient.io.frame_model import FrameModel
 from fg_orient.io.tables import finite
-from fg_orient.sensors.frame import ORTHONORMAL
+from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 
 Array = npt.NDArray[np.float64]
 
@@ -90,11 +90,11 @@ def _camera_rows(path: Path, cameras: Array, kept: npt.NDArray[np.bool_]) -> Arr
     """Rows of BAL (rotation vector, translation, f, k1, k2) of the images that are kept."""
     own = cameras[kept]
     rotation = own[:, 3:12].reshape(-1, 3, 3)
-    away = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    bad = np.flatnonzero((away > ORTHONORMAL) | (np.linalg.det(rotation) < 0.0))
+    away = away_from_rotation(rotation)
+    bad = np.flatnonzero(away > ORTHONORMAL)
     if len(bad):
         line = 4 + 5 * int(np.flatnonzero(kept)[bad[0]])
-        _refuse(path, line, [f"{away[bad[0]]:.1e} from orthonormal"], "a rotation")
+        _refuse(path, line, [not_a_rotation(float(away[bad[0]]))], "a rotation")
     vector = Rotation.from_matrix(rotation).as_rotvec() if len(own) else np.empty((0, 3))
     return np.column_stack([vector, own[:, 12:15], own[:, :3]])
 

@@ -17,7 +17,7 @@ from fg_orient.errors import InputError, problem
 from fg_orient.io.project import parse_toml
 from fg_orient.io.schema import Text, problems_of
 from fg_orient.io.schema import _Table as Table
-from fg_orient.sensors.frame import ORTHONORMAL
+from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 
 #: Coordinates beyond this (m, mm or pixels) have not a tenth of a unit's thousandth left in double precision.
 LARGEST: Final = 1e12
@@ -108,9 +108,7 @@ def _require_rotation(entry: PhotoEntry, place: str, path: Path) -> None:
     """Refuse a matrix that is no rotation: by as much as ``sensors.frame`` does."""
     if entry.rotation is None:
         return
-    turn = np.array(entry.rotation)
-    away = float(np.abs(turn @ turn.T - np.eye(3)).max())
-    if away > ORTHONORMAL or np.linalg.det(turn) < 0.0:
-        value = f"{away:.1e} from orthonormal" if away > ORTHONORMAL else "a mirror image"
-        raise InputError.of("closerange.camera", file=path, place=place, value=value,
+    away = float(away_from_rotation(np.array(entry.rotation)))
+    if away > ORTHONORMAL:
+        raise InputError.of("closerange.camera", file=path, place=place, value=not_a_rotation(away),
                             expected="rows that are unit vectors at right angles, right-handed")  # fmt: skip

@@ -30,7 +30,7 @@ from fg_orient.options import (
     RpcCompensation,
     StatisticsChoice,
 )
-from fg_orient.sensors.frame import ORTHONORMAL
+from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation
 from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
@@ -74,10 +74,8 @@ class ObservationsEntry(_Table):
 
 def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None:
     """Refuse a matrix that turns nothing: columns that are not orthonormal, or a reflection."""
-    if value is not None:
-        m = np.array(value)
-        if np.abs(m @ m.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(m) < 0.0:
-            raise ValueError
+    if value is not None and away_from_rotation(np.array(value)) > ORTHONORMAL:
+        raise ValueError
     return value
 
 

@@ -23,6 +23,7 @@ from fg_orient.io.schema import Positive, Switch, Text, problems_of
 from fg_orient.io.schema import _Table as Table
 from fg_orient.io.tables import Faults, number, read_table
 from fg_orient.sensors.earth_rotation import DAY_S, EarthRotation, neglected
+from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 from fg_orient.sensors.general_metadata import (
     Attitude,
     AttitudeFrame,
@@ -48,7 +49,6 @@ RADIUS_M: Final = (6.40e6, 5.0e7)
 SPEED_M_S: Final = (1.0, 1.2e4)
 #: Look no farther than this from the axis.
 WIDEST_TANGENT: Final = 5.0
-ORTHONORMAL: Final = 1e-6
 _STATE: Final = ("time_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
 _ANGLES: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
 _QUATERNION: Final = ("time_s", "q0", "q1", "q2", "q3")
@@ -211,9 +211,10 @@ def _mounting(table: MountingTable, path: Path) -> Array:
     if table.matrix is None:
         return np.asarray(kepler.attitude_matrices(np.radians([table.angles_deg]))[0])
     m = np.array(table.matrix)
-    away = float(np.abs(m @ m.T - np.eye(3)).max())
-    if any(table.angles_deg) or away > ORTHONORMAL or np.linalg.det(m) < 0.0:
-        raise InputError.of("earth.matrix", file=path, place="mounting.matrix", value=f"{away:.1e}")
+    away = float(away_from_rotation(m))
+    if any(table.angles_deg) or away > ORTHONORMAL:
+        value = not_a_rotation(away) if away > ORTHONORMAL else "angles and a matrix"
+        raise InputError.of("earth.matrix", file=path, place="mounting.matrix", value=value)
     return m
 
 

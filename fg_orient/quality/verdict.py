@@ -7,6 +7,7 @@ are too large, which is said but spoils nothing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,7 +137,7 @@ def _lost_sentences(problem: Problem, weights: Weights) -> list[str]:
     return out
 
 
-def _named(ids: list[str]) -> str:
+def _named(ids: Sequence[str]) -> str:
     return ", ".join(ids[:NAMED]) + (" ..." if len(ids) > NAMED else "")
 
 
@@ -227,7 +228,7 @@ def beyond_sentences(check: PointDifferences) -> list[str]:
         return []
     if found.count <= found.limit:
         far = f"check points beyond {found.largest_limit:.1f} standard deviations of the difference"
-        return [f"{far}, which chance hardly gives among {found.n} coordinates: {_named(list(found.far))}"]
+        return [f"{far}, which chance hardly gives among {found.n} coordinates: {_named(found.far)}"]
     points = list(dict.fromkeys(row[0] for row in check.suspicious()))
     more = f" ... ({len(points)} of {len(check)})" if len(points) > NAMED else ""
     told = "check points beyond 3 standard deviations of the difference"
@@ -250,6 +251,6 @@ def _outside(problem: Problem, estimate: Estimate) -> list[str]:
         valid = model.is_valid(estimate.state.ground[points] + problem.origin_m)
         if not valid.all():
             names = [problem.block.points.ids[int(j)] for j in points[~valid]]
-            text = ", ".join(names[:NAMED]) + (" ..." if len(names) > NAMED else "")
-            out.append(f"outside the validity range of the model of image {image.id}: {len(names)} point(s): {text}")
+            told = f"outside the validity range of the model of image {image.id}: {len(names)} point(s)"
+            out.append(f"{told}: {_named(names)}")
     return out

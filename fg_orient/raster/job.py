@@ -8,11 +8,12 @@ from typing import Any, Final
 from fg_orient.errors import InputError
 from fg_orient.io.rasters import rasterio_of
 from fg_orient.io.sensor import read_sensor
+from fg_orient.names import Progress
 from fg_orient.raster.adjusted import read_correction
 from fg_orient.raster.grid import Bounds
 from fg_orient.raster.lattice import LevelSurface, Surface
 from fg_orient.raster.models import SensorModel, point_model
-from fg_orient.raster.ortho import OrthoOptions, Progress, orthorectify
+from fg_orient.raster.ortho import OrthoOptions, orthorectify
 from fg_orient.rectification.transformation import read_transformation
 from fg_orient.sensors.surface import RasterDem
 

@@ -9,7 +9,6 @@ Source: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +19,7 @@ import numpy.typing as npt
 from factors.resampling import BILINEAR, CUBIC, NEAREST, REACH, pixel_positions, resample
 from fg_orient.errors import InputError
 from fg_orient.io.rasters import rasterio_of
+from fg_orient.names import Progress
 from fg_orient.raster.grid import Bounds, MapGrid
 from fg_orient.raster.lattice import Lattice, Surface, dem_outline, lattice
 from fg_orient.raster.models import BORDER, MapModel
@@ -27,7 +27,6 @@ from fg_orient.raster.output import CACHE_BYTES, as_cog, profile, staged_file
 from fg_orient.sensors.surface import RasterDem
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
 
 #: Kernel and its slope a, by name.
 RESAMPLING: Final = {

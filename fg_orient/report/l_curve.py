@@ -69,7 +69,7 @@ def l_curve_chart(section: dict[str, Any] | None) -> Markup:
     panel.axes("norm of the residuals |Ax − l|, σ", "norm of the solution |x|, prior σ and m", log_ticks(*panel.x),
                log_ticks(*panel.y), lambda exponent: plain(round(10.0**exponent, 9)))  # fmt: skip
     panel.line(points, "curve")
-    for group in _groups([(panel.px(x), panel.py(y)) for x, y in marks]):
+    for group in neighbours([(panel.px(x), panel.py(y)) for x, y in marks], NEAR):
         _mark(panel, [choices[k] for k in group], [marks[k] for k in group])
     return panel.svg("panel broad")
 
@@ -87,11 +87,11 @@ def _range(values: Sequence[float]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _groups(places: Sequence[tuple[float, float]]) -> list[list[int]]:
-    """Numbers of marks that lie together, in their order along the curve."""
+def neighbours(places: Sequence[tuple[float, float]], near: float) -> list[list[int]]:
+    """Numbers of marks in their order along the curve, those nearer to the one before than ``near`` in one list."""
     out: list[list[int]] = []
     for k, place in enumerate(places):
-        if out and math.dist(place, places[out[-1][-1]]) < NEAR:
+        if out and math.dist(place, places[k - 1]) < near:
             out[-1].append(k)
         else:
             out.append([k])

@@ -10,13 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.names import Progress
 from fg_orient.rfm.fit import RfmFit, rms
 from fg_orient.rfm.points import ControlPoints
 
 Array = npt.NDArray[np.float64]
 Estimator = Callable[[ControlPoints], RfmFit]
-#: Called with how many are done, of how many, and of what.
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

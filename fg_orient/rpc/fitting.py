@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError
+from fg_orient.names import Progress
 from fg_orient.rfm.estimate import SOLVER, Penalty, fit_linear, fit_true, fit_weighted
 from fg_orient.rfm.fit import RfmFit
 from fg_orient.rfm.form import Denominators, RfmForm
 from fg_orient.rfm.points import ControlPoints
 from fg_orient.rfm.select import fit_selected
-from fg_orient.rfm.validate import CrossValidation, Progress, cross_validate
+from fg_orient.rfm.validate import CrossValidation, cross_validate
 from fg_orient.rfm.virtual_grid import SHAPE, Errors, LocatingSensor, fit_sensor
 from fg_orient.rpc.check import NEAR_ZERO
 from fg_orient.rpc.points import MeasuredPoints, statistics

@@ -47,6 +47,17 @@ HALF_TURN: Final = np.diag([1.0, -1.0, -1.0])
 ORTHONORMAL: Final = 1e-6
 
 
+def away_from_rotation(matrices: Array) -> Array:
+    """Largest element (...) of M M^T - I of matrices (..., 3, 3); infinite for mirror images."""
+    away = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max(axis=(-2, -1), initial=0.0)
+    return np.where((np.linalg.det(matrices) < 0.0) & (away <= ORTHONORMAL), np.inf, away)
+
+
+def not_a_rotation(away: float) -> str:
+    """Words for what :func:`away_from_rotation` found."""
+    return f"{away:.1e} from orthonormal" if np.isfinite(away) else "a mirror image"
+
+
 @dataclass(frozen=True, eq=False)
 class FrameCamera:
     """Exterior and interior orientation of one frame image, and which of it is unknown.
@@ -102,9 +113,9 @@ class FrameCamera:
                 raise InputError.of("frame.camera", place=name, value=value, expected=f"finite numbers {shape}")
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        away = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
-        if away > ORTHONORMAL or np.linalg.det(self.rotation) < 0.0:
-            raise InputError.of("frame.camera", place="rotation", value=f"{away:.1e}", expected="an orthonormal matrix")
+        away = float(away_from_rotation(self.rotation))
+        if away > ORTHONORMAL:
+            raise InputError.of("frame.camera", place="rotation", value=not_a_rotation(away), expected="a rotation")
         if not (np.isfinite(self.focal_px) and self.focal_px > 0.0):
             raise InputError.of("frame.camera", place="focal_px", value=self.focal_px, expected="pixels above zero")
         if self.model not in (IDEAL_TO_MEASURED, MEASURED_TO_IDEAL):

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from fg_orient.block import Block
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.names import Role
+from fg_orient.names import Progress, Role
 from fg_orient.sensors.correction import Correction
 from fg_orient.simulate.files import DIMAP, images_of, simulate_to
 from fg_orient.simulate.orbit import find_pass
@@ -28,7 +28,6 @@ from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
     ERRORS,
-    Progress,
     Simulation,
     Truth,
     draw_errors,

@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from fg_orient.block import Options
+    from fg_orient.names import Progress
     from fg_orient.sensors.metadata import PushbroomMetadata
-    from fg_orient.simulate.simulation import Progress, Simulation, Truth
+    from fg_orient.simulate.simulation import Simulation, Truth
 
     #: Writes further files of a simulation into its folder.
     More = Callable[[Path, Any], None]

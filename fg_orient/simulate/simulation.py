@@ -8,7 +8,7 @@ vanishes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,15 +19,13 @@ import numpy.typing as npt
 from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Index, Options, WithheldCoordinates
 from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.names import Role
+from fg_orient.names import Progress, Role
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.metadata import PushbroomMetadata
 from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import Scene, as_read
 
 Array = npt.NDArray[np.float64]
-#: Called with how many are done, of how many, and of what.
-Progress = Callable[[int, int, str], None]
 
 #: Sigma of image points given to the adjustment when the simulated noise is zero.
 NOMINAL_IMAGE_SIGMA_PX = 0.3

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from fg_orient.block import Block
 from fg_orient.geodesy import geodetic_to_ecef
+from fg_orient.names import Progress
 from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.point_sets import CHECK_COUNT, N_POINTS, roles_of
@@ -26,7 +27,6 @@ from fg_orient.simulate.render import RasterOptions, write_rasters
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
     ERRORS,
-    Progress,
     Simulation,
     Truth,
     draw_errors,

@@ -39,7 +39,10 @@ def test_a_collector_that_was_off_stays_off() -> None:
         gc.enable()
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's rule")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"),
+    reason="only glibc, the C library of Linux, can be told",
+)
 def test_freed_blocks_are_not_given_back_to_the_system() -> None:
     if not keep_freed_memory():
         pytest.skip("the C library is not glibc")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
+from fg_orient.closerange.orientation import RelativeOrientation, absolute_orientation, relative_orientation
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.errors import InputError
 
@@ -37,6 +37,13 @@ def pair(rng: np.random.Generator, points: Array, *, turned: bool) -> tuple[Arra
     return rotations[1] @ rotations[0].T, rotations[0] @ (second - first), images
 
 
+def require_near(found: RelativeOrientation, rotation: Array, base: Array, *, m0: float) -> None:
+    """Assert that rotation and base are within 5 of the largest standard deviation, and the sigma of unit weight."""
+    spread = 5.0 * np.sqrt(np.diag(found.cofactors)).max()
+    assert np.linalg.norm(Rotation.from_matrix(found.rotation @ rotation.T).as_rotvec()) <= spread
+    assert np.linalg.norm(found.base - base) <= spread and found.m0 is not None and found.m0 <= m0
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_points_of_a_plane_are_oriented(seed: int) -> None:
     """The essential matrix is open there; the camera may have any turn about its axis."""
@@ -44,9 +51,7 @@ def test_points_of_a_plane_are_oriented(seed: int) -> None:
     points = np.column_stack([rng.uniform(-1.0, 1.0, (20, 2)), np.zeros(20)])
     rotation, base, images = pair(rng, points, turned=True)
     found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
-    spread = 5.0 * np.sqrt(np.diag(found.cofactors)).max()
-    assert np.linalg.norm(Rotation.from_matrix(found.rotation @ rotation.T).as_rotvec()) <= spread
-    assert np.linalg.norm(found.base - base) <= spread and found.m0 is not None and found.m0 <= 2.0
+    require_near(found, rotation, base, m0=2.0)
 
 
 def test_seven_points_need_more_starts_than_the_axes() -> None:
@@ -54,9 +59,7 @@ def test_seven_points_need_more_starts_than_the_axes() -> None:
     rng = np.random.default_rng(63)
     rotation, base, images = pair(rng, rng.uniform(-1.0, 1.0, (7, 3)), turned=False)
     found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
-    spread = 5.0 * np.sqrt(np.diag(found.cofactors)).max()
-    assert np.linalg.norm(Rotation.from_matrix(found.rotation @ rotation.T).as_rotvec()) <= spread
-    assert np.linalg.norm(found.base - base) <= spread and found.m0 is not None and found.m0 <= 3.5
+    require_near(found, rotation, base, m0=3.5)
 
 
 def test_points_close_to_a_line_leave_the_turn_open() -> None:
