@@ -85,7 +85,7 @@ def root(
         ),
     ] = None,
 ) -> None:
-    """Orient optical satellite images by bundle adjustment on a factor graph."""
+    """Orient optical images, from satellites to close range, by bundle adjustment on a factor graph."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
     if plugin:

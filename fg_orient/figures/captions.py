@@ -23,7 +23,8 @@ TEXTS: Final = {
     "corrections": "Corrections of the orientation of {images} with their standard deviations (bars), in prior "
     "standard deviations where there are priors; the values beside them are in the units named. τ runs from −1 (first "
     "line) to +1 (last line).",
-    "correlations": "Correlations of the adjusted orientation unknowns within {images}.",
+    "correlations": "Correlations of the adjusted orientation unknowns within {images}. τ: time of the line; X, Y, Z: "
+    "position, vX, vY, vZ: velocity.",
     "singular_values": "Singular values of the Jacobian of {images}, unknowns in prior standard deviations. From 1 on "
     "the data determine a direction, below 1 the prior holds it (weak), up to 1e−5 the data say nothing (dead).",
     "redundancy": "Redundancy numbers of the image points, and the share of image points whose error of a given size "

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.report.data import Columns, Result, read_result
-from fg_orient.report.orientation import image_correlations
+from fg_orient.report.orientation import image_correlations, short_names
 from fg_orient.report.residual_plots import normalised
 
 Array = npt.NDArray[np.float64]
@@ -72,10 +72,7 @@ class Folder:
     @cached_property
     def parameters(self) -> dict[str, list[str]]:
         """Names of the unknowns by image, in the order of its correlations."""
-        out: dict[str, list[str]] = {}
-        for image, name in zip(self.result.eop.words["image"], self.result.eop.words["parameter"], strict=True):
-            out.setdefault(image, []).append(name)
-        return out
+        return short_names(self.result)
 
     @cached_property
     def correlations(self) -> dict[str, Array]:

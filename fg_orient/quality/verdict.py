@@ -236,10 +236,10 @@ def beyond_sentences(check: PointDifferences) -> list[str]:
 
 
 def _moved(problem: Problem, estimate: Estimate) -> tuple[float, float, float]:
-    """Mean movement East, North, Up (or along the local axes) of the unknown ground points from their start, m."""
+    """Mean movement East, North, Up (or along the local axes) of the unknown points from their start, to 0.1 m."""
     j = problem.active
     mean = (estimate.state.ground[j] - problem.start.ground[j]).mean(axis=0)
-    east, north, up = problem.axes(problem.origin_m[None])[0] @ mean
+    east, north, up = np.round(problem.axes(problem.origin_m[None])[0] @ mean, 1) + 0.0  # no minus before a zero
     return float(east), float(north), float(up)
 
 

@@ -70,5 +70,8 @@ def _verdict(record: dict[str, Any]) -> dict[str, str]:
         f"{record['n_control']} control points, {record['n_unknowns']} unknowns, redundancy {record['redundancy']}. "
         "m0 is per coordinate and divided by the redundancy; RMSE is divided by the number of points."
     )
-    kind = "warn" if record["warnings"] else "good"
-    return {"kind": kind, "title": f"m0 {scientific(record['m0'])}{unit}", "text": text}
+    found = f"m0 {scientific(record['m0'])}{unit}; {text}"
+    if not record["warnings"]:
+        return {"kind": "good", "title": "Fitted, nothing stands out", "text": found}
+    title = "Fitted, with doubts" if record["redundancy"] else "Fitted, unchecked"
+    return {"kind": "warn", "title": title, "text": found}

@@ -14,6 +14,7 @@ from markupsafe import Markup
 from fg_orient.report.data import Result
 from fg_orient.report.orientation import image_correlations, short_names
 from fg_orient.report.panel import Panel, powers, ticks
+from fg_orient.report.words import signed
 
 Array = npt.NDArray[np.float64]
 
@@ -84,8 +85,7 @@ def _cell(panel: Panel, x: float, y: float, side: float, rho: float, what: str) 
         return
     step = min(STEPS, math.floor(abs(rho) * STEPS + 0.5))
     kind = f"cell {'p' if rho > 0 else 'm'}{step}" if step else "cell"
-    words = f"{rho:+.3f}".replace("-", "−")
-    _square(panel, kind, x, y, side, f"{what}: {words}")
+    _square(panel, kind, x, y, side, f"{what}: {signed(rho)}")
     if abs(rho) >= 0.9:
         hundredths = f"{'−' if rho < 0.0 else ''}.{min(99, math.floor(abs(rho) * 100.0))}"  # .99 is not rounded to 1
         panel.add('<text class="figure" x="{}" y="{}" text-anchor="middle">{}</text>', x + side / 2 - 0.5,

@@ -9,7 +9,7 @@ import numpy as np
 from fg_orient.report.charts import correction_chart, heat_maps, iteration_charts, redundancy_chart
 from fg_orient.report.data import Result, residual_summary
 from fg_orient.report.l_curve import l_curve_chart, ranked
-from fg_orient.report.orientation import corrections
+from fg_orient.report.orientation import corrections, unknowns_in_words
 from fg_orient.report.page import environment
 from fg_orient.report.payload import payload
 from fg_orient.report.residual_plots import largest_residuals, normalised, residual_panels
@@ -40,7 +40,7 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
         residuals=summaries, panels=residual_panels(result, summaries), outliers=largest_residuals(result),
         tested=normalised(result, np.arange(len(result.residuals)))[1], redundancy=redundancy_chart(result),
         corrections=[{**c, "chart": correction_chart(**c)} for c in corrections(result)],
-        heat=heat_maps(result), singular=singular_values(record["observability"]),
+        heat=heat_maps(result), called=unknowns_in_words(result), singular=singular_values(record["observability"]),
         held=_not_determined(record), iterations=result.iterations,
         history=iteration_charts(result.iterations), truth=comparison, l_curve=l_curve_chart(kept),
         rules=ranked(kept) if kept else [],

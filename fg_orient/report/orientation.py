@@ -72,6 +72,16 @@ def short_names(result: Result) -> dict[str, list[str]]:
     return out
 
 
+def unknowns_in_words(result: Result) -> dict[str, str]:
+    """Unknowns of the record, ``right.y_0``, as the drawings call them: ``right Y``."""
+    words, names = result.eop.words, short_names(result)
+    left = {image: iter(short) for image, short in names.items()}
+    return {
+        f"{image}.{parameter}": f"{image} {next(left[image])}"
+        for image, parameter in zip(words["image"], words["parameter"], strict=True)
+    }
+
+
 def correlations(cofactors: Array) -> Array:
     """Correlation matrix (k, k) of a cofactor matrix; nan where a variance is not positive."""
     sigma = np.sqrt(np.where(np.diag(cofactors) > 0.0, np.diag(cofactors), np.nan))

@@ -16,6 +16,7 @@ from markupsafe import Markup, escape
 
 from fg_orient.report.data import Result
 from fg_orient.report.scale import round_down, thousands
+from fg_orient.report.words import signed
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -139,7 +140,7 @@ def _point(role: str, name: str, error_m: Array, at: Array, vector: Array, up: b
         ends = round(x + float(vector[0]), 1), round(y + float(vector[1]), 1)
         line = f'<line class="{escape(kind)}" x1="{x}" y1="{y}" x2="{ends[0]}" y2="{ends[1]}"/>'
     axes = zip(("east", "north", "up"), error_m.tolist(), strict=True)
-    given = [f"{axis} {value:+.3f} m" for axis, value in axes if not math.isnan(value)]
+    given = [f"{axis} {signed(value)} m" for axis, value in axes if not math.isnan(value)]
     tip = escape(f"{role} {name}" + (": " + ", ".join(given) if given else ""))
     return Markup(f"<g><title>{tip}</title>{line}{symbol}</g>")
 

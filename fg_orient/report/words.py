@@ -51,6 +51,12 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{rounded:.{digits}f}".replace("-", "−")
 
 
+def signed(value: float, digits: int = 3) -> str:
+    """Write a number with its sign and a fixed count of decimals; what is rounded to zero has none."""
+    text = f"{abs(value):.{digits}f}"
+    return text if float(text) == 0.0 else ("−" if value < 0.0 else "+") + text
+
+
 def scientific(value: float | None, digits: int = 2) -> str:
     """Write a number with an exponent, or plainly where that is short."""
     if value is None or not math.isfinite(value):

@@ -43,6 +43,7 @@ def test_fit_writes_a_folder_that_says_what_the_json_says(points: Path, tmp_path
     assert record["check_rmse"]["radial"] == pytest.approx(math.sqrt(np.mean(np.sum(v[30:] ** 2, axis=1))), rel=1e-12)
     assert record["pair_distances"]["pairs"] == 30 * 29 // 2
     assert json.loads((out / "result.json").read_text("utf-8"))["points"] == record["points"]
+    assert "Fitted, nothing stands out" in (out / "report.html").read_text("utf-8")
     t = read_transformation(out)
     assert t.crs == "EPSG:32635"
     with points.open(encoding="utf-8") as stream:
@@ -66,6 +67,7 @@ def test_figure_and_report_are_well_formed_and_escaped(tmp_path: Path, rng: np.r
     assert len(circles) == 12 + 1 + 2  # points, a ring about the bad one, the legend
     html = (out / "report.html").read_text("utf-8")
     assert "<b>&" not in html and "&lt;b&gt;&amp;" in html
+    assert "Fitted, with doubts" in html
     found = structure(out / "report.html")
     assert found.tags.count("script") == 1 and not {"img", "link", "b"} & set(found.tags)
     assert len(set(found.ids)) == len(found.ids) and {"problems", "points", "coefficients"} <= set(found.ids)

@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fg_orient.report import charts, payload, residual_plots
+from fg_orient.report import charts, payload, residual_plots, svg
 from fg_orient.report.data import Result, residual_summary
 from fg_orient.report.html import render
 from fg_orient.report.orientation import corrections, correlations, short_names
 from fg_orient.report.page import script
 from fg_orient.report.panel import Panel, powers, ticks
+from fg_orient.report.words import signed
 from tests.support.page import structure
 
 
@@ -169,10 +170,50 @@ def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
     assert [m["image"] for m in maps] == ["left", "right"]
     strong = next(c for c in result.record["correlations"]["largest"] if c["a"] == "right.y_0")
     written = f"roll with Y: {strong['correlation']:+.3f}".replace("-", "−")
+    page = render(result)
+    assert "right.y_0" not in page and '<td class="id">right Y</td><td class="id text">right roll</td>' in page
     assert written in maps[1]["drawing"] and 'class="cell m5"' in maps[1]["drawing"]
     assert charts.heat_maps(dataclasses.replace(result, cofactors={})) == []
     first = {"fixed": np.zeros((0, 0)), **result.cofactors}  # an image without unknowns moves no other's figures
     assert charts.heat_maps(dataclasses.replace(result, cofactors=first)) == maps
+
+
+def test_what_is_rounded_to_zero_has_no_sign(result: Result) -> None:
+    assert [signed(v) for v in (-0.0004, 0.0004, 0.0, -0.0006, 1.5)] == ["0.000", "0.000", "0.000", "−0.001", "+1.500"]
+    assert signed(-0.04, 1) == "0.0"
+    points = dict(result.points.figures)
+    points["difference_up_m"] = np.where(np.isnan(points["difference_up_m"]), np.nan, -1e-5)
+    drawing = svg.point_map(dataclasses.replace(result, points=dataclasses.replace(result.points, figures=points)))
+    assert "up 0.000 m" in drawing and "-0.000" not in drawing and "−0.000" not in drawing
+
+
+def test_words_stand_below_their_heads(result: Result) -> None:
+    """A column whose head is words has cells of words: both begin at the left."""
+    held = 0
+    for table in render(result).split("<table")[1:]:
+        head, _, body = table.partition("</table>")[0].partition("</thead>")
+        if head.count("<tr") != 1 or "<tr" not in body:  # heads of two rows have groups
+            continue
+        row = body[body.index("<tr") : body.index("</tr>")]
+        kinds = [[bool(re.search(r'class="([^"]* )?text[ "]', cell)) for cell in re.findall(pattern, part)]
+                 for pattern, part in ((r"<th\b[^>]*>", head), (r"<t[dh]\b[^>]*>", row))]  # fmt: skip
+        assert kinds[0][1:] == kinds[1][1:], head
+        held += 1
+    assert held > 5
+
+
+def test_check_points_beyond_three_by_chance_are_no_doubt(result: Result) -> None:
+    check = result.record["accuracy"]["check"]
+    row = {"id": "c7", "axis": "east", "difference_m": 1.0, "ratio": 3.2}
+    beyond = {"by_chance": True, "sentence": "1 of 30 lies beyond: as many as chance gives"}
+    for chance, told, other in (
+        (True, "beyond three standard deviations</h3>", "Check points to look at"),
+        (False, "Check points to look at</h3>", "beyond three standard deviations</h3>"),
+    ):
+        changed = {**check, "suspicious": [row], "beyond_3_sigma": {**beyond, "by_chance": chance}}
+        record = {**result.record, "accuracy": {**result.record["accuracy"], "check": changed}}
+        page = render(dataclasses.replace(result, record=record))
+        assert told in page and other not in page and "as many as chance gives." in page.replace("gives:", "gives.")
 
 
 def test_corrections_stand_at_their_share_of_the_prior(result: Result) -> None:

@@ -55,7 +55,7 @@ def test_every_plot_has_units_and_a_caption(written: Path) -> None:
         "map": ("longitude, WGS 84", "horizontal error"), "map_up": ("latitude, WGS 84", "Up error"),
         "residuals": ("line, px", "sample, px", "px"), "histograms": ("density", "w = v/(σ√r)"),
         "quantiles": ("quantile of N(0, 1)",), "corrections": ("prior σ", "µrad", "position X · τ²"),
-        "correlations": ("correlation", "pitch_0"), "singular_values": ("singular value, prior σ", "weak below"),
+        "correlations": ("correlation", "pitch τ²"), "singular_values": ("singular value, prior σ", "weak below"),
         "redundancy": ("redundancy number r", "minimal detectable bias, px"),
         "iterations": ("iteration", "largest step, prior σ or m"),
     }  # fmt: skip
@@ -175,7 +175,10 @@ def test_correlations_are_those_of_the_cofactors(folder: Folder, adjusted: Path)
     axes = orientation.correlations(folder, ["right"]).axes[0]
     sigma = np.sqrt(np.diag(covariance))
     assert np.allclose(axes.images[0].get_array(), covariance / sigma[:, None] / sigma, atol=1e-12)
-    assert [t.get_text() for t in axes.get_yticklabels()] == names
+    words = {"x": "X", "y": "Y", "z": "Z", "vx": "vX", "vy": "vY", "vz": "vZ"}
+    parts = [name.rpartition("_") for name in names]
+    shown = [words.get(component, component) + ("", " τ", " τ²")[int(degree)] for component, _, degree in parts]
+    assert [t.get_text() for t in axes.get_yticklabels()] == shown
 
 
 def test_corrections_stand_in_prior_sigmas(folder: Folder, adjusted: Path) -> None:

@@ -61,8 +61,16 @@
     return [5, 2, 1].find((step) => step * power <= value * (1 + 1e-12)) * power;
   };
 
-  const signed = (value, digits) =>
-    (value < 0 ? "−" : "+") + Math.abs(value).toFixed(digits);
+  // What is rounded to zero has no sign.
+  const plain = (value, digits) => {
+    const text = Math.abs(value).toFixed(digits);
+    return (value < 0 && Number(text) !== 0 ? "−" : "") + text;
+  };
+
+  const signed = (value, digits) => {
+    const text = plain(value, digits);
+    return (value > 0 && Number(text) !== 0 ? "+" : "") + text;
+  };
 
   const typed = { f4: Float32Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
 
@@ -639,7 +647,7 @@
       plot.rows = rows;
       plot.show({
         x: pick(sample), y: pick(line), vx: pick(vs), vy: pick(vl), kind, areas: [["", [[0, 0], [samples, 0], [samples, lines], [0, lines]]]],
-        tell: (k) => `${block.points.id[point[rows[k]]]} at line ${line[rows[k]].toFixed(1)}, sample ${sample[rows[k]].toFixed(1)}\n${rayWords(block, rows[k])}`,
+        tell: (k) => `${block.points.id[point[rows[k]]]} at line ${plain(line[rows[k]], 1)}, sample ${plain(sample[rows[k]], 1)}\n${rayWords(block, rows[k])}`,
       });
     };
     which.addEventListener("change", fill);
