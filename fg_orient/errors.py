@@ -128,12 +128,14 @@ class RankDeficientError(NoSolutionError):
     """The normal equations are singular; the problems name the directions.
 
     ``rank_defect`` counts the dead directions of each image, ``counts`` holds n_observations,
-    n_unknowns and redundancy.
+    n_unknowns and redundancy, ``evidence`` what was judged: a ``fg_orient.quality.deficiency.Evidence``, or None.
     """
 
     def __init__(
-        self, *problems: Problem, rank_defect: Mapping[str, int] | None = None, counts: Mapping[str, int] | None = None
-    ) -> None:
+        self, *problems: Problem, rank_defect: Mapping[str, int] | None = None,
+        counts: Mapping[str, int] | None = None, evidence: object = None,
+    ) -> None:  # fmt: skip
         super().__init__(*problems)
         self.rank_defect = dict(rank_defect or {})
         self.counts = dict(counts or {})
+        self.evidence = evidence

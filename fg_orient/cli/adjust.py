@@ -186,7 +186,10 @@ def adjust(
             note(f"error: {found}")
         if as_json:
             emit(record)
-        elif record["out"]:
+        elif record["status"] == Status.RANK_DEFICIENT:
+            if record["out"]:
+                say(f"report of what is not determined: {Path(record['out']) / 'report.html'}")
+        else:
             show(record)
         if quiet and not as_json and record["status"] != Status.CONVERGED:
             note(f"{record['status'].replace('_', ' ')}: {record['reason']}")

@@ -270,6 +270,10 @@ CLI: Final = {
 
 REPORT: Final = {
     "report.no_result": ("the folder holds no result of an adjustment", "give a folder that fg-orient adjust wrote"),
+    "report.nothing_adjusted": (
+        "nothing was adjusted, so there are neither coordinates nor an orientation",
+        "report.html in the folder names what was not determined and the way out",
+    ),
     "report.damaged": ("the result cannot be read", "run fg-orient adjust again"),
     "report.no_matplotlib": ("figures need matplotlib", "install the extra: pip install 'fg-orient[report]'"),
     "report.no_map": ("the result has no geographic coordinates", "layers need a block on the Earth"),

@@ -7,7 +7,7 @@ directions that physics hides from an image, motions of the block that no contro
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -34,6 +34,25 @@ DEFICIENT: Final = (
 )  # fmt: skip
 #: Image points that tell the motions of a block that is too large to be decomposed.
 ENOUGH: Final = 20_000
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a refusal was judged by.
+
+    Parameters
+    ----------
+    problem : Problem
+        The compiled block; its start values are all that is known of the unknowns.
+    observability : tuple of ImageObservability
+        Of each image; empty where the structure alone decided.
+    view : BlockObservability or None
+        Of the block as a whole; None where the structure or single images decided before it was asked for.
+    """
+
+    problem: Problem
+    observability: tuple[ImageObservability, ...]
+    view: BlockObservability | None
 
 
 def compiled_problem(block: Block, like: Problem | None = None) -> Problem:
@@ -90,7 +109,7 @@ def refuse_deficient(compiled: Problem, observability: tuple[ImageObservability,
     with one_blas_thread():
         view = _view(compiled, structure)
     if not compiled.block.options.priors:
-        _refuse(compiled, observability, _numerical(compiled, view))
+        _refuse(compiled, observability, _numerical(compiled, view), view)
     return view
 
 
@@ -160,7 +179,10 @@ def _motion_faults(view: BlockObservability) -> list[Fault]:
     ]
 
 
-def _refuse(compiled: Problem, observability: tuple[ImageObservability, ...], faults: Sequence[Fault]) -> None:
+def _refuse(
+    compiled: Problem, observability: tuple[ImageObservability, ...], faults: Sequence[Fault],
+    view: BlockObservability | None = None,
+) -> None:  # fmt: skip
     if not faults:
         return
     counts = {
@@ -168,4 +190,7 @@ def _refuse(compiled: Problem, observability: tuple[ImageObservability, ...], fa
         "n_unknowns": compiled.n_unknowns,
         "redundancy": compiled.redundancy,
     }
-    raise RankDeficientError(*faults, rank_defect={o.image: o.rank_defect for o in observability}, counts=counts)
+    defect = {o.image: o.rank_defect for o in observability}
+    raise RankDeficientError(
+        *faults, rank_defect=defect, counts=counts, evidence=Evidence(compiled, observability, view)
+    )

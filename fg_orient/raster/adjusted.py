@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.models.contract import own_model
 from fg_orient.errors import InputError
+from fg_orient.names import Status
 from fg_orient.options import Options
 from fg_orient.parameters import CURVE, CURVES, N_EOP, parameter_name
 from fg_orient.raster.models import Sensor
@@ -49,6 +50,8 @@ def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction
     """
     try:
         record = json.loads((folder / "result.json").read_text("utf-8"))
+        if record["status"] == Status.RANK_DEFICIENT:
+            raise InputError.of("report.nothing_adjusted", file=folder, place="result.json", value=record["status"])
         options = record["provenance"]["options"]
         small_angle, n_curves = bool(options["small_angle"]), int(options.get("curve_intervals", 0))
         files = _files(record)

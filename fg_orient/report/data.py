@@ -7,7 +7,7 @@ import itertools
 import json
 import math
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.errors import InputError
+from fg_orient.names import Status
 
 Array = npt.NDArray[np.float64]
 
@@ -90,19 +91,44 @@ class Result:
     cofactors: dict[str, Array] = field(default_factory=dict)
 
 
+def read_record(folder: Path) -> dict[str, Any]:
+    """Read ``result.json`` of a result folder.
+
+    Raises
+    ------
+    InputError
+        It is missing or damaged.
+    """
+    path = folder / "result.json"
+    if not path.is_file():
+        raise InputError.of("report.no_result", file=folder, place="DIR", value="no result.json")
+    try:
+        record = json.loads(path.read_text("utf-8"))
+        if not isinstance(record, dict):
+            raise ValueError("no JSON object")
+    except (OSError, ValueError) as error:
+        raise InputError.of("report.damaged", file=path, value=error) from None
+    return record
+
+
+def nothing_adjusted(record: Mapping[str, Any]) -> bool:
+    """Whether a record is that of a block whose unknowns nothing determined."""
+    return record.get("status") == Status.RANK_DEFICIENT
+
+
 def read_result(folder: Path) -> Result:
     """Read a result folder.
 
     Raises
     ------
     InputError
-        A file is missing or damaged.
+        A file is missing or damaged, or nothing was adjusted.
     """
-    if not (folder / "result.json").is_file():
-        raise InputError.of("report.no_result", file=folder, place="DIR", value="no result.json")
+    record = read_record(folder)
+    if nothing_adjusted(record):
+        raise InputError.of("report.nothing_adjusted", file=folder, place="result.json", value=record["status"])
     name = "result.json"
     try:
-        record = json.loads((folder / name).read_text("utf-8"))
         tables = {}
         for name, columns in READ.items():
             tables[name] = read_columns(folder / name, *columns, optional=OPTIONAL.get(name, ()))

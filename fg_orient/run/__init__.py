@@ -20,6 +20,8 @@ from fg_orient.errors import InputError, NoSolutionError, RankDeficientError
 from fg_orient.io.folder import RESULT, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
 from fg_orient.orient import Stage, adjust
+from fg_orient.quality.deficiency import Evidence
+from fg_orient.run.deficient import spectra, write_deficient
 from fg_orient.run.json import dumps, plain
 from fg_orient.run.provenance import how_to_repeat, provenance
 from fg_orient.run.rpc import corrected_models, fitted_notes, write_corrected_rpc
@@ -28,6 +30,7 @@ from fg_orient.run.tables import write_tables
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback, IterationRecord
+    from fg_orient.adjustment.problem import Problem
     from fg_orient.block import Block
     from fg_orient.rpc.corrected import Corrected
     from fg_orient.sensors.correction import HeightSurface
@@ -88,8 +91,8 @@ def run_project(
     Returns
     -------
     dict
-        The record of ``adjust --json``. With status ``rank_deficient`` nothing is written and
-        ``out`` is None.
+        The record of ``adjust --json``. With status ``rank_deficient`` the folder holds the record, the start values
+        of the points and a report of what is not determined.
 
     Raises
     ------
@@ -126,8 +129,18 @@ def run_project(
             with writing(out):
                 _write(folder, solution, models, record, phases, start)
     except RankDeficientError as error:
-        seconds = {"read": read_s, "total": time.perf_counter() - start}
-        return deficient_summary(error, block) | {"seconds": seconds}
+        record = deficient_summary(error, block)
+        record["seconds"] = {"read": read_s, "total": time.perf_counter() - start}
+        if not isinstance(error.evidence, Evidence):
+            return record
+        about = _about(error.evidence.problem, Path(project), Path(out), command)
+        about["provenance"]["repeat"] = how_to_repeat(
+            Path(project).parent, options or {}, execution or {}, dem_control, dem_vertical_crs
+        )
+        record = {"schema": SCHEMA_VERSION, "name": block.name, **record, **about, **spectra(error.evidence)}
+        with staged_folder(out, overwrite=overwrite) as folder, writing(out):
+            write_deficient(folder, error.evidence.problem, record)
+        return {**record, "out": str(out)}
     except NoSolutionError as error:
         if any(p.code.startswith("parallel.") for p in error.problems):
             checkpoint.write()  # the workers failed, not the equations
@@ -192,27 +205,35 @@ def _record(
     solution: Solution, models: dict[str, Corrected], project: Path, out: Path, command: Sequence[str]
 ) -> dict[str, Any]:
     """Everything of ``result.json`` but the times."""
-    folder = project.parent
-    notes = [note.replace(f"{folder}/", "").replace(f"{folder.absolute()}/", "") for note in solution.block.notes]
-    images = [
-        {"id": image.id, "file": Path(image.sensor.file).name, "n_lines": image.sensor.n_lines,
-         "n_samples": image.sensor.n_samples, "notes": list(image.sensor.notes),
-         "footprint_lon_lat_deg": image.sensor.footprint().tolist(), **model.facts()}
-        for image, model in zip(solution.block.images, solution.problem.models, strict=True)
-    ]  # fmt: skip
-    view = solution.block_view
+    view, about = solution.block_view, _about(solution.problem, project, out, command)
     record: dict[str, Any] = plain(summary(solution))
     return {
         "schema": SCHEMA_VERSION,
         "name": solution.block.name,
         **record,
-        "out": out.name,
-        "notes": [*notes, *fitted_notes(models)],
-        "images": images,
+        "out": about["out"],
+        "notes": [*about["notes"], *fitted_notes(models)],
+        "images": about["images"],
         "observability": plain([o.as_dict() for o in solution.observability]),
         "block_observability": plain(None if view is None else view.as_dict()),
-        "provenance": provenance(solution.block, folder, command),
+        "provenance": about["provenance"],
     }
+
+
+def _about(problem: Problem, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:
+    """What a record says of the block that it was made from."""
+    folder, block = project.parent, problem.block
+    return {
+        "out": out.name,
+        "notes": [note.replace(f"{folder}/", "").replace(f"{folder.absolute()}/", "") for note in block.notes],
+        "images": [
+            {"id": image.id, "file": Path(image.sensor.file).name, "n_lines": image.sensor.n_lines,
+             "n_samples": image.sensor.n_samples, "notes": list(image.sensor.notes),
+             "footprint_lon_lat_deg": image.sensor.footprint().tolist(), **model.facts()}
+            for image, model in zip(block.images, problem.models, strict=True)
+        ],
+        "provenance": provenance(block, folder, command),
+    }  # fmt: skip
 
 
 def _write(

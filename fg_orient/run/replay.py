@@ -28,7 +28,9 @@ OCCASION: Final = (
     "seconds", "memory", "us_per_observation_iteration", "resumed_at_iteration", "out", "provenance",
 )  # fmt: skip
 #: Tables that are compared byte by byte.
-TABLES: Final = ("eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "outliers.csv", "rpc/*_RPC.TXT")
+TABLES: Final = (
+    "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "outliers.csv", "start_points.csv", "rpc/*_RPC.TXT",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ def _missing(solution: Solution) -> list[str]:
 
 
 def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]:
-    """Give the record of a block whose unknowns nothing determines; there is no result folder.
+    """Give the record of a block whose unknowns nothing determines.
 
     Parameters
     ----------

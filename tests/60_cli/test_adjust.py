@@ -8,6 +8,9 @@ from typing import Any
 
 import pytest
 
+from fg_orient.report.data import read_columns
+from tests.support.page import structure
+
 TOP = {
     "status", "reason", "warnings", "backend", "optimizer", "eop_set", "eop_set_name", "iterations", "n_image_points",
     "n_observations", "n_unknowns", "redundancy", "sigma0", "sigma0_interval_99_9", "rank_defect", "unobservable",
@@ -81,20 +84,50 @@ def test_not_trustworthy_is_exit_4_with_result(run: Any, twin: Path) -> None:
     assert json.loads((twin.parent / "result" / "result.json").read_text("utf-8"))["status"] == "not_trustworthy"
 
 
-def test_rank_deficient_is_exit_3_without_result(run: Any, twin: Path) -> None:
+def test_rank_deficient_is_exit_3_with_a_report_and_no_coordinates(run: Any, twin: Path) -> None:
     ended = run("adjust", twin, "--eop-set", 20, "--no-priors", "--json")
-    record = ended.json
-    assert (ended.code, record["status"], record["out"]) == (3, "rank_deficient", None)
+    record, out = ended.json, twin.parent / "result"
+    assert (ended.code, record["status"], record["out"]) == (3, "rank_deficient", str(out))
     assert record["rank_defect"] == {"left": 9, "right": 9}
     assert len(record["unobservable"]) == len(record["errors"]) == 18
     assert any("acts as yaw" in sentence for sentence in record["unobservable"])
-    assert sorted(p.name for p in twin.parent.iterdir() if p.name.startswith((".", "result"))) == []
+    assert sorted(p.name for p in twin.parent.iterdir() if p.name.startswith((".", "result"))) == ["result"]
+    assert sorted(p.name for p in out.iterdir()) == ["report.html", "result.json", "start_points.csv"]
+    kept = json.loads((out / "result.json").read_text("utf-8"))
+    assert kept["seconds"] == record["seconds"] and kept["provenance"]["inputs"]
+    assert [sum(s <= 1e-5 for s in o["singular_values"]) for o in kept["observability"]] == [9, 9]
+    points = read_columns(out / "start_points.csv", "id", "role", "lon_deg", "lat_deg")
+    page = (out / "report.html").read_text("utf-8")
+    assert page.count('<circle class="check"') - 1 == points.words["role"].count("check") > 0
+    assert page.count('<path class="control"') - 1 == points.words["role"].count("control") > 0
+    assert page.count('<polygon class="foot"') == 2 and page.count('<circle class="sv"') == 2 * 27
+    for words in ("Nothing was adjusted: 18 unknowns", "What to do: keep the priors or choose a smaller EOP set.",
+                  *(f"<li>{sentence}</li>" for sentence in record["unobservable"])):  # fmt: skip
+        assert words in page
+    assert not [v for n, v in structure(out / "report.html").attributes if v.startswith("http")]
+
+
+def test_what_reads_results_refuses_one_where_nothing_was_adjusted(run: Any, twin: Path) -> None:
+    out = twin.parent / "result"
+    assert run("adjust", twin, "--eop-set", 20, "--no-priors", "--quiet").code == 3
+    page = (out / "report.html").read_bytes()
+    (out / "report.html").unlink()
+    assert run("report", out).code == 0 and (out / "report.html").read_bytes() == page
+    image = next(twin.parent.rglob("*.DIM"))
+    for words in (("report", out, "--figures"), ("report", out, "--truth", twin.parent / "truth"),
+                  ("report", out, "--export", twin.parent / "a.geojson"),
+                  ("locate", image, "--line", 1, "--sample", 1, "--height", 0, "--result", out)):  # fmt: skip
+        ended = run(*words)
+        assert ended.code == 2, words
+        assert ended.stderr.startswith(f"error: {out}, result.json: nothing was adjusted"), ended.stderr
+    again = run("replay", out, "--json")
+    assert again.code == 0 and again.json["equal"] and again.json["tables"] == {"start_points.csv": True}
 
 
 def test_rank_deficient_for_people(run: Any, twin: Path) -> None:
     ended = run("adjust", twin, "--eop-set", 20, "--no-priors")
     assert ended.code == 3
-    assert ended.stdout == ""
+    assert ended.stdout == f"report of what is not determined: {twin.parent / 'result' / 'report.html'}\n"
     assert "velocity across track acts as yaw" in ended.stderr
     (line,) = ended.stderr.splitlines()
     assert line.startswith("error: image left: velocity along track (constant) acts on nothing | radial velocity")
@@ -106,14 +139,19 @@ def test_directions_without_control_points_are_one_line(run: Any, twin: Path) ->
     points = twin.parent / "points.csv"
     points.write_text(points.read_text("utf-8").replace(",control,", ",check,"), "utf-8")
     ended = run("adjust", twin, "--datum", "inner")
-    assert (ended.code, ended.stdout) == (3, "")
+    assert (ended.code, ended.stdout.count("\n")) == (3, 1)
     (line,) = ended.stderr.splitlines()
     assert line.startswith("error: block: no control point fixes this combination (in prior sigmas): ")
     assert line.count(" | ") == 3 and line.count("this combination") == 1 and "the control points" not in line
     assert " more (--json has all): not observable without priors, and the block has no control point; " in line
     assert line.endswith('keep the priors: datum = "priors"; or choose a smaller EOP set')
-    record = run("adjust", twin, "--datum", "inner", "--json").json
+    record = run("adjust", twin, "--datum", "inner", "--overwrite", "--json").json
     assert len(record["unobservable"]) == len(record["errors"]) > 5
+    # each image alone is determined at fixed ground points: only the spectrum of the whole block shows what is missing
+    assert {o["rank_defect"] for o in record["observability"]} == {0}
+    block = record["block_observability"]
+    assert sum(s <= block["limit"] for s in block["singular_values"]) == block["unobservable"] > 5
+    assert '<td class="id">whole block</td>' in (twin.parent / "result" / "report.html").read_text("utf-8")
 
 
 def test_not_converged_is_exit_3(run: Any, twin: Path) -> None:
