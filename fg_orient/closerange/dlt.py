@@ -24,6 +24,7 @@ from fg_orient.closerange.fitting import (
     require_sigmas,
     unit_weight,
 )
+from fg_orient.closerange.flatness import require_depth
 from fg_orient.closerange.photo import Photo, YAxis, corrections_of
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.rectification.transformation import Scaling
@@ -93,6 +94,8 @@ class DltFit(Deviations):
         Of the scaled design.
     recovered : Recovered
     iterations : int
+    doubt : str
+        Words on standard deviations that are too small, since the projection is hardly a central one; else "".
     """
 
     photo: Photo
@@ -105,6 +108,7 @@ class DltFit(Deviations):
     condition: float
     recovered: Recovered
     iterations: int
+    doubt: str = ""
 
 
 def direct_dlt(ground: Array, image: Array) -> Array:
@@ -125,8 +129,8 @@ def direct_dlt(ground: Array, image: Array) -> Array:
 
 
 def fit_dlt(
-    ground_m: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike = 1.0, distortion: Sequence[str] = (),
-    about: npt.ArrayLike | None = None, name: str = "", iterate: bool = True,
+    ground_m: npt.ArrayLike, image: npt.ArrayLike, *, sigma: npt.ArrayLike | None = None,
+    distortion: Sequence[str] = (), about: npt.ArrayLike | None = None, name: str = "", iterate: bool = True,
 ) -> DltFit:  # fmt: skip
     """Adjust a DLT.
 
@@ -136,8 +140,8 @@ def fit_dlt(
         Control points, m.
     image : (n, 2) array
         Measured x, y, any unit.
-    sigma : float or array that fits (n, 2)
-        Standard deviations of the image coordinates; without known ones 1 (m0 then is that of a coordinate).
+    sigma : float or array that fits (n, 2), optional
+        Standard deviations of the image coordinates. Without them all have weight 1, and m0 is their sigma.
     distortion : sequence of str
         Coefficients that are unknown, of k1, k2, k3, p1, p2 (measured to ideal).
     about : (2,) array, optional
@@ -156,13 +160,14 @@ def fit_dlt(
     Raises
     ------
     InputError
-        Too few points, points in a plane, no such coefficient, values not possible.
+        Too few points, points in a plane or flat within the noise (:mod:`fg_orient.closerange.flatness`), no such
+        coefficient, values not possible.
     NoSolutionError
         The iteration does not converge, or points lie on both sides of the camera.
     """
     ground = as_points(ground_m, 3, "ground", InputError.of)
     measured = as_points(image, 2, "image", InputError.of)
-    size = np.broadcast_to(np.asarray(sigma, float), measured.shape)
+    size = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, float), measured.shape)
     codes = _require(ground, measured, size, distortion, iterate)
     source, target = Scaling.of(ground, shared=True), Scaling.of(measured, shared=True)
     records = np.zeros((len(ground), 10))
@@ -185,8 +190,13 @@ def fit_dlt(
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(below)) + 1}")
     residual, design = rows(state, True)
     judged = _require_spatial(design)
-    return _result(name, tuple(distortion), source, target, state, residual.reshape(-1, 2) * size, size,
-                   target.physical(records[0, 8:]), judged, log)  # fmt: skip
+    assert judged.cofactors is not None
+    white, redundancy = residual.ravel(), residual.size - len(state)
+    doubt = require_depth(ground, state[:11], judged.cofactors, unit_weight(float(white @ white), redundancy),
+                          redundancy, known=sigma is not None)  # fmt: skip
+    found = _result(name, tuple(distortion), source, target, state, residual.reshape(-1, 2) * size, size,
+                    target.physical(records[0, 8:]), judged, log)  # fmt: skip
+    return replace(found, doubt=doubt)
 
 
 def _iterated(rows: Rows, records: Array, state: Array, *, moves: bool) -> tuple[Array, int]:

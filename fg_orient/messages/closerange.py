@@ -57,6 +57,15 @@ CLOSERANGE: Final = {
         "the control points do not determine a DLT: they lie in a plane, or close to it",
         "add points in front of it and behind, or use resect, which needs a known camera",
     ),
+    "closerange.flat": (
+        "the control points are flat within the noise of the image: heights of {height} rms above a plane, whose photo "
+        "alone leaves the camera open",
+        "add points in front of it and behind, state --sigma if it is known, or use resect, which needs a known camera",
+    ),
+    "closerange.parallel_noise": (
+        "the projection is parallel within the noise of the image, which leaves the distance of the camera open",
+        "add points in front and behind, or use resect, which needs a known camera",
+    ),
     "closerange.parallel": (
         "the projection is parallel or degenerate: it has no projection centre",
         "check the control points",

@@ -1,0 +1,113 @@
+"""DLT on points that are flat within the noise: refused by that cause; spatial ones stay, with honest deviations."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm, t
+
+from fg_orient.closerange.dlt import DltFit, fit_dlt
+from fg_orient.closerange.flatness import ALLOWED, LEVEL, limits
+from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.errors import InputError
+from tests.support.command import in_process as run
+
+from .conftest import Array
+
+SIGMA = 0.003
+CAMERA = Interior(60.0, np.array([0.3, -0.2]), y_axis="down")
+
+
+def scene(
+    seed: int, heights_m: float, n: int, *, distance_m: float = 3.0, sigma: float = SIGMA
+) -> tuple[Array, Array, Array]:
+    """Points on 1 m, heights up to ``heights_m`` apart, seen from above: points, projection centre, noisy images."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-0.5, 0.5, (n, 2)), heights_m * rng.uniform(-0.5, 0.5, n)])
+    angles = [180.0 + rng.uniform(-25.0, 25.0), rng.uniform(0.0, 360.0)]
+    turn = Rotation.from_euler("xz", angles, degrees=True).as_matrix()
+    centre = -turn.T @ [0.1, 0.05, distance_m]
+    image = Photo.of("", CAMERA, turn, centre).project(points)
+    return points, centre, image + rng.normal(scale=sigma, size=image.shape)
+
+
+def tried(points: Array, image: Array, sigma: float | None, distortion: tuple[str, ...] = ()) -> DltFit | str:
+    try:
+        return fit_dlt(points, image, sigma=sigma, distortion=distortion)
+    except InputError as error:
+        return error.problems[0].code
+
+
+def test_the_limit_is_where_the_inverse_of_a_number_is_honest() -> None:
+    """A number t sigmas from 0, estimated as T: its inverse is T (T - t)/t of its own sigmas off."""
+    noise, needed = limits(29, known=True)
+    truth = needed**2 / (needed + ALLOWED)  # that T = needed is ALLOWED sigmas off
+    assert norm.sf(noise) == pytest.approx(LEVEL) and norm.sf(needed - truth) == pytest.approx(LEVEL, rel=1e-9)
+    for other in truth * np.array([0.5, 0.8, 1.2, 2.0]):  # no other truth is worse
+        drifted = 0.5 * (other + np.sqrt(other**2 + 4.0 * ALLOWED * other))
+        assert norm.sf(max(drifted, needed) - other) < LEVEL
+    assert limits(29, known=False) == pytest.approx(np.array([1.0, needed / noise]) * t.isf(LEVEL, 29), rel=1e-9)
+    assert limits(1, known=False) == pytest.approx((ALLOWED, ALLOWED * needed / noise), rel=1e-9)
+
+
+@pytest.mark.parametrize(("runs", "sizes"), [(8, (8, 20)), pytest.param(300, (6, 8, 20), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("heights_m", [1e-5, 1e-4, 1e-3])
+def test_no_camera_from_flat_points(heights_m: float, runs: int, sizes: tuple[int, ...]) -> None:
+    """Cameras that were returned were 5 to 11000 of their standard deviations off, more than half of them."""
+    for n in sizes:
+        for seed in range(runs):
+            points, _, image = scene(seed, heights_m, n)
+            for sigma in (SIGMA, None) if n > 6 else (SIGMA,):
+                assert tried(points, image, sigma) in ("closerange.flat", "closerange.plane")
+            if n > 8:
+                assert tried(points, image, SIGMA, ("k1",)) in ("closerange.flat", "closerange.plane")
+
+
+@pytest.mark.parametrize("runs", [60, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("heights_m", [0.1, 1.0])
+def test_spatial_points_are_accepted_with_honest_deviations(heights_m: float, runs: int) -> None:
+    """Squares of the errors of the centre by its covariance, noise known: half or twice the sigmas fail."""
+    total = 0.0
+    for seed in range(runs):
+        points, centre, image = scene(1000 + seed, heights_m, 20)
+        found, relative = tried(points, image, SIGMA), tried(points, image, None)
+        assert isinstance(found, DltFit) and isinstance(relative, DltFit)
+        sigma = found.recovered.sigma
+        assert sigma is not None and found.m0 is not None
+        total += ((found.recovered.centre_m[2] - centre[2]) / sigma["Z0"] * found.m0) ** 2
+    low, high = chi2.ppf([1e-3, 1.0 - 1e-3], runs)
+    assert low <= total <= high
+    assert not low <= 4.0 * total <= high and not low <= 0.25 * total <= high
+
+
+def test_a_projection_parallel_within_the_noise_is_called_so() -> None:
+    """Points in space, coarse images: 30 m away a photo is affine, from 10 m hardly central, from 3 m it is."""
+    said = []
+    for distance_m in (30.0, 10.0, 3.0):
+        points, _, image = scene(1, 1.0, 20, distance_m=distance_m, sigma=0.05)
+        found = tried(points, image, 0.05)
+        said.append(found if isinstance(found, str) else found.doubt)
+    assert said[0] == "closerange.parallel_noise" and said[2] == ""
+    assert "sigmas from a parallel one: standard deviations of the centre" in said[1]
+
+
+def test_the_command_names_the_flatness_and_asks_for_sigma(tmp_path: Path) -> None:
+    def table(heights_m: float, n: int, seed: int) -> Path:
+        points, _, image = scene(seed, heights_m, n)
+        path = tmp_path / "control.csv"
+        with path.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(["id", "x", "y", "x_m", "y_m", "z_m"])
+            writer.writerows([k, *a, *b] for k, (a, b) in enumerate(zip(image.tolist(), points.tolist(), strict=True)))
+        return path
+
+    ended = run("closerange", "dlt", table(1e-4, 20, 0), "--sigma", SIGMA)
+    assert ended.code == 2 and "flat within the noise of the image: heights of 2.4e-05 m rms" in ended.stderr
+    done = run("closerange", "dlt", table(1.0, 6, 2), "--json")
+    assert done.code == 0 and "redundancy 1" in done.json["photos"][0]["warnings"][0]
+    stated = run("closerange", "dlt", tmp_path / "control.csv", "--sigma", SIGMA, "--json").json
+    assert stated["photos"][0]["warnings"] == []
