@@ -113,12 +113,24 @@ def bundle(
         Path | None,
         typer.Option(metavar="CSV", help="id,x_m,y_m,z_m; sigma_x_m,sigma_y_m,sigma_z_m if wanted."),
     ] = None,
+    check: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="id,x_m,y_m,z_m of points that take no part as control and judge the result."),
+    ] = None,
     start: Annotated[
         Path | None,
         typer.Option(metavar="CSV", help="id,x_m,y_m,z_m of new points to begin with; others are intersected."),
     ] = None,
     constraints: Annotated[
         Path | None, typer.Option(metavar="TOML", help='TOML: a table "constraints" for each, between points.')
+    ] = None,
+    stations: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="Observed projection centres: photo,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m; attitudes if wanted "
+            "(docs/closerange.md).",
+        ),
     ] = None,
     unknown: Annotated[
         str,
@@ -150,11 +162,53 @@ def bundle(
         with progress() as watch:
             record = run_bundle(
                 points, photos, control=control, start=start, constraints=constraints,
-                sigma=_positive("--sigma", sigma), sigma_control_m=sigma_control, unknown=_words(unknown),
-                shared=_words(shared), backend=backend, out=out, overwrite=overwrite, command=_command(),
-                callback=watch.iteration, stage=watch.stage,
+                stations=stations, check=check, sigma=_positive("--sigma", sigma), sigma_control_m=sigma_control,
+                unknown=_words(unknown), shared=_words(shared), backend=backend,
+                out=out, overwrite=overwrite, command=_command(), callback=watch.iteration, stage=watch.stage,
             )  # fmt: skip
         _finish(record, as_json, _show_bundle)
+
+
+@app.command("import")
+def import_(
+    export: Annotated[
+        Path, typer.Argument(metavar="EXPORT", show_default=False, help="File or folder of the project.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the tables.")],
+    source: Annotated[
+        str, typer.Option("--from", metavar="FORMAT", help="A format that holds cameras and poses.")
+    ] = "photomodeler",
+    control: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Control points: id, name, X, Y, Z and sigmas if wanted.")
+    ] = None,
+    stations: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Observed projection centres: photo, X, Y, Z, sigma.")
+    ] = None,
+    sigma_image: Annotated[
+        float | None, typer.Option(metavar="PX", show_default=False, help="Of image coordinates, pixels.")
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    log: Log = None,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Write the tables of the bundle from a project of another program (PhotoModeler)."""
+    with outcome(as_json, debug, quiet, log):
+        from fg_orient.closerange.importing import run_import
+
+        sigma_px = _positive("--sigma-image", sigma_image)
+        record = run_import(export, source=source, control=control, stations=stations, sigma_image_px=sigma_px,
+                            out=out, overwrite=overwrite)  # fmt: skip
+        if as_json:
+            emit(record)
+            return
+        say(f"{record['photos']} photos, {record['points']} points, {record['image_points']} image points "
+            f"({record['unit']}), {record['control']} control points, {record['stations']} stations")  # fmt: skip
+        if any(record["shift_m"]):
+            moved = ", ".join(f"{v:.4f}" for v in record["shift_m"])
+            say(f"shifted by {moved} m into the system of the control points")
+        say(f"written: {record['out']}")
 
 
 @app.command("surface")
@@ -274,6 +328,9 @@ def _show_bundle(record: dict[str, Any]) -> None:
         rows += [(p["photo"], f"centre {axis}, m", f"{v:.4f}", _short(s)) for axis, v, s in centre]
     table("", ("of", "", "value", "sigma"), rows)
     _point_table(record)
+    if record["check"] is not None:
+        along = ", ".join(f"{v:.3f}" for v in record["check"]["rms_mm"])
+        say(f"{record['check']['n']} check points: rms along X, Y, Z {along} mm")
     _warn(record)
 
 

@@ -12,10 +12,11 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors.extended_collinearity import NAMES
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, LoopResult
-from fg_orient.adjustment.network import DenseNetwork, Network, dependent
+from fg_orient.adjustment.network import DenseNetwork, Network, bordered_inverse, dependent
 from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.closerange.bundle_determined import require_determined, require_rays
 from fg_orient.closerange.bundle_network import Built, build
+from fg_orient.closerange.bundle_quality import Quality, quality_of
 from fg_orient.closerange.consistent import HELD, missed_most, require_consistent
 from fg_orient.closerange.constraints import Constraint
 from fg_orient.closerange.fitting import as_points, plain_reason, require_sigmas, unit_weight
@@ -58,11 +59,13 @@ class BundlePhoto:
     observed : mapping
         Observed camera parameters, value and sigma, by name; of shared ones once per camera.
     sigma_centre_m : (3,) array, optional
-        The centre is observed, as given.
+        The centre is observed: ``observed_centre_m``, or as given.
     sigma_turn_rad : (3,) array, optional
         The attitude is observed, as given: turns about the camera's axes X right, Y down, Z along the view.
     held : bool
         Rotation and centre are exact.
+    observed_centre_m : (3,) array, optional
+        What was observed of the centre, where it does not begin there.
     """
 
     name: str
@@ -76,6 +79,7 @@ class BundlePhoto:
     sigma_centre_m: Array | None = None
     sigma_turn_rad: Array | None = None
     held: bool = False
+    observed_centre_m: Array | None = None
 
     def __post_init__(self) -> None:
         names = (*self.unknown, *self.shared)
@@ -92,6 +96,11 @@ class BundlePhoto:
                 if not (np.isfinite(spread).all() and (spread > 0.0).all()):
                     raise self.fault(place, spread.tolist(), "numbers above 0")
                 object.__setattr__(self, place, spread)
+        if self.observed_centre_m is not None:
+            seen = np.asarray(self.observed_centre_m, float)
+            if self.sigma_centre_m is None or seen.shape != (3,) or not np.isfinite(seen).all():
+                raise self.fault("observed_centre_m", seen.tolist(), "three numbers, and sigma_centre_m beside them")
+            object.__setattr__(self, "observed_centre_m", seen)
 
     @property
     def key(self) -> str:
@@ -160,6 +169,8 @@ class Bundle:
     m0 : float or None
     redundancy, iterations : int
     backend : str
+    quality : Quality
+        Redundancy numbers, covariances, weak directions.
     """
 
     photos: tuple[Adjustment, ...]
@@ -179,6 +190,7 @@ class Bundle:
     redundancy: int
     iterations: int
     backend: str
+    quality: Quality
 
     @property
     def beyond(self) -> list[str]:
@@ -307,10 +319,12 @@ def _not_converged(network: Network, reason: str) -> NoSolutionError:
 
 def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, of: Index, sigma: Array) -> Bundle:
     network, state = built.network, found.state
-    rows = network.rows(state, jacobian=False)
+    rows = network.rows(state)
     built.require_in_front(state, which, of)
     m0 = unit_weight(float(rows.residual @ rows.residual), network.redundancy)
-    blocks = engine.cofactors(state)
+    whole, parts = bordered_inverse(rows), [network.part(k) for k in range(len(network.variables))]
+    is_dense = isinstance(engine, DenseNetwork)
+    blocks = [whole[p, p] for p in parts] if is_dense else engine.cofactors(state)
     # what hard conditions fix has variance 0, which rounding may put below
     cofactors = np.maximum(np.concatenate([block.diagonal() for block in blocks]), 0.0)
     scaled = cofactors * built.steps**2
@@ -335,4 +349,5 @@ def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, o
         tuple(of_variables(network.variables[k].name, [k]) for k in built.figure_variables),
         rows.residual[: 2 * len(of)].reshape(-1, 2) * sigma, state, tuple(network.labels), cofactors, m0,
         network.redundancy, len(found.log), engine.name,
+        quality_of(built, state, rows, whole, rotations, found.log),
     )  # fmt: skip

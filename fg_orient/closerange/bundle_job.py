@@ -8,27 +8,25 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from factors.extended_collinearity import NAMES
 from fg_orient.adjustment.loop import Callback
-from fg_orient.closerange.bundle import Adjustment, Bundle, BundlePhoto, adjust_bundle
+from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
+from fg_orient.closerange.bundle_record import bundle_record
 from fg_orient.closerange.constraints import Constraint
 from fg_orient.closerange.corrections import parameters_of
 from fg_orient.closerange.files import Observed, interiors, photo_text, read_ground_points, read_image_points
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.job import (
     CONTENTS,
-    NO_REDUNDANCY,
     Record,
-    exterior_record,
     finished,
     of_name,
     require_absolute,
     unit_of_weights,
     weights_of,
-    xyz,
 )
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.resection import resect
+from fg_orient.closerange.stations import Station, read_stations, station_sigmas
 from fg_orient.errors import InputError, problem
 from fg_orient.io.constraints import ConstraintEntry, read_constraints
 from fg_orient.io.folder import require_free
@@ -43,7 +41,8 @@ Stage = Callable[[str, int], None]
 
 def run_bundle(
     path: Path, photos: Path, *, control: Path | None = None, start: Path | None = None,
-    constraints: Path | None = None, sigma: float | None = None, sigma_control_m: float = 0.0,
+    constraints: Path | None = None, stations: Path | None = None, check: Path | None = None,
+    sigma: float | None = None, sigma_control_m: float = 0.0,
     unknown: Sequence[str] = (), shared: Sequence[str] = (), backend: str = "dense",
     out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
     callback: Callback | None = None, stage: Stage | None = None,
@@ -62,6 +61,10 @@ def run_bundle(
         New points, all to be determined, with start coordinates in the same columns; others are intersected.
     constraints : Path, optional
         See ``io.constraints``.
+    stations : Path, optional
+        Observed projection centres and attitudes, see :func:`fg_orient.closerange.stations.read_stations`.
+    check : Path, optional
+        Points whose coordinates take no part and judge the result, in the columns of ``control``.
     sigma : float, optional
         Of image coordinates without a sigma of their own; without it they all have weight 1, and m0 is their sigma.
     sigma_control_m : float
@@ -95,15 +98,20 @@ def run_bundle(
     which, of = (
         np.array(v, np.intp) for v in ([names.index(n) for n in table.photos], [ids.index(i) for i in table.ids])
     )
+    seen, withheld = read_stations(stations) if stations else {}, _control(check, 0.0)
+    both = [name for name in withheld if name in known]
+    if both:
+        raise InputError.of("closerange.check_and_control", file=check, place=f"point {both[0]}")
     entries = read_constraints(constraints) if constraints else ()
     stated = [_constraint(entry) for entry in entries]
     require_absolute(
-        path, table, sigma, [*_own_sigmas(control, sigma_control_m, known), *_stated(constraints, entries)]
-    )
+        path, table, sigma,
+        [*_own_sigmas(control, sigma_control_m, known), *_stated(constraints, entries), *station_sigmas(stations, seen)]
+    )  # fmt: skip
     tell("start values", len(table.ids))
     with one_blas_thread():
-        starts, doubts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma))
-        given = [BundlePhoto(n, i, r, c, own, "all", common) for n, (i, r, c) in zip(names, starts, strict=True)]
+        starts, doubts = _starts(photos, names, table, which, of, ids, places, weights_of(table, sigma), seen)
+        given = [_photo(n, start, seen.get(n), own, common) for n, start in zip(names, starts, strict=True)]
         begin = _points(starts, names, table, which, of, ids, places)
         tell("iterations", len(table.ids))
         found = adjust_bundle(
@@ -114,7 +122,9 @@ def run_bundle(
     texts = [
         photo_text(p, i, r) for p, i, r in zip(photos_of, found.interiors, found.rotations, strict=bool(photos_of))
     ]
-    record = _record(found, table, known, which, of) | unit_of_weights(table, sigma)
+    unit, weights = unit_of_weights(table, sigma), weights_of(table, sigma)
+    judges = {name: at for name, (at, _) in withheld.items()}
+    record = unit | bundle_record(found, table, known, which, of, weights, unit["weights"] == "absolute", seen, judges)
     record["warnings"] += doubts
     return finished(record, path, table, out, overwrite, command, texts)
 
@@ -158,15 +168,22 @@ Start = tuple[Interior, Array, Array]
 
 def _starts(
     path: Path, names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
-    known: Mapping[str, tuple[Array, Array]], sigma: Array,
+    known: Mapping[str, tuple[Array, Array]], sigma: Array, seen: Mapping[str, Station],
 ) -> tuple[list[Start], list[str]]:  # fmt: skip
-    """Interior, rotation and centre of each photo: those of the file, else by resection; and what to doubt there."""
+    """Interior, rotation and centre of each photo, and what to doubt there.
+
+    An observed attitude begins as observed, the rest as the file says, else by resection.
+    """
     file = read_photos(path)
     cameras, out, doubts = interiors(file), list[Start](), list[str]()
     for k, name in enumerate(names):
         entry, interior = of_name(file.entries, name, path), of_name(cameras, name, path)
+        turn = seen[name].rotation if name in seen else None
         if entry.rotation is not None and entry.centre_m is not None:
-            out.append((interior, np.array(entry.rotation), np.array(entry.centre_m)))
+            out.append((interior, np.array(entry.rotation) if turn is None else turn, np.array(entry.centre_m)))
+            continue
+        if turn is not None:
+            out.append((interior, turn, seen[name].centre_m))
             continue
         rows = [a for a in np.flatnonzero(which == k) if ids[of[a]] in known]
         if len(rows) < 4:
@@ -176,6 +193,16 @@ def _starts(
         out.append((interior, found.rotation, found.photo.origin_m))
         doubts += [] if found.rival is None else [f"the bundle begins with a resection of photo {name}: {found.rival}"]
     return out, doubts
+
+
+def _photo(
+    name: str, start: Start, station: Station | None, own: tuple[str, ...], shared: tuple[str, ...]
+) -> BundlePhoto:
+    """Photo of the bundle, with what was observed of it."""
+    if station is None:
+        return BundlePhoto(name, *start, own, "all", shared)
+    return BundlePhoto(name, *start, own, "all", shared, sigma_centre_m=station.sigma_m,
+                       sigma_turn_rad=station.sigma_turns_rad, observed_centre_m=station.centre_m)  # fmt: skip
 
 
 def _points(
@@ -195,56 +222,4 @@ def _points(
         found = intersect_photos(photos, which[rows], number[of[rows]], table.image[rows],
                                  ids=[i for i, f in zip(ids, free, strict=True) if f])  # fmt: skip
         out[free] = found.points_m
-    return out
-
-
-def _numbers(one: Adjustment, names: Sequence[str] | None = None) -> list[Record]:
-    """Values with standard deviations."""
-    return [{"name": n, "value": one[n][0], "sigma": one[n][1]} for n in (names or one.names)]
-
-
-def _record(
-    found: Bundle, table: Observed, known: Mapping[str, tuple[Array, Array]], which: Index, of: Index
-) -> Record:
-    """What ``closerange.json`` holds."""
-    photos = []
-    for k, (one, rotation, centre) in enumerate(zip(found.photos, found.rotations, found.centres_m, strict=True)):
-        sigma = [one[n][1] for n in ("X0", "Y0", "Z0")]
-        turns = [one[n][1] for n in ("turn_x", "turn_y", "turn_z")]
-        own = [n for n in one.names if n in NAMES]
-        photos.append({
-            "photo": one.name, "parameters": _numbers(one, own) if own else [], "interior": None, "points": [],
-            "exterior": exterior_record(rotation, centre, turns, sigma),
-            "rms": np.sqrt(np.mean(found.residuals[which == k] ** 2, axis=0)).tolist(),
-        })  # fmt: skip
-    n = len(found.ids)
-    rays = np.bincount(of, minlength=n)
-    misfit = np.sqrt(np.bincount(of, np.sum(found.residuals**2, axis=1), n) / np.maximum(rays, 1))
-    points = [
-        {"id": name, "role": "control" if name in known else "new", **xyz(found.points_m[k]),
-         **xyz(None if found.sigma_m is None else found.sigma_m[k], "sigma_"), "rays": int(rays[k]),
-         "misfit": float(misfit[k]) if rays[k] else None}
-        for k, name in enumerate(found.ids)
-    ]  # fmt: skip
-    return {
-        "kind": "bundle", "backend": found.backend, "m0": found.m0, "redundancy": found.redundancy,
-        "iterations": found.iterations, "unknowns": len(found.labels), "photos": photos,
-        "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in found.cameras],
-        "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in found.figures], "points": points,
-        "residuals": [
-            {"photo": p, "id": i, "residual_x": float(r[0]), "residual_y": float(r[1])}
-            for p, i, r in zip(table.photos, table.ids, found.residuals, strict=True)
-        ],
-        "warnings": _warnings(found, known),
-    }  # fmt: skip
-
-
-def _warnings(found: Bundle, known: Mapping[str, tuple[Array, Array]]) -> list[str]:
-    """What the user should know."""
-    out = [] if found.m0 is not None else [NO_REDUNDANCY]
-    unseen = [name for name in known if name not in found.ids]
-    if unseen:
-        out.append(f"control points measured in no photo: {', '.join(unseen)}")
-    if found.beyond:
-        out.append(f"photos.toml is not written: it cannot hold {', '.join(found.beyond)}")
     return out

@@ -241,7 +241,8 @@ def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Obse
     built.turns.append(turn)
     built.centres.append(place)
     if photo.sigma_centre_m is not None:
-        extras.append(observed_place(place, centre, photo.sigma_centre_m, f"{name}: observed centre"))
+        seen = centre if photo.observed_centre_m is None else photo.observed_centre_m - built.origin
+        extras.append(observed_place(place, seen, photo.sigma_centre_m, f"{name}: observed centre"))
     if photo.sigma_turn_rad is not None:
         extras += [observed_element(turn, j, 0.0, float(s), f"{name}: observed attitude")
                    for j, s in enumerate(photo.sigma_turn_rad)]  # fmt: skip

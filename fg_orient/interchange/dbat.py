@@ -4,6 +4,7 @@ The order of the cells is told by the last comment before the first line, such a
 sxy``, which DBAT's own examples have. x runs right and y down, pixels; the files do not say where they are counted
 from: the origin is taken for the centre of the first pixel, as DBAT's results are reproduced (docs/frame-cameras.md).
 Control points: id, name, X, Y, Z and, unless they are fixed, one standard deviation or one for each axis.
+Observed projection centres: photo, X, Y, Z, one standard deviation or three; ``closerange import`` reads them.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ _WORDS: Final = {
     "x": "x", "y": "y", "sxy": "sigma",
 }  # fmt: skip
 _CONTROL: Final = "id, name, X, Y, Z, then nothing (fixed), one sigma, or sigmaX, sigmaY, sigmaZ"
+_CENTRES: Final = "photo, X, Y, Z, then one sigma, or sigmaX, sigmaY, sigmaZ"
 
 
 def read_marks(path: Path) -> tuple[list[str], list[str], Array]:
@@ -95,6 +97,29 @@ def read_control(path: Path) -> tuple[list[str], Array]:
         sigma = values[3:].tolist() or [np.nan]
         ids[cells[0]] = [*values[:3].tolist(), *(sigma if len(sigma) == 3 else sigma * 3)]
     return list(ids), np.array(list(ids.values()), float).reshape(-1, 6)
+
+
+def read_centres(path: Path) -> dict[str, Array]:
+    """X, Y, Z and three sigmas (6,) of observed projection centres by photo.
+
+    Raises
+    ------
+    InputError
+        A line is faulty, or a photo occurs twice.
+    """
+    out: dict[str, Array] = {}
+    for number, line in enumerate(read_lines(path), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        cells = [cell.strip() for cell in line.split(",")]
+        values = finite(cells[1:])
+        place = f"line {number}"
+        if len(cells) not in (5, 7) or values is None or not cells[0] or (values[3:] <= 0.0).any():
+            raise InputError.of("dbat.cells", file=path.name, place=place, value=line.strip(), needed=_CENTRES)
+        if cells[0] in out:
+            raise InputError.of("dbat.twice", file=path.name, place=place, value=cells[0])
+        out[cells[0]] = np.append(values[:3], np.broadcast_to(values[3:], 3))
+    return out
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:

@@ -109,6 +109,24 @@ CLOSERANGE: Final = {
         "give rotation, centre_m and focal, or matrix and origin_m: closerange dlt and resect write them",
     ),
     "closerange.no_photo": ("the file has no such photo", "photos in it: {known}"),
+    "closerange.station_twice": ("the photo has two stations", "give each photo one row"),
+    "closerange.no_model": (
+        "the format holds no cameras and poses",
+        "choose photomodeler, or a format of docs/formats that bundle programs have",
+    ),
+    "closerange.control_mixed": (
+        "the point is exact, and others have standard deviations",
+        "give all control points standard deviations, or none",
+    ),
+    "closerange.not_in_project": ("the project has no such point", "points in it: {known}, ..."),
+    "closerange.direction": (
+        "the distortion of this camera leads from ideal to measured coordinates, that of close range the other way",
+        "take the camera without distortion and determine k1 to p2: --shared k1,k2,p1,p2",
+    ),
+    "closerange.check_and_control": (
+        "a point cannot judge the result and take part in it",
+        "leave it out of --control, or of --check",
+    ),
     "closerange.constraint": ("this constraint is not possible", "give {expected}"),
     "closerange.dependent": (
         "this hard constraint follows from the others, or contradicts them",

@@ -1,16 +1,20 @@
 """Blocks of the runs of Börlin, Grussenmeyer (2016): DBAT on exports of PhotoModeler, here from our reader.
 
 DBAT takes image points, camera and start values from the export, and control points from a file of its own.
+:func:`write_projects` writes small projects of our own under the names of theirs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from factors.constraints import OBSERVED_ELEMENT
 from fg_orient.block import Block, Coordinates, ExtraObservation, GroundPoints, Image, ImagePoints, Options
+from fg_orient.closerange.axes import aerial_from_rotation, rotation_from_aerial
+from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.io.frame_model import FrameModel
 from fg_orient.names import Role
 from fg_orient.sensors.frame import FrameSensor
@@ -88,3 +92,85 @@ def _observed(
                 record = np.array([unit / sigma, value, 3.0 + j])
                 out.append(ExtraObservation(OBSERVED_ELEMENT, (f"image:{image.id}",), record, np.zeros((2, 0)), 1, ""))
     return tuple(out)
+
+
+#: Where the projects of :func:`write_projects` stand, beside those of DBAT: system of the control points, focal length.
+SHIFT = np.array([100.0, 200.0, 10.0])
+PLACES = ((-1.5, -1.0, 3.0), (1.5, -1.0, 3.2), (1.5, 1.0, 3.1), (-1.5, 1.0, 2.9), (0.0, 0.0, 3.6))
+FOCAL, SIDE_MM = 8.0, 8.0
+
+
+def write_projects(folder: Path) -> None:
+    """Write projects under the names that docs/how-to/photomodeler.md has for DBAT's, and one of its own."""
+    aerial = [f"{n}.jpg" for n in (8811, 8936, 8937, 8938, 9111)]
+    control = [317, 375, 403, 410]
+    for name, files, others in (
+        ("cam/{}/fixed", ("fixed", 3), range(24)), ("cam/{}/weighted", ("weighted", 6), range(24)),
+        ("sxb/{}/f-op0", ("fixed", 3), ()), ("sxb/{}/w-op0", ("weighted", 6), ()),
+        ("sxb/{}/w-op1", ("weighted", 6), range(1)), ("sxb/{}/wsmart", ("weighted", 6), range(24)),
+    ):  # fmt: skip
+        where = folder / "prague2016" / name.partition("/")[0]
+        path = folder / "prague2016" / f"{name.format('pmexports')}-with-orient-pmexport.txt"
+        write_project(path, where / "ref" / f"ctrlpts-{files[0]}.txt", [*control, *others], files[1], aerial)
+    positions = folder / "prague2016" / "sxb" / "ref" / "fake-camera-positions.txt"
+    sheet = [f"P825002{k}.JPG" for k in range(1, 6)]
+    write_positions(positions, aerial[:4])
+    write_project(folder / "dbat" / "pmexports" / "camcal-pmexport.txt", folder / "dbat" / "ref" / "camcal-fixed.txt",
+                  [1001, 1002, 1003, 1004, 13, 60, 88, *range(100, 140)], 3, sheet)  # fmt: skip
+    write_project(folder / "pmexport.txt", folder / "ctrlpts.txt", [*control, *range(24)], 6, aerial)
+    write_positions(folder / "positions.txt", aerial[:4])
+
+
+def write_positions(path: Path, photos: Sequence[str]) -> None:
+    """Write observed projection centres as DBAT keeps them."""
+    rows = [
+        f"{n},{x:.4f},{y:.4f}, {z:.4f},0.0020" for n, (x, y, z) in zip(photos, np.array(PLACES) + SHIFT, strict=False)
+    ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(["#Label,X,Y,Z,Accuracy_X/Y/Z_(m)", *rows, ""]), "utf-8")
+
+
+def write_project(path: Path, control: Path, ids: Sequence[int], columns: int, names: Sequence[str]) -> None:
+    """Write an export of five photos of points of which the first four are control; 0.1 px of noise in the marks.
+
+    Parameters
+    ----------
+    path, control : Path
+        Export, and file of control points.
+    ids : sequence of int
+        Of the points.
+    columns : int
+        3: control points are exact, 6: they have standard deviations.
+    names : sequence of str
+        Files of the photos.
+    """
+    rng = np.random.default_rng(7)
+    n, px = len(ids), 1000.0 / SIDE_MM
+    known = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.3], [1.0, 1.0, 0.0], [-1.0, 1.0, -0.2]])
+    points = np.vstack(
+        [known, np.column_stack([rng.uniform(-1.0, 1.0, (max(n - 4, 0), 2)), rng.uniform(-0.4, 0.4, n - 4)])]
+    )
+    interior = Interior(FOCAL, np.array([4.05, 3.95]), np.array([1e-3, 0.0, 0.0, 1e-4, 5e-5, 0.0, 0.0]), "down")
+    head = f" {FOCAL} 4.05 3.95 {SIDE_MM} {SIDE_MM} 1e-3 0.0 0.0 1e-4 -5e-5"
+    text, marks = ["Bundle Soln a project", " 0.000500 20 1000 1000", " 1.0 0.1", head], []
+    for k, (place, name) in enumerate(zip(PLACES, names, strict=True)):
+        kappa = 0.5 * np.pi * k
+        lean = np.array([np.arctan2(place[1], place[2]), -np.arctan2(place[0], place[2])]) * 0.8
+        rotation = rotation_from_aerial(lean[0], lean[1], kappa)
+        at = Photo.of(name, interior, rotation, place).project(points) * px + rng.normal(0.0, 0.1, (n, 2))
+        marks += [f"   {k}    {i} {x:.4f} {y:.4f} 1.0 1.0" for i, (x, y) in zip(ids, at.tolist(), strict=True)]
+        omega, phi, turn = np.degrees(aerial_from_rotation(rotation))
+        begin = np.array(place) + 0.01
+        if k:
+            text += ["", f"   {k}{head}"]
+        text += ["   0.0 0.0 0.0 0.5 0.5 0.001 0.0001 0.0001 0.001 0.001", f"   {k} photos/{name}",
+                 f"   {k} {begin[0]} {begin[1]} {begin[2]} {turn:.3f} {phi:.3f} {omega:.3f}",
+                 f"   {k} 0.1 0.1 0.1 0.1 0.1 0.1"]  # fmt: skip
+    rows = [f"    {i} {x:.4f} {y:.4f} {z:.4f} 0.1 0.1 0.1" for i, (x, y, z) in zip(ids, points.tolist(), strict=True)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join([*text, "", *rows, "", *marks, ""]), "utf-8")
+    more = ", 0.002, 0.002, 0.003" * (columns == 6)
+    control.parent.mkdir(parents=True, exist_ok=True)
+    control.write_text("# Id, Name, X, Y, Z, sigmaX, sigmaY, sigmaZ\n" + "".join(
+        f"{i}, CP{i}, {x:.4f}, {y:.4f}, {z:.4f}{more}\n" for i, (x, y, z) in zip(ids, known + SHIFT, strict=False)
+    ), "utf-8")  # fmt: skip

@@ -1,0 +1,127 @@
+"""What the cofactors of a bundle say beside standard deviations: redundancy, covariances, weak directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.adjustment.network import Rows
+from fg_orient.closerange.bundle_network import Built
+from fg_orient.sensors.frame import opk_of_rotation
+
+Array = npt.NDArray[np.float64]
+
+#: Elements of a direction that are named, by the largest; and how many.
+_NAMED: Final = 0.3
+_FEW: Final = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """Of a bundle at its solution; cofactors are those of the sigmas given.
+
+    Parameters
+    ----------
+    redundancy : (m, 2) array
+        Redundancy numbers of the image coordinates.
+    others : tuple of str
+        Other soft observations, element by element.
+    others_whitened, others_redundancy : (k,) arrays
+        Their residuals over their sigmas, and redundancy numbers.
+    points : (n, 3, 3) array
+        Cofactors of the points; 0 of held ones.
+    angles_deg : (p, 3, 3) array
+        Cofactors of omega, phi, kappa of the photos; 0 of held ones.
+    orientation : (o, o) array
+        Cofactors of all unknowns but those of points.
+    labels : tuple of str
+        Of these.
+    units : (o,) array
+        The accuracy that one image point gives each of these; beyond 1000 of it an unknown is not determined.
+    history : tuple of IterationRecord
+    """
+
+    redundancy: Array
+    others: tuple[str, ...]
+    others_whitened: Array
+    others_redundancy: Array
+    points: Array
+    angles_deg: Array
+    orientation: Array
+    labels: tuple[str, ...]
+    units: Array
+    history: tuple[IterationRecord, ...]
+
+    def correlations(self) -> Array:
+        """Of the orientation (o, o); nan with unknowns that hard conditions hold."""
+        root = np.sqrt(np.maximum(self.orientation.diagonal(), 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.clip(self.orientation / np.outer(root, root), -1.0, 1.0))
+
+    def weak_directions(self) -> tuple[Array, Array]:
+        """Singular values (o,) of the orientation, weakest first, and their directions as rows, in ``units``.
+
+        A direction with the value s has a standard deviation of 1/s units; what hard conditions hold has inf.
+        """
+        if not len(self.units):
+            return np.zeros(0), np.zeros((0, 0))
+        values, vectors = np.linalg.eigh(self.orientation / np.outer(self.units, self.units))
+        with np.errstate(divide="ignore"):
+            singular = np.where(values > 0.0, 1.0 / np.sqrt(np.maximum(values, 0.0)), np.inf)
+        return singular[::-1], np.asarray(vectors.T[::-1])
+
+    def in_words(self, direction: Array) -> str:
+        """The unknowns that a direction is mostly made of."""
+        size = np.abs(direction)
+        order = [int(k) for k in np.argsort(-size, kind="stable")[:_FEW] if size[k] >= _NAMED * size.max()]
+        sign = np.sign(direction[order[0]]) or 1.0
+        return ", ".join(f"{sign * direction[k]:+.2f} {self.labels[k]}".replace("-", "−") for k in order)
+
+
+def quality_of(
+    built: Built, state: Array, rows: Rows, whole: Array, rotations: list[Array], history: tuple[IterationRecord, ...]
+) -> Quality:
+    """Take a bundle's figures out of its cofactors.
+
+    Parameters
+    ----------
+    built : Built
+    state : (u,) array
+    rows : Rows
+        At the state, with derivatives.
+    whole : (u, u) array
+        Cofactors of all unknowns.
+    rotations : list of (3, 3) arrays
+        Adjusted.
+    history : tuple of IterationRecord
+    """
+    n, network, units = 2 * built.n_images, built.network, built.units(rows)
+    redundancy = 1.0 - np.einsum("ij,ij->i", rows.design @ whole, rows.design)
+    names = [o.label if o.n_residuals == 1 else f"{o.label}, {element}" for o in network.observations
+             if not o.hard for element in _elements(o.n_residuals)][n:]  # fmt: skip
+    points = np.zeros((len(built.ids), 3, 3))
+    for j, k in built.point_variables.items():
+        points[j] = whole[network.part(k), network.part(k)]
+    angles = np.zeros((len(built.photos), 3, 3))
+    for j, (turn, rotation) in enumerate(zip(built.turns, rotations, strict=True)):
+        if not isinstance(turn, np.ndarray):
+            by = np.degrees(opk_of_rotation(rotation)[1])
+            angles[j] = by @ whole[network.part(turn), network.part(turn)] @ by.T
+    of_points = set(built.point_variables.values())
+    chosen = [k for k in range(len(network.variables)) if k not in of_points]
+    where = np.concatenate([np.zeros(0, np.intp), *(np.arange(network.n_unknowns)[network.part(k)] for k in chosen)])
+    steps = built.steps[where]
+    labels = [f"{network.variables[k].name} {label}" for k in chosen for label in network.variables[k].labels]
+    return Quality(
+        redundancy[:n].reshape(-1, 2), tuple(names), rows.residual[n:], redundancy[n:], points, angles,
+        whole[np.ix_(where, where)] * np.outer(steps, steps), tuple(labels), units[where] * steps, history,
+    )  # fmt: skip
+
+
+def _elements(count: int) -> tuple[str, ...]:
+    """Names of the elements of an observation."""
+    return ("X", "Y", "Z") if count == 3 else tuple(str(k) for k in range(1, count + 1))

@@ -1,0 +1,215 @@
+"""What ``closerange.json`` holds of a bundle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.extended_collinearity import NAMES
+from fg_orient.closerange.accuracy import compare_points
+from fg_orient.closerange.bundle import Adjustment, Bundle
+from fg_orient.closerange.bundle_quality import Quality
+from fg_orient.closerange.files import Observed
+from fg_orient.closerange.job import NO_REDUNDANCY, Record, exterior_record, xyz
+from fg_orient.closerange.stations import Station, observed_record
+from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Known = Mapping[str, tuple[Array, Array]]
+
+#: Correlations above this are listed; how many of them, and of weak directions.
+HIGH: Final = 0.9
+LISTED: Final = 40
+_WEAK: Final = 5
+
+
+def bundle_record(
+    found: Bundle, table: Observed, known: Known, which: Index, of: Index, sigma: Array, absolute: bool,
+    seen: Mapping[str, Station], check: Mapping[str, Array],
+) -> Record:  # fmt: skip
+    """Give the record of a bundle.
+
+    Parameters
+    ----------
+    found : Bundle
+    table : Observed
+        Image points.
+    known : mapping
+        Control points: coordinates, sigmas.
+    which, of : (m,) int arrays
+        Photo and point of each image point.
+    sigma : (m, 2) array
+        Of the image coordinates.
+    absolute : bool
+        These are standard deviations; else weights are relative and m0 takes their place in tests.
+    seen : mapping
+        Observed stations by photo.
+    check : mapping
+        Coordinates of points that took no part.
+    """
+    quality = found.quality
+    unit = 1.0 if absolute else (found.m0 or 1.0)
+    return {
+        "kind": "bundle", "backend": found.backend, "m0": found.m0, "redundancy": found.redundancy,
+        "iterations": found.iterations, "unknowns": len(found.labels), "photos": _photos(found, which, seen),
+        "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in found.cameras],
+        "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in found.figures],
+        "points": _points(found, known, of), "residuals": _residuals(found, table, sigma, unit),
+        "observations": _others(quality, unit), "check": _check(found, check), "reliability": _reliability(quality),
+        "correlations": _correlations(quality), "directions": _directions(quality), "history": _history(quality),
+        "warnings": _warnings(found, known, seen, check),
+    }  # fmt: skip
+
+
+def _numbers(one: Adjustment, names: Sequence[str] | None = None) -> list[Record]:
+    """Values with standard deviations."""
+    return [{"name": n, "value": one[n][0], "sigma": one[n][1]} for n in (names or one.names)]
+
+
+def _photos(found: Bundle, which: Index, seen: Mapping[str, Station]) -> list[Record]:
+    photos = []
+    for k, (one, rotation, centre) in enumerate(zip(found.photos, found.rotations, found.centres_m, strict=True)):
+        sigma = [one[n][1] for n in ("X0", "Y0", "Z0")]
+        turns = [one[n][1] for n in ("turn_x", "turn_y", "turn_z")]
+        own = [n for n in one.names if n in NAMES]
+        roots = np.sqrt(found.quality.angles_deg[k].diagonal())
+        angles = [None] * 3 if found.m0 is None else (found.m0 * roots).tolist()
+        inner = found.interiors[k]
+        photos.append({
+            "photo": one.name, "parameters": _numbers(one, own) if own else [], "interior": None, "points": [],
+            "exterior": exterior_record(rotation, centre, turns, sigma) | {"sigma_angles_deg": angles},
+            "camera": {"focal": inner.focal, "principal": inner.principal.tolist(),
+                       "corrections": inner.corrections.tolist(), "y_axis": inner.y_axis},
+            "observed": observed_record(seen.get(one.name), centre),
+            "rms": np.sqrt(np.mean(found.residuals[which == k] ** 2, axis=0)).tolist(),
+        })  # fmt: skip
+    return photos
+
+
+def _points(found: Bundle, known: Known, of: Index) -> list[Record]:
+    n = len(found.ids)
+    rays = np.bincount(of, minlength=n)
+    misfit = np.sqrt(np.bincount(of, np.sum(found.residuals**2, axis=1), n) / np.maximum(rays, 1))
+    out = []
+    for k, name in enumerate(found.ids):
+        cov = None if found.m0 is None else found.m0**2 * found.quality.points[k]
+        mixed = {f"cov_{a}_m2": None if cov is None else float(cov[i, j])
+                 for a, (i, j) in (("xy", (0, 1)), ("xz", (0, 2)), ("yz", (1, 2)))}  # fmt: skip
+        out.append({
+            "id": name, "role": "control" if name in known else "new", **xyz(found.points_m[k]),
+            **xyz(None if found.sigma_m is None else found.sigma_m[k], "sigma_"), **mixed, "rays": int(rays[k]),
+            "misfit": float(misfit[k]) if rays[k] else None,
+        })  # fmt: skip
+    return out
+
+
+def _residuals(found: Bundle, table: Observed, sigma: Array, unit: float) -> list[Record]:
+    """Image points with their residuals (ideal minus computed), redundancy numbers, w and detectable errors."""
+    own, detectable = _tested(found.residuals, sigma * unit, found.quality.redundancy)
+    columns = {"": table.image, "residual_": found.residuals, "sigma_": sigma,
+               "redundancy_": found.quality.redundancy, "w_": own, "mdb_": detectable}  # fmt: skip
+    return [
+        {"photo": p, "id": i} | {f"{name}{axis}": _finite(values[k, j]) for name, values in columns.items()
+                                 for j, axis in enumerate("xy")}
+        for k, (p, i) in enumerate(zip(table.photos, table.ids, strict=True))
+    ]  # fmt: skip
+
+
+def _tested(residual: Array, sigma: Array, redundancy: Array) -> tuple[Array, Array]:
+    """Residuals over their own standard deviations, and minimal detectable errors; nan where nothing checks them."""
+    root = np.sqrt(np.where(redundancy >= CHECKABLE, redundancy, np.nan))
+    return residual / (sigma * root), np.sqrt(noncentrality()) * sigma / root
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _others(quality: Quality, unit: float) -> list[Record]:
+    """Observations other than image coordinates: what, redundancy number, residual over its own standard deviation."""
+    own, _ = _tested(quality.others_whitened, np.full(len(quality.others), unit), quality.others_redundancy)
+    return [{"what": name, "redundancy": float(r), "w": _finite(w)}
+            for name, r, w in zip(quality.others, quality.others_redundancy, own, strict=True)]  # fmt: skip
+
+
+def _check(found: Bundle, check: Mapping[str, Array]) -> Record | None:
+    """Adjusted minus given coordinates of check points, m, and their figures; None without any."""
+    place = {name: k for k, name in enumerate(found.ids)}
+    rows = [name for name in check if name in place]
+    if not rows:
+        return None
+    at = np.array([place[name] for name in rows])
+    given, ours = np.array([check[name] for name in rows]), found.points_m[at]
+    measures = compare_points("bundle", given, ours, np.zeros(len(rows), bool)).other
+    sigma = None if found.sigma_m is None else found.sigma_m[at]
+    return {
+        "n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
+        "mean_mm": (1e3 * (ours - given).mean(axis=0)).tolist(),
+        "points": [{"id": name, **xyz((ours - given)[k], "difference_"),
+                    **xyz(None if sigma is None else sigma[k], "sigma_")} for k, name in enumerate(rows)],
+    }  # fmt: skip
+
+
+def _reliability(quality: Quality) -> Record:
+    """What redundancy numbers say in sum."""
+    r = quality.redundancy
+    return {
+        "redundancy_of_images": float(r.sum()), "mean": float(r.mean()), "least": float(r.min()), "alpha": ALPHA,
+        "power": POWER, "limit_of_checkable": CHECKABLE, "n_not_checkable": int((r < CHECKABLE).any(axis=1).sum()),
+    }  # fmt: skip
+
+
+def _correlations(quality: Quality) -> Record:
+    """High correlations of the orientation, largest first, and those of each photo and camera as triangles."""
+    rho = quality.correlations()
+    first, second = np.nonzero(np.tril(np.abs(np.nan_to_num(rho)) > HIGH, -1))
+    order = np.argsort(-np.abs(rho[first, second]), kind="stable")[:LISTED]
+    owner = [label.rpartition(" ")[0] for label in quality.labels]
+    parts = []
+    for name in dict.fromkeys(o for o in owner if o.startswith(("photo ", "camera "))):
+        rows = np.flatnonzero(np.array(owner, dtype=object) == name)
+        own = rho[np.ix_(rows, rows)]
+        parts.append({"of": name, "names": [quality.labels[k].rpartition(" ")[2] for k in rows],
+                      "triangle": [[_finite(v) for v in own[i, :i]] for i in range(len(rows))]})  # fmt: skip
+    return {
+        "limit": HIGH, "n": len(first), "parts": parts,
+        "largest": [{"a": quality.labels[first[k]], "b": quality.labels[second[k]],
+                     "correlation": float(rho[first[k], second[k]])} for k in order],
+    }  # fmt: skip
+
+
+def _directions(quality: Quality) -> Record:
+    """Singular values of the orientation and its weakest directions in words."""
+    values, rows = quality.weak_directions()
+    finite = values[np.isfinite(values)]
+    return {
+        "singular_values": finite.tolist(), "held": int(len(values) - len(finite)),
+        "weakest": [{"value": float(values[k]), "words": quality.in_words(rows[k])}
+                    for k in range(min(_WEAK, len(finite)))],
+    }  # fmt: skip
+
+
+def _history(quality: Quality) -> list[Record]:
+    return [{"iteration": i.iteration, "chi2": _finite(i.chi2), "chi2_after": _finite(i.chi2_after),
+             "ratio": _finite(i.ratio), "step": _finite(i.step), "accepted": i.accepted}
+            for i in quality.history]  # fmt: skip
+
+
+def _warnings(found: Bundle, known: Known, seen: Mapping[str, Station], check: Mapping[str, Array]) -> list[str]:
+    """What the user should know."""
+    out = [] if found.m0 is not None else [NO_REDUNDANCY]
+    for what, names, measured in (
+        ("control points measured in no photo", known, found.ids),
+        ("check points measured in no photo", check, found.ids),
+        ("stations of photos without image points", seen, [p.name for p in found.photos]),
+    ):
+        unseen = [name for name in names if name not in set(measured)]
+        if unseen:
+            out.append(f"{what}: {', '.join(unseen)}")
+    if found.beyond:
+        out.append(f"photos.toml is not written: it cannot hold {', '.join(found.beyond)}")
+    return out

@@ -1,0 +1,171 @@
+"""Tables for the bundle from projects of other programs: cameras, poses, start points and marks of a frame model.
+
+Image coordinates and cameras stand in the unit of the model's camera: mm where the program gives it (PhotoModeler),
+else pixels; x runs right, y down. The coordinates of a project are shifted into the system of its control points by
+the mean difference of these points, because programs export a shifted system; a turned or scaled one would be no start.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.closerange.files import GROUND, IMAGE, SIGMA_GROUND, SIGMA_IMAGE, photo_text
+from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.errors import InputError
+from fg_orient.interchange.dbat import read_centres, read_control
+from fg_orient.interchange.registry import Settings, format_named
+from fg_orient.io.folder import Contents, require_free, staged_folder, writing
+from fg_orient.io.frame_model import FrameModel
+from fg_orient.sensors.frame import MEASURED_TO_IDEAL
+from fg_orient.sensors.interior import Interior as FrameInterior
+
+Array = npt.NDArray[np.float64]
+Record = dict[str, Any]
+
+CONTENTS: Final = Contents("photos.toml", ("photos.toml", "image.csv", "control.csv", "start.csv", "stations.csv"))
+
+
+def run_import(
+    export: Path, *, source: str = "photomodeler", control: Path | None = None, stations: Path | None = None,
+    sigma_image_px: float | None = None, out: Path, overwrite: bool = False,
+) -> Record:  # fmt: skip
+    """Write the tables of ``closerange bundle`` from a project of another program.
+
+    Parameters
+    ----------
+    export : Path
+        Its file or folder.
+    source : str
+        A format that holds cameras and poses.
+    control : Path, optional
+        Control points: lines of id, name, X, Y, Z and, unless they are exact, one standard deviation or three.
+    stations : Path, optional
+        Observed projection centres: lines of photo, X, Y, Z and one standard deviation or three.
+    sigma_image_px : float, optional
+        Standard deviation of image coordinates, pixels, written beside them.
+    out, overwrite
+        Folder of the tables; replace it.
+
+    Raises
+    ------
+    InputError
+        A file is faulty, or the camera's distortion leads from ideal to measured coordinates.
+    """
+    require_free(out, overwrite=overwrite, contents=CONTENTS)
+    format_ = format_named(source, place="--from")
+    if format_.read_model is None:
+        raise InputError.of("closerange.no_model", file=export, place="--from", value=source)
+    model = format_.read_model((export,), Settings())
+    ids, known = read_control(control) if control else ([], np.empty((0, 6)))
+    weighted = np.isfinite(known[:, 3])
+    if weighted.any() and not weighted.all():
+        raise InputError.of("closerange.control_mixed", file=control, place=f"point {ids[int(np.argmin(weighted))]}")
+    shift = _shift(model, ids, known, control)
+    centres = read_centres(stations) if stations else {}
+    tables: dict[str, tuple[Sequence[str], Iterable[Sequence[object]]]] = {
+        "image.csv": _marks(model, sigma_image_px),
+    }
+    if new := _start(model, ids, shift):
+        tables["start.csv"] = ("id", *GROUND), new
+    if ids:
+        columns = ("id", *GROUND, *SIGMA_GROUND)[: 7 if weighted.all() else 4]
+        tables["control.csv"] = columns, [(i, *row[: len(columns) - 1]) for i, row in zip(ids, known, strict=True)]
+    if centres:
+        tables["stations.csv"] = ("photo", *GROUND, *SIGMA_GROUND), [(n, *row) for n, row in centres.items()]
+    photos = _photos(model, shift, export)
+    with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
+        (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
+        for name, (head, rows) in tables.items():
+            _write(folder / name, head, rows)
+    return {
+        "kind": "import", "format": source, "photos": len(model.poses), "points": len(np.unique(model.point)),
+        "image_points": len(model.point), "control": len(ids), "stations": len(centres), "shift_m": shift.tolist(),
+        "unit": "px" if _unit(model) == 1.0 else "mm", "files": ["photos.toml", *tables], "out": str(out),
+    }  # fmt: skip
+
+
+def _unit(model: FrameModel) -> float:
+    """Pixels per unit of the image coordinates: that of the camera's polynomial; all photos must have the same."""
+    units = {c.unit_px for c in model.cameras.values() if c.model == MEASURED_TO_IDEAL and c.unit_px}
+    return units.pop() if len(units) == 1 else 1.0
+
+
+def _shift(model: FrameModel, ids: Sequence[str], known: Array, file: Path | None) -> Array:
+    """Mean difference (3,) of the control points from the project's points; 0 without control points.
+
+    Raises
+    ------
+    InputError
+        A control point that the project does not have.
+    """
+    if not len(ids):
+        return np.zeros(3)
+    place = {name: k for k, name in enumerate(model.point_ids)}
+    missing = [name for name in ids if name not in place]
+    if missing:
+        raise InputError.of("closerange.not_in_project", file=file, place=f"point {missing[0]}",
+                            known=", ".join(model.point_ids[:10]))  # fmt: skip
+    return np.asarray((known[:, :3] - model.points_m[[place[name] for name in ids]]).mean(axis=0))
+
+
+def _marks(model: FrameModel, sigma_px: float | None) -> tuple[Sequence[str], list[tuple[object, ...]]]:
+    """Table of the image points."""
+    unit = _unit(model)
+    sigma = () if sigma_px is None else (sigma_px / unit,) * 2
+    rows = zip(model.image.tolist(), model.point.tolist(), (model.sample / unit).tolist(), (model.line / unit).tolist(),
+               strict=True)  # fmt: skip
+    head = ("id", "photo", *IMAGE, *(SIGMA_IMAGE if sigma else ()))
+    return head, [(model.point_ids[j], model.poses[k].name, x, y, *sigma) for k, j, x, y in rows]
+
+
+def _start(model: FrameModel, control: Sequence[str], shift: Array) -> list[tuple[object, ...]]:
+    """Rows of the measured points that are no control points, in the system of the control points."""
+    new = [k for k in np.unique(model.point).tolist() if model.point_ids[k] not in set(control)]
+    return [(model.point_ids[k], *(model.points_m[k] + shift).tolist()) for k in new]
+
+
+def _photos(model: FrameModel, shift: Array, file: Path) -> list[str]:
+    """Photo tables.
+
+    Raises
+    ------
+    InputError
+        Two photos have one name, or a camera cannot be held.
+    """
+    names = [pose.name for pose in model.poses]
+    if len(set(names)) < len(names):
+        twice = next(n for n in names if names.count(n) > 1)
+        raise InputError.of("closerange.bundle", file=file, place="photos", value=twice, expected="different names")
+    interiors = {key: _interior(c, _unit(model), file) for key, c in model.cameras.items()}
+    return [photo_text(Photo.of(p.name, interiors[p.camera], p.rotation, p.centre_m + shift), interiors[p.camera],
+                       p.rotation) for p in model.poses]  # fmt: skip
+
+
+def _interior(camera: FrameInterior, unit_px: float, file: Path) -> Interior:
+    """Camera in the unit of the image coordinates; k1 k2 k3 P1 P2 stand for x right, y down.
+
+    Raises
+    ------
+    InputError
+        The distortion leads the other way.
+    """
+    if camera.model != MEASURED_TO_IDEAL and np.any(camera.distortion):
+        raise InputError.of("closerange.direction", file=file, place=f"camera {camera.name}", value=camera.model)
+    ratio = (camera.unit_px or camera.focal_px) / unit_px  # of the polynomial's unit to that of the coordinates
+    k1, k2, k3, first, second = camera.distortion.tolist()
+    corrections = np.array([k1 / ratio**2, k2 / ratio**4, k3 / ratio**6, second / ratio, first / ratio, 0.0, 0.0])
+    principal = np.array([camera.principal_px[1], camera.principal_px[0]]) / unit_px
+    return Interior(camera.focal_px / unit_px, principal, corrections, "down")
+
+
+def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(head)
+        writer.writerows(rows)
