@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support import page_files, pages
+from tests.support import page_files, pages, photomodeler
 from tests.support.format_files import FORMAT_FILES, MARKER_FILES, MODEL_FILES
 from tests.support.pages import Command, Fence
 
@@ -100,6 +100,7 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
     "docs/rpc-commands.md": (page_files.rpc_points,),
     "docs/rectification.md": (page_files.map_points,),
     "docs/rfm.md": (page_files.gcp_file,),
+    "docs/how-to/photomodeler.md": (photomodeler.write_projects,),
     "docs/closerange.md": (page_files.photos_and_control, page_files.surface_points),
     **{f"docs/formats/{name}.md": write for name, write in FORMAT_FILES.items()},
 }
@@ -108,7 +109,7 @@ OWN_FILES: dict[str, tuple[Callable[[Path], None], ...]] = {
 BEFORE: dict[tuple[str, str], Callable[[Path], None]] = {("README.md", "rpc refine"): page_files.rpc_points}
 
 #: Pages that begin with their own files and nothing else.
-ALONE = {f"docs/formats/{name}.md" for name in FORMAT_FILES}
+ALONE = {"docs/how-to/photomodeler.md", *(f"docs/formats/{name}.md" for name in FORMAT_FILES)}
 
 
 @pytest.fixture(scope="module")
