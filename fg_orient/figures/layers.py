@@ -17,8 +17,8 @@ import numpy.typing as npt
 from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.report.data import Columns, Result, read_columns, read_result, residual_summary
+from fg_orient.report.extent import KM_PER_DEGREE
 from fg_orient.report.scale import round_down
-from fg_orient.report.svg import KM_PER_DEGREE
 from fg_orient.viewing import polygon_geometry
 
 Array = npt.NDArray[np.float64]

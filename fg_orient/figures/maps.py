@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from fg_orient.figures import style
 from fg_orient.figures.data import Folder
+from fg_orient.report.extent import KM_PER_DEGREE, first_view
 from fg_orient.report.scale import round_down
-from fg_orient.report.svg import KM_PER_DEGREE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +46,8 @@ def error_map(folder: Folder, *, up: bool = False) -> Figure | None:
     enu = table.numbers("difference_east_m", "difference_north_m", "difference_up_m")
     vectors = np.stack([np.zeros(len(enu)), enu[:, 2]], axis=1) if up else enu[:, :2]
     feet = _footprints(folder)
-    figure, axes = _frame(np.vstack([place[located], *(ring for _, ring in feet)]))
+    view = first_view(place, [ring for _, ring in feet])
+    figure, axes = _frame(np.vstack([place[located], *(ring for _, ring in feet)]) if view is None else view)
     if not up:
         _draw_footprints(axes, feet)
     roles = np.array(table.words["role"], dtype=str)

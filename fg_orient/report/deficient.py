@@ -10,6 +10,7 @@ import numpy as np
 
 from fg_orient.errors import InputError
 from fg_orient.report.data import Columns, Result, read_columns
+from fg_orient.report.extent import view_of
 from fg_orient.report.page import environment
 from fg_orient.report.svg import point_map, singular_values
 from fg_orient.report.words import orientation_words
@@ -58,6 +59,7 @@ def render_deficient(folder: Path, record: dict[str, Any]) -> str:
     return environment().get_template("deficient.html.j2").render(
         r=record, what=orientation_words(record), sections=SECTIONS, many=MANY, few=FEW, problems=(),
         verdict=_verdict(record, remedies), groups=[(*key, places) for key, places in groups.items()],
+        clipped=view_of(record, points.numbers("lon_deg", "lat_deg")) is not None,
         point_map=point_map(Result(folder, record, points, none, none, ())),
         singular=singular_values(spectra), least=_least(spectra),
         without=[name for name, value in zip(points.words["id"], lon.tolist(), strict=True) if math.isnan(value)],

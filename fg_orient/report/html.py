@@ -8,6 +8,7 @@ import numpy as np
 
 from fg_orient.report.charts import correction_chart, heat_maps, iteration_charts, redundancy_chart
 from fg_orient.report.data import Result, residual_summary
+from fg_orient.report.extent import view_of
 from fg_orient.report.l_curve import l_curve_chart, ranked
 from fg_orient.report.orientation import corrections, unknowns_in_words
 from fg_orient.report.page import environment
@@ -36,7 +37,8 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     return environment().get_template("report.html.j2").render(
         r=record, verdict={**found, "text": [found["text"], *accuracy_words(record)]}, axes=_AXES, many=MANY,
         problems=_problems(record, found["text"]), sections=SECTIONS, what=orientation_words(record),
-        payload=payload(result), point_map=point_map(result), up_map=point_map(result, up=True),
+        payload=payload(result), clipped=view_of(record, result.points.numbers("lon_deg", "lat_deg")) is not None,
+        point_map=point_map(result), up_map=point_map(result, up=True),
         residuals=summaries, panels=residual_panels(result, summaries), outliers=largest_residuals(result),
         tested=normalised(result, np.arange(len(result.residuals)))[1], redundancy=redundancy_chart(result),
         corrections=[{**c, "chart": correction_chart(**c)} for c in corrections(result)],

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from fg_orient.report.data import Result
+from fg_orient.report.extent import KM_PER_DEGREE, view_of
 from fg_orient.report.residual_plots import normalised
-from fg_orient.report.svg import KM_PER_DEGREE
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -84,7 +84,9 @@ def payload(result: Result) -> Payload | None:
     number[points] = np.arange(len(points))
     drawn = number[of_ray] >= 0
     centre = 0.5 * (np.nanmin(_lon_lat(result), axis=0) + np.nanmax(_lon_lat(result), axis=0))
+    view = view_of(result.record, result.points.numbers("lon_deg", "lat_deg"))
     data = {
+        "view": None if view is None else np.round(_kilometres(view, centre), 4).tolist(),
         "points": _point_columns(result, points, centre),
         "rays": _ray_columns(result, rays[drawn], number[of_ray[drawn]]),
         "images": [

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from markupsafe import Markup, escape
 
 from fg_orient.report.data import Result
+from fg_orient.report.extent import KM_PER_DEGREE, view_of
 from fg_orient.report.scale import round_down, thousands
 from fg_orient.report.words import signed
 
@@ -30,7 +31,8 @@ MAX_POINTS: Final = 1500
 MAX_IMAGES: Final = 40
 #: Length of a large error vector (90 % quantile) as a share of the map's width.
 VECTOR_SHARE: Final = 0.07
-KM_PER_DEGREE: Final = 111.2
+#: Widths of a letter and heights of a line of the names of images, drawing units.
+LETTER: Final = (9.0, 18.0)
 
 
 class MapFrame:
@@ -81,11 +83,17 @@ def point_map(result: Result, *, up: bool = False) -> Markup:
     place = table.numbers("lon_deg", "lat_deg")[rows]
     error = table.numbers("difference_east_m", "difference_north_m", "difference_up_m")[rows]
     feet = [np.array(image["footprint_lon_lat_deg"], float) for image in result.record["images"]]
-    frame = MapFrame(np.vstack([place, *feet]))
+    view = view_of(result.record, table.numbers("lon_deg", "lat_deg"))
+    frame = MapFrame(np.vstack([place, *feet]) if view is None else view)
     vectors = np.stack([np.zeros(len(rows)), error[:, 2]], axis=1) if up else error[:, :2]
     scale = _vector_scale(vectors)
     names = [image["id"] for image in result.record["images"]]
-    parts = [_footprint(name, frame(corners), k) for k, (name, corners) in enumerate(zip(names, feet, strict=True))]
+    drawn_feet = [(name, frame(corners)) for name, corners in zip(names, feet, strict=True)]
+    parts = (
+        [_footprint(name, corners, k) for k, (name, corners) in enumerate(drawn_feet)]
+        if view is None
+        else _clipped_footprints(drawn_feet, frame.height)
+    )
     drawn = frame(place)
     roles, ids = ([table.words[name][k] for k in rows.tolist()] for name in ("role", "id"))
     for k, vector in enumerate(vectors * scale * np.array([1.0, -1.0])):
@@ -125,6 +133,30 @@ def _footprint(name: str, corners: Array, k: int) -> Markup:
     return Markup(
         '<polygon class="foot" points="{}"/><text class="label" x="{}" y="{}" text-anchor="middle">{}</text>'
     ).format(text, round(towards, 1), round(float(at[1]) + shift, 1), name)
+
+
+def _clipped_footprints(feet: Sequence[tuple[str, Array]], height: float) -> list[Markup]:
+    """Footprints that reach beyond the map, cut at its border; their names stand inside it, one below the other."""
+    outlines = [
+        Markup('<polygon class="foot" points="{}"/>').format(" ".join(f"{x:.1f},{y:.1f}" for x, y in corners))
+        for _, corners in feet
+    ]
+    inner = Markup('<svg x="0" y="0" width="{}" height="{}">{}</svg>').format(
+        WIDTH, round(height, 1), Markup("").join(outlines)
+    )
+    taken: list[tuple[float, float, float]] = []
+    names = []
+    for name, corners in feet:
+        if (corners.max(axis=0) < 0.0).any() or (corners.min(axis=0) > np.array([WIDTH, height])).any():
+            continue  # nothing of it is seen
+        wide, top = LETTER[0] * len(name), corners[np.argmin(corners[:, 1])]
+        x, y = float(np.clip(top[0], 6.0 + wide / 2, WIDTH - 6.0 - wide / 2)), max(float(top[1]) + 16.0, 18.0)
+        while any(abs(y - t[1]) < LETTER[1] and abs(x - t[0]) < (wide + t[2]) / 2 + 6.0 for t in taken):
+            y += LETTER[1]
+        taken.append((x, y, wide))
+        names.append(Markup('<text class="label" x="{}" y="{}" text-anchor="middle">{}</text>').format(
+            round(x, 1), round(y, 1), name))  # fmt: skip
+    return [inner, *names]
 
 
 def _point(role: str, name: str, error_m: Array, at: Array, vector: Array, up: bool) -> Markup:

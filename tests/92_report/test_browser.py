@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from fg_orient.report.data import Result
+from fg_orient.report.html import render
 from tests.support.browser import Page
+from tests.support.page import of_large_images
 
 pytestmark = pytest.mark.browser
 
@@ -100,6 +103,23 @@ def test_zoom_and_pan_by_wheel_mouse_and_keys(page: Page) -> None:
     page.key("0", "0", 48)
     page.mouse("mouseMoved", 1, 1)
     assert drawn(page) == looks[0]
+
+
+def test_a_map_of_large_footprints_opens_on_the_points(page: Page, result: Result, tmp_path: Path) -> None:
+    folder = tmp_path / "large"
+    folder.mkdir()
+    (folder / "report.html").write_text(render(of_large_images(result)), "utf-8")
+    button = "[...document.querySelectorAll('#live-map button')].find((b) => b.textContent.includes('{}'))"
+    assert page.value(button.format("points") + ".hidden")
+    page.open(folder / "report.html", wait="performance.getEntriesByName('drawn').length > 0")
+    looks = [drawn(page)]
+    for name in ("whole footprints", "points"):
+        page.value(button.format(name) + ".click()")
+        looks.append(drawn(page))
+    assert looks[0] == looks[2] != looks[1]
+    page.value(f"{MAP}.focus()")
+    page.key("0", "0", 48)
+    assert drawn(page) == looks[1]
 
 
 def test_vectors_roles_and_heights(page: Page) -> None:

@@ -16,12 +16,13 @@ from scipy import stats
 
 from fg_orient.report import charts, payload, residual_plots, svg
 from fg_orient.report.data import Result, residual_summary
+from fg_orient.report.extent import first_view
 from fg_orient.report.html import render
 from fg_orient.report.orientation import corrections, correlations, short_names
 from fg_orient.report.page import script
 from fg_orient.report.panel import Panel, powers, ticks
 from fg_orient.report.words import signed
-from tests.support.page import structure
+from tests.support.page import of_large_images, structure
 
 
 def elements(text: str) -> list[tuple[str, str]]:
@@ -185,6 +186,34 @@ def test_what_is_rounded_to_zero_has_no_sign(result: Result) -> None:
     points["difference_up_m"] = np.where(np.isnan(points["difference_up_m"]), np.nan, -1e-5)
     drawing = svg.point_map(dataclasses.replace(result, points=dataclasses.replace(result.points, figures=points)))
     assert "up 0.000 m" in drawing and "-0.000" not in drawing and "−0.000" not in drawing
+
+
+def test_a_map_opens_on_the_points_where_footprints_are_far_larger(result: Result) -> None:
+    place = result.points.numbers("lon_deg", "lat_deg")
+    low, high = np.nanmin(place, axis=0), np.nanmax(place, axis=0)
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    assert first_view(place, [0.5 * (low + high) + 0.6 * (high - low) * square]) is None
+    assert first_view(np.full((3, 2), np.nan), [square]) is None
+    one = first_view(np.array([[0.0, 60.0]]), [square + np.array([0.0, 60.0])])  # a single point has a view of its own
+    assert one is not None and np.ptp(one, axis=0) * [111.2 * 0.5, 111.2] == pytest.approx([0.124, 0.124], rel=1e-9)
+    assert "beyond the border" not in render(result) and payload.payload(result).data["view"] is None
+    large = of_large_images(result)
+    view = np.array(payload.payload(large).data["view"])
+    east, north = (unpacked(payload.payload(large).data["points"][axis]) for axis in ("x", "y"))
+    border = 0.12 * float(max(np.ptp(east), np.ptp(north)))
+    for axis, values in enumerate((east, north)):  # the border is taken at the latitude of the points, not of all
+        assert view[:, axis] == pytest.approx([values.min() - border, values.max() + border], abs=1e-3 * border)
+    page = render(large)
+    drawing = svg.point_map(large)
+    assert "reach beyond the border of this view" in page and drawing in page
+    before, _, inner = drawing.partition('<svg x="0" y="0"')  # a drawing in the drawing, which cuts at its border
+    assert "polygon" not in before and inner.partition("</svg>")[0].count('<polygon class="foot"') == 2
+    places = [
+        (float(x), float(y)) for x, y in re.findall(r'class="(?:check|tie)" cx="([-\d.]+)" cy="([-\d.]+)"', drawing)
+    ]
+    assert np.ptp([x for x, _ in places]) > 0.5 * svg.WIDTH
+    names = [tuple(map(float, at)) for at in re.findall(r'class="label" x="([\d.]+)" y="([\d.]+)"', drawing)]
+    assert len(set(names)) == 2 and all(0 < x < svg.WIDTH and 0 < y < 60 for x, y in names)
 
 
 def test_words_stand_below_their_heads(result: Result) -> None:

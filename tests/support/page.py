@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from html.parser import HTMLParser
 from pathlib import Path
+
+import numpy as np
+
+from fg_orient.report.data import Result
 
 VOID = {"meta", "br", "img", "link", "input", "hr"}
 
@@ -46,3 +51,13 @@ def structure(path: Path) -> Structure:
     found.close()
     assert found.open == []
     return found
+
+
+def of_large_images(result: Result) -> Result:
+    """The same points in images twelve times as large."""
+    images = []
+    for image in result.record["images"]:
+        corners = np.array(image["footprint_lon_lat_deg"], float)
+        grown = corners.mean(axis=0) + 12.0 * (corners - corners.mean(axis=0))
+        images.append({**image, "footprint_lon_lat_deg": grown.tolist()})
+    return dataclasses.replace(result, record={**result.record, "images": images})

@@ -162,11 +162,12 @@
         "Drag to move. Zoom with the buttons, with + and −, or with the wheel after a click. Keys: arrows move, 0 shows all, n and p go from point to point, Esc lets go.");
       this.tools = el("div", { class: "tools" });
       for (const [sign, name, act] of [["+", "zoom in", () => this.zoom(1.5)], ["−", "zoom out", () => this.zoom(1 / 1.5)],
-        ["⤢", "show all", () => this.fit()]]) {
+        ["⤢", "show all", () => this.fit(true)], ["points", "show the points", () => this.fit()]]) {
         const button = el("button", { type: "button", "aria-label": name, title: name }, sign);
         button.addEventListener("click", act);
         this.tools.append(button);
       }
+      [this.toAll, this.toPoints] = [...this.tools.children].slice(-2);
       const slider = el("input", { type: "range", min: "-1.5", max: "1.5", step: "0.05", value: "0" });
       slider.addEventListener("input", () => {
         this.stretch = 10 ** Number(slider.value);
@@ -193,7 +194,10 @@
 
     // x, y, kind of n points; vx, vy (nan: none); areas: [name, [[x, y] ...]]; tell(k): words on a point.
     show(data) {
+      this.view = null;
       Object.assign(this, data);
+      this.toPoints.hidden = !this.view;
+      this.toAll.textContent = this.view ? "⤢ whole footprints" : "⤢";
       this.grid = new Grid(this.x, this.y);
       this.chosen = -1;
       this.say("");
@@ -213,17 +217,21 @@
       this.share = LONG * clamp(Math.sqrt(FEW / (sorted.length || 1)), 0.2, 1);
     }
 
-    fit() {
+    // The first view: all, or what the page names where areas are so large that the points would be a dot.
+    fit(all = false) {
       const places = this.areas.flatMap((area) => area[1]);
       const g = this.grid;
       if (this.x.length) places.push([g.x0, g.y0], [g.x0 + g.dx * g.side, g.y0 + g.dy * g.side]);
       const [xs, ys] = [places.map((p) => p[0]), places.map((p) => p[1])];
-      const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+      const whole = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+      const [x0, y0, x1, y1] = this.view && !all ? this.view.flat() : whole;
+      const within = (width, height) => Math.min((this.width - 2 * MARGIN) / width, (this.height - 2 * MARGIN) / height);
       this.middle = [(x0 + x1) / 2, (y0 + y1) / 2];
       this.size = [Math.max(x1 - x0, 1e-6), Math.max(y1 - y0, 1e-6)];
       this.measure();
-      this.scale = Math.min((this.width - 2 * MARGIN) / this.size[0], (this.height - 2 * MARGIN) / this.size[1]);
-      this.least = this.scale / 4;
+      this.scale = within(...this.size);
+      this.least = within(Math.max(whole[2] - whole[0], 1e-6), Math.max(whole[3] - whole[1], 1e-6)) / 4;
+      this.near = 8 * (this.view && all ? within(this.view[1][0] - this.view[0][0], this.view[1][1] - this.view[0][1]) : this.scale);
       this.ask();
     }
 
@@ -503,7 +511,7 @@
       if (moves[event.key]) this.pan(...moves[event.key]);
       else if (event.key === "+" || event.key === "=") this.zoom(1.5);
       else if (event.key === "-" || event.key === "−") this.zoom(1 / 1.5);
-      else if (event.key === "0") this.fit();
+      else if (event.key === "0") this.fit(true);
       else if (event.key === "n" || event.key === "p") this.next(event.key === "n" ? 1 : -1);
       else if (event.key === "Escape") this.choose(-1);
       else return;
@@ -536,7 +544,7 @@
         this.shown[this.kind[k]] = true;
         this.choices.querySelectorAll("input")[this.kind[k]].checked = true;
       }
-      this.scale = Math.max(this.scale, this.least * 32);
+      this.scale = Math.max(this.scale, this.near);
       this.middle = [this.x[k], this.y[k]];
       this.choose(k);
     }
@@ -616,7 +624,7 @@
     const none = new Float32Array(n);
     const fill = () => {
       const [vx, vy] = up ? [none, padded(p.up)] : [padded(p.east), padded(p.north)];
-      plot.show({ x: p.x, y: p.y, kind: p.role, vx, vy, areas: block.images.map((i) => [i.id, i.foot]), tell: (k) => pointWords(block, k) });
+      plot.show({ view: block.view, x: p.x, y: p.y, kind: p.role, vx, vy, areas: block.images.map((i) => [i.id, i.foot]), tell: (k) => pointWords(block, k) });
     };
     const which = el("select", {}, el("option", {}, "horizontal"), el("option", {}, "height"));
     which.addEventListener("change", () => {
