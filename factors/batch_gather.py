@@ -1,4 +1,7 @@
-"""Sums of the chunks added to blocks and gradients of the reduced system; layout: ``factors.batch_pairs``."""
+"""Sums of the chunks added to blocks and gradients of the reduced system, and its unknowns spread out again.
+
+The layout of the sums: ``factors.batch_pairs``.
+"""
 
 from __future__ import annotations
 
@@ -82,16 +85,31 @@ def _add_up(
 
 @threaded
 def gather_gradients(
-    lo: int, hi: int, begin: Index, order: Small, own: Small, row: Index, column: Index, n_basis: Index,
-    n_components: Index, gradients: Array, out: Array,
+    begin: Index, order: Small, own: Small, row: Index, column: Index, gradients: Array, wide: Index, scale: Array,
+    size: Index, n_components: Index, out: Array,
 ) -> None:  # fmt: skip
-    """Add the gradients (S, b, c) of the slots of blocks lo to hi to those of the images (M, w)."""
-    for n in range(lo, hi):
-        if row[n] != column[n]:
+    """Add up the gradients (S, b, c) of the slots of each image, for the unknowns that exist, to ``out`` (u,).
+
+    The other parameters are those of :func:`gather_blocks`.
+    """
+    first = np.zeros(len(size) + 1, np.int64)
+    for i in range(len(size)):
+        first[i + 1] = first[i] + size[i]
+    for n in range(len(row)):
+        i = row[n]
+        if i != column[n]:
             continue
-        n_c = n_components[row[n]]
-        for k in range(begin[n], begin[n + 1]):
-            if own[order[k]] > 0:
-                for b in range(n_basis[row[n]]):
-                    for c in range(n_c):
-                        out[row[n], b * n_c + c] += gradients[order[k], b, c]
+        for p in range(size[i]):
+            b, c, total = wide[i, p] // n_components[i], wide[i, p] % n_components[i], 0.0
+            for k in range(begin[n], begin[n + 1]):
+                if own[order[k]] > 0:
+                    total += gradients[order[k], b, c]
+            out[first[i] + p] += scale[i, p] * total
+
+
+@threaded
+def widen(image: Array, wide: Index, scale: Array, size: Index, out: Array) -> None:
+    """Write unknowns (M, k), in the units of the components, to their places among the wide numbers (M, w)."""
+    for i in range(len(size)):
+        for p in range(size[i]):
+            out[i, wide[i, p]] = image[i, p] * scale[i, p]

@@ -170,7 +170,10 @@ def _compile_reduction(
     wide_place, scale = np.zeros((2, 1), np.int64), np.ones((2, 1))
     batch_gather.gather_blocks(0, 3, to, slots, own, row, column, sums, wide_place, scale, one, one, components,
                                np.zeros((3, 1, 1)))  # fmt: skip
-    batch_gather.gather_gradients(0, 3, to, slots, own, row, column, one, components, gradients, wide)
+    batch_gather.gather_gradients(
+        to, slots, own, row, column, gradients, wide_place, scale, one, components, np.zeros(2)
+    )
+    batch_gather.widen(np.zeros((2, 1)), wide_place, scale, one, wide)
     blocks, place, ones = np.ones((3, 1, 1)), np.arange(2), np.ones(2)
     batch_matrix.fill_diagonal(row, column, place, one, blocks, ones)
     for banded in (False, True):

@@ -190,12 +190,11 @@ class SchurSystem:
 
     def _gathered_gradient(self) -> Array:
         """Gradient (u,) of the image unknowns, from those of the chunks."""
-        s, b, wide = self.structure, self.buffers(), np.zeros((len(self.structure.size), self.structure.width))
+        s, problem, own = self.structure, self._backend.problem, self._own.gradient.copy()
         gather_gradients(
-            0, len(s.block_row), s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column,
-            s.n_basis, s.n_components, b.gradients, wide,
+            s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, self.buffers().gradients,
+            s.wide, s.scale, s.size, s.n_components, own,
         )  # fmt: skip
-        problem, own = self._backend.problem, s.narrowed(wide) + self._own.gradient
         free = own if problem.ties is None else problem.ties.summed(own)
         return free + self._backend.prior * problem.image_vector(self.state)
 

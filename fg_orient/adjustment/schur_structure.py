@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from factors import batch_sort
 from factors.batch import Columns, batch, has_batch
+from factors.batch_gather import widen
 from fg_orient.adjustment.models.contract import ImageModel, groups
 from fg_orient.adjustment.problem import Problem
 
@@ -160,15 +161,8 @@ class Structure:
     def widened(self, image: Array) -> Array:
         """Wide numbers (M, w) of unknowns (M, k), in the units of the components."""
         out = np.zeros((len(image), self.width))
-        for group in self.groups:
-            c = group.columns
-            out[group.images[:, None], c.wide] = image[group.images][:, : len(c.scale)] * c.scale
+        widen(image, self.wide, self.scale, self.size, out)
         return out
-
-    def narrowed(self, wide: Array) -> Array:
-        """Gradient (u,) of all unknowns from the wide one (M, w)."""
-        exists = np.arange(self.wide.shape[1]) < self.size[:, None]
-        return np.asarray((np.take_along_axis(wide, self.wide, axis=1) * self.scale)[exists])
 
 
 def compile_structure(problem: Problem) -> Structure:
