@@ -17,7 +17,7 @@ import numpy as np
 from factors._compile import threaded
 from factors._contract import Array
 from factors.batch_rows import Index, Small
-from factors.vectors import LANES, add_eight, add_one, aligned, combine_nine, outer_nine
+from factors.vectors import LANES, add_eight, add_four, add_one, add_two, aligned, combine_nine, outer_nine
 
 #: Points whose pairs are formed before they are added up: what is read and written then stays near the processor.
 BATCH = 16
@@ -68,14 +68,19 @@ def _weigh(n: int, a: int, b: int, rays: int, basis: Array, b_a: int, b_b: int, 
 
 @threaded
 def _add(n: int, weight: Array, m: int, t: Array, end: int, out: Array, s: int) -> None:
-    """Add n rows of t, times their weights, to ``out[s, m]``: by eights, then one by one."""
+    """Add n rows of t, times their weights, to ``out[s, m]``: by eights, then what is left by four, two and one."""
     at, stride, width, k = (s * out.shape[1] + m) * out.shape[2], t.shape[1], weight.shape[1], 0
     while k + 8 <= n:
         add_eight(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
         k += 8
-    while k < n:
+    if n - k >= 4:
+        add_four(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
+        k += 4
+    if n - k >= 2:
+        add_two(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
+        k += 2
+    if k < n:
         add_one(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
-        k += 1
 
 
 @threaded

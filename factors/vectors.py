@@ -169,11 +169,10 @@ def _adder(rows: int) -> Callable[..., None]:
 #: Compiled only; the first argument is numba's.
 outer_nine: Callable[..., None] = intrinsic(_outer_nine)
 combine_nine: Callable[..., None] = intrinsic(_combine_nine)
-#: ``f(out, at, t, begin, stride, weight, w, vectors)``: to ``out`` from ``at`` add eight rows, or one, of ``t``, the
-#: first from ``begin``, each ``stride`` behind the one before, times the numbers of ``weight`` from ``w``; ``vectors``
-#: times :data:`LANES` elements.
-add_eight = _adder(8)
-add_one = _adder(1)
+#: ``f(out, at, t, begin, stride, weight, w, vectors)``: to ``out`` from ``at`` add eight, four, two or one row of
+#: ``t``, the first from ``begin``, each ``stride`` behind the one before, times the numbers of ``weight`` from ``w``;
+#: ``vectors`` times :data:`LANES` elements.
+add_eight, add_four, add_two, add_one = _adder(8), _adder(4), _adder(2), _adder(1)
 
 
 @threaded
