@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
-from typing import Any, Final
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import NotFiniteError
 from factors.batch_gather import gather_blocks, gather_gradients
 from factors.batch_ground import control_squares, move
-from factors.batch_pairs import image_gradients, pair_blocks
-from factors.batch_points import back_substitute, point_blocks, product
+from factors.batch_pairs import image_gradients
+from factors.batch_points import back_substitute, product
 from factors.batch_weights import scale_rows
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
@@ -27,10 +26,9 @@ from fg_orient.adjustment.robust import Weighing
 from fg_orient.adjustment.schur_own import OwnOfImages, SchurStep
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
 from fg_orient.adjustment.schur_rows import Buffers, Rows, row_arrays
+from fg_orient.adjustment.schur_stages import Stages
 from fg_orient.adjustment.schur_structure import (
-    ALL_KEPT,
     SERIAL_LIMIT,
-    Small,
     Structure,
     Tile,
     compile_structure,
@@ -66,17 +64,14 @@ class SchurSystem:
         b, backend = self._backend.buffers, self._backend
         b.held, b.root_weight, b.owner, self._eliminated_at = None, np.ones(0), self, None
         b.control = backend.problem.control_records
-        kept, others = ([t for t in self.structure.tiles if t.kept is want] for want in (True, False))
-        for tile in kept:
-            backend.evaluate(b.rows(tile), self.state, want=True)
-        if others and self._robust is None and backend.last_damping == 0.0:
-            # Gauss-Newton eliminates next: at once, before the rows are lost
+        if self._robust is None and backend.last_damping == 0.0:
+            # Gauss-Newton eliminates next: at once, while the rows are near
             with contextlib.suppress(Singular):
-                self._eliminate(0.0)
+                self._eliminate(0.0, fresh=True)
                 return
         b.held = None
-        for tile in others:
-            backend.evaluate(b.rows(tile), self.state, want=False)
+        for tile in self.structure.tiles:
+            backend.evaluate(b.rows(tile), self.state, want=tile.kept)
         if self._robust is not None:
             self._weigh(self._robust, b)
 
@@ -152,17 +147,6 @@ class SchurSystem:
         blocks = self._eliminated(damping)
         return blocks, self._gathered_gradient()
 
-    def _point_blocks(self, rows: Rows, damping: float) -> None:
-        s, b, problem, (lo, hi) = self.structure, self.buffers(), self._backend.problem, rows.tile.places
-        bad = self._backend.workers.run(
-            point_blocks, hi - lo, s.first, s.number, s.free, b.control, self.state.ground,
-            problem.point_damping(damping),
-            rows.tile.points[0], rows.value, rows.d_ground, b.root, b.gradient, b.scaled, start=lo,
-        )  # fmt: skip
-        for p in bad:
-            if p >= 0:
-                raise Singular(f"point {problem.block.points.ids[s.number[p]]} is not determined by its rays")
-
     def _eliminated(self, damping: float) -> Array:
         """Blocks (B, k, k) of the reduced system; leaves the point blocks and the gradients in the buffers."""
         s, b = self.structure, self.buffers()
@@ -175,17 +159,16 @@ class SchurSystem:
         self._own.add_blocks(b.blocks)
         return b.blocks
 
-    def _eliminate(self, damping: float) -> None:
-        """Eliminate the points, tile by tile: point blocks, sums and gradients of the chunks."""
-        s, b, backend = self.structure, self._backend.buffers, self._backend
-        self._eliminated_at, backend.last_damping = None, damping
+    def _eliminate(self, damping: float, *, fresh: bool = False) -> None:
+        """Eliminate the points, tile by tile: point blocks, sums and gradients of the chunks; ``fresh``: all rows."""
+        s, backend = self.structure, self._backend
+        b = backend.buffers if fresh else self.buffers()
+        self._eliminated_at, backend.last_damping, wide = None, damping, s.widened(self.state.image)
         for tile in s.tiles:
-            rows, (lo, hi) = self.rows(tile), tile.chunks
-            self._point_blocks(rows, damping)
-            backend.workers.run(
-                pair_blocks, s.cost[lo : hi + 1], s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis,
-                s.n_components, s.basis, tile.points[0], rows.d_image, b.scaled, b.sums, b.gradients, start=lo,
-            )  # fmt: skip
+            (lo, hi), there = tile.chunks, not fresh and (tile.kept or b.held is tile)
+            at = (b.rows(tile), self.state, None if there else wide, damping, b)
+            backend.workers.run(backend.stages.chunks, s.cost[lo : hi + 1], *at, start=lo)
+            b.held = b.held if tile.kept else tile
         self._eliminated_at = damping
 
     def _gathered_gradient(self) -> Array:
@@ -255,8 +238,10 @@ class SchurSystem:
         s, b = self.structure, self.buffers()
         self._eliminated_at = None
         for tile in s.tiles:
-            rows, (lo, hi) = self.rows(tile), tile.chunks
-            self._point_blocks(rows, 0.0)
+            rows, (lo, hi), (begin, end) = self.rows(tile), tile.chunks, tile.places
+            self._backend.workers.run(
+                self._backend.stages.points, end - begin, rows, self.state, 0.0, b, start=begin
+            )  # fmt: skip
             self._backend.workers.run(
                 image_gradients, hi - lo, s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis, s.n_components,
                 s.basis, tile.points[0], rows.value, rows.d_image, b.gradients, start=lo,
@@ -299,16 +284,6 @@ class SchurSystem:
         return SchurStep(image, ground, length, error, self.state, moved)
 
 
-def _in_order(records: Array, s: Structure) -> tuple[Array, Small]:
-    """Records and the row of each sorted image point: copied in that order where all rows are kept.
-
-    In the order of the input they cost 40 ns more per image point and iteration (measured at 1e5).
-    """
-    if len(s.row) > ALL_KEPT:
-        return records, s.row
-    return records[s.row], np.arange(len(s.row), dtype=np.int32)
-
-
 class SchurBackend:
     """The problem as arrays, driven by ``fg_orient.adjustment.loop``.
 
@@ -341,10 +316,10 @@ class SchurBackend:
         self.prior = 1.0 if problem.block.options.priors else 0.0
         self.own = OwnOfImages(problem, self.structure)
         self.reduced = ReducedSystems(self.structure, problem.first, reduced, problem.ties)
-        self.records, self.row = _in_order(problem.records, self.structure)
+        self.stages = Stages(problem, self.structure)
         self.buffers = Buffers(self.structure, problem.control_records)
         self.robust: Weighing | None = None
-        self.last_damping = 0.0
+        self.last_damping = None if problem.block.options.optimizer == "levenberg-marquardt" else 0.0
 
     def initial(self) -> State:
         """Start values."""
@@ -402,23 +377,8 @@ class SchurBackend:
         NotFiniteError
             A residual or Jacobian is nan or inf; names the observation.
         """
-        s, wide, (lo, hi) = self.structure, self.structure.widened(state.image), rows.tile.points
-        at = slice(lo, hi)
-        for group in s.groups:
-            members = self.buffers.members[: hi - lo]
-            if group.members is not None:
-                first, end = np.searchsorted(group.members, (lo, hi))
-                members = group.members[first:end] - np.int32(lo)
-            kernel: Callable[..., Any] = group.rows
-            bad = self.workers.run(
-                kernel, len(members), members, self.records, self.row[at], s.image[at], s.point[at],
-                group.columns.setup, group.n_basis, s.basis[at], wide, state.ground, rows.value, rows.d_image,
-                rows.d_ground, want,
-            )  # fmt: skip
-            for a in bad:
-                if a >= 0:
-                    label = self.problem.label(int(s.row[lo + a]))
-                    raise NotFiniteError(f"{label}: residual or Jacobian is not finite")
+        (lo, hi), wide = rows.tile.points, self.structure.widened(state.image)
+        self.workers.run(self.stages.rows, hi - lo, rows, state, wide, want, start=lo)
 
     def _squares(self, state: State, records: Array) -> Array:
         """Squared norms (m,) of the whitened residuals of the observed control points, by their records (N, 12)."""

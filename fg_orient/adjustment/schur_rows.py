@@ -42,7 +42,7 @@ class Buffers:
         self.value, self.trial, self.root_weight = np.empty((n, 2)), np.empty((largest, 2)), np.ones(0)
         self._kept, self._again = row_arrays(kept, c), row_arrays(again, c)
         self.held: Tile | None = None
-        self.members, self.scaled = np.arange(largest, dtype=np.int32), _aligned(largest, 8)
+        self.scaled = _aligned(largest, 8)
         self.root, self.gradient, self.squares = np.empty((p, 6)), np.empty((p, 3)), np.empty(len(s.chunks) - 1)
         self.sums = _aligned(slots, int(s.n_basis.max()) ** 2, padded(c * c))
         self.gradients = np.zeros((slots, int(s.n_basis.max()), (c + 7) // 8 * 8))

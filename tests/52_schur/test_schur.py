@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fg_orient as fg
+from factors._contract import NotFiniteError
 from factors.control import CONTROL_POINT
-from fg_orient.adjustment import schur, schur_reduced, schur_structure
+from fg_orient.adjustment import schur_reduced, schur_structure
 from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
@@ -250,6 +251,24 @@ def test_same_bits_for_one_and_two_threads(divided: bool, request: pytest.Fixtur
             result = OPTIMIZERS["levenberg-marquardt"](backend, problem.start, 50)
             ends.append((result.error, result.state.image.tobytes(), result.state.ground.tobytes()))
         assert ends[0] == ends[1] == ends[2]
+
+
+@pytest.mark.parametrize("divided", [False, True])
+def test_elimination_at_once_changes_no_bits(divided: bool, request: pytest.FixtureRequest) -> None:
+    """Gauss-Newton eliminates while it linearises; the rows, system and step are those of one after the other."""
+    if divided:
+        request.getfixturevalue("tiles")
+    problem = compile_problem(with_options(mixed_size(), eop_set=20))
+    ends, rows = [], []
+    for threads, expected in itertools.product((1, 2), (None, 0.0)):
+        backend = SchurBackend(problem, threads=threads)
+        backend.last_damping = expected
+        system = backend.linearise(problem.start)
+        assert (system._eliminated_at == 0.0) == (expected == 0.0)
+        rows.append(backend.buffers.value.tobytes())
+        step = system.solve(0.0)
+        ends.append((system.error, step.predicted_error, step.image.tobytes(), step.ground.tobytes()))
+    assert len(set(ends)) == len(set(rows)) == 1
 
 
 def test_rows_computed_again_change_no_bits(request: pytest.FixtureRequest) -> None:
@@ -555,7 +574,7 @@ def test_values_that_are_not_finite_name_the_image_point() -> None:
     records[7, 0] = np.nan
     broken = replace(problem, records=records)
     label = broken.label(7)
-    with pytest.raises(schur.NotFiniteError, match=label):
+    with pytest.raises(NotFiniteError, match=label):
         SchurBackend(broken).linearise(broken.start)
     with pytest.raises(fg.NoSolutionError) as caught:
         solve(replace(broken, block=with_options(broken.block, backend="schur")))
