@@ -171,7 +171,9 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], 
 
 def number(value: object, digits: int = 3) -> str:
     """Write a number for people; a dash where there is none."""
-    return "-" if not isinstance(value, (int, float)) or value != value else f"{value:.{digits}f}"
+    if not isinstance(value, (int, float)) or value != value:
+        return "-"
+    return f"{round(value, digits) + 0.0:.{digits}f}"  # no minus before a zero
 
 
 def require_project(path: Path) -> None:

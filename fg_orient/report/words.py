@@ -28,6 +28,7 @@ def orientation_words(record: dict[str, Any]) -> str:
             words.append(f"look-angle polynomial of degree {record['look_polynomial']}")
     if "RPC" in kinds:
         words.append(f"RPC compensation: {record['rpc_compensation'].replace('_', ' and ')}")
+    words += [f"{kind} images" for kind in sorted(kinds - {"pushbroom", "RPC"})]
     return " · ".join(words)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fg_orient.cli.common import number
 from fg_orient.report import charts, payload, residual_plots, svg
 from fg_orient.report.data import Result, residual_summary
 from fg_orient.report.extent import first_view
@@ -21,7 +22,7 @@ from fg_orient.report.html import render
 from fg_orient.report.orientation import corrections, correlations, short_names
 from fg_orient.report.page import script
 from fg_orient.report.panel import Panel, powers, ticks
-from fg_orient.report.words import signed
+from fg_orient.report.words import orientation_words, signed
 from tests.support.page import of_large_images, structure
 
 
@@ -179,9 +180,25 @@ def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
     assert charts.heat_maps(dataclasses.replace(result, cofactors=first)) == maps
 
 
+@pytest.mark.parametrize(
+    ("models", "words"),
+    [
+        (("pushbroom", "pushbroom"), "EOP set 15 PUA"),
+        (("frame", "frame"), "frame images"),
+        (("frame", "RPC"), "RPC compensation: shift and drift · frame images"),
+        (("parallel", "pushbroom"), "EOP set 15 PUA · parallel images"),
+    ],
+)
+def test_every_kind_of_image_has_words(result: Result, models: tuple[str, ...], words: str) -> None:
+    """Nothing stands behind a comma or a dot that has nothing to say."""
+    images = [{**image, "model": model} for image, model in zip(result.record["images"], models, strict=True)]
+    assert orientation_words({**result.record, "images": images, "rpc_compensation": "shift_drift"}) == words
+
+
 def test_what_is_rounded_to_zero_has_no_sign(result: Result) -> None:
     assert [signed(v) for v in (-0.0004, 0.0004, 0.0, -0.0006, 1.5)] == ["0.000", "0.000", "0.000", "−0.001", "+1.500"]
     assert signed(-0.04, 1) == "0.0"
+    assert [number(v) for v in (-0.0004, -0.0, -0.0006)] == ["0.000", "0.000", "-0.001"]
     points = dict(result.points.figures)
     points["difference_up_m"] = np.where(np.isnan(points["difference_up_m"]), np.nan, -1e-5)
     drawing = svg.point_map(dataclasses.replace(result, points=dataclasses.replace(result.points, figures=points)))
