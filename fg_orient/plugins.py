@@ -11,7 +11,10 @@ from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
-from fg_orient.errors import FgOrientError, InputError
+from fg_orient.errors import FgOrientError, InputError, Problem, problem
+
+#: Files that were loaded, as tracebacks name them.
+_LOADED: set[str] = set()
 
 
 def load_plugin(path: str | Path) -> ModuleType:
@@ -51,14 +54,55 @@ def _imported(path: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except Exception as error:
         del sys.modules[path.stem]
-        value = error if isinstance(error, FgOrientError) else f"{type(error).__name__}: {error}"
+        value = error if isinstance(error, FgOrientError) else told(error)
         raise InputError.of("plugin.failed", file=path, place=_line(error, path), value=value) from error
+    _LOADED.add(str(path))
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
     return module
 
 
-def _line(error: Exception, path: Path) -> str:
+def fault_of(error: BaseException) -> Problem | None:
+    """What to say of an exception that came through a plugin; None if no plugin took part.
+
+    Parameters
+    ----------
+    error : exception
+        Any but an ``FgOrientError``, which says by itself what is wrong.
+    """
+    file = next((name for name in reversed(_files(error)) if name in _LOADED), None)
+    if file is None:
+        return None
+    return problem("plugin.raised", file=file, place=_line(error, Path(file)), value=told(error))
+
+
+def raised_in(error: BaseException, file: str) -> str:
+    """File and line of a user's own code that an exception came from.
+
+    Parameters
+    ----------
+    error : exception
+    file : str
+        Of that code, should the exception not have come through it: built-in functions leave no trace.
+    """
+    return f"{file}, {_line(error, Path(file))}" if file in _files(error) else file
+
+
+def told(error: BaseException) -> str:
+    """Kind and words of an exception on one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _files(error: BaseException) -> list[str]:
+    """Files that an exception came through, the innermost last."""
+    files, trace = [], error.__traceback__
+    while trace is not None:
+        files.append(trace.tb_frame.f_code.co_filename)
+        trace = trace.tb_next
+    return files
+
+
+def _line(error: BaseException, path: Path) -> str:
     """Last line of the file that the error came through; of a syntax error the line itself."""
     if isinstance(error, SyntaxError) and error.filename == str(path):
         return f"line {error.lineno}"

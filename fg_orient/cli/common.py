@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from fg_orient.sensors.surface import RasterDem
 
 INTERRUPTED = 130
+#: Faults of a user's own file, whose traceback --debug shows.
+PLUGINS = ("plugin.failed", "sensor.own_reader")
 #: Words before a colon that make a line one of the log.
 LOGGED = ("error", "warning", "note", "remark", "lost")
 
@@ -134,6 +136,8 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
     except typer.Exit:
         raise
     except FgOrientError as error:
+        if debug and any(p.code in PLUGINS for p in error.problems):
+            traceback.print_exc()
         if as_json:
             emit_errors(*error.problems)
         for found in folded(error.problems):
@@ -148,12 +152,23 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        found = internal(error, debug)
-        session().tell("error", **found.as_dict())
+        own = _of_a_plugin(error)
+        found = own or internal(error, debug)
         if as_json:
             emit_errors(found)
+        if own:
+            fault(own)
+            raise typer.Exit(InputError.exit_code) from None
+        session().tell("error", **found.as_dict())
         note(found)
         raise typer.Exit(1) from None
+
+
+def _of_a_plugin(error: Exception) -> Problem | None:
+    """Describe an exception that a user's own file raised."""
+    from fg_orient.plugins import fault_of
+
+    return fault_of(error)
 
 
 def internal(error: Exception, debug: bool) -> Problem:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fg_orient.errors import InputError
+from fg_orient.errors import FgOrientError, InputError
+from fg_orient.plugins import raised_in, told
 
 if TYPE_CHECKING:
     from fg_orient.sensors.frame import FrameSensor
@@ -81,7 +82,7 @@ def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s
         raise InputError.of("sensor.model", file=path, place="model", value=model, known=", ".join(MODELS))
     own = next((reader for reader in _READERS.values() if reader.claims(Path(path))), None)
     if own is not None:
-        return own.read(Path(path))
+        return _own(own, Path(path))
     if Path(path).suffix.lower() == ".toml":
         return _described(Path(path))
     from fg_orient.io.rpc import read_rpc, rpc_format
@@ -98,6 +99,22 @@ def read_sensor(path: str | Path, *, model: str = "auto", extrapolate_attitude_s
     from fg_orient.sensors.pushbroom import PushbroomSensor
 
     return PushbroomSensor(read_dimap(path), extrapolate_attitude_s=extrapolate_attitude_s)
+
+
+def _own(reader: Reader, path: Path) -> Any:
+    """Read with a user's own reader; what it raises by mistake is its fault, and told so with its file and line."""
+    if not path.exists():
+        raise InputError.of("sensor.missing", file=path, place="metadata")
+    try:
+        return reader.read(path)
+    except FgOrientError:
+        raise
+    except Exception as error:
+        code = getattr(reader.read, "__code__", None)
+        where = reader.read.__qualname__ if code is None else raised_in(error, code.co_filename)
+        raise InputError.of(
+            "sensor.own_reader", file=path, place=f"reader {reader.name}", value=told(error), where=where
+        ) from error
 
 
 def _described(path: Path) -> PushbroomSensor | FrameSensor:

@@ -119,6 +119,11 @@ SENSOR: Final = {
         "attitudes are extrapolated for 0 to {most:g} s only",
         "give the seconds that are missing, such as 0.2",
     ),
+    "sensor.missing": ("the file does not exist", "check the path"),
+    "sensor.own_reader": (
+        "the plugin that reads it, {where}, raised an exception",
+        "mend it there; what is wrong with a file it should say by an InputError; --debug shows the traceback",
+    ),
     "sensor.model": ("no such kind of model", "choose one of {known}"),
     "sensor.only_rpc": (
         "the file holds an RPC, no rigorous model",

@@ -238,6 +238,10 @@ REPLAY: Final = {
 CLI: Final = {
     "plugin.file": ("there is no such Python file", "give a file such as my_sensor.py, its name being a module's name"),
     "plugin.name": ("another module has this name already", "rename the file"),
+    "plugin.raised": (
+        "the plugin raised an exception",
+        "mend it there; what is wrong with a file it should say by an InputError; --debug shows the traceback",
+    ),
     "plugin.failed": ("the plugin cannot be loaded", "mend the file; from Python, import it to see more"),
     "cli.no_pixel": ("no pixel is given", "give --line L --sample S, or --points FILE, or --frame"),
     "cli.no_height": (

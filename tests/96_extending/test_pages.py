@@ -267,6 +267,46 @@ def test_files_that_cannot_be_loaded(name: str, text: str | None, said: str, tmp
     assert Path(name).stem not in sys.modules or name == "numpy.py"
 
 
+def test_a_reader_that_stumbles_is_named_with_its_line(
+    files: dict[str, Path], tmp_path: Path, registries: pytest.MonkeyPatch
+) -> None:
+    """Not an error of the program: the plugin, its line, the file that it read, and exit code 2."""
+    image = tmp_path / "left.parallel"
+    words = ("--plugin", files["sensor"], "locate", image, "--line", 1, "--sample", 1, "--height", 0)
+    missing = in_process(*words)
+    assert (missing.code, missing.stderr) == (2, f"error: {image}, metadata: the file does not exist; check the path\n")
+    image.write_text('{"lines": 5}')
+    ended = in_process(*words)
+    line = 1 + next(k for k, text in enumerate(files["sensor"].read_text().splitlines()) if 'found["place"]' in text)
+    assert ended.code == 2 and len(ended.stderr.splitlines()) == 1 and "error of the program" not in ended.stderr
+    assert ended.stderr.startswith(
+        f"error: {image}, reader parallel: the plugin that reads it, {files['sensor']}, line {line},"
+    )
+    assert "(found KeyError: 'place'); mend it there" in ended.stderr
+    assert "Traceback" in in_process(*words, "--debug").stderr
+    told = in_process(*words, "--json")
+    assert (told.code, [e["code"] for e in told.json["errors"]]) == (2, ["sensor.own_reader"])
+    with pytest.raises(fg.InputError) as caught:
+        fg.read_sensor(image)
+    assert isinstance(caught.value.__cause__, KeyError)
+
+
+def test_any_other_exception_of_a_plugin_is_named_too(
+    parallel: tuple[Path, dict[str, Any]], files: dict[str, Path], tmp_path: Path, registries: pytest.MonkeyPatch
+) -> None:
+    own = tmp_path / "docs_stumbles.py"
+    text = files["sensor"].read_text().replace("docs_parallel", "docs_stumbles").replace('"parallel"', '"stumbles"')
+    own.write_text(text.replace(".parallel", ".stumbles").replace("return start, np.tile", "return start, np.tyle"))
+    image = tmp_path / "left.stumbles"
+    image.write_bytes((parallel[0] / "left.parallel").read_bytes())
+    words = ("--plugin", own, "locate", image, "--line", 1, "--sample", 1, "--height", 0)
+    ended = in_process(*words)
+    sys.modules.pop("docs_stumbles", None)
+    line = 1 + next(k for k, text in enumerate(own.read_text().splitlines()) if "np.tyle" in text)
+    assert ended.code == 2 and ended.stderr.startswith(f"error: {own}, line {line}: the plugin raised an exception ")
+    assert "AttributeError" in ended.stderr
+
+
 def test_the_environment_names_files_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FG_ORIENT_PLUGIN", str(tmp_path / "absent.py"))
     ended = in_process("report", tmp_path)
