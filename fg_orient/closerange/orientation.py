@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import product
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
@@ -27,7 +29,8 @@ from fg_orient.closerange.fitting import (
     unit_weight,
 )
 from fg_orient.closerange.photo import Interior
-from fg_orient.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.closerange.rivals import SAME, likeness, ratio_limit, told_apart
+from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.initial import nearest_points
 from fg_orient.rectification.transformation import Scaling
 
@@ -38,6 +41,35 @@ LEAST_EIGHT_POINT: Final = 8
 LEAST_ABSOLUTE: Final = 3
 #: Difference of the largest and smallest singular values of a homography that is a rotation.
 FLAT: Final = 1e-12
+
+
+@dataclass(frozen=True)
+class RelativeRival:
+    """A second relative orientation that the points do not tell from the first.
+
+    Parameters
+    ----------
+    rotation : (3, 3) array
+    base : (3,) array
+        As of :class:`RelativeOrientation`.
+    ratio : float
+        Its weighted squares by those of the first.
+    limit : float
+        Ratio from which the test tells them apart: an F test at ``rivals.LEVEL``, and, if it comes later, chi-square
+        of the difference where sigma is given.
+    """
+
+    rotation: Array
+    base: Array
+    ratio: float
+    limit: float
+
+    def __str__(self) -> str:
+        along = ", ".join(f"{v:.4g}" for v in self.base)
+        return (
+            f"a second orientation fits nearly as well, base along {along}: weighted squares {self.ratio:.3g} times as "
+            f"large, a test at 5 % tells orientations apart from {self.limit:.3g}; add points, some off the plane"
+        )
 
 
 @dataclass(frozen=True)
@@ -64,6 +96,8 @@ class RelativeOrientation(Deviations):
     redundancy : int
     condition : float
     iterations : int
+    rival : RelativeRival or None
+        Few points of a plane fit two orientations, and so may seven or eight points in space.
     """
 
     rotation: Array
@@ -76,11 +110,23 @@ class RelativeOrientation(Deviations):
     redundancy: int
     condition: float
     iterations: int
+    rival: RelativeRival | None = None
+
+
+@dataclass(frozen=True)
+class _Minimum:
+    """A minimum of the squares: an orientation, or what is wrong with it."""
+
+    squares: float
+    rotation: Array
+    base: Array
+    in_front: bool
+    found: RelativeOrientation | None
 
 
 def relative_orientation(
     first: Interior, second: Interior, image_first: npt.ArrayLike, image_second: npt.ArrayLike, *,
-    sigma: float = 1.0,
+    sigma: float | None = None,
 ) -> RelativeOrientation:  # fmt: skip
     """Orient two photos to each other.
 
@@ -89,18 +135,19 @@ def relative_orientation(
     first, second : Interior
     image_first, image_second : (n, 2) arrays
         Measured coordinates of six points or more in both.
-    sigma : float
-        Of all image coordinates, in the unit of the focal lengths.
+    sigma : float, optional
+        Of all image coordinates, in the unit of the focal lengths; without it m0 is its size.
 
     Returns
     -------
     RelativeOrientation
-        Of all minima found that of the smallest misfit, all points in front of both cameras.
+        Of all minima found that of the smallest misfit, all points in front of both cameras; with its rival.
 
     Raises
     ------
     InputError
-        Too few points, or points that leave the orientation open.
+        Too few points, or points that leave the orientation open: the minimum of the smallest misfit does, be there
+        others that do not.
     NoSolutionError
         No minimum with the points in front of both cameras.
 
@@ -118,18 +165,43 @@ def relative_orientation(
     n = len(tangents[0])
     if n != len(tangents[1]) or n < LEAST_RELATIVE:
         raise InputError.of("closerange.few", place="relative orientation", value=n, least=LEAST_RELATIVE)
-    require_sigmas(sigma)
+    unit = 1.0 if sigma is None else sigma
+    require_sigmas(unit)
     points = np.column_stack(tangents)
-    size = np.tile(np.repeat([sigma / first.focal, sigma / second.focal], 2), (n, 1))
-    found, failure = [], NoSolutionError.of("closerange.no_pair", place="relative orientation")
+    size = np.tile(np.repeat([unit / first.focal, unit / second.focal], 2), (n, 1))
+    minima = list[_Minimum]()
     for rotation, base in _starts(points):
-        try:
-            found.append(_adjusted_pair(points, size, rotation, base))
-        except FgOrientError as error:
-            failure = error if not isinstance(error, NoSolutionError) else failure
-    if not found:
-        raise failure
-    return min(found, key=lambda one: float(one.distances @ one.distances))
+        with suppress(NoSolutionError):
+            minima.append(_adjusted_pair(points, size, rotation, base))
+    return _chosen(sorted(minima, key=attrgetter("squares")), n - 5, known=sigma is not None)
+
+
+def _chosen(minima: list[_Minimum], redundancy: int, *, known: bool) -> RelativeOrientation:
+    """The determined minimum with the points in front of both cameras, unless one that is not determined decides.
+
+    Such a one decides with smaller squares; with points behind a camera, where noise decides on their side as well, if
+    an F test tells the others from it.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        See :func:`relative_orientation`.
+    """
+    first = next((one for one in minima if one.in_front and one.found is not None), None)
+    best = np.inf if first is None else first.squares
+    for one in minima:
+        below = one.squares < best if one.in_front else one.squares * ratio_limit(redundancy) < best
+        if one.found is None and below:
+            raise InputError.of("closerange.pair", place="relative orientation", value="the least squares are there")
+    if first is None or first.found is None:
+        raise NoSolutionError.of("closerange.no_pair", place="relative orientation")
+    for other in minima:
+        apart = max(np.abs(other.rotation - first.rotation).max(), np.linalg.norm(other.base - first.base))
+        ratio = likeness(first.squares, other.squares, redundancy, known=known)
+        if other.in_front and apart > SAME and ratio is not None:
+            rival = RelativeRival(other.rotation, other.base, ratio, told_apart(first.squares, redundancy, known=known))
+            return replace(first.found, rival=rival)
+    return first.found
 
 
 def _starts(points: Array) -> list[tuple[Array, Array]]:
@@ -189,26 +261,28 @@ def _record(rotation: Array, base: Array) -> tuple[Array, Array]:
     return np.concatenate([[1.0], rotation.ravel(), base, axes.ravel()]), axes
 
 
-def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) -> RelativeOrientation:
+def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) -> _Minimum:
     record, _ = _record(rotation, base)
     found = adjust(lambda x, want: _pair_rows(record, points, sigma, x, want), np.zeros(5), "relative orientation")
     turn, moved = turn_and_base(record, found.state)
     rotation, base = turn[:9].reshape(3, 3), moved / np.linalg.norm(moved)
     model = _model(points, rotation, base)
-    if not (np.isfinite(model).all() and (model[:, 2] > 0.0).all() and ((model - base) @ rotation[2] > 0.0).all()):
-        raise NoSolutionError.of("closerange.no_pair", place="relative orientation")
+    in_front = bool(
+        np.isfinite(model).all() and (model[:, 2] > 0.0).all() and ((model - base) @ rotation[2] > 0.0).all()
+    )
     record, axes = _record(rotation, base)  # at the solution: unknowns are turns of the second camera there
     distances, design = _pair_rows(record, points, sigma, np.zeros(5), True)
-    judged = determination(design)
+    judged, squares = determination(design), float(distances @ distances)
     sd = None if judged.cofactors is None else np.sqrt(np.diag(judged.cofactors))
     if sd is None or (sd > UNDETERMINED * float(np.sqrt(np.mean(sigma**2)))).any():
-        raise InputError.of("closerange.pair", place="relative orientation", value=f"condition {judged.condition:.2g}")
+        return _Minimum(squares, rotation, base, in_front, None)
     assert judged.cofactors is not None
     redundancy = len(points) - 5
-    return RelativeOrientation(
-        rotation, base, axes, judged.cofactors, model, distances, unit_weight(float(distances @ distances), redundancy),
-        redundancy, judged.condition, len(found.log),
+    whole = RelativeOrientation(
+        rotation, base, axes, judged.cofactors, model, distances, unit_weight(squares, redundancy), redundancy,
+        judged.condition, len(found.log),
     )  # fmt: skip
+    return _Minimum(squares, rotation, base, in_front, whole)
 
 
 def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, want: bool) -> tuple[Array, Array]:

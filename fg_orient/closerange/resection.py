@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtri
 
 from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, camera
 from fg_orient.closerange.dlt import direct_dlt, recover
@@ -24,6 +23,7 @@ from fg_orient.closerange.fitting import (
     unit_weight,
 )
 from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.rivals import SAME, likeness, ratio_limit
 from fg_orient.errors import FgOrientError, InputError, NoSolutionError
 from fg_orient.rectification.transformation import Scaling
 
@@ -35,10 +35,6 @@ LEAST: Final = 4
 SPREAD: Final = 6
 #: Starts that are iterated, the best ones of all.
 TRIED: Final = 4
-#: Two minima whose centres differ by less of the object's distance, and whose axes by less (rad), are one.
-SAME: Final = 1e-5
-#: Level of the test that tells two poses apart.
-LEVEL: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,7 @@ class Rival:
     ratio : float
         Its weighted squares by those of the first.
     limit : float
-        Ratio from which an F test at ``LEVEL`` tells them apart.
+        Ratio from which an F test at ``rivals.LEVEL`` tells them apart.
     """
 
     rotation: Array
@@ -188,12 +184,11 @@ def _with_rival(found: list[Resection], ground: Array) -> Resection:
     ]  # fmt: skip
     if not apart:
         return first
-    limit = float(fdtri(first.redundancy, first.redundancy, 1.0 - LEVEL))
-    second, own = apart[0], first.weighted_squares
-    if second.weighted_squares > limit * own:
+    ratio = likeness(first.weighted_squares, apart[0].weighted_squares, first.redundancy)
+    if ratio is None:
         return first
-    ratio = second.weighted_squares / own if own > 0.0 else 1.0
-    return replace(first, rival=Rival(second.rotation, second.centre_m, ratio, limit))
+    limit = ratio_limit(first.redundancy)
+    return replace(first, rival=Rival(apart[0].rotation, apart[0].centre_m, ratio, limit))
 
 
 def _mirrored(pose: Pose, ground: Array) -> Pose:

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from fg_orient.closerange.orientation import RelativeOrientation, absolute_orientation, relative_orientation
 from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.rivals import likeness
 from fg_orient.errors import InputError
 
 from .conftest import Array
@@ -24,11 +25,13 @@ def looking(centre: Array, rng: np.random.Generator) -> Array:
     return np.stack([right, np.cross(along, right), along])
 
 
-def pair(rng: np.random.Generator, points: Array, *, turned: bool) -> tuple[Array, Array, list[Array]]:
+def pair(
+    rng: np.random.Generator, points: Array, *, turned: bool, base_m: float = 1.0
+) -> tuple[Array, Array, list[Array]]:
     """Rotation and base of the second camera from the first, and noisy images of points."""
     first = np.append(rng.normal(scale=1.5, size=2), 5.0)
     across = np.cross(first, rng.normal(size=3))
-    second = first + across / np.linalg.norm(across)
+    second = first + base_m * across / np.linalg.norm(across)
     rotations = [looking(first, rng)]
     little = Rotation.from_rotvec(rng.normal(scale=0.05, size=3)).as_matrix()
     rotations.append(looking(second, rng) if turned else little @ rotations[0])
@@ -60,6 +63,40 @@ def test_seven_points_need_more_starts_than_the_axes() -> None:
     rotation, base, images = pair(rng, rng.uniform(-1.0, 1.0, (7, 3)), turned=False)
     found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
     require_near(found, rotation, base, m0=3.5)
+
+
+@pytest.mark.parametrize("seed", [16, 43, 48])
+def test_a_minimum_that_is_not_determined_decides_where_it_is_the_least(seed: int) -> None:
+    """2 cm of base at 5 m: others were the answer, bases 0.3 to 3 rad off by 0.001, with m0 of 3 to 6."""
+    rng = np.random.default_rng(seed)
+    _, _, images = pair(rng, rng.uniform(-1.0, 1.0, (12, 3)), turned=False, base_m=0.02)
+    with pytest.raises(InputError, match="do not determine the relative orientation"):
+        relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
+
+
+@pytest.mark.parametrize("seed", [15, 19, 36])
+def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
+    """Seven points of a plane: what fits best is not the truth, which is the rival; 20 points tell them apart."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1.0, 1.0, (7, 3)) * [1.0, 1.0, 0.0]
+    rotation, base, images = pair(rng, points, turned=True)
+    found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
+    assert np.linalg.norm(found.base - base) > 0.3 and found.rival is not None
+    assert np.linalg.norm(found.rival.base - base) < 0.05
+    assert np.abs(found.rival.rotation - rotation).max() < 0.05
+    assert 1.0 <= found.rival.ratio <= found.rival.limit
+    assert "a second orientation fits nearly as well, base along" in str(found.rival)
+    many = rng.uniform(-1.0, 1.0, (20, 3)) * [1.0, 1.0, 0.0]
+    images = pair(rng, many, turned=True)[2]
+    assert relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA).rival is None
+
+
+def test_known_sigmas_tell_minima_apart_by_the_difference() -> None:
+    """Squares of 0.01 and 0.2 both fit sigmas of 1; a ratio of 20 alone says otherwise. Large ones: the ratio rules."""
+    assert likeness(0.01, 0.2, 2) is None and likeness(0.01, 0.2, 2, known=True) == pytest.approx(20.0)
+    assert likeness(0.01, 3.9, 2, known=True) is None
+    assert likeness(10.0, 180.0, 2, known=True) == pytest.approx(18.0)  # F of 2 and 2 at 5 %: 19
+    assert likeness(10.0, 195.0, 2, known=True) is None
 
 
 def test_points_close_to_a_line_leave_the_turn_open() -> None:
