@@ -152,7 +152,8 @@ class Problem:
 
     def prior_squares(self, state: State) -> float:
         """Sum of the squares of the image unknowns, those in common once."""
-        return float(np.sum((state.image if self.ties is None else self.image_vector(state)) ** 2))
+        unknowns = state.image if self.ties is None else self.image_vector(state)
+        return float(np.vdot(unknowns, unknowns))
 
     @cached_property
     def _exists(self) -> npt.NDArray[np.bool_]:

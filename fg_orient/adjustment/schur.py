@@ -209,7 +209,7 @@ class SchurSystem:
                 tile.points[0], rows.value, rows.d_image, rows.d_ground, b.root, b.gradient, ground, b.squares,
                 start=lo,
             )  # fmt: skip
-        return self._step(image, ground, float(np.sum(b.squares)))
+        return self._step(image, ground, float(b.squares.sum()))
 
     def dogleg(self, radius: float) -> SchurStep:
         """Blend of the steepest-descent and the Gauss-Newton step."""
@@ -399,4 +399,4 @@ class SchurBackend:
     def half_linear(self, state: State, records: Array | None = None) -> float:
         """Half the weighted sum of squares of control points and priors."""
         control = self._squares(state, self.problem.control_records if records is None else records)
-        return 0.5 * float(np.sum(control) + self.prior * self.problem.prior_squares(state))
+        return 0.5 * float(control.sum() + self.prior * self.problem.prior_squares(state))

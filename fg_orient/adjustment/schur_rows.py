@@ -67,4 +67,6 @@ def _aligned(*shape: int) -> Array:
 
 def row_arrays(n: int, c: int) -> tuple[Array, Array]:
     """Jacobians of n image points; the first ones with room behind them, see ``factors.vectors``."""
-    return np.zeros(2 * n * c + SLACK)[: 2 * n * c].reshape(n, 2, c), np.zeros((n, 2, 3))
+    space = np.empty(2 * n * c + SLACK)
+    space[2 * n * c :] = 0.0
+    return space[: 2 * n * c].reshape(n, 2, c), np.empty((n, 2, 3))

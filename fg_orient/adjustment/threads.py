@@ -34,7 +34,9 @@ class Workers:
         ``cuts`` is the length of the range, or the running sum of the cost of its items; ``start`` its first item.
         """
         bounds = [start + cut for cut in self._bounds(cuts)]
-        mates = self._others() if self.threads > 1 else ()
+        if self.threads == 1:
+            return [kernel(*bounds, *arguments)]
+        mates = self._others()
         asked = 0
         try:
             for mate, lo, hi in zip(mates, bounds[1:], bounds[2:], strict=False):
