@@ -1,19 +1,22 @@
 """Ground control of the Ames Stereo Pipeline: ``.gcp``, one point a line with all its image points.
 
 ``id latitude longitude height sx sy sz`` and, for each image, ``name column row sigma_column sigma_row``; blanks or
-commas. Latitude stands before longitude. The datum is not in the file. The three standard deviations refer to
+commas. Latitude stands before longitude. The datum stands in a comment, ``# WKT: GEOGCS[...]``, or nowhere.
+The three standard deviations refer to
 geocentric x, y, z unless the program is told otherwise (``bundle_adjust --use-lon-lat-height-gcp-error``: then to
 longitude, latitude, height in metres). Columns and rows count from 0, taken as the centre of the first pixel.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.crs import WGS84, wkt
 from fg_orient.errors import InputError, Problem, problem
 from fg_orient.geodesy import crs_kind, enu_from_ecef
 from fg_orient.interchange.ground import decided_crs
@@ -21,7 +24,7 @@ from fg_orient.interchange.registry import Format, Holds, Settings, register
 from fg_orient.interchange.survey import Gathering, Survey
 from fg_orient.interchange.text import cells_of, digits, named, numbers, require_plain, sigma
 from fg_orient.io.atomic import write_text
-from fg_orient.io.tables import Faults
+from fg_orient.io.tables import Faults, read_text
 from fg_orient.names import Role
 
 Array = npt.NDArray[np.float64]
@@ -29,15 +32,22 @@ Array = npt.NDArray[np.float64]
 GROUND: Final = ("id", "latitude", "longitude", "height", "sx", "sy", "sz")
 IMAGE: Final = ("image", "column", "row", "sigma_column", "sigma_row")
 EXPECTED: Final = "7 and 5 more for each image"
+_WKT: Final = re.compile(r"^#\s*WKT:\s*(.+)$", re.MULTILINE | re.IGNORECASE)
+#: Heights are those above the ellipsoid, whatever the comment can say of them.
+_WITH_HEIGHTS: Final = {"EPSG:4326": WGS84}
 
 
 def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
-    """Read a ``.gcp``; the CRS of the settings has to be geographic."""
+    """Read a ``.gcp``; the CRS of the settings, or of the comment, has to be geographic."""
     path = paths[0]
-    crs, _ = decided_crs("", settings.crs, path)
-    if crs_kind(crs) != "geographic":
-        raise InputError.of("interchange.geographic", file=path, place="--crs", value=crs)
     faults = Faults(str(path))
+    stated = _WKT.search(read_text(path, faults) or "")
+    faults.raise_if_any()
+    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
+    crs = crs if settings.crs else _WITH_HEIGHTS.get(crs, crs)
+    if crs_kind(crs) != "geographic":
+        place = "--crs" if settings.crs else "WKT"
+        raise InputError.of("interchange.geographic", file=path, place=place, value=crs)
     gathered = Gathering(faults)
     for n, cells in cells_of(path, faults, "either"):
         images, rest = divmod(len(cells) - len(GROUND), len(IMAGE))
@@ -54,7 +64,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             column, line = numbers(mark, IMAGE[1:3], faults)
             along, across = (sigma(mark, name, "pixels", faults) for name in ("sigma_row", "sigma_column"))
             gathered.measure(mark.cells["image"], row.cells["id"], line, column, (along, across), line=n)
-    return gathered.finished(crs)
+    return gathered.finished(crs, notes=notes)
 
 
 def _enu(lon: float, lat: float, sigmas: list[float], axes: str) -> list[float]:
@@ -86,7 +96,11 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[
     ):
         marks.setdefault(point, []).extend([survey.images[image], *map(digits, (sample, line, across, along))])
     axes = "longitude, latitude, height" if settings.sigma_axes == "enu" else "geocentric x, y, z"
-    lines = [f"# latitude longitude (degrees) height (m) of {survey.crs}; standard deviations (m) along {axes}"]
+    datum = survey.crs.partition("+")[0]
+    lines = [
+        f"# WKT: {wkt(datum)}",
+        f"# latitude longitude (degrees) height (m) of {survey.crs}; standard deviations (m) along {axes}",
+    ]
     for k in np.flatnonzero(survey.located).tolist():
         lon, lat, height = survey.coordinates[k]
         ground = [survey.ids[k], *map(digits, (lat, lon, height, *_ecef(survey, k, settings.sigma_axes)))]
@@ -108,7 +122,7 @@ FORMAT = register(
         ground_axes="latitude, longitude (degrees), height (m)",
         holds=frozenset(
             {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.HEIGHTS, Holds.SIGMA_GROUND,
-             Holds.SIGMA_UP, Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE}
+             Holds.SIGMA_UP, Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE, Holds.CRS}
         ),
         needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
         read=read,

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fg_orient.crs import wkt
 from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic, to_ecef
-from fg_orient.interchange.asp_gcp import read
+from fg_orient.interchange.asp_gcp import read, write
 from fg_orient.interchange.registry import Settings
 from fg_orient.names import Role
 
@@ -69,6 +70,35 @@ def test_bad_lines_are_refused(tmp_path: Path, text: str, message: str) -> None:
     path.write_text(text + "\n", encoding="utf-8")
     with pytest.raises(InputError, match=message):
         read((path,), Settings(crs="EPSG:4979"))
+
+
+NAD27 = (
+    'GEOGCS["NAD27",DATUM["North_American_Datum_1927",SPHEROID["Clarke 1866",6378206.4,294.978698213898]],'
+    'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4267"]]'
+)
+
+
+def test_the_comment_with_wkt_is_the_crs_of_the_file(file: Path) -> None:
+    text = file.read_text("utf-8")
+    file.write_text(f"# WKT: {wkt('EPSG:4326')}\n{text}", "utf-8")
+    assert read((file,), Settings()).crs == "EPSG:4979"  # heights above the ellipsoid
+    assert read((file,), Settings(crs="EPSG:4326+5773")).crs == "EPSG:4326+5773"
+    file.write_text(f"# id latitude longitude\n#wkt: {NAD27}\n{text}", "utf-8")
+    assert read((file,), Settings()).crs == "EPSG:4267"
+    with pytest.raises(InputError, match=r"EPSG:4267.*EPSG:4979|EPSG:4979.*EPSG:4267"):
+        read((file,), Settings(crs="EPSG:4979"))
+    file.write_text(f"# WKT: {wkt('EPSG:32636')}\n{text}", "utf-8")
+    with pytest.raises(InputError, match=r"WKT: .*geographic"):
+        read((file,), Settings())
+    file.write_text(f"# WKT: GEOGCS[nonsense\n{text}", "utf-8")
+    with pytest.raises(InputError, match="none of EPSG"):
+        read((file,), Settings())
+    survey = read((file,), Settings(crs="EPSG:4979"))
+    assert "GEOGCS[nonsense" in survey.notes[0]
+    write(survey, (file,), Settings())
+    assert file.read_text("utf-8").startswith('# WKT: GEOGCS["WGS 84",')
+    again = read((file,), Settings())
+    assert again.crs == "EPSG:4979" and np.array_equal(again.coordinates, survey.coordinates)
 
 
 @pytest.mark.parametrize(("crs", "message"), [("", "does not say its CRS"), ("EPSG:32636", "geographic")])

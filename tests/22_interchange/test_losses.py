@@ -23,7 +23,7 @@ UTM = "EPSG:32636"
 LOST = {
     "csv": set(),
     "gpkg": set(),
-    "asp-gcp": {"crs", "ties", "roles"},
+    "asp-gcp": {"ties", "roles"},
     "metashape-csv": {"image"},
     "metashape-xml": {"sigma_image"},
     "pix4d": {"crs", "roles", "bare_ties", "sigma_east_north", "sigma_image"},
