@@ -5,6 +5,7 @@ from pathlib import Path
 
 # The kernels are documented as the plain functions they are written as.
 os.environ["NUMBA_DISABLE_JIT"] = "1"
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpydoc.docscrape_sphinx as _numpydoc
@@ -40,11 +41,13 @@ author = "the fg_orient developers"
 copyright = "2026, the fg_orient developers"
 release = version = fg_orient.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.apidoc", "sphinx.ext.mathjax", "numpydoc"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.apidoc", "mathml", "numpydoc"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
+myst_update_mathjax = False
+html_math_renderer = "mathml"
 nitpicky = False
 
 # Reference pages, made at each build, of what users and extenders import. Left out is what stands behind the command
