@@ -26,6 +26,7 @@ from fg_orient.experiments.tables_twin import (
     twin,
 )
 from fg_orient.linear.conditioning import diagnose
+from fg_orient.linear.l_curve import LCurve, l_curve_of
 from fg_orient.linear.ls_conditions import ls_conditions
 from fg_orient.linear.system import LinearSystem
 
@@ -49,6 +50,8 @@ SOLVER_OF = {
     "4.28": "pivot_inverse", "4.29": "gauss_inverse", "4.30": "moore_penrose_inverse", "4.31": "cholesky_inverse",
     "4.32": "gauss_elimination", "4.33": "gauss_partial_pivot_elimination", "4.34": "cholesky_elimination",
 }  # fmt: skip
+#: Tables whose solvers choose a kappa.
+TIKHONOV_TABLES = frozenset(table for table, name in SOLVER_OF.items() if name.startswith("tikhonov"))
 #: Table 4.24 repeats the bundles of Topan 2009, who had no set 20.
 _METHOD_OF = {"4.24": "least_squares_topan2009"}
 PRE_STAGES = ("pre-left", "pre-right")
@@ -182,6 +185,30 @@ def _bundles(run: TwoStage, table: str) -> Cells:
             if found.solution.kappa is not None:
                 out[key._replace(quantity="kappa")] = float(found.solution.kappa)
     return out
+
+
+def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool = False) -> dict[int, LCurve]:
+    """L-curve of the bundle that the rules of tables 4.25-4.27 look at, of each ill-conditioned set.
+
+    Parameters
+    ----------
+    tables : collection of str
+        Empty without one of these tables.
+    seed : int
+        Of the twin.
+    as_run : bool
+        See :func:`compute`.
+
+    Returns
+    -------
+    dict
+        EOP set to curve, bundle without EOP pre-adjustment (type 1).
+    """
+    if not set(tables) & TIKHONOV_TABLES:
+        return {}
+    run = twin(seed, as_run=as_run)
+    found = {number: run.bundle(number, 1, SOLVER_OF["4.25"]).system for number in ILL_CONDITIONED}
+    return {number: l_curve_of(system) for number, system in found.items() if system is not None}
 
 
 def _correlations(run: TwoStage, table: str) -> Cells:

@@ -13,10 +13,15 @@ from fg_orient.report.panel import ticks as linear_ticks
 
 #: Choices closer than this, in drawing units, share one mark.
 NEAR: Final = 14.0
+#: Width of a character and height of a line of a label, drawing units.
+LETTER: Final = 8.0
+LINE: Final = 14.0
 #: Share of the range that is left free at each end.
 _MARGIN: Final = 0.09
 _WIDTH: Final = 560.0
 _HEIGHT: Final = 380.0
+#: What the axes of an adjustment's curve show.
+AXES: Final = ("norm of the residuals |Ax − l|, σ", "norm of the solution |x|, prior σ and m")
 
 
 def ranked(section: dict[str, Any]) -> list[dict[str, Any]]:
@@ -46,7 +51,7 @@ def log_ticks(low: float, high: float) -> list[float]:
     return found if len(found) > 1 else [math.log10(value) for value in linear_ticks(10.0**low, 10.0**high, 3)]
 
 
-def l_curve_chart(section: dict[str, Any] | None) -> Markup:
+def l_curve_chart(section: dict[str, Any] | None, axes: tuple[str, str] = AXES) -> Markup:
     """Norm of the solution over that of the residuals, both logarithmic, marks numbered as :func:`ranked`.
 
     Empty without a regularisation.
@@ -55,6 +60,8 @@ def l_curve_chart(section: dict[str, Any] | None) -> Markup:
     ----------
     section : dict or None
         ``regularisation`` of a record.
+    axes : (str, str)
+        What both norms are, and their units.
     """
     points = [] if section is None else _logarithms(section["curve"])
     if section is None or len(points) < 2:
@@ -66,11 +73,11 @@ def l_curve_chart(section: dict[str, Any] | None) -> Markup:
         "L-curve: norm of the solution over norm of the residuals, with the choices of the rules",
         width=_WIDTH, height=_HEIGHT, left=62.0,
     )  # fmt: skip
-    panel.axes("norm of the residuals |Ax − l|, σ", "norm of the solution |x|, prior σ and m", log_ticks(*panel.x),
-               log_ticks(*panel.y), lambda exponent: plain(round(10.0**exponent, 9)))  # fmt: skip
+    panel.axes(*axes, log_ticks(*panel.x), log_ticks(*panel.y), lambda exponent: plain(float(f"{10.0**exponent:.6g}")))
     panel.line(points, "curve")
+    taken: list[tuple[float, float, float]] = []
     for group in neighbours([(panel.px(x), panel.py(y)) for x, y in marks], NEAR):
-        _mark(panel, [choices[k] for k in group], [marks[k] for k in group])
+        _mark(panel, [choices[k] for k in group], [marks[k] for k in group], taken)
     return panel.svg("panel broad")
 
 
@@ -98,10 +105,17 @@ def neighbours(places: Sequence[tuple[float, float]], near: float) -> list[list[
     return out
 
 
-def _mark(panel: Panel, choices: Sequence[dict[str, Any]], places: Sequence[tuple[float, float]]) -> None:
-    """Draw marks with one label of their numbers, up and to the right, where the curve is not."""
+def _mark(
+    panel: Panel, choices: Sequence[dict[str, Any]], places: Sequence[tuple[float, float]],
+    taken: list[tuple[float, float, float]],
+) -> None:  # fmt: skip
+    """Draw marks with one label of their numbers, up and to the right, where the curve is not; above ``taken`` ones."""
     panel.squares([at for choice, at in zip(choices, places, strict=True) if not choice["chosen"]], "sample-dot", 3.4)
     panel.dots([at for choice, at in zip(choices, places, strict=True) if choice["chosen"]], "line-dot", 4.5)
     x, y = max(panel.px(x) for x, _ in places), min(panel.py(y) for _, y in places)
     words = ", ".join(str(choice["number"]) for choice in choices)
+    wide = LETTER * len(words)
+    while any(abs(y - other[1]) < LINE and x < other[0] + other[2] and other[0] < x + wide for other in taken):
+        y -= LINE
+    taken.append((x, y, wide))
     panel.add('<text class="mark-label" x="{}" y="{}">{}</text>', round(x + 8, 1), round(y - 6, 1), words)

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from fg_orient.report.page import environment
 from fg_orient.reproduce.grid import grid
+from fg_orient.reproduce.l_curves import l_curves
 from fg_orient.reproduce.reproduction import Reproduction
 from fg_orient.reproduce.scatter import scatter
 from fg_orient.reproduce.verdict import KINDS
@@ -35,8 +36,9 @@ def render(found: Reproduction, record: dict[str, Any]) -> str:
     drawn = scatter(found.rows)
     return environment("fg_orient.reproduce").get_template("reproduction.html.j2").render(
         record=record, legend=legend, kinds=KINDS, tables=tables, claims=found.claims, counts=found.counts(),
-        verdict=verdict(found), scatter=drawn, problems=problems(found),
-        sections=_sections(bool(drawn), bool(found.claims)),
+        verdict=verdict(found), scatter=drawn, problems=problems(found), curves=l_curves(found),
+        seed=next(iter(found.options.get("seeds", [])), None),
+        sections=_sections(bool(drawn), bool(found.claims), bool(found.curves)),
     )  # fmt: skip
 
 
@@ -51,10 +53,11 @@ def problems(found: Reproduction) -> list[str]:
     return [f"Claim {c.id} is not met: {c.reason or c.text}" for c in found.claims if not c.met]
 
 
-def _sections(drawn: bool, claims: bool) -> list[tuple[str, str]]:
+def _sections(drawn: bool, claims: bool, curves: bool) -> list[tuple[str, str]]:
     """Parts of the page that are there, and their words."""
     parts = (("verdicts", "Verdicts", True), ("scatter", "Published against reproduced", drawn),
-             ("claims", "Claims", claims), ("summary", "Tables", True), ("cells", "Cell by cell", True),
+             ("claims", "Claims", claims), ("l-curves", "L-curves", curves), ("summary", "Tables", True),
+             ("cells", "Cell by cell", True),
              ("provenance", "Made with", True))  # fmt: skip
     return [(name, words) for name, words, there in parts if there]
 

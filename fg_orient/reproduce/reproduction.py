@@ -16,6 +16,7 @@ from fg_orient.cells import CellKey
 from fg_orient.errors import InputError
 from fg_orient.experiments.claims import ClaimResult, all_claims, run_claims
 from fg_orient.experiments.tables_spot6 import PERMUTATIONS
+from fg_orient.linear.l_curve import LCurve
 from fg_orient.published.tables import PublishedTables, load
 from fg_orient.reproduce import ayhan1996, ipbuker1994, terlemezoglu2019, topan2010
 from fg_orient.reproduce.sources import Source
@@ -80,6 +81,8 @@ class Reproduction:
         Of the files of published values.
     keys : dict
         (table, address) of a row to the fields of its address.
+    curves : dict
+        L-curve of each EOP set whose kappas are among the rows, on the twin of the first seed.
     """
 
     source: Source
@@ -89,6 +92,7 @@ class Reproduction:
     options: dict[str, Any]
     sha256: dict[str, str]
     keys: dict[tuple[str, str], CellKey] = field(default_factory=dict)
+    curves: dict[int, LCurve] = field(default_factory=dict)
 
     def counts(self, table: str | None = None) -> dict[str, int]:
         """Number of rows with each verdict, of one table or of all."""
@@ -160,7 +164,8 @@ def reproduce(
     titles = {table: printed.titles[table] for table in chosen}
     rows = pair(printed, computed, source, chosen, on_points)
     keys = {(cell.key.table, str(cell.key)): cell.key for cell in printed.cells if cell.key.table in chosen}
-    return Reproduction(source, titles, rows, tuple(judged), options, printed.sha256, keys)
+    curves = source.curves(on_twin, seeds[0], as_run=as_run) if source.curves else {}
+    return Reproduction(source, titles, rows, tuple(judged), options, printed.sha256, keys, curves)
 
 
 def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:

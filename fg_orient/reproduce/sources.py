@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.cells import CellKey
+from fg_orient.linear.l_curve import LCurve
 from fg_orient.published.tables import PublishedCell, PublishedTables
 from fg_orient.reproduce.verdict import Verdict
 
@@ -34,6 +35,13 @@ class Compute(Protocol):
         self, tables: Collection[str], seeds: Sequence[int], *, as_run: bool, progress: Progress | None
     ) -> dict[CellKey, Array]:
         """Values (n,) of each cell."""
+
+
+class Curves(Protocol):
+    """Computes the L-curves that the kappas of some tables lie on, on the twin of a seed."""
+
+    def __call__(self, tables: Collection[str], seed: int, *, as_run: bool) -> dict[int, LCurve]:
+        """Curve of each EOP set."""
 
 
 class RealVerdicts(Protocol):
@@ -72,6 +80,8 @@ class Source:
         How the numbers of the verdict ``rounding`` are summed up.
     patterned : str
         The same of ``pattern``.
+    curves : callable, optional
+        See :class:`Curves`.
     """
 
     name: str
@@ -85,3 +95,4 @@ class Source:
     meanings: Mapping[str, str] = field(default_factory=dict)
     counted: str = "are rounding noise inside the spread of the runs"
     patterned: str = "lie on the same side of the limit"
+    curves: Curves | None = None

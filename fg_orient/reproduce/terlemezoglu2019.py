@@ -58,4 +58,5 @@ SOURCE: Final = Source(
     explain,
     spot6.verdicts,
     tables_spot6.TABLES,
+    curves=tables_spot5.tikhonov_curves,
 )

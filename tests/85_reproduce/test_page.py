@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 
 from fg_orient.cells import CellKey
 from fg_orient.published.tables import load
+from fg_orient.reproduce.folder import reproduce_to
 from fg_orient.reproduce.grid import grid
-from fg_orient.reproduce.reproduction import Row
+from fg_orient.reproduce.l_curves import l_curves
+from fg_orient.reproduce.reproduction import Row, reproduce
 from fg_orient.reproduce.scatter import BOTTOM, EDGE, LEFT, SIZE, scatter
 
 
@@ -67,3 +70,25 @@ def test_scatter_is_small_and_escaped(rng: np.random.Generator) -> None:
     text = str(scatter([row(CellKey("<b>", quantity="&"), *pair.tolist()) for pair in values]))
     ElementTree.fromstring(text)
     assert "<b>" not in text and len(re.findall("<circle", text)) < 5_000
+
+
+def test_kappas_of_the_tables_stand_on_their_l_curves(tmp_path: Path) -> None:
+    found, _ = reproduce_to("terlemezoglu2019", tmp_path / "out", tables="4.25,4.27", n_seeds=1, claims=False)
+    assert sorted(found.curves) == [5, 13, 15, 17, 19, 20]
+    drawn = l_curves(found)
+    kappas = {found.keys[r.table, r.cell]: r for r in found.rows if found.keys[r.table, r.cell].quantity == "kappa"}
+    for one in drawn:
+        own = {k: r for k, r in kappas.items() if (k.eop_set, k.pre_adjustment_type) == (str(one["eop_set"]), "1")}
+        by_rule = {rule["rule"]: rule["kappa"] for rule in one["rules"]}
+        for key, row in own.items():  # the curve is that of the system whose kappa stands in the table
+            assert by_rule[key.method.removeprefix("tikhonov_")] == row.reproduced
+        printed = [rule for rule in one["rules"] if rule["chosen"]]
+        assert sorted(rule["kappa"] for rule in printed) == sorted(row.published for row in own.values())
+        labels = re.findall(r'class="mark-label"[^>]*>([^<]*)<', one["drawing"])
+        marked = {int(number) for label in labels for number in label.split(", ")}
+        assert marked == {rule["number"] for rule in one["rules"] if rule["residual_norm"] and rule["solution_norm"]}
+        assert 'class="line-dot"' in one["drawing"]
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert page.count('class="panel broad"') == 6 and 'href="#l-curves"' in page
+    none = reproduce("terlemezoglu2019", tables="4.28", n_seeds=1, claims=False)
+    assert none.curves == {} and l_curves(none) == []
