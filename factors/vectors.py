@@ -34,7 +34,7 @@ def padded(n: int) -> int:
     return -(-n // LANES) * LANES
 
 
-def _splat(builder: Any, number: Any) -> Any:
+def splat(builder: Any, number: Any) -> Any:
     """All lanes one number."""
     empty, places = ir.Constant(_LANES, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
     one = builder.insert_element(empty, number, ir.Constant(ir.IntType(32), 0))
@@ -47,7 +47,7 @@ def _sum(builder: Any, a: Any, x: Any, b: Any, y: Any) -> Any:
     return builder.fadd(builder.fmul(a, x, flags=flags), builder.fmul(b, y, flags=flags), flags=flags)
 
 
-def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:
     """Address of the first element of an array."""
     make_array: Callable[..., Any] = arrayobj.make_array
     return make_array(kind)(context, builder, array).data
@@ -58,27 +58,27 @@ def _vector(builder: Any, pointer: Any, offset: Any) -> Any:
     return builder.bitcast(builder.gep(pointer, [offset]), _LANES.as_pointer())
 
 
-def _load(builder: Any, pointer: Any, offset: Any) -> Any:
+def load(builder: Any, pointer: Any, offset: Any) -> Any:
     """A vector of numbers from an offset."""
     out = builder.load(_vector(builder, pointer, offset))
     out.align = 8
     return out
 
 
-def _store(builder: Any, vector: Any, pointer: Any, offset: int) -> None:
+def store(builder: Any, vector: Any, pointer: Any, offset: int) -> None:
     """Write a vector from an offset."""
     builder.store(vector, _vector(builder, pointer, ir.Constant(_INT, offset))).align = 8
 
 
 def _number(builder: Any, pointer: Any, offset: int) -> Any:
     """All lanes the number at an offset."""
-    return _splat(builder, builder.load(builder.gep(pointer, [ir.Constant(_INT, offset)])))
+    return splat(builder, builder.load(builder.gep(pointer, [ir.Constant(_INT, offset)])))
 
 
 def _columns(builder: Any, kind: Any, context: Any, array: Any, width: Any, row: Any) -> tuple[Any, Any]:
     """Addresses of both lines of a row of an array (n, 2, width)."""
     first = builder.gep(
-        _data(context, builder, kind, array), [builder.mul(builder.mul(row, width), ir.Constant(_INT, 2))]
+        data_of(context, builder, kind, array), [builder.mul(builder.mul(row, width), ir.Constant(_INT, 2))]
     )
     return first, builder.gep(first, [width])
 
@@ -95,21 +95,21 @@ def _outer_nine(
     signature = types.void(out, place, rows, place, place, place, number, number, number, number)
 
     def generate(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
-        target = builder.gep(_data(context, builder, given.args[0], arguments[0]), [arguments[1]])
+        target = builder.gep(data_of(context, builder, given.args[0], arguments[0]), [arguments[1]])
         d_a, d_b = (_columns(builder, given.args[2], context, arguments[2], arguments[3], arguments[k]) for k in (4, 5))
-        m = [_splat(builder, number) for number in arguments[6:]]
+        m = [splat(builder, number) for number in arguments[6:]]
         for k in range(0, 8, LANES):
-            x, y = (_load(builder, line, ir.Constant(_INT, k)) for line in d_b)
+            x, y = (load(builder, line, ir.Constant(_INT, k)) for line in d_b)
             turned = [_sum(builder, m[2 * r], x, m[2 * r + 1], y) for r in range(2)]
             for c in range(9):
                 one, two = (_number(builder, line, c) for line in d_a)
                 product = _sum(builder, one, turned[0], two, turned[1])
-                _store(builder, product, target, 8 * c + k)
+                store(builder, product, target, 8 * c + k)
         x, y = (_number(builder, line, 8) for line in d_b)
         turned = [_sum(builder, m[2 * r], x, m[2 * r + 1], y) for r in range(2)]
         for k in range(0, 9, LANES):
-            one, two = (_load(builder, line, ir.Constant(_INT, k)) for line in d_a)
-            _store(builder, _sum(builder, turned[0], one, turned[1], two), target, 72 + k)
+            one, two = (load(builder, line, ir.Constant(_INT, k)) for line in d_a)
+            store(builder, _sum(builder, turned[0], one, turned[1], two), target, 72 + k)
         return context.get_dummy_value()
 
     return signature, generate
@@ -120,12 +120,12 @@ def _combine_nine(typing: Any, out: Any, at: Any, rows: Any, width: Any, a: Any,
     signature = types.void(out, types.intp, rows, types.intp, types.intp, types.float64, types.float64)
 
     def generate(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
-        target = builder.gep(_data(context, builder, given.args[0], arguments[0]), [arguments[1]])
+        target = builder.gep(data_of(context, builder, given.args[0], arguments[0]), [arguments[1]])
         one, two = _columns(builder, given.args[2], context, arguments[2], arguments[3], arguments[4])
-        x, y = (_splat(builder, number) for number in arguments[5:])
+        x, y = (splat(builder, number) for number in arguments[5:])
         for k in range(0, 9, LANES):
             place = ir.Constant(_INT, k)
-            _store(builder, _sum(builder, x, _load(builder, one, place), y, _load(builder, two, place)), target, k)
+            store(builder, _sum(builder, x, load(builder, one, place), y, load(builder, two, place)), target, k)
         return context.get_dummy_value()
 
     return signature, generate
@@ -141,16 +141,16 @@ def _adder(rows: int) -> Callable[..., None]:
         signature = types.void(out, place, t, place, place, weight, place, place)
 
         def generate(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
-            target, source, weights = (_data(context, builder, given.args[k], arguments[k]) for k in (0, 2, 5))
+            target, source, weights = (data_of(context, builder, given.args[k], arguments[k]) for k in (0, 2, 5))
             target, weights = builder.gep(target, [arguments[1]]), builder.gep(weights, [arguments[6]])
             start, factors = [builder.gep(source, [arguments[3]])], [_number(builder, weights, r) for r in range(rows)]
             for _ in range(rows - 1):
                 start.append(builder.gep(start[-1], [arguments[4]]))
             with cgutils.for_range(builder, arguments[7]) as loop:
                 e = builder.mul(loop.index, ir.Constant(_INT, LANES))
-                total = [_load(builder, target, e)]
+                total = [load(builder, target, e)]
                 for r in range(rows):
-                    product = builder.fmul(factors[r], _load(builder, start[r], e), flags=("contract",))
+                    product = builder.fmul(factors[r], load(builder, start[r], e), flags=("contract",))
                     if r == rows // 2 and r > 0:
                         total.append(product)
                     else:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from factors import (
     batch,
+    batch_band,
     batch_cofactors,
     batch_effects,
     batch_gather,
@@ -176,6 +177,7 @@ def _compile_reduction(
     batch_gather.widen(np.zeros((2, 1)), wide_place, scale, one, wide)
     blocks, place, ones = np.ones((3, 1, 1)), np.arange(2), np.ones(2)
     batch_matrix.fill_diagonal(row, column, place, one, blocks, ones)
+    batch_band.factorise_band(np.eye(batch_band.TILE, batch_band.MARGIN + 1), 0)
     for banded in (False, True):
         batch_matrix.fill_lower(row, column, place, one, blocks, ones, banded, np.zeros((2, 2)), ones)
 

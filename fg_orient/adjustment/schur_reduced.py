@@ -1,4 +1,6 @@
-"""The reduced camera system solved: LAPACK's Cholesky of the full or banded matrix, or GTSAM on its blocks.
+"""The reduced camera system solved: Cholesky factor of the full or banded matrix, or GTSAM on its blocks.
+
+Full matrices are LAPACK's; of a band, too, where ``factors.batch_band`` does not pay.
 
 Blocks are those of the upper triangle, (B, k, k) in the order of ``Pattern.block_row``; the unknowns of image i
 are ``first[i]`` to ``first[i + 1]``. GTSAM eliminates a graph of one HessianFactor per image and one per pair of
@@ -9,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +19,7 @@ from scipy.linalg import lapack
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from factors.batch_band import MARGIN, PAYS, TILE, factorise_band
 from factors.batch_matrix import fill_diagonal, fill_lower
 
 if TYPE_CHECKING:
@@ -126,13 +129,18 @@ class LapackReduced:
             raise Singular("an unknown of an image is in no observation")
         # scaled to a unit diagonal: pivots are judged alike, whatever the units
         self._scale = 1.0 / np.sqrt(d)
-        s = np.zeros((n, self._order.band + 1))
+        own = self._banded and PAYS
+        s = np.zeros((-(-n // TILE) * TILE if own else n, self._order.band + 1 + (MARGIN if own else 0)))
         fill_lower(*at, self._scale, self._banded, s, sums)
         s.ravel()[:: s.shape[1] + (0 if self._banded else 1)] = 1.0
         self._norm = float((sums + diagonal / d).max())
-        factorise = lapack.dpbtrf if self._banded else lapack.dpotrf
-        options = {"overwrite_ab": 1} if self._banded else {"clean": 0, "overwrite_a": 1}
-        self._factor, info = factorise(s.T, lower=1, **options)
+        self._factor: Any = s[:n].T
+        if own:
+            info = factorise_band(s, self._order.band)
+        elif self._banded:
+            self._factor, info = lapack.dpbtrf(s.T, lower=1, overwrite_ab=1)
+        else:
+            self._factor, info = lapack.dpotrf(s.T, lower=1, clean=0, overwrite_a=1)
         if info != 0:
             raise Singular("the reduced camera system is not positive definite")
         self._inverse: Array | None = None
