@@ -293,7 +293,7 @@ class SchurBackend:
     threads : int, optional
         Threads of the kernels; by default two where the machine has them, one below 2000 image points.
     reduced : str
-        "dense", "banded": LAPACK on the reduced matrix or its band; "graph": GTSAM on its blocks; "auto": by size.
+        "dense", "banded": Cholesky factor of the reduced matrix or of its band; "graph": GTSAM on its blocks; "auto": by size.
 
     Raises
     ------
