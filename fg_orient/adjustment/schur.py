@@ -18,7 +18,7 @@ import numpy.typing as npt
 from factors.batch_gather import gather_blocks, gather_gradients
 from factors.batch_ground import control_squares, move
 from factors.batch_pairs import image_gradients
-from factors.batch_points import back_substitute, product
+from factors.batch_points import product
 from factors.batch_weights import scale_rows
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
@@ -202,13 +202,12 @@ class SchurSystem:
         """Step of the points after one (u,) of the images; the points must have been eliminated last."""
         backend, s, b = self._backend, self.structure, self.buffers()
         ground, wide = np.zeros((len(s.number), 3)), s.widened(backend.problem.image_matrix(image))
+        own = s.widened(self.state.image)
         for tile in reversed(s.tiles):
-            rows, (lo, hi) = self.rows(tile), tile.chunks
-            backend.workers.run(
-                back_substitute, hi - lo, s.chunk_places, s.first, s.image, s.n_basis, s.n_components, s.basis, wide,
-                tile.points[0], rows.value, rows.d_image, rows.d_ground, b.root, b.gradient, ground, b.squares,
-                start=lo,
-            )  # fmt: skip
+            (lo, hi), there = tile.chunks, tile.kept or b.held is tile
+            at = (b.rows(tile), self.state, None if there else own, wide, b, ground)
+            backend.workers.run(backend.stages.substituted, hi - lo, *at, start=lo)
+            b.held = b.held if tile.kept else tile
         return self._step(image, ground, float(b.squares.sum()))
 
     def dogleg(self, radius: float) -> SchurStep:
@@ -293,7 +292,8 @@ class SchurBackend:
     threads : int, optional
         Threads of the kernels; by default two where the machine has them, one below 2000 image points.
     reduced : str
-        "dense", "banded": Cholesky factor of the reduced matrix or of its band; "graph": GTSAM on its blocks; "auto": by size.
+        "dense", "banded": Cholesky factor of the reduced matrix or of its band; "graph": GTSAM on its blocks; "auto":
+        by size.
 
     Raises
     ------

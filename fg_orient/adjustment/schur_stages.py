@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.batch_pairs import pair_blocks
-from factors.batch_points import point_blocks
+from factors.batch_points import back_substitute, point_blocks
 from factors.batch_weights import scale_rows
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_reduced import Singular
@@ -94,19 +94,40 @@ class Stages:
         NotFiniteError, Singular
         """
         s = self.structure
-        places = int(s.chunk_places[lo]), int(s.chunk_places[hi])
-        points = int(s.first[places[0]]), int(s.first[places[1]])
         if wide is not None:
-            self.rows(*points, rows, state, wide, True)
-            if len(b.root_weight):
-                start, end = rows.tile.points
-                part = points[0] - start, points[1] - start
-                scale_rows(*part, b.root_weight[start:end], rows.value, rows.d_image, rows.d_ground)
-        self.points(*places, rows, state, damping, b)
+            self._weighted_rows(lo, hi, rows, state, wide, b)
+        self.points(int(s.chunk_places[lo]), int(s.chunk_places[hi]), rows, state, damping, b)
         pair_blocks(
             lo, hi, s.chunks, s.pieces, s.slots, s.slot_begin, s.image, s.n_basis, s.n_components, s.basis,
             rows.tile.points[0], rows.d_image, b.scaled, b.sums, b.gradients,
         )  # fmt: skip
+
+    def substituted(
+        self, lo: int, hi: int, rows: Rows, state: State, wide: Array | None, step: Array, b: Buffers, ground: Array
+    ) -> None:  # fmt: skip
+        """Write the steps (P, 3) of the points of chunks lo to hi after one (M, w) of the images; ``wide``: as above.
+
+        Raises
+        ------
+        NotFiniteError
+        """
+        s = self.structure
+        if wide is not None:
+            self._weighted_rows(lo, hi, rows, state, wide, b)
+        back_substitute(
+            lo, hi, s.chunk_places, s.first, s.image, s.n_basis, s.n_components, s.basis, step, rows.tile.points[0],
+            rows.value, rows.d_image, rows.d_ground, b.root, b.gradient, ground, b.squares,
+        )  # fmt: skip
+
+    def _weighted_rows(self, lo: int, hi: int, rows: Rows, state: State, wide: Array, b: Buffers) -> None:
+        """Rows of the image points of chunks lo to hi, times the roots of their weights."""
+        s = self.structure
+        points = [int(s.first[s.chunk_places[k]]) for k in (lo, hi)]
+        self.rows(points[0], points[1], rows, state, wide, True)
+        if len(b.root_weight):
+            start, end = rows.tile.points
+            part = points[0] - start, points[1] - start
+            scale_rows(*part, b.root_weight[start:end], rows.value, rows.d_image, rows.d_ground)
 
 
 def _in_order(records: Array, s: Structure) -> tuple[Array, Small]:
