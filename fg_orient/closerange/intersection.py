@@ -19,6 +19,8 @@ Index = npt.NDArray[np.intp]
 _ITERATIONS: Final = 50
 #: Ends the iteration: largest step by the distance of the photos from the points.
 _TOLERANCE: Final = 1e-13
+#: Angle between rays by its noise, below which it may be noise.
+SURELY: Final = 5.0
 
 
 @dataclass(frozen=True)
@@ -174,9 +176,26 @@ def _iterated(
         if largest <= _TOLERANCE or (largest <= 1e-9 and largest >= 0.5 * before):
             return points, iteration
         before = largest
-    worst = names[int(np.nanargmax(np.where(np.isfinite(length), length, np.inf)))]
-    raise NoSolutionError.of("closerange.not_converged", place=f"intersection of point {worst}",
+    lost = int(np.nanargmax(np.where(np.isfinite(length), length, np.inf)))
+    _require_angle(matrices[of == lost], ideal[of == lost], size[of == lost], names[lost])
+    raise NoSolutionError.of("closerange.not_converged", place=f"intersection of point {names[lost]}",
                              reason=f"no convergence within {_ITERATIONS} iterations")  # fmt: skip
+
+
+def _require_angle(matrices: Array, ideal: Array, size: Array, name: str) -> None:
+    """Refuse a point whose rays are parallel, or so close to it that their noise decides, as those of one place are.
+
+    An angle a leaves a distance with 1/a times the sigma of a point, which may be ``UNDETERMINED``.
+    """
+    rays = np.linalg.solve(matrices[:, :, :3], np.column_stack([ideal, np.ones(len(ideal))])[:, :, None])[:, :, 0]
+    centres = -np.linalg.solve(matrices[:, :, :3], matrices[:, :, 3:])[:, :, 0]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    angle = max(float(np.linalg.norm(np.cross(rays[i], rays[:i]), axis=1).max()) for i in range(1, len(rays)))
+    noise = float(np.sqrt(np.mean((size / np.linalg.norm(matrices[:, 0, :3], axis=1)[:, None]) ** 2)))
+    if angle <= max(1.0 / UNDETERMINED, SURELY * noise):
+        apart = max(float(np.linalg.norm(centres[i] - centres[:i], axis=1).max()) for i in range(1, len(rays)))
+        value = f"{angle:.1g} rad between them, projection centres {apart:.3g} m apart"
+        raise InputError.of("closerange.parallel_rays", place=f"point {name}", value=value)
 
 
 def _solved(normal: Array, right: Array) -> Array:

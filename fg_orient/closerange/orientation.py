@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import product
 from operator import attrgetter
 from typing import Final
 
@@ -29,6 +28,7 @@ from fg_orient.closerange.fitting import (
     unit_weight,
 )
 from fg_orient.closerange.photo import Interior
+from fg_orient.closerange.relative_starts import require_base, start_pairs
 from fg_orient.closerange.rivals import SAME, likeness, ratio_limit, told_apart
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.initial import nearest_points
@@ -37,10 +37,7 @@ from fg_orient.rectification.transformation import Scaling
 Array = npt.NDArray[np.float64]
 
 LEAST_RELATIVE: Final = 6
-LEAST_EIGHT_POINT: Final = 8
 LEAST_ABSOLUTE: Final = 3
-#: Difference of the largest and smallest singular values of a homography that is a rotation.
-FLAT: Final = 1e-12
 
 
 @dataclass(frozen=True)
@@ -170,10 +167,15 @@ def relative_orientation(
     points = np.column_stack(tangents)
     size = np.tile(np.repeat([unit / first.focal, unit / second.focal], 2), (n, 1))
     minima = list[_Minimum]()
-    for rotation, base in _starts(points):
+    for rotation, base in start_pairs(points):
         with suppress(NoSolutionError):
             minima.append(_adjusted_pair(points, size, rotation, base))
-    return _chosen(sorted(minima, key=attrgetter("squares")), n - 5, known=sigma is not None)
+    minima.sort(key=attrgetter("squares"))
+    try:
+        return _chosen(minima, n - 5, known=sigma is not None)
+    except (InputError, NoSolutionError):
+        require_base(points, size, minima[0].squares if minima else 0.0, known=sigma is not None)
+        raise
 
 
 def _chosen(minima: list[_Minimum], redundancy: int, *, known: bool) -> RelativeOrientation:
@@ -202,57 +204,6 @@ def _chosen(minima: list[_Minimum], redundancy: int, *, known: bool) -> Relative
             rival = RelativeRival(other.rotation, other.base, ratio, told_apart(first.squares, redundancy, known=known))
             return replace(first.found, rival=rival)
     return first.found
-
-
-def _starts(points: Array) -> list[tuple[Array, Array]]:
-    """Rotations and bases worth trying."""
-    out = [(np.eye(3), sign * np.eye(3)[k]) for k in range(3) for sign in (1.0, -1.0)]
-    many = len(points) >= LEAST_EIGHT_POINT
-    if many:
-        return [*_eight_points(points), *_plane(points), *out[:2]]
-    corners = np.array(list(product((1.0, -1.0), repeat=3))) / np.sqrt(3.0)
-    return [*out, *((np.eye(3), corner) for corner in corners), *_plane(points)]
-
-
-def _plane(points: Array) -> list[tuple[Array, Array]]:
-    """The four decompositions of the homography H = R (1 - b n^T) that leads rays d1 to points of a plane to d2."""
-    ones = np.ones((len(points), 1))
-    first, second = np.hstack([points[:, :2], ones]), np.hstack([points[:, 2:], ones])
-    # d2 x H d1 = 0
-    across = np.cross(second[:, None, :], np.eye(3)[None])
-    rows = np.einsum("nij,nk->njik", across, first).reshape(3 * len(points), 9)
-    h = np.linalg.svd(rows)[2][-1].reshape(3, 3)
-    h = h / np.linalg.svd(h)[1][1]
-    h = h * np.sign(np.sum(second * (first @ h.T)))
-    _, (s1, _, s3), axes = np.linalg.svd(h)
-    if s1 - s3 <= FLAT:  # no base
-        return []
-    v1, v2, v3 = axes * np.sign(np.linalg.det(axes))
-    out = []
-    for sign in (1.0, -1.0):
-        u = (np.sqrt(max(1.0 - s3**2, 0.0)) * v1 + sign * np.sqrt(max(s1**2 - 1.0, 0.0)) * v3) / np.sqrt(s1**2 - s3**2)
-        before, after = np.array([v2, u, np.cross(v2, u)]), np.array([h @ v2, h @ u, np.cross(h @ v2, h @ u)])
-        rotation = after.T @ before
-        base = -rotation.T @ (h - rotation) @ np.cross(v2, u)
-        base = base / np.linalg.norm(base)
-        out += [(rotation, base), (rotation, -base)]
-    return out
-
-
-def _eight_points(points: Array) -> list[tuple[Array, Array]]:
-    """The four decompositions of the essential matrix G with d2^T G d1 = 0, G = R [b]x."""
-    maps, rays = [], []
-    for pair in (points[:, :2], points[:, 2:]):
-        scaling = Scaling.of(pair, shared=True)
-        size, (x, y) = scaling.scale[0], scaling.offset
-        maps.append(np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, size]]) / size)
-        rays.append(np.column_stack([scaling.normalised(pair), np.ones(len(pair))]))
-    rows = np.einsum("ni,nj->nij", rays[1], rays[0]).reshape(len(points), 9)
-    g = maps[1].T @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ maps[0]
-    left, _, right = np.linalg.svd(g)
-    left, right = left * np.sign(np.linalg.det(left)), right * np.sign(np.linalg.det(right))
-    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    return [(left @ w @ right, sign * right[2]) for w in (quarter, quarter.T) for sign in (1.0, -1.0)]
 
 
 def _record(rotation: Array, base: Array) -> tuple[Array, Array]:

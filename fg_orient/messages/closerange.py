@@ -95,6 +95,10 @@ CLOSERANGE: Final = {
         "no orientation of the pair has all points in front of both cameras",
         "look for mixed-up points, and check focal lengths and y_axis",
     ),
+    "closerange.no_base": (
+        "the photos were taken from one place, but for noise: a turn alone explains all points",
+        "take the second photo from elsewhere; photos of one place give no points in space",
+    ),
     "closerange.pair": (
         "the points do not determine the relative orientation (too close together, or on a plane through the base)",
         "measure points that fill the common part of both photos, at several depths",
@@ -135,6 +139,10 @@ CLOSERANGE: Final = {
     "closerange.contradiction": (
         "these hard constraints cannot hold together: {names}",
         "look for a wrong value or member; give them sigmas, or leave one out",
+    ),
+    "closerange.merged": (
+        "these hard constraints hold together only with the points {points} at one place: {names}",
+        "look for a point that is not on a figure; give the constraints sigmas, or leave one out",
     ),
     "closerange.member": ("the constraint names a point or photo that is not there", "choose one of {known}"),
     "closerange.backend": (

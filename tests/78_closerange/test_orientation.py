@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.orientation import RelativeOrientation, absolute_orientation, relative_orientation
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.rivals import likeness
@@ -89,6 +90,33 @@ def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
     many = rng.uniform(-1.0, 1.0, (20, 3)) * [1.0, 1.0, 0.0]
     images = pair(rng, many, turned=True)[2]
     assert relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA).rival is None
+
+
+@pytest.mark.parametrize("n", [6, 12])
+def test_photos_of_one_place_are_called_so(n: int) -> None:
+    """With a sigma and without; 2 cm of base at 5 m is none of noise, though it does not determine 12 points' pair."""
+    rng = np.random.default_rng(n)
+    points = rng.uniform(-1.0, 1.0, (n, 3))
+    _, _, images = pair(rng, points, turned=False, base_m=0.0)
+    for sigma in (SIGMA, None) if n > 6 else (SIGMA,):
+        with pytest.raises(InputError) as caught:
+            relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=sigma)
+        assert caught.value.problems[0].code == "closerange.no_base"
+    _, _, images = pair(np.random.default_rng(16), points, turned=False, base_m=0.02)
+    with pytest.raises(InputError) as caught:
+        relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
+    assert caught.value.problems[0].code == "closerange.pair"
+
+
+@pytest.mark.parametrize("n_photos", [2, 3])
+def test_rays_of_one_place_are_parallel(n_photos: int) -> None:
+    """The iteration runs away along them: the cause, not that it did not converge."""
+    rng = np.random.default_rng(n_photos)
+    points, centre = rng.uniform(-1.0, 1.0, (5, 3)), np.array([0.0, 0.0, 5.0])
+    photos = [Photo.of(str(k), CAMERA, looking(centre, rng), centre) for k in range(n_photos)]
+    image = np.vstack([p.project(points) + rng.normal(scale=SIGMA, size=(5, 2)) for p in photos])
+    with pytest.raises(InputError, match=r"close to parallel.*projection centres 0 m apart"):
+        intersect_photos(photos, np.repeat(np.arange(n_photos), 5), np.tile(np.arange(5), n_photos), image, sigma=SIGMA)
 
 
 def test_known_sigmas_tell_minima_apart_by_the_difference() -> None:
