@@ -12,7 +12,7 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors.extended_collinearity import NAMES
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, LoopResult
-from fg_orient.adjustment.network import DenseNetwork, Network, bordered_inverse, dependent
+from fg_orient.adjustment.network import DenseNetwork, Network, Rows, bordered_inverse, dependent
 from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.closerange.bundle_determined import require_determined, require_rays
 from fg_orient.closerange.bundle_network import Built, build
@@ -286,9 +286,7 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
     network = built.network
     try:
         rows = network.rows(network.start)
-        label = dependent(network, rows)
-        if label:
-            raise InputError.of("closerange.dependent", place=label)
+        _require_independent(network, rows)
         require_determined(built, rows)
         found: LoopResult[Array] = OPTIMIZERS[optimizer](
             engine, network.start, MAX_ITERATIONS, callback, tolerance=TOLERANCE
@@ -298,10 +296,18 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
         rows = network.rows(found.state)
         if len(rows.condition) and np.abs(rows.condition).max() > HELD:
             raise _not_converged(network, "hard constraints are not met where the steps end")
+        _require_independent(network, rows)  # some follow from others only where these hold
         require_determined(built, rows)
     except (NotFiniteError, RuntimeError) as error:
         raise _not_converged(network, str(error)) from error
     return found
+
+
+def _require_independent(network: Network, rows: Rows) -> None:
+    """Refuse a hard constraint that follows from those before it: redundancy and cofactors would count it twice."""
+    label = dependent(network, rows)
+    if label:
+        raise InputError.of("closerange.dependent", place=label)
 
 
 def _not_converged(network: Network, reason: str) -> NoSolutionError:

@@ -23,6 +23,7 @@ from fg_orient.closerange.constraints import (
     figure_of,
     observed_element,
     plain_observation,
+    require_one_value,
     variable_of,
 )
 from fg_orient.closerange.photo import Interior
@@ -188,6 +189,7 @@ def build(
     for a in range(len(of)):
         _add_image_point(built, int(which[a]), int(of[a]), image[a], sigma[a], reach, is_condition)
     built.observations += extras
+    require_one_value(constraints)
     for constraint in constraints:
         _add_constraint(built, constraint)
     return built
@@ -325,7 +327,7 @@ def _add_constraint(built: Built, constraint: Constraint) -> None:
             raise InputError.of("closerange.member", place=constraint.label, value=name, known=", ".join(known[:10]))
     members = [known.index(name) for name in constraint.members]
     if constraint.kind in FIGURES:
-        figure = figure_of(constraint, built.start[members] - built.origin)
+        figure = figure_of(constraint, built.start[members] - built.origin, _accuracy(built, members))
         base = np.array([built.origin[POINT.index(n.upper())] if n in ("x", "y", "z") else 0.0 for n in figure.names])
         variable = variable_of(constraint, figure)
         offset = base + (figure.base - variable.start)
@@ -342,3 +344,23 @@ def _add_constraint(built: Built, constraint: Constraint) -> None:
     if all(isinstance(u, np.ndarray) for u in unknowns):
         raise constraint.fault("members", "all held", "a point or a photo that is unknown")
     built.observations.append(plain_observation(constraint, unknowns, start))
+
+
+def _accuracy(built: Built, members: Sequence[int]) -> Array | None:
+    """Standard deviations (n, 1) of points by their own observations, photos held; None if those leave one open.
+
+    Root mean square of the three axes. A held point counts as well known as the best of the others.
+    """
+    variables = [k for j in members if not isinstance(k := built.points[j], np.ndarray)]
+    normal = {k: np.zeros((3, 3)) for k in variables}
+    for o in built.observations:
+        for place, k in enumerate(o.unknowns):
+            if not isinstance(k, np.ndarray) and k in normal and not o.hard:
+                x = [u if isinstance(u, np.ndarray) else built.variables[u].start for u in o.unknowns]
+                design = o.equation.kernel(o.record, o.setup, *x, True)[1 + place]
+                normal[k] += design.T @ design
+    if any(np.linalg.matrix_rank(n) < 3 for n in normal.values()) or not normal:
+        return None
+    sd = {k: float(np.sqrt(np.trace(np.linalg.inv(n)) / 3.0)) for k, n in normal.items()}
+    return np.array([sd.get(k, min(sd.values())) if not isinstance(k, np.ndarray) else min(sd.values())
+                     for k in (built.points[j] for j in members)])[:, None]  # fmt: skip

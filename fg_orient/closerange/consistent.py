@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
-from fg_orient.adjustment.network import Network
+from fg_orient.adjustment.network import Network, Observation
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -17,6 +17,8 @@ Array = npt.NDArray[np.float64]
 HELD: Final = 1e-9
 #: Conditions with this share of the largest misfit are named.
 NAMED: Final = 0.1
+#: Distance of two points by that at the start, below which conditions have made them one.
+MERGED: Final = 1e-3
 _STEPS: Final = 300
 #: Smallest damping, by the square of the largest singular value.
 _DAMPING: Final = 1e-12
@@ -28,17 +30,19 @@ def require_consistent(network: Network) -> None:
     """Refuse hard conditions without a common solution near the start.
 
     The least sum of their squares (Levenberg-Marquardt): what is left of a condition there is its part in a conflict.
+    Conditions that vanish only where points become one (points of a plumb line on a horizontal circle) are a conflict
+    as well, for points that were measured apart.
 
     Raises
     ------
     InputError
-        Names the conditions that stay unmet.
+        Names the conditions that stay unmet, or the points that would be one.
     """
     hard = _hard(network)
     if not hard.observations:
         return
     try:
-        left = _least(hard)
+        left, state = _least(hard)
     except NotFiniteError:
         return
     largest = float(np.abs(left).max())
@@ -46,6 +50,29 @@ def require_consistent(network: Network) -> None:
         named = [label for label, c in zip(_labels(hard), left, strict=True) if abs(c) >= NAMED * largest]
         raise InputError.of("closerange.contradiction", place="bundle", value=f"{largest:.3g} left",
                             names="; ".join(dict.fromkeys(named)))  # fmt: skip
+    merged = _merged(hard, state)
+    if merged:
+        named = [o.label.partition(": ")[0] for o in hard.observations if merged & {*_points(hard, o)}]
+        points = ", ".join(hard.variables[k].name.removeprefix("point ") for k in sorted(merged))
+        raise InputError.of("closerange.merged", place="bundle", names="; ".join(dict.fromkeys(named)), points=points)
+
+
+def _points(hard: Network, observation: Observation) -> list[int]:
+    """Numbers of the variables of an observation that are points."""
+    numbers = (u for u in observation.unknowns if not isinstance(u, np.ndarray))
+    return [k for k in numbers if hard.variables[k].is_point]
+
+
+def _merged(hard: Network, state: Array) -> set[int]:
+    """Points in conditions that are apart at the start and one at a state."""
+    numbers = np.array(sorted({k for o in hard.observations for k in _points(hard, o)}), np.intp)
+    first, second = np.triu_indices(len(numbers), 1)
+    before, after = (
+        np.linalg.norm(at[first] - at[second], axis=1)
+        for at in (np.array([x[hard.part(k)] for k in numbers]).reshape(-1, 3) for x in (hard.start, state))
+    )
+    one = after < MERGED * before
+    return set(numbers[np.concatenate([first[one], second[one]])].tolist())
 
 
 def missed_most(network: Network) -> str:
@@ -66,8 +93,8 @@ def _labels(hard: Network) -> list[str]:
     return [o.label for o in hard.observations for _ in range(o.n_residuals)]
 
 
-def _least(hard: Network) -> Array:
-    """Conditions (h,) where their sum of squares is least: where they conflict, by how much each of them does."""
+def _least(hard: Network) -> tuple[Array, Array]:
+    """Conditions (h,) where their sum of squares is least, which tell by how much each is in conflict; state there."""
     state, damping = hard.start, _DAMPING
     rows = hard.rows(state)
     for _ in range(_STEPS):
@@ -84,4 +111,4 @@ def _least(hard: Network) -> Array:
             damping *= 10.0
         if np.linalg.norm(step) <= ROUNDING * np.linalg.norm(state):
             break
-    return rows.condition
+    return rows.condition, state

@@ -143,7 +143,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class _Kind:
-    start: Callable[[Array, Constraint], Figure]
+    start: Callable[[Array, Constraint, Array | None], Figure]
     observable: tuple[str, ...] = ()
 
 
@@ -155,19 +155,19 @@ def _axes(points: Array, along: int) -> Array:
     return out
 
 
-def _plane(points: Array, _: Constraint) -> Figure:
+def _plane(points: Array, _: Constraint, __: Array | None) -> Figure:
     origin, frame = points.mean(axis=0), _axes(points, 2)
     return Figure(constraints.PLANE, np.concatenate([[1.0], origin, frame.ravel()]), _NONE,
                   ("tilt_1", "tilt_2", "distance"), np.zeros(3), 1, frame=frame, origin=origin)  # fmt: skip
 
 
-def _line(points: Array, _: Constraint) -> Figure:
+def _line(points: Array, _: Constraint, __: Array | None) -> Figure:
     origin, frame = points.mean(axis=0), _axes(points, 0)
     return Figure(constraints.LINE, np.concatenate([[1.0], origin, frame.ravel()]), _NONE,
                   ("foot_1", "foot_2", "slope_1", "slope_2"), np.zeros(4), 2, frame=frame, origin=origin)  # fmt: skip
 
 
-def _plumb_line(points: Array, _: Constraint) -> Figure:
+def _plumb_line(points: Array, _: Constraint, __: Array | None) -> Figure:
     return Figure(circles.PLUMB_LINE, np.ones(1), _NONE, ("x", "y"), points.mean(axis=0)[:2], 2)
 
 
@@ -179,7 +179,7 @@ def _flat_circle(plan: Array) -> tuple[Array, float]:
     return middle + x[:2], float(np.sqrt(x[2] + x[0] ** 2 + x[1] ** 2))
 
 
-def _circle(points: Array, _: Constraint) -> Figure:
+def _circle(points: Array, _: Constraint, __: Array | None) -> Figure:
     origin, frame = points.mean(axis=0), _axes(points, 2)
     centre, radius = _flat_circle((points - origin) @ frame[1:].T)
     base = np.concatenate([origin + centre @ frame[1:], [0.0, 0.0, radius]])
@@ -187,22 +187,22 @@ def _circle(points: Array, _: Constraint) -> Figure:
                   ("x", "y", "z", "tilt_1", "tilt_2", "radius"), base, 2, frame=frame)  # fmt: skip
 
 
-def _horizontal_circle(points: Array, _: Constraint) -> Figure:
+def _horizontal_circle(points: Array, _: Constraint, __: Array | None) -> Figure:
     centre, radius = _flat_circle(points[:, :2])
     base = np.array([*centre, points[:, 2].mean(), radius])
     return Figure(circles.HORIZONTAL_CIRCLE, np.ones(1), _NONE, ("x", "y", "z", "radius"), base, 2)
 
 
-def _sphere(points: Array, c: Constraint) -> Figure:
+def _sphere(points: Array, c: Constraint, sigma: Array | None) -> Figure:
     priors = {"a": c.observed["radius"]} if "radius" in c.observed else None
-    found = fit_surface(points, "sphere", priors=priors).surface
+    found = fit_surface(points, "sphere", priors=priors, sigma_m=sigma).surface
     radius = float(found.semi_axes[0])
     return Figure(surfaces.SPHERE, np.ones(1), _NONE, ("x", "y", "z", "radius"), np.append(found.centre, radius), 1,
                   0.5 / radius)  # fmt: skip
 
 
-def _spheroid(points: Array, c: Constraint) -> Figure:
-    found = fit_surface(points, "spheroid", axis=c.axis, priors=dict(c.observed)).surface
+def _spheroid(points: Array, c: Constraint, sigma: Array | None) -> Figure:
+    found = fit_surface(points, "spheroid", axis=c.axis, priors=dict(c.observed), sigma_m=sigma).surface
     along = AXES.index(c.axis)
     a, b = float(found.semi_axes[(along + 1) % 3]), float(found.semi_axes[along])
     record = np.concatenate([[1.0], found.centre, np.eye(3).ravel(), found.semi_axes])
@@ -223,8 +223,16 @@ FIGURES: Final[dict[str, _Kind]] = {
 }
 
 
-def figure_of(constraint: Constraint, points: Array) -> Figure:
+def figure_of(constraint: Constraint, points: Array, sigma_m: Array | None = None) -> Figure:
     """Start of a figure from its points (n, 3).
+
+    Parameters
+    ----------
+    constraint : Constraint
+    points : (n, 3) array
+    sigma_m : (n, 1) array, optional
+        Of the points, to judge whether they determine a sphere or spheroid; without it their misfit tells it, which
+        says little of five points on a sphere.
 
     Raises
     ------
@@ -233,9 +241,27 @@ def figure_of(constraint: Constraint, points: Array) -> Figure:
     """
     try:
         with np.errstate(all="raise"):
-            return FIGURES[constraint.kind].start(points, constraint)
+            return FIGURES[constraint.kind].start(points, constraint, sigma_m)
     except FloatingPointError:
         raise constraint.fault("members", "start coordinates", "points that determine the figure") from None
+
+
+def require_one_value(constraints: Sequence[Constraint]) -> None:
+    """Refuse hard lengths between the same two points or photos with different values.
+
+    Those of equal value depend on each other, which the adjustment says; with a sigma they are observations.
+
+    Raises
+    ------
+    InputError
+        Names both with their values.
+    """
+    first: dict[tuple[str, frozenset[str]], Constraint] = {}
+    for one in (c for c in constraints if c.kind in MEASURED and c.sigma is None):
+        other = first.setdefault((one.kind, frozenset(one.members)), one)
+        if other.value_m != one.value_m:
+            names = "; ".join(f"{c.label}: {c.value_m:.10g} m" for c in (other, one))
+            raise InputError.of("closerange.contradiction", place="constraints", names=names)
 
 
 def variable_of(constraint: Constraint, figure: Figure) -> Variable:

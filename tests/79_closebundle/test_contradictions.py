@@ -1,0 +1,97 @@
+"""Constraints that contradict or repeat each other, and figures whose points are judged by their rays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fg_orient.closerange.bundle import Bundle, adjust_bundle
+from fg_orient.closerange.constraints import Constraint
+from fg_orient.errors import InputError
+
+from .conftest import SIGMA, Array, make
+
+MIDDLE = np.array([1001.0, 2005.0, 50.0])
+
+
+def adjusted(points: Array, *stated: Constraint, seed: int = 1, backend: str = "dense") -> Bundle:
+    """Three photos; the last four points are control points; starts are off by 5 mm."""
+    scene = make(seed, points=points)
+    start = points + np.random.default_rng(seed).normal(scale=0.005, size=points.shape)
+    control = {scene.ids[k]: (points[k], 1e-3) for k in range(len(points) - 4, len(points))}
+    return adjust_bundle(scene.photos(), scene.ids, start, scene.which, scene.of, scene.image, sigma=SIGMA,
+                         control=control, constraints=stated, backend=backend)  # fmt: skip
+
+
+def cloud(n: int = 8) -> Array:
+    return MIDDLE + np.random.default_rng(5).uniform(-1.0, 1.0, (n, 3))
+
+
+def on_sphere(n: int) -> Array:
+    """Points of a sphere of 0.8 m, then four anywhere."""
+    rng = np.random.default_rng(7)
+    u = rng.normal(size=(n, 3))
+    return np.vstack([MIDDLE + 0.8 * u / np.linalg.norm(u, axis=1, keepdims=True), cloud(4)])
+
+
+def refused(points: Array, *stated: Constraint, backend: str = "dense") -> InputError:
+    with pytest.raises(InputError) as caught:
+        adjusted(points, *stated, backend=backend)
+    return caught.value
+
+
+def test_two_values_of_one_distance_contradict_each_other() -> None:
+    """They were called dependent. Equal values are; with a sigma both are observations, and their mean is found."""
+    points = cloud()
+    size = float(np.linalg.norm(points[0] - points[1]))
+    one, other = Constraint("distance", ("p0", "p1"), 1.25), Constraint("distance", ("p1", "p0"), 1.5)
+    error = refused(points, one, other)
+    assert error.problems[0].code == "closerange.contradiction"
+    assert "distance of p0, p1: 1.25 m; distance of p1, p0: 1.5 m" in str(error)
+    assert refused(points, one, one).problems[0].code == "closerange.dependent"
+    soft = [Constraint("distance", ("p0", "p1"), size + d, sigma=1e-6) for d in (-1e-3, 1e-3)]
+    found = adjusted(points, *soft).points_m
+    assert np.linalg.norm(found[0] - found[1]) == pytest.approx(size, abs=2e-6)
+
+
+def test_points_that_constraints_make_one_are_named() -> None:
+    """Three points of a plumb line on a horizontal circle: the iteration crept towards one place and did not end."""
+    error = refused(cloud(), Constraint("plumb line", ("p0", "p1", "p2")),
+                    Constraint("horizontal circle", ("p0", "p1", "p2", "p3")))  # fmt: skip
+    assert error.problems[0].code == "closerange.merged"
+    assert "hold together only with the points p0, p1, p2" in str(error)  # the circle may vanish: p3 as well
+    assert "at one place: plumb line of p0, p1, p2; horizontal circle of p0, p1, p2, p3;" in str(error)
+
+
+@pytest.mark.parametrize("backend", ["dense", "graph"])
+def test_a_plumb_line_and_a_horizontal_circle_with_one_common_point(backend: str) -> None:
+    angle, height = np.arange(6.0), np.array([[-0.5], [0.2], [0.6]])
+    circle = MIDDLE + np.column_stack([0.6 * np.cos(angle), 0.6 * np.sin(angle), np.zeros(6)])
+    points = np.vstack([circle, circle[0] + height * [0.0, 0.0, 1.0], cloud(4)])
+    stated = [("plumb line", ("p0", "p6", "p7", "p8")), ("horizontal circle", tuple(f"p{k}" for k in range(6)))]
+    found = adjusted(points, *(Constraint(*one) for one in stated), backend=backend).points_m
+    assert np.ptp(found[[0, 6, 7, 8], :2], axis=0).max() <= 1e-11
+    assert np.ptp(found[:6, 2]) <= 1e-11
+
+
+def test_five_points_are_a_sphere_if_their_rays_say_so() -> None:
+    """Refused as not determined: its start judged the points by their misfit, which one redundancy does not tell."""
+    points = on_sphere(7)
+    names = tuple(f"p{k}" for k in range(7))
+    found = adjusted(points, Constraint("sphere", names[:5]))
+    radius, sigma = found.figures[0]["radius"]
+    assert sigma is not None and abs(radius - 0.8) <= 4.0 * sigma <= 0.01
+    flat = points.copy()
+    flat[:5, 1] = MIDDLE[1]  # a circle is on many spheres
+    flat[:5, [0, 2]] = MIDDLE[[0, 2]] + 0.7 * np.column_stack([np.cos(np.arange(5.0)), np.sin(np.arange(5.0))])
+    assert refused(flat, Constraint("sphere", names[:5])).problems[0].code == "closerange.undetermined"
+
+
+def test_a_constraint_that_follows_where_the_others_hold_is_dependent() -> None:
+    """The fifth point of a second sphere lies on it wherever all lie on the first; at the start it does not yet."""
+    names = tuple(f"p{k}" for k in range(7))
+    error = refused(on_sphere(7), Constraint("sphere", names), Constraint("sphere", names[:5]))
+    assert error.problems[0].code == "closerange.dependent"
+    assert error.problems[0].place == "sphere of p0, p1, p2, p3, p4: p4"
+    again = adjusted(on_sphere(7), Constraint("sphere", names), Constraint("sphere", names[:4]))
+    assert [f["radius"][0] for f in again.figures] == pytest.approx([again.figures[0]["radius"][0]] * 2, abs=1e-9)
