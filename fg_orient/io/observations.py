@@ -6,12 +6,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from fg_orient.block import ImagePoints, Index
 from fg_orient.errors import Problem, problem
@@ -142,10 +143,15 @@ def _check_values(row: Row, size: tuple[int, int] | None, faults: Faults) -> Non
 
 
 def _remarks(file: str, table: Table, o: ImagePoints) -> tuple[Problem, ...]:
-    low, high = PLAUSIBLE_SIGMA_PX
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+    return remarks_on_sigmas(file, sigma, lambda k: table.row(k).place())
+
+
+def remarks_on_sigmas(file: str, sigma: npt.NDArray[np.float64], place_of: Callable[[int], str]) -> tuple[Problem, ...]:
+    """Remark on implausible standard deviations (n, 2), px; ``place_of`` names the place of a row."""
+    low, high = PLAUSIBLE_SIGMA_PX
     odd = np.flatnonzero(((sigma < low) | (sigma > high)).any(axis=1))
     if not len(odd):
         return ()
-    place, value = f"{table.row(int(odd[0])).place()}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
+    place, value = f"{place_of(int(odd[0]))}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
     return (problem("remark.sigma_image", file=file, place=place, value=value, low=low, high=high, count=len(odd)),)

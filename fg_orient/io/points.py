@@ -9,7 +9,7 @@ coordinates of check points do not leave this module until
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -36,6 +36,39 @@ PLAUSIBLE_SIGMA_M: Final = (1e-5, 1e4)
 
 
 @dataclass(frozen=True)
+class Record:
+    """Ground points as a reader gives them, check points included: nothing of it leaves ``io`` unsealed.
+
+    Parameters
+    ----------
+    ids, roles : tuples of length n
+    lines : (n,) int array
+        Line of each point in its file; 0 where there is none.
+    given : (n, 3) array
+        Coordinates as in the file, nan where there are none.
+    coordinates : Coordinates
+        Of control and check points.
+    operation : Operation or None
+        How they became ECEF.
+    sha256, crs : str
+        Of the file.
+    """
+
+    ids: tuple[str, ...]
+    roles: tuple[Role, ...]
+    lines: npt.NDArray[np.int64]
+    given: Array
+    coordinates: Coordinates
+    operation: Operation | None
+    sha256: str
+    crs: str
+
+
+#: Reads the points of a file; None, with the reasons noted, if it is unusable.
+Parse = Callable[[Faults], Record | None]
+
+
+@dataclass(frozen=True)
 class PointFile:
     """Ground points as read, without the coordinates of check points.
 
@@ -49,6 +82,8 @@ class PointFile:
         How the coordinates became ECEF; None if no point has coordinates.
     remarks : tuple of Problem
         What a user should know, but need not mend.
+    parse : callable
+        Reads the file again, for the coordinates of check points.
     """
 
     path: Path
@@ -57,15 +92,16 @@ class PointFile:
     points: GroundPoints
     operation: Operation | None
     remarks: tuple[Problem, ...]
+    parse: Parse
 
     def withheld(self, ids: Sequence[str]) -> WithheldCoordinates:
         """Seal the coordinates of these check points until they are opened."""
         # absolute: the working directory may change before they are opened
-        wanted, path, crs, sha256 = tuple(ids), self.path.absolute(), self.crs, self.sha256
+        wanted, path, sha256, parse = tuple(ids), self.path.absolute(), self.sha256, self.parse
 
         def reader() -> Coordinates:
             faults = Faults(str(path))
-            again = _parse(path, crs, faults)
+            again = parse(faults)
             if again is None or faults or again.sha256 != sha256:
                 raise InputError.of("points.changed", file=path, place="check points")
             row = {name: k for k, name in enumerate(again.ids)}
@@ -99,13 +135,39 @@ def read_points(path: Path, crs: str, faults: Faults, scenes: Sequence[Scene] = 
     InputError
         The CRS is unusable.
     """
-    parsed = _parse(path, crs, faults)
+    where = path.absolute()  # the working directory may change before check points are opened
+    return point_file(path, lambda noted: _parse(where, crs, noted), faults, scenes)
+
+
+def point_file(path: Path, parse: Parse, faults: Faults, scenes: Sequence[Scene] = ()) -> PointFile | None:
+    """Seal what a reader of any format gives; see :func:`read_points`.
+
+    Parameters
+    ----------
+    path : Path
+        Where the points stand.
+    parse : callable
+        Reads them, and again for the check points; coordinates without an operation are still those of the CRS.
+    faults, scenes
+        See :func:`read_points`.
+    """
+
+    def located(noted: Faults) -> Record | None:
+        found = parse(noted)
+        if found is None or found.operation is not None:
+            return found
+        control = _are(found.roles, Role.CONTROL)
+        ecef, operation = _ecef(found.crs, found.given, control, found.lines, noted)
+        return replace(found, coordinates=replace(found.coordinates, ecef_m=ecef), operation=operation)
+
+    parsed = located(faults)
     if parsed is None:
         return None
-    check_positions(scenes, crs, parsed.given, parsed.coordinates.ecef_m, parsed.lines, faults)
+    check_positions(scenes, parsed.crs, parsed.given, parsed.coordinates.ecef_m, parsed.lines, faults)
     known = _are(parsed.roles, Role.CONTROL)
     points = GroundPoints(parsed.ids, parsed.roles, _mask(parsed.coordinates, known))
-    return PointFile(path, crs, parsed.sha256, points, parsed.operation, _remarks(str(path), parsed))
+    remarks = _remarks(str(path), parsed)
+    return PointFile(path, parsed.crs, parsed.sha256, points, parsed.operation, remarks, located)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,24 +209,13 @@ def read_point_table(path: Path, crs: str, faults: Faults) -> PointTable | None:
 # --- parsing -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Parsed:
-    ids: tuple[str, ...]
-    roles: tuple[Role, ...]
-    lines: npt.NDArray[np.int64]
-    given: Array  # (n, 3) coordinates as in the file, nan where none
-    coordinates: Coordinates  # of control and check points
-    operation: Operation | None
-    sha256: str
-
-
 def _layouts(first: Kind) -> list[tuple[str, ...]]:
     kinds: list[Kind] = sorted(COORDINATE_COLUMNS, key=lambda kind: kind != first)
     usual = [("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS) for kind in kinds]
     return [*usual, ("id", "role", *COORDINATE_COLUMNS["geocentric"], *_SIGMA_XYZ)]
 
 
-def _parse(path: Path, crs: str, faults: Faults) -> _Parsed | None:
+def _parse(path: Path, crs: str, faults: Faults) -> Record | None:
     kind = crs_kind(crs)
     table = read_table(path, _layouts(kind), faults)
     if table is None or not _columns_fit(table, kind, faults):
@@ -176,7 +227,7 @@ def _parse(path: Path, crs: str, faults: Faults) -> _Parsed | None:
     ecef, operation = _ecef(crs, given, control, table.lines, faults)
     coordinates = Coordinates(ecef, sigma, fixed)
     known_roles = tuple(role or Role.TIE for role in roles)
-    return _Parsed(ids, known_roles, table.lines, given, coordinates, operation, table.sha256)
+    return Record(ids, known_roles, table.lines, given, coordinates, operation, table.sha256, crs)
 
 
 def _are(roles: Sequence[Role | None], wanted: Role) -> npt.NDArray[np.bool_]:
@@ -344,7 +395,7 @@ def take_points(points: GroundPoints, rows: npt.NDArray[np.int_]) -> GroundPoint
     )
 
 
-def _remarks(file: str, parsed: _Parsed) -> tuple[Problem, ...]:
+def _remarks(file: str, parsed: Record) -> tuple[Problem, ...]:
     remarks = []
     low, high = PLAUSIBLE_SIGMA_M
     sigma = parsed.coordinates.sigma_enu_m

@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Any, Final
 from fg_orient.block import Block, Image, Options, Source
 from fg_orient.errors import FgOrientError, InputError, Problem, problem
 from fg_orient.geodesy import crs_kind
+from fg_orient.interchange.registry import format_named
 from fg_orient.io.assemble import assemble
+from fg_orient.io.foreign import Table, read_foreign_observations, read_foreign_points
 from fg_orient.io.geometry import geometry_remarks
 from fg_orient.io.observations import ObservationFile, read_observations
 from fg_orient.io.points import LOSES_IDS, PointFile, read_points
@@ -28,6 +30,8 @@ from fg_orient.parameters import eop_set_number
 if TYPE_CHECKING:
     from fg_orient.io.schema import ProjectFile
 
+#: Format of our own tables.
+OWN: Final = "csv"
 #: A remark of ``validate`` only: the adjustment warns of the same, about the points it could use.
 FEW_CHECK_CODE: Final = "remark.few_check"
 #: Where an option of :func:`read_project` stands in the project file.
@@ -267,22 +271,62 @@ def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, 
     """Read the points, then the observations against them."""
     point_path, observation_path = folder / project.points.file, folder / project.observations.file
     point_faults, observation_faults = Faults(str(point_path)), Faults(str(observation_path))
-    points, crs_problems = None, list[Problem]()
-    try:
-        crs_kind(project.points.crs)
-    except InputError as error:
-        crs_problems = [dataclasses.replace(p, file=file, place="points.crs") for p in error.problems]
-    else:
+    points, crs_problems = None, _entry_problems(project, file)
+    if not crs_problems:
         known = [image for image in images.values() if image is not None]
         scenes = [Scene.from_footprint(image.id, image.sensor.footprint()) for image in known]
-        points = read_points(point_path, project.points.crs, point_faults, scenes)
+        if project.points.format == OWN:
+            points = read_points(point_path, project.points.crs or "", point_faults, scenes)
+        else:
+            points = read_foreign_points(_foreign(project, folder, "points"), file, point_faults, scenes)
     # names are checked only against lists that are themselves in order: no faults that follow from faults
     sizes = {name: (i.sensor.n_lines, i.sensor.n_samples) if i is not None else None for name, i in images.items()}
     known_images = sizes if len(sizes) == len(project.images) else None
-    ids = points.points.ids if points is not None and not point_faults.codes & LOSES_IDS else None
-    observations = read_observations(observation_path, known_images, ids, observation_faults)
+    sound = points if not point_faults.codes & LOSES_IDS else None
+    observations = None
+    if project.observations.format == OWN:
+        ids = sound.points.ids if sound is not None else None
+        observations = read_observations(observation_path, known_images, ids, observation_faults)
+    else:
+        table = _foreign(project, folder, "observations")
+        both = read_foreign_observations(table, file, known_images, sound, observation_faults)
+        observations, points = both or (None, points)
     problems = (*crs_problems, *point_faults.problems, *observation_faults.problems)
     return _Tables(points, observations, problems)
+
+
+def _foreign(project: ProjectFile, folder: Path, name: str) -> Table:
+    """The files of a table of another program: both tables of one format that has two files name one each."""
+    entry = project.points if name == "points" else project.observations
+    paths: tuple[Path, ...] = (folder / entry.file,)
+    if project.points.format == project.observations.format and project.points.file != project.observations.file:
+        both = (folder / project.points.file, folder / project.observations.file)
+        paths = both if len(format_named(entry.format, place=f"{name}.format").files) > 1 else paths
+    if name == "observations" and project.points.format == entry.format:  # what is said of the one holds for the other
+        given: dict[str, object] = {"crs": entry.crs or project.points.crs}
+        if project.points.accept_unverified:
+            given["accept_unverified"] = True
+        entry = entry.model_copy(update=given)
+    return Table(name, paths, entry)
+
+
+def _entry_problems(project: ProjectFile, file: str) -> list[Problem]:
+    """Faults of the entries ``[points]`` and ``[observations]`` that their types do not show."""
+    found = []
+    for name, entry in (("points", project.points), ("observations", project.observations)):
+        if entry.format == OWN:
+            given = entry.model_fields_set - {"file", "format"} - ({"crs"} if name == "points" else set())
+            found += [problem("project.own_table", file=file, place=f"{name}.{key}") for key in sorted(given)]
+    if project.points.crs is None and project.points.format == OWN:
+        expected = 'an EPSG code in quotes, such as "EPSG:4979"'
+        found.append(problem("project.missing", file=file, place="points.crs", expected=expected))
+    for name, crs in (("points", project.points.crs), ("observations", project.observations.crs)):
+        try:
+            if crs is not None:
+                crs_kind(crs)
+        except InputError as error:
+            found += [dataclasses.replace(p, file=file, place=f"{name}.crs") for p in error.problems]
+    return found
 
 
 def _source(path: Path) -> Source:

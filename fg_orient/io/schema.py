@@ -59,17 +59,32 @@ class ImageEntry(_Table):
     metadata: Text = Field(description="the path of the metadata file in quotes")
 
 
-class PointsEntry(_Table):
+class _Foreign(_Table):
+    """What a table says of a file of another program."""
+
+    format: Text = Field(default="csv", description='the name of a format, such as "metashape-xml" (docs/formats)')
+    image: str = Field(default="", description="the image of a format that holds one image and not its name")
+    sigma_axes: Literal["ecef", "enu"] = Field(default="ecef", description='"ecef" or "enu"')
+    accept_unverified: Switch = Field(default=False, description="true or false")
+
+
+class PointsEntry(_Foreign):
     """The ``[points]`` table."""
 
     file: Text = Field(description="the path of the point table in quotes")
-    crs: Text = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
+    crs: Text | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
+    sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
+    height_m: Number | None = Field(default=None, description="a number, m")
+    check: tuple[Text, ...] = Field(default=(), description='ids in quotes, such as ["7", "12"]')
 
 
-class ObservationsEntry(_Table):
+class ObservationsEntry(_Foreign):
     """The ``[observations]`` table."""
 
     file: Text = Field(description="the path of the observation table in quotes")
+    crs: Text | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
+    sigma_px: tuple[Positive, Positive] | None = Field(default=None, description="two numbers above zero, px")
+    images: dict[str, Text] = Field(default_factory=dict, description='a table such as { "a.tif" = "left" }')
 
 
 def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None:

@@ -297,6 +297,13 @@ PROJECT: Final = {
     "project.encoding": ("the project file is not UTF-8", "save it as UTF-8 text"),
     "project.syntax": ("the project file is not valid TOML", "mend the line; strings stand in double quotes"),
     "project.schema": ("unknown schema of the project file", "this version reads schema = 1"),
+    "project.format": ("files of this format hold no {what} that could be read", "choose one of docs/formats"),
+    "project.own_table": ("this entry is for files of other programs only", "leave it out, or name their format"),
+    "project.lacks": ("it has no {what}", "add {entry}"),
+    "project.images_alike": (
+        "two images of the file are one of the project",
+        "name the id of each in the table images",
+    ),
     "project.missing": ("a required entry is missing", "add it: {expected}"),
     "project.unknown_key": ("unknown entry", "{hint}"),
     "project.constraints": (
