@@ -56,6 +56,7 @@ _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
     factors/batch* factors/warmup.py
     fg_orient/__main__.py fg_orient/adjustment/* fg_orient/cells.py fg_orient/cli fg_orient/closerange/*job.py
+    fg_orient/closerange/bundle_record.py fg_orient/closerange/importing.py fg_orient/closerange/report
     fg_orient/comparison/* fg_orient/doctor.py fg_orient/experiments/* fg_orient/figures/style* fg_orient/io/assemble.py
     fg_orient/io/atomic.py fg_orient/io/*_checks.py fg_orient/io/folder.py fg_orient/io/rasters.py
     fg_orient/io/rpc_fields.py fg_orient/io/schema.py fg_orient/messages fg_orient/parallel/* fg_orient/published

@@ -36,7 +36,12 @@ Sigma = Annotated[
         "m0 is that sigma.",
     ),
 ]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results, report.html among them.")
+]
+Report = Annotated[
+    Path | None, typer.Option("--report", metavar="FILE.html", help="The report alone, as one self-contained page.")
+]
 
 
 @app.command("dlt")
@@ -48,6 +53,7 @@ def dlt(
     direct: Annotated[bool, typer.Option("--direct", help="The direct linear solution, not iterated.")] = False,
     sigma: Sigma = None,
     out: Out = None,
+    report: Report = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     log: Log = None,
@@ -59,7 +65,7 @@ def dlt(
         from fg_orient.closerange.job import run_dlt
 
         record = run_dlt(points, distortion=_words(distortion), sigma=_positive("--sigma", sigma), iterate=not direct,
-                         out=out, overwrite=overwrite, command=_command())  # fmt: skip
+                         out=out, report=report, overwrite=overwrite, command=_command())  # fmt: skip
         _finish(record, as_json, _show_photos)
 
 
@@ -69,6 +75,7 @@ def resect(
     camera: Photos,
     sigma: Sigma = None,
     out: Out = None,
+    report: Report = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     log: Log = None,
@@ -79,8 +86,8 @@ def resect(
     with outcome(as_json, debug, quiet, log):
         from fg_orient.closerange.job import run_resect
 
-        record = run_resect(points, camera, sigma=_positive("--sigma", sigma), out=out, overwrite=overwrite,
-                            command=_command())  # fmt: skip
+        record = run_resect(points, camera, sigma=_positive("--sigma", sigma), out=out, report=report,
+                            overwrite=overwrite, command=_command())  # fmt: skip
         _finish(record, as_json, _show_photos)
 
 
@@ -90,6 +97,7 @@ def intersect(
     photos: Photos,
     sigma: Sigma = None,
     out: Out = None,
+    report: Report = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     log: Log = None,
@@ -100,8 +108,8 @@ def intersect(
     with outcome(as_json, debug, quiet, log):
         from fg_orient.closerange.job import run_intersect
 
-        record = run_intersect(points, photos, sigma=_positive("--sigma", sigma), out=out, overwrite=overwrite,
-                               command=_command())  # fmt: skip
+        record = run_intersect(points, photos, sigma=_positive("--sigma", sigma), out=out, report=report,
+                               overwrite=overwrite, command=_command())  # fmt: skip
         _finish(record, as_json, _show_points)
 
 
@@ -147,6 +155,7 @@ def bundle(
     ] = 0.0,
     backend: Annotated[Literal["dense", "graph"], typer.Option(help="Correlates, or a GTSAM graph.")] = "dense",
     out: Out = None,
+    report: Report = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     log: Log = None,
@@ -164,7 +173,8 @@ def bundle(
                 points, photos, control=control, start=start, constraints=constraints,
                 stations=stations, check=check, sigma=_positive("--sigma", sigma), sigma_control_m=sigma_control,
                 unknown=_words(unknown), shared=_words(shared), backend=backend,
-                out=out, overwrite=overwrite, command=_command(), callback=watch.iteration, stage=watch.stage,
+                out=out, report=report, overwrite=overwrite, command=_command(), callback=watch.iteration,
+                stage=watch.stage,
             )  # fmt: skip
         _finish(record, as_json, _show_bundle)
 
@@ -237,6 +247,7 @@ def surface(
         list[str] | None, typer.Option(metavar="NAME=VALUE:SIGMA", help="Observed parameter, m; repeatable.")
     ] = None,
     out: Out = None,
+    report: Report = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     log: Log = None,
@@ -248,7 +259,8 @@ def surface(
         from fg_orient.closerange.job import run_surface
 
         record = run_surface(points, kind, axis=axis, method=method, sigma_m=_positive("--sigma", sigma),
-                             priors=_priors(prior or []), out=out, overwrite=overwrite, command=_command())  # fmt: skip
+                             priors=_priors(prior or []), out=out, report=report, overwrite=overwrite,
+                             command=_command())  # fmt: skip
         _finish(record, as_json, _show_surface)
 
 
@@ -293,6 +305,9 @@ def _finish(record: dict[str, Any], as_json: bool, show: Any) -> None:
         note("note: no standard deviations were given: weights are relative, and m0 is the sigma of an observation")
     if record["out"]:
         say(f"written: {record['out']}")
+    page = record["page"] or (record["out"] and str(Path(record["out"]) / "report.html"))
+    if page:
+        say(f"report: {page}")
 
 
 def _m0(record: dict[str, Any]) -> str:

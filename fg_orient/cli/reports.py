@@ -9,10 +9,11 @@ import typer
 
 from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, number, outcome, say, table
 from fg_orient.cli.progress import progress_bar
+from fg_orient.errors import InputError
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Result folder of adjust.", show_default=False)],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of adjust or closerange.", show_default=False)],
     truth: Annotated[
         Path | None, typer.Option("--truth", metavar="TRUTHDIR", help="Folder truth of a simulation, to compare with.")
     ] = None,
@@ -37,6 +38,11 @@ def report(
 ) -> None:
     """Write report.html of a result folder again; with --truth, compare with the simulated truth."""
     with outcome(as_json, debug, quiet, log):
+        from fg_orient.closerange.report import is_closerange
+
+        if is_closerange(folder):
+            emit_or_show(_closerange(folder, figures, figures_out, overwrite, truth or export), as_json)
+            return
         from fg_orient.report import write_report
 
         with progress_bar("writing the report"):
@@ -54,10 +60,34 @@ def report(
             with progress_bar("writing the layers"):
                 features = write_layers(folder, export, vector_scale=vector_scale, overwrite=overwrite)
             record["export"] = {"file": str(export), "features": features}
-        if as_json:
-            emit(record)
-            return
+        emit_or_show(record, as_json)
+
+
+def emit_or_show(record: dict[str, Any], as_json: bool) -> None:
+    """Print a record as JSON or in words."""
+    if as_json:
+        emit(record)
+    else:
         _show(record)
+
+
+def _closerange(
+    folder: Path, figures: bool, figures_out: Path | None, overwrite: bool, foreign: Path | None
+) -> dict[str, Any]:
+    """Report and figures of a close-range folder, which has neither a truth nor geographic layers."""
+    from fg_orient.closerange.report import write_report
+
+    if foreign is not None:
+        raise InputError.of("closerange.no_layers", file=folder, place="--truth, --export", value=foreign)
+    with progress_bar("writing the report"):
+        record: dict[str, Any] = {"report": str(write_report(folder)), "truth": None}
+    if figures or figures_out is not None:
+        from fg_orient.closerange.figures import write_figures
+
+        with progress_bar("drawing the figures") as progress:
+            drawn, names = write_figures(folder, figures_out, overwrite=overwrite, progress=progress)
+        record["figures"] = {"folder": str(drawn), "files": names}
+    return record
 
 
 def _show(record: dict[str, Any]) -> None:

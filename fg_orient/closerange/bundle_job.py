@@ -16,11 +16,11 @@ from fg_orient.closerange.corrections import parameters_of
 from fg_orient.closerange.files import Observed, interiors, photo_text, read_ground_points, read_image_points
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.job import (
-    CONTENTS,
     Record,
     finished,
     of_name,
     require_absolute,
+    require_outputs,
     unit_of_weights,
     weights_of,
 )
@@ -29,7 +29,6 @@ from fg_orient.closerange.resection import resect
 from fg_orient.closerange.stations import Station, read_stations, station_sigmas
 from fg_orient.errors import InputError, problem
 from fg_orient.io.constraints import ConstraintEntry, read_constraints
-from fg_orient.io.folder import require_free
 from fg_orient.io.photos import read_photos
 from fg_orient.linear.threads import one_blas_thread
 
@@ -44,7 +43,8 @@ def run_bundle(
     constraints: Path | None = None, stations: Path | None = None, check: Path | None = None,
     sigma: float | None = None, sigma_control_m: float = 0.0,
     unknown: Sequence[str] = (), shared: Sequence[str] = (), backend: str = "dense",
-    out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
+    out: Path | None = None, report: Path | None = None, overwrite: bool = False,
+    command: Sequence[str] = (),
     callback: Callback | None = None, stage: Stage | None = None,
 ) -> Record:  # fmt: skip
     """Adjust the photos and points of a table.
@@ -74,8 +74,8 @@ def run_bundle(
         (``closerange.corrections``).
     backend : str
         "dense" or "graph".
-    out, overwrite, command
-        Folder of the results; replace it; words of the command line, for the record.
+    out, report, overwrite, command
+        Folder of the results; a single HTML report; replace them; words of the command line, for the record.
     callback, stage : callable, optional
         Called with an ``IterationRecord`` after each iteration; with the name of each stage as it begins, and the
         number of image points (0 before they are read).
@@ -86,8 +86,7 @@ def run_bundle(
         See :func:`fg_orient.closerange.bundle.adjust_bundle`; sigmas of control points or constraints where image
         coordinates have none.
     """
-    if out is not None:
-        require_free(out, overwrite=overwrite, contents=CONTENTS)
+    require_outputs(out, report, overwrite)
     tell = stage or (lambda name, count: None)
     tell("reading", 0)
     table = read_image_points(path)
@@ -126,7 +125,8 @@ def run_bundle(
     judges = {name: at for name, (at, _) in withheld.items()}
     record = unit | bundle_record(found, table, known, which, of, weights, unit["weights"] == "absolute", seen, judges)
     record["warnings"] += doubts
-    return finished(record, path, table, out, overwrite, command, texts)
+    beside = (photos, control, check, start, constraints, stations)
+    return finished(record, path, table, out, overwrite, command, texts, report, beside)
 
 
 def _own_sigmas(

@@ -8,12 +8,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.extended_collinearity import NAMES
+from factors.extended_collinearity import NAMES, SIZE
 from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle import Adjustment, Bundle
 from fg_orient.closerange.bundle_quality import Quality
+from fg_orient.closerange.distortion import profile
 from fg_orient.closerange.files import Observed
-from fg_orient.closerange.job import NO_REDUNDANCY, Record, exterior_record, xyz
+from fg_orient.closerange.job import NO_REDUNDANCY, Record, covariances, exterior_record, xyz
 from fg_orient.closerange.stations import Station, observed_record
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
 
@@ -58,8 +59,9 @@ def bundle_record(
         "iterations": found.iterations, "unknowns": len(found.labels), "photos": _photos(found, which, seen),
         "cameras": [{"camera": c.name, "parameters": _numbers(c)} for c in found.cameras],
         "figures": [{"figure": f.name, "numbers": _numbers(f)} for f in found.figures],
-        "points": _points(found, known, of), "residuals": _residuals(found, table, sigma, unit),
-        "observations": _others(quality, unit), "check": _check(found, check), "reliability": _reliability(quality),
+        "points": _points(found, known, of, check), "residuals": _residuals(found, table, sigma, unit),
+        "distortion": _distortion(found, table, which), "observations": _others(quality, unit),
+        "check": _check(found, check), "reliability": _reliability(quality),
         "correlations": _correlations(quality), "directions": _directions(quality), "history": _history(quality),
         "warnings": _warnings(found, known, seen, check),
     }  # fmt: skip
@@ -90,18 +92,46 @@ def _photos(found: Bundle, which: Index, seen: Mapping[str, Station]) -> list[Re
     return photos
 
 
-def _points(found: Bundle, known: Known, of: Index) -> list[Record]:
+def _distortion(found: Bundle, table: Observed, which: Index) -> list[Record]:
+    """Corrections along the radius of each camera: that of all photos, of each photo, or held ones that are not 0."""
+    labels, out = found.quality.labels, list[Record]()
+    m0 = found.m0 or 0.0
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for k, photo in enumerate(found.photos):
+        own = [n for n in photo.names if n in NAMES]
+        inner = found.interiors[k]
+        same = ("photo", photo.name) if own else (inner.focal, *inner.principal, *inner.corrections)
+        groups.setdefault(same, []).append(k)
+    for members in groups.values():
+        photo, inner = found.photos[members[0]], found.interiors[members[0]]
+        camera = np.zeros(SIZE)
+        camera[0], camera[1:3], camera[3:10] = inner.focal, inner.principal, inner.corrections
+        parts = [*((f"camera {c.name}", c) for c in found.cameras), (f"photo {photo.name}", photo)]
+        where = {n: (f"{of} {n}", p[n][0]) for of, p in parts for n in p.names if n in NAMES}
+        for name, (_, value) in where.items():
+            camera[NAMES.index(name)] = value
+        rows = [labels.index(label) for label, _ in where.values()]
+        covariance = m0**2 * found.quality.orientation[np.ix_(rows, rows)]
+        reach = np.linalg.norm(table.image[np.isin(which, members)] - inner.principal, axis=1)
+        curve = profile(camera, float(reach.max(initial=1e-9)), list(where), covariance)
+        if any(curve["radial"]) or any(curve["across"]) or any(curve["sigma"]):
+            out.append({"photos": [found.photos[k].name for k in members], "determined": list(where), **curve})
+    return out
+
+
+def _points(found: Bundle, known: Known, of: Index, check: Mapping[str, Array]) -> list[Record]:
     n = len(found.ids)
     rays = np.bincount(of, minlength=n)
     misfit = np.sqrt(np.bincount(of, np.sum(found.residuals**2, axis=1), n) / np.maximum(rays, 1))
     out = []
     for k, name in enumerate(found.ids):
-        cov = None if found.m0 is None else found.m0**2 * found.quality.points[k]
-        mixed = {f"cov_{a}_m2": None if cov is None else float(cov[i, j])
-                 for a, (i, j) in (("xy", (0, 1)), ("xz", (0, 2)), ("yz", (1, 2)))}  # fmt: skip
+        given = known[name][0] if name in known else check.get(name)
+        role = "control" if name in known else "new" if given is None else "check"
         out.append({
-            "id": name, "role": "control" if name in known else "new", **xyz(found.points_m[k]),
-            **xyz(None if found.sigma_m is None else found.sigma_m[k], "sigma_"), **mixed, "rays": int(rays[k]),
+            "id": name, "role": role, **xyz(found.points_m[k]),
+            **xyz(None if found.sigma_m is None else found.sigma_m[k], "sigma_"),
+            **covariances(found.quality.points[k], found.m0),
+            **xyz(None if given is None else found.points_m[k] - given, "difference_"), "rays": int(rays[k]),
             "misfit": float(misfit[k]) if rays[k] else None,
         })  # fmt: skip
     return out
@@ -137,7 +167,7 @@ def _others(quality: Quality, unit: float) -> list[Record]:
 
 
 def _check(found: Bundle, check: Mapping[str, Array]) -> Record | None:
-    """Adjusted minus given coordinates of check points, m, and their figures; None without any."""
+    """Figures of adjusted minus given coordinates of the check points; None without any."""
     place = {name: k for k, name in enumerate(found.ids)}
     rows = [name for name in check if name in place]
     if not rows:
@@ -145,13 +175,8 @@ def _check(found: Bundle, check: Mapping[str, Array]) -> Record | None:
     at = np.array([place[name] for name in rows])
     given, ours = np.array([check[name] for name in rows]), found.points_m[at]
     measures = compare_points("bundle", given, ours, np.zeros(len(rows), bool)).other
-    sigma = None if found.sigma_m is None else found.sigma_m[at]
-    return {
-        "n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
-        "mean_mm": (1e3 * (ours - given).mean(axis=0)).tolist(),
-        "points": [{"id": name, **xyz((ours - given)[k], "difference_"),
-                    **xyz(None if sigma is None else sigma[k], "sigma_")} for k, name in enumerate(rows)],
-    }  # fmt: skip
+    return {"n": len(rows), "rms_mm": measures.rms_mm[:3], "worst_mm": measures.worst_mm,
+            "mean_mm": (1e3 * (ours - given).mean(axis=0)).tolist()}  # fmt: skip
 
 
 def _reliability(quality: Quality) -> Record:

@@ -27,22 +27,36 @@ from fg_orient.closerange.files import (
 from fg_orient.closerange.fitting import plain_rms
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.photo import Photo
+from fg_orient.closerange.report import REPORT_FILE
+from fg_orient.closerange.report.html import render
 from fg_orient.closerange.resection import Resection, resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Method, Priors, fit_surface
 from fg_orient.errors import InputError
+from fg_orient.io.atomic import write_text
 from fg_orient.io.folder import Contents, require_free, staged_folder, writing
 from fg_orient.io.photos import read_photos
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.run.json import dumps
-from fg_orient.run.provenance import versions
+from fg_orient.run.provenance import sha256_of, versions
 
 Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
 T = TypeVar("T")
 
 SCHEMA: Final = 1
-CONTENTS: Final = Contents("closerange.json", ("closerange.json", "points.csv", "photos.toml"))
+CONTENTS: Final = Contents(
+    "closerange.json",
+    (
+        "closerange.json",
+        "points.csv",
+        "photos.toml",
+        "report.html",
+        "figures/*.svg",
+        "figures/*.pdf",
+        "figures/captions.md",
+    ),
+)  # fmt: skip
 NO_REDUNDANCY: Final = "no redundancy: standard deviations follow from nothing"
 LITTLE_REDUNDANCY: Final = (
     "redundancy 1: m0, and standard deviations with it, are ten times too small in 8 of 100 sets, and 1 of 15 sets "
@@ -52,7 +66,7 @@ LITTLE_REDUNDANCY: Final = (
 
 def run_dlt(
     path: Path, *, distortion: Sequence[str] = (), sigma: float | None = None, iterate: bool = True,
-    out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
+    out: Path | None = None, report: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Fit a DLT to each photo of a table of control points.
 
@@ -66,15 +80,15 @@ def run_dlt(
         Of image coordinates, where the table has none; without it they all have weight 1, and m0 is their sigma.
     iterate : bool
         False: the direct linear solution.
-    out, overwrite, command
-        Folder of the results; replace it; words of the command line, for the record.
+    out, report, overwrite, command
+        Folder of the results; a single HTML report; replace them; words of the command line, for the record.
 
     Raises
     ------
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.dlt.fit_dlt`.
     """
-    table, texts = _begin(path, read_control, out, overwrite), list[str]()
+    table, texts = _begin(path, read_control, out, report, overwrite), list[str]()
 
     def one(name: str, rows: Array, weights: Array) -> Record:
         used = rows[~table.check[rows]]
@@ -89,8 +103,9 @@ def run_dlt(
 
     photos = _each_photo(table, sigma, one)
     return finished(
-        {"kind": "dlt", **unit_of_weights(table, sigma), "photos": photos}, path, table, out, overwrite, command, texts
-    )
+        {"kind": "dlt", **unit_of_weights(table, sigma), "photos": photos}, path, table, out, overwrite, command, texts,
+        report,
+    )  # fmt: skip
 
 
 def _dlt_record(found: DltFit) -> Record:
@@ -114,7 +129,7 @@ def _dlt_record(found: DltFit) -> Record:
 
 def run_resect(
     path: Path, camera: Path, *, sigma: float | None = None, out: Path | None = None, overwrite: bool = False,
-    command: Sequence[str] = (),
+    report: Path | None = None, command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Orient each photo of a table of control points by its camera.
 
@@ -123,7 +138,7 @@ def run_resect(
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.resection.resect`; a photo without a camera.
     """
-    table, texts = _begin(path, read_control, out, overwrite), list[str]()
+    table, texts = _begin(path, read_control, out, report, overwrite), list[str]()
     cameras = interiors(read_photos(camera))
 
     def one(name: str, rows: Array, weights: Array) -> Record:
@@ -134,7 +149,7 @@ def run_resect(
 
     photos = _each_photo(table, sigma, one)
     return finished({"kind": "resection", **unit_of_weights(table, sigma), "photos": photos}, path, table, out,
-                    overwrite, command, texts)  # fmt: skip
+                    overwrite, command, texts, report, [camera])  # fmt: skip
 
 
 def _resection_record(found: Resection) -> Record:
@@ -148,7 +163,7 @@ def _resection_record(found: Resection) -> Record:
 
 def run_intersect(
     path: Path, photos: Path, *, sigma: float | None = None, out: Path | None = None, overwrite: bool = False,
-    command: Sequence[str] = (),
+    report: Path | None = None, command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Intersect the points of a table by oriented photos.
 
@@ -157,7 +172,7 @@ def run_intersect(
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.intersection.intersect_photos`; a photo that the file does not have.
     """
-    table = _begin(path, read_image_points, out, overwrite)
+    table = _begin(path, read_image_points, out, report, overwrite)
     known = oriented_photos(read_photos(photos))
     names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys(table.ids))
     which, of = [names.index(name) for name in table.photos], [ids.index(name) for name in table.ids]
@@ -168,19 +183,26 @@ def run_intersect(
     rms, sd = [np.linalg.norm(found.residuals[np.array(of) == k]) for k in range(len(ids))], found.sigma_m
     points = [
         {"id": name, **xyz(found.points_m[k]), **xyz(None if sd is None else sd[k], "sigma_"),
-         "rays": of.count(k), "misfit": float(rms[k] / np.sqrt(of.count(k)))}
+         **covariances(found.cofactors[k], found.m0), "rays": of.count(k),
+         "misfit": float(rms[k] / np.sqrt(of.count(k)))}
         for k, name in enumerate(ids)
     ]  # fmt: skip
+    seen = zip(table.photos, table.ids, table.image.tolist(), found.residuals.tolist(), strict=True)
+    residuals = [{"photo": p, "id": i, "x": x, "y": y, "residual_x": vx, "residual_y": vy}
+                 for p, i, (x, y), (vx, vy) in seen]  # fmt: skip
+    centres = [{"photo": n, "exterior": {"centre_m": known[n].origin_m.tolist()}} for n in names if n in known]
     record = {
         "kind": "intersection", **unit_of_weights(table, sigma), "m0": found.m0, "redundancy": found.redundancy,
-        "iterations": found.iterations, "points": points, "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
+        "iterations": found.iterations, "points": points, "residuals": residuals, "stations": centres,
+        "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
     }  # fmt: skip
-    return finished(record, path, table, out, overwrite, command)
+    return finished(record, path, table, out, overwrite, command, (), report, [photos])
 
 
 def run_surface(
     path: Path, kind: Kind, *, axis: str = "y", method: Method = "geometric", sigma_m: float | None = None,
-    priors: Priors | None = None, out: Path | None = None, overwrite: bool = False, command: Sequence[str] = (),
+    priors: Priors | None = None, out: Path | None = None, report: Path | None = None, overwrite: bool = False,
+    command: Sequence[str] = (),
 ) -> Record:  # fmt: skip
     """Fit a surface to the points of a table.
 
@@ -189,7 +211,7 @@ def run_surface(
     InputError, NoSolutionError
         See :func:`fg_orient.closerange.surface_fit.fit_surface`; priors where the points have no sigma.
     """
-    table = _begin(path, read_ground_points, out, overwrite)
+    table = _begin(path, read_ground_points, out, report, overwrite)
     require_absolute(
         path, table, sigma_m, [("", f"--prior {name}", value[1]) for name, value in (priors or {}).items()]
     )
@@ -213,15 +235,34 @@ def run_surface(
         ],
         "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
     }  # fmt: skip
-    return finished(record, path, table, out, overwrite, command)
+    return finished(record, path, table, out, overwrite, command, (), report)
 
 
 # --- what they share -------------------------------------------------------------------------------
 
 
-def _begin(path: Path, read: Callable[[Path], Observed], out: Path | None, overwrite: bool) -> Observed:
+def require_outputs(out: Path | None, report: Path | None, overwrite: bool) -> None:
+    """Refuse outputs that may not be written, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        One exists and may not be replaced, or the report cannot stand there.
+    """
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
+    if report is None:
+        return
+    if report.is_dir() or (report.exists() and not overwrite):
+        raise InputError.of("output.exists", file=report, place="--report")
+    if not report.parent.is_dir():
+        raise InputError.of("output.unwritable", file=report, place="--report", value="no such folder")
+
+
+def _begin(
+    path: Path, read: Callable[[Path], Observed], out: Path | None, report: Path | None, overwrite: bool
+) -> Observed:
+    require_outputs(out, report, overwrite)
     return read(path)
 
 
@@ -308,7 +349,8 @@ def _photo_points(table: Observed, rows: Array, photo: Photo) -> Record:
     check = table.check[index]
     points = [
         {"id": table.ids[k], "role": "check" if table.check[k] else "control", "residual_x": float(r[0]),
-         "residual_y": float(r[1])}
+         "residual_y": float(r[1]), "x": float(table.image[k, 0]), "y": float(table.image[k, 1]),
+         **xyz(table.ground[k])}
         for k, r in zip(index.tolist(), residual, strict=True)
     ]  # fmt: skip
     return {"rms": plain_rms(residual[~check]), "check_rms": plain_rms(residual[check]), "points": points}
@@ -320,21 +362,48 @@ def xyz(values: Array | None, prefix: str = "") -> Record:
     return {f"{prefix}{name}": value for name, value in zip(GROUND, numbers, strict=True)}
 
 
+def covariances(cofactors: Array, m0: float | None) -> Record:
+    """Covariances of a point's coordinates, m²; None without redundancy."""
+    places = {"cov_xy_m2": (0, 1), "cov_xz_m2": (0, 2), "cov_yz_m2": (1, 2)}
+    return {name: None if m0 is None else float(m0**2 * cofactors[at]) for name, at in places.items()}
+
+
 def finished(
     record: Record, path: Path, table: Observed, out: Path | None, overwrite: bool, command: Sequence[str],
-    photos: Sequence[str] = (),
+    photos: Sequence[str] = (), report: Path | None = None, beside: Iterable[Path | None] = (),
 ) -> Record:  # fmt: skip
-    """Add what the record was made from, write the folder if one is wanted."""
+    """Add what the record was made from, write folder and report where they are wanted.
+
+    Parameters
+    ----------
+    record : dict
+    path : Path
+        Of the points.
+    table : Observed
+        The points.
+    out, overwrite, command, report
+        See :func:`run_dlt`.
+    photos : sequence of str
+        Tables of ``photos.toml``.
+    beside : iterable of Path or None
+        Other inputs.
+    """
+    files = [one for one in beside if one is not None]
     record = {"schema": SCHEMA, **record, "input": {"file": path.name, "sha256": table.sha256}, "versions": versions(),
               "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
-              "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds")}  # fmt: skip
+              "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+              "report": {"inputs": [{"file": one.name, "sha256": sha256_of(one)} for one in files]}}  # fmt: skip
+    page = "" if out is None and report is None else render(record)
     if out is not None:
         with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
             (folder / "closerange.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
+            (folder / REPORT_FILE).write_text(page, encoding="utf-8")
             _write_points(folder / "points.csv", record)
             if photos:
                 (folder / "photos.toml").write_text("schema = 1\n\n" + "\n".join(photos), encoding="utf-8")
-    return record | {"out": None if out is None else str(out)}
+    if report is not None:
+        write_text(report, page)
+    return record | {"out": None if out is None else str(out), "page": None if report is None else str(report)}
 
 
 def _write_points(path: Path, record: Record) -> None:

@@ -131,6 +131,10 @@ CLOSERANGE: Final = {
         "a point cannot judge the result and take part in it",
         "leave it out of --control, or of --check",
     ),
+    "closerange.no_layers": (
+        "results of close range have no truth and no geographic coordinates",
+        "leave the option out; points.csv holds the coordinates",
+    ),
     "closerange.constraint": ("this constraint is not possible", "give {expected}"),
     "closerange.dependent": (
         "this hard constraint follows from the others, or contradicts them",

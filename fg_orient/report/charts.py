@@ -59,11 +59,11 @@ def heat_maps(result: Result) -> list[dict[str, Any]]:
     """Correlations of each image's unknowns as a triangle of squares; none where covariances are withheld."""
     names = short_names(result)
     chosen = itertools.islice(image_correlations(result).items(), MAX_HEAT)
-    return [{"image": image, "drawing": _heat(image, names[image], rho)} for image, rho in chosen]
+    return [{"image": image, "drawing": heat_map(image, names[image], rho)} for image, rho in chosen]
 
 
-def _heat(image: str, names: Sequence[str], rho: Array) -> Markup:
-    """Lower triangle: hue tells the sign, strength the size, a written figure what is above 0.9."""
+def heat_map(image: str, names: Sequence[str], rho: Array) -> Markup:
+    """Lower triangle of correlations: hue tells the sign, strength the size, a written figure what is above 0.9."""
     n, side, left = len(names), 26.0, 104.0
     width, height = left + n * side + 8.0, n * side + 92.0
     panel = Panel((0.0, 1.0), (0.0, 1.0), f"correlations of the unknowns of image {image}", width=width, height=height)
@@ -100,14 +100,20 @@ def _square(panel: Panel, kind: str, x: float, y: float, side: float, tip: str) 
 
 def redundancy_chart(result: Result) -> Markup:
     """Histogram of the redundancy numbers of all image coordinates; empty where they are not given."""
-    values = result.residuals.numbers("redundancy_line", "redundancy_sample")
+    return redundancy_histogram(result.residuals.numbers("redundancy_line", "redundancy_sample"))
+
+
+def redundancy_histogram(values: Array, names: tuple[str, str] = ("line", "sample")) -> Markup:
+    """Histogram of redundancy numbers (n, 2) of two coordinates with these names; empty where there are none."""
     panel_values = [column[np.isfinite(column)] for column in values.T]
     if not sum(map(len, panel_values)):
         return Markup("")
     edges = np.linspace(0.0, 1.0, 21)
     counts = [np.histogram(np.clip(column, 0.0, 1.0), edges)[0] for column in panel_values]
     high = 1.08 * max(1.0, float(np.max(counts)))
-    panel = Panel((0.0, 1.0), (0.0, high), "redundancy numbers of line and sample", width=560.0, height=240.0)
+    panel = Panel(
+        (0.0, 1.0), (0.0, high), f"redundancy numbers of {names[0]} and {names[1]}", width=560.0, height=240.0
+    )
     panel.axes("redundancy number: 0 unchecked, 1 fully checked", "coordinates of image points",
                [0, 0.2, 0.4, 0.6, 0.8, 1.0], ticks(0.0, high, 4))  # fmt: skip
     for k, column in enumerate(counts):
@@ -117,15 +123,15 @@ def redundancy_chart(result: Result) -> Markup:
                 panel.add('<path class="column {}" d="M{} {}V{}H{}V{}z"/>', ("of-line", "of-sample")[k], x0,
                           panel.py(0.0), panel.py(count), round(x1, 1), panel.py(0.0))  # fmt: skip
     x = panel.left + 12
-    for k, word in enumerate(("line", "sample")):
+    for k, word in enumerate(names):
         panel.add('<rect class="column {}" x="{}" y="{}" width="10" height="10"/>', ("of-line", "of-sample")[k],
                   x + 70 * k, panel.top + 8)  # fmt: skip
         panel.text(x + 14 + 70 * k, panel.top + 17, word)
     return panel.svg("panel broad")
 
 
-def iteration_charts(iterations: Sequence[dict[str, Any]]) -> list[Markup]:
-    """Weighted squares and largest step over the iterations, both logarithmic; none without a log."""
+def iteration_charts(iterations: Sequence[dict[str, Any]], units: str = "prior σ or m") -> list[Markup]:
+    """Weighted squares and largest step (in ``units``) over the iterations, both logarithmic; none without a log."""
     taken = [i for i in iterations if i["accepted"]]
     if not taken:
         return []
@@ -133,7 +139,7 @@ def iteration_charts(iterations: Sequence[dict[str, Any]]) -> list[Markup]:
     steps = [(float(i["iteration"]), i["step"]) for i in taken]
     last = float(taken[-1]["iteration"])
     return [panel.svg() for panel in (_history(squares, (0.0, last), "sum of weighted squares"),
-            _history(steps, (0.0, last), "largest step, prior σ or m")) if panel is not None]  # fmt: skip
+            _history(steps, (0.0, last), f"largest step, {units}")) if panel is not None]  # fmt: skip
 
 
 def _history(points: list[tuple[float, float]], x: tuple[float, float], words: str) -> Panel | None:

@@ -147,8 +147,8 @@ def histogram(ratio: Array, name: str, tested: bool) -> Markup:
     return panel.svg()
 
 
-def quantiles(ratio: Array, name: str, tested: bool) -> Markup:
-    """Q-Q plot of line (dots) and sample (squares) against the normal distribution."""
+def quantiles(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = ("line", "sample")) -> Markup:
+    """Q-Q plot of line (dots) and sample (squares), or two other coordinates, against the normal distribution."""
     panel = Panel((-ENDS, ENDS), (-ENDS, ENDS), f"quantiles of the residuals of image {name} against the normal")
     panel.axes("quantile of the normal", "v / its own σ" if tested else "v / σ", [-4, -2, 0, 2, 4], [-4, -2, 0, 2, 4])
     panel.line([(-ENDS, -ENDS), (ENDS, ENDS)], "limit")
@@ -163,9 +163,9 @@ def quantiles(ratio: Array, name: str, tested: bool) -> Markup:
         draw(zip(expected.tolist(), found.tolist(), strict=True), ("line-dot", "sample-dot")[k])
     y = panel.top + 14
     panel.add('<circle class="line-dot" cx="{}" cy="{}" r="3"/>', panel.left + 12, y)
-    panel.text(panel.left + 20, y + 4, "line")
+    panel.text(panel.left + 20, y + 4, axes[0])
     panel.add('<rect class="sample-dot" x="{}" y="{}" width="6" height="6"/>', panel.left + 9, y + 13)
-    panel.text(panel.left + 20, y + 20, "sample")
+    panel.text(panel.left + 20, y + 20, axes[1])
     return panel.svg()
 
 

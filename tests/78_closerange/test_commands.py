@@ -62,7 +62,9 @@ def test_resect_then_intersect(folder: tuple[Path, Array]) -> None:
     assert left["exterior"]["centre_m"] == pytest.approx([10.0, 20.0, 2.0], abs=1e-8)
     assert (left["redundancy"], len(left["points"])) == (18, 15)
     assert max(left["check_rms"]) <= 1e-8
-    assert sorted(p.name for p in (path / "out").iterdir()) == ["closerange.json", "photos.toml", "points.csv"]
+    assert sorted(p.name for p in (path / "out").iterdir()) == [
+        "closerange.json", "photos.toml", "points.csv", "report.html",
+    ]  # fmt: skip
     again = run("closerange", "intersect", path / "image.csv", path / "out" / "photos.toml", "--json")
     found = np.array([[p["x_m"], p["y_m"], p["z_m"]] for p in again.json["points"]])
     assert np.abs(found - points).max() <= 1e-7

@@ -51,7 +51,9 @@ def test_bundle_from_tables(tmp_path: Path) -> None:
         float(np.linalg.norm(scene.points[10] - scene.points[12])), abs=1e-9
     )
     assert max(np.abs(points[f"p{k}"] - scene.points[k]).max() for k in range(14)) <= 5e-3
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["closerange.json", "photos.toml", "points.csv"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "closerange.json", "photos.toml", "points.csv", "report.html",
+    ]  # fmt: skip
     again = run("closerange", "intersect", tmp_path / "image.csv", tmp_path / "out" / "photos.toml", "--json")
     assert again.code == 0
     text = run(*words, "--backend", "graph").stdout

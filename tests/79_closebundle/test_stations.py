@@ -131,7 +131,10 @@ def test_check_points_take_no_part(tmp_path: Path) -> None:
     scene = make(21, 16)
     words = [*written(tmp_path, scene, 8), "--control", tmp_path / "control.csv"]
     plain, judged = run(*words).json, run(*words, "--check", tmp_path / "check.csv").json
-    assert plain["check"] is None and plain["points"] == judged["points"]
+    assert plain["check"] is None and plain["m0"] == judged["m0"]
+    for before, after in zip(plain["points"], judged["points"], strict=True):
+        assert [before[f"{a}_m"] for a in "xyz"] == [after[f"{a}_m"] for a in "xyz"]
+    assert [p["id"] for p in judged["points"] if p["role"] == "check"] == [f"p{k}" for k in range(8, 16)]
     check = judged["check"]
     ours = {p["id"]: np.array([p["x_m"], p["y_m"], p["z_m"]]) for p in judged["points"]}
     difference = np.array([ours[f"p{k}"] - scene.points[k] for k in range(8, 16)])

@@ -1,0 +1,303 @@
+"""The report of close range: drawings say what the record says, hostile names are words, nobody is asked."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fg_orient.closerange.distortion import profile
+from fg_orient.closerange.report import maps, plots, surface, words
+from fg_orient.closerange.report.html import render
+from fg_orient.report.page import script
+from tests.support import page_files
+from tests.support.browser import Page
+from tests.support.command import in_process as run
+from tests.support.page import structure
+
+from .conftest import HOSTILE
+
+BUNDLE = ("closerange", "bundle", "image.csv", "cameras.toml", "--sigma", "0.001", "--control", "ground.csv",
+          "--constraints", "constraints.toml", "--shared", "k1")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Tables of two photos and of a surface, and the folder of a bundle with check points, ``out``."""
+    folder = tmp_path_factory.mktemp("closerange")
+    page_files.photos_and_control(folder)
+    page_files.surface_points(folder)
+    rows = (folder / "ground.csv").read_text("utf-8").splitlines()
+    (folder / "ground.csv").write_text("\n".join(rows[:9]) + "\n", "utf-8")
+    (folder / "check.csv").write_text("\n".join([rows[0], *rows[9:]]) + "\n", "utf-8")
+    bundle(folder, "--check", "check.csv", "--out", folder / "out")
+    return folder
+
+
+def bundle(folder: Path, *more: object) -> Any:
+    """Run the bundle on the tables of a folder; its record."""
+    given = [folder / w if isinstance(w, str) and w.endswith((".csv", ".toml")) else w for w in (*BUNDLE, *more)]
+    done = run(*given, "--json")
+    assert done.code == 0, done.stderr
+    return done.json
+
+
+@pytest.fixture
+def record(made: Path) -> dict[str, Any]:
+    return json.loads((made / "out" / "closerange.json").read_text("utf-8"))
+
+
+def test_the_page_asks_nobody_and_has_its_parts(made: Path) -> None:
+    path = made / "out" / "report.html"
+    text, found = path.read_text("utf-8"), structure(path)
+    assert found.tags.count("script") == 1 and f"<script>{script()}</script>" in text
+    assert not re.search(r"(?:src|href)=\"(?!#)|https?:|@import|url\(", text.replace(script(), ""))
+    assert "default-src 'none'" in text and len(text) < 400_000
+    parts = ["verdict", "accuracy", "map", "numbers", "camera", "residuals", "reliability", "orientation", "points",
+             "observability", "iterations", "provenance"]  # fmt: skip
+    assert [i for i in found.ids if i in parts] == parts
+    links = [value.removeprefix("#") for name, value in found.attributes if name == "href"]
+    assert links and set(links) <= set(found.ids)
+    inputs = re.findall(r'<td class="id">([\w.]+)</td><td class="id sha text">\w{64}</td>', text)
+    assert inputs == ["image.csv", "cameras.toml", "ground.csv", "check.csv", "constraints.toml"]
+
+
+def test_hostile_names_are_words(made: Path, tmp_path: Path) -> None:
+    page_files.photos_and_control(tmp_path)
+    names = dict(zip(("p0", "p13", "left"), HOSTILE, strict=True))
+    for name in ("image.csv", "ground.csv"):
+        with (tmp_path / name).open(encoding="utf-8", newline="") as stream:
+            rows = [[names.get(cell, cell) for cell in row] for row in csv.reader(stream)]
+        with (tmp_path / name).open("w", encoding="utf-8", newline="") as stream:
+            csv.writer(stream).writerows(rows)
+    for name in ("cameras.toml", "constraints.toml"):
+        text = (tmp_path / name).read_text("utf-8")
+        for plain, hostile in names.items():
+            text = text.replace(f'"{plain}"', json.dumps(hostile))
+        (tmp_path / name).write_text(text, "utf-8")
+    bundle(tmp_path, "--report", tmp_path / "page.html")
+    found, text = structure(tmp_path / "page.html"), (tmp_path / "page.html").read_text("utf-8")
+    assert found.tags.count("script") == 1 and "img" not in found.tags and "<img src=x" not in text
+    assert sum("onerror" in part for part in found.text) > 2
+
+
+def test_first_page_says_the_accuracy_at_check_points(record: dict[str, Any]) -> None:
+    text = render(record)
+    first = text[: text.index('id="map"')]
+    rms = [words.length(v / 1e3) for v in record["check"]["rms_mm"]]
+    assert f"At 4 check points, whose coordinates took no part, the root mean square error is {rms[0]} X" in first
+    unit, factor = words.unit_of([v / 1e3 for v in record["check"]["worst_mm"]])
+    cells = "".join(f"<td>{words.significant(factor * v / 1e3)}</td>" for v in record["check"]["rms_mm"])
+    assert unit == "mm" and f"<tr><th>root mean square</th>{cells}</tr>" in first
+    new = [p["sigma_y_m"] for p in record["points"] if p["role"] == "new"]
+    assert words.significant(1e3 * float(np.sqrt(np.mean(np.square(new))))) in first
+    assert "There are no check points" in render(record | {"check": None})
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "said"),
+    [
+        ({"m0": 1.0}, "good", "within their standard deviations: m0 is 1.00, chance leaves it between"),
+        ({"m0": 2.5}, "warn", "The residuals are 2.50 times as large as the given standard deviations"),
+        ({"m0": 0.05}, "warn", "the given standard deviations are too large"),
+        ({"m0": None}, "warn", "Without redundancy nothing was checked"),
+        ({"m0": 0.02, "weights": "relative"}, "good", "standard deviation of one observation, is 0.0200, in the unit"),
+        ({"m0": 1.0, "warnings": ["beware"]}, "warn", "within their standard deviations"),
+    ],
+)  # fmt: skip
+def test_verdict(record: dict[str, Any], change: dict[str, Any], kind: str, said: str) -> None:
+    quiet = {"residuals": [row | {"w_x": 0.0, "w_y": 0.0} for row in record["residuals"]], "observations": []}
+    found = words.verdict(record | quiet | change, words.problems(record | quiet | change))
+    assert found["kind"] == kind and said in found["text"][0]
+    assert f'class="verdict {kind}"' in render(record | quiet | change)
+
+
+def test_a_gross_error_is_the_first_problem(made: Path, tmp_path: Path, record: dict[str, Any]) -> None:
+    assert words.suspects(record) == []
+    page_files.photos_and_control(tmp_path)
+    lines = (tmp_path / "image.csv").read_text("utf-8").splitlines()
+    k = next(j for j, line in enumerate(lines) if line.startswith("p3,right,"))
+    name, photo, x, y = lines[k].split(",")
+    lines[k] = f"{name},{photo},{x},{float(y) + 0.05!r}"
+    (tmp_path / "image.csv").write_text("\n".join(lines) + "\n", "utf-8")
+    found = bundle(tmp_path, "--report", tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text("utf-8")
+    problems = re.findall("<li>(.*?)</li>", text[text.index('id="problems"') : text.index("<nav")])
+    assert problems[0].startswith("look at y of point p3 in photo right: its residual is ")
+    worst = max(found["residuals"], key=lambda row: abs(row["w_y"] or 0.0))
+    assert (worst["id"], worst["photo"]) == ("p3", "right")
+    part = text[text.index("<h3>Largest residuals</h3>") :]
+    assert re.search(r'<tr><td class="id">(.*?)</td><td class="id text">(.*?)</td>', part).groups() == ("right", "p3")  # type: ignore[union-attr]
+
+
+def test_w_is_the_residual_over_its_own_sigma(record: dict[str, Any]) -> None:
+    for row in record["residuals"]:
+        for a in "xy":
+            r = row[f"redundancy_{a}"]
+            if row[f"w_{a}"] is None:
+                assert r < 0.01
+                continue
+            assert row[f"w_{a}"] == pytest.approx(row[f"residual_{a}"] / (1e-3 * np.sqrt(r)))
+            assert row[f"mdb_{a}"] == pytest.approx(np.sqrt(17.075 / r) * 1e-3, rel=1e-4)
+
+
+def test_points_and_ellipses_stand_where_the_record_says(record: dict[str, Any]) -> None:
+    scene = maps.scene_of(record)
+    drawing = maps.view(scene, "plan", 0, 1)
+    frame = maps.Frame(np.vstack([scene.at[:, :2], scene.centres[:, :2]]))
+    new = [k for k, role in enumerate(scene.roles) if role == "new"]
+    drawn = [
+        (float(x), float(y))
+        for x, y in re.findall(r'<circle class="tie" cx="([\d.]+)" cy="([\d.]+)" r="1.8"/></g>', drawing)
+    ]
+    np.testing.assert_allclose(drawn, frame(scene.at[new, :2]), atol=0.051)
+    order = np.argsort(scene.at[new, 1])
+    assert (np.diff(np.array(drawn)[order, 1]) < 0.0).all()  # Y grows upwards
+    ellipses = re.findall(r'class="ellipse" d="M([^"]*)z"', drawing)
+    outlines = [np.array([[float(v) for v in pair.split()] for pair in e.split("L")]) for e in ellipses]
+    assert len(outlines) == sum(role != "control" for role in scene.roles)
+    loose = [k for k, role in enumerate(scene.roles) if role != "control"]
+    ratio = [np.ptp(o[:, 0]) / np.sqrt(scene.covariance[k, 0, 0]) for o, k in zip(outlines, loose, strict=True)]
+    up = [np.ptp(o[:, 1]) / np.sqrt(scene.covariance[k, 1, 1]) for o, k in zip(outlines, loose, strict=True)]
+    assert np.median(up) == pytest.approx(np.median(ratio), rel=0.1)  # one enlargement for both axes
+    for outline, k in zip(outlines, loose, strict=True):
+        tilt = float(np.cov(outline[:, 0], -outline[:, 1])[0, 1])
+        assert np.sign(tilt) == np.sign(scene.covariance[k, 0, 1])
+    said = re.search(r"enlarged ([\d,]+) times", drawing)
+    assert said is not None
+    assert np.median(up) / (2.0 * frame.units) == pytest.approx(float(said[1].replace(",", "")), rel=0.06)
+    assert drawing.count('class="station"') == 3  # two and the legend
+
+
+def test_errors_of_check_points_are_vectors(record: dict[str, Any]) -> None:
+    moved = copy.deepcopy(record)
+    for point in moved["points"]:
+        point["difference_x_m"], point["difference_y_m"] = (3e-4, 4e-4) if point["role"] == "check" else (None, None)
+    drawing = maps.view(maps.scene_of(moved), "plan", 0, 1)
+    lines = re.findall(r'class="vector check" x1="([\d.]+)" y1="([\d.]+)" x2="([\d.]+)" y2="([\d.]+)"', drawing)
+    ends = np.array(lines, float)
+    assert len(ends) == 4
+    run_, rise = ends[:, 2] - ends[:, 0], ends[:, 1] - ends[:, 3]
+    assert (run_ > 0.0).all() and np.median(rise / run_) == pytest.approx(4.0 / 3.0, rel=0.1)
+
+
+def test_distortion_is_the_polynomial_and_its_band_the_propagated_sigma() -> None:
+    camera = np.zeros(40)
+    camera[0], camera[3], camera[4], camera[6] = 50.0, 2e-5, -1e-9, 1e-5
+    covariance = np.array([[4e-14, -1e-18], [-1e-18, 1e-22]])
+    found = profile(camera, 20.0, ("k1", "k2"), covariance)
+    r = np.array(found["radius"])
+    np.testing.assert_allclose(found["radial"], 2e-5 * r**3 - 1e-9 * r**5, atol=1e-12)
+    np.testing.assert_allclose(found["across"], 1e-5 * r**2, atol=1e-12)
+    rows = np.stack([r**3, r**5], axis=1)
+    np.testing.assert_allclose(found["sigma"], np.sqrt(np.einsum("ri,ij,rj->r", rows, covariance, rows)), atol=1e-12)
+    drawing = plots.distortion(found, "left")
+    assert 'class="band"' in drawing and "± " in drawing and 'class="across"' in drawing
+
+
+def test_camera_section_is_the_record(record: dict[str, Any]) -> None:
+    text = render(record)
+    (k1,) = record["cameras"][0]["parameters"]
+    cells = f"<th>k1</th><td>{words.significant(k1['value'], 8)}</td><td>{words.significant(k1['sigma'])}</td>"
+    assert cells in text
+    (curve,) = record["distortion"]
+    assert curve["photos"] == ["left", "right"] and curve["determined"] == ["k1"]
+    assert curve["sigma"][-1] == pytest.approx(k1["sigma"] * curve["radius"][-1] ** 3)
+    assert 'id="camera"' not in render(record | {"cameras": [], "distortion": []})
+
+
+def test_photos_are_drawn_as_they_are_seen() -> None:
+    rows = [{"x": x, "y": y, "residual_x": 0.0, "residual_y": 0.01} for x in (0.0, 10.0) for y in (0.0, 8.0)]
+    for down, sign in ((False, "-"), (True, "")):
+        drawing = plots.vectors("left", rows, down)
+        path = re.search(r'class="residual" d="([^"]*)"', drawing)
+        assert path is not None and re.fullmatch(rf"(M[\d.]+ [\d.]+l-?0\.0 {sign}\d+\.\d)+", path[1])
+
+
+@pytest.fixture(scope="module")
+def fitted(made: Path) -> dict[str, Any]:
+    done = run("closerange", "surface", made / "points.csv", "--kind", "spheroid", "--sigma", "0.001", "--out",
+               made / "surface", "--json")  # fmt: skip
+    assert done.code == 0, done.stderr
+    return done.json
+
+
+def test_surface_deviations(made: Path, fitted: dict[str, Any]) -> None:
+    text = (made / "surface" / "report.html").read_text("utf-8")
+    structure(made / "surface" / "report.html")
+    (_, plan), *_ = surface.deviation_views(fitted)
+    above = sum(p["distance_m"] >= 0.0 for p in fitted["points"])
+    assert len(re.findall(r'<g><title>[^<]*</title><circle class="deviation p\d"', plan)) == above
+    assert plan in text and plan.count("<g>") == 40
+    worst = max(fitted["points"], key=lambda p: abs(p["distance_m"]))
+    assert f"largest {words.length(worst['distance_m'])} at point {worst['id']}" in text
+    outline = surface._outline(fitted["surface"], [0, 1])
+    centre, semi = np.array(fitted["surface"]["centre_m"]), np.array(fitted["surface"]["semi_axes_m"])
+    np.testing.assert_allclose((((outline - centre[:2]) / semi[:2]) ** 2).sum(axis=1), 1.0, atol=1e-9)
+    for name, value in (("X", 0), ("Y", 1), ("Z", 2)):
+        assert f"<td>{words.significant(1e3 * fitted['rms_deviation_m'][value])}</td>" in text, name
+
+
+@pytest.mark.parametrize("command", ["dlt", "resect", "intersect"])
+def test_the_other_commands_have_a_page(made: Path, tmp_path: Path, command: str) -> None:
+    oriented = made / "out" / "photos.toml"
+    given = {"dlt": ["control.csv"], "resect": ["control.csv", "cameras.toml"], "intersect": ["image.csv", oriented]}
+    done = run("closerange", command, *(made / w for w in given[command]), "--report", tmp_path / "page.html", "--json")
+    assert done.code == 0, done.stderr
+    found = structure(tmp_path / "page.html")
+    assert {"verdict", "map", "residuals", "provenance"} <= set(found.ids)
+    assert not {"reliability", "observability", "iterations"} & set(found.ids)
+    assert done.json["page"] == str(tmp_path / "page.html") and done.json["out"] is None
+    again = run("closerange", command, *(made / w for w in given[command]), "--report", tmp_path / "page.html")
+    assert again.code == 2 and "page.html, --report: the output exists already" in again.stderr
+    away = run("closerange", command, *(made / w for w in given[command]), "--report", tmp_path / "no" / "page.html")
+    assert away.code == 2 and "no such folder" in away.stderr
+
+
+def test_the_report_is_written_again_from_the_folder(made: Path) -> None:
+    path = made / "out" / "report.html"
+    before = path.read_bytes()
+    path.unlink()
+    done = run("report", made / "out", "--json")
+    assert done.code == 0 and done.json["report"] == str(path)
+    assert path.read_bytes() == before
+    for option in ("--truth", "--export"):
+        done = run("report", made / "out", option, made / "x.gpkg")
+        assert done.code == 2 and "neither" not in done.stderr and "no truth and no geographic" in done.stderr
+    (made / "old").mkdir()
+    (made / "old" / "closerange.json").write_text('{"schema": 1}', "utf-8")
+    done = run("report", made / "old")
+    assert done.code == 2 and "written by an earlier version" in done.stderr
+
+
+def test_figures_for_papers(made: Path, fitted: dict[str, Any]) -> None:
+    pytest.importorskip("matplotlib")
+    done = run("report", made / "surface", "--figures", "--json")
+    assert done.code == 0, done.stderr
+    assert done.json["figures"]["files"] == ["captions.md", "deviations.pdf", "deviations.svg"]
+
+
+@pytest.mark.slow
+def test_figures_of_a_bundle(made: Path) -> None:
+    pytest.importorskip("matplotlib")
+    done = run("report", made / "out", "--figures-out", made / "figures", "--json")
+    assert [n for n in done.json["figures"]["files"] if n.endswith("svg")] == [
+        "distortion.svg", "map.svg", "residuals.svg",
+    ]  # fmt: skip
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("name", ["out", "surface"])
+def test_narrow_and_dark(tab: Page, made: Path, fitted: dict[str, Any], name: str) -> None:
+    tab.size(400, 800, dark=True)
+    tab.open(made / name / "report.html")
+    assert tab.value("document.documentElement.scrollWidth") <= 400
+    assert tab.value("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
+    assert tab.value("document.querySelectorAll('table.sortable thead button').length") > 3
+    assert tab.troubles == []
