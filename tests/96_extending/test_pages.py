@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
