@@ -15,6 +15,7 @@ import pytest
 from fg_orient.closerange.distortion import profile
 from fg_orient.closerange.report import maps, plots, surface, words
 from fg_orient.closerange.report.html import render
+from fg_orient.closerange.surface import Surface
 from fg_orient.report.page import script
 from tests.support import page_files
 from tests.support.browser import Page
@@ -237,11 +238,36 @@ def test_surface_deviations(made: Path, fitted: dict[str, Any]) -> None:
     assert plan in text and plan.count("<g>") == 40
     worst = max(fitted["points"], key=lambda p: abs(p["distance_m"]))
     assert f"largest {words.length(worst['distance_m'])} at point {worst['id']}" in text
-    outline = surface._outline(fitted["surface"], [0, 1])
+    outline = surface.outline(fitted["surface"], [0, 1])
     centre, semi = np.array(fitted["surface"]["centre_m"]), np.array(fitted["surface"]["semi_axes_m"])
     np.testing.assert_allclose((((outline - centre[:2]) / semi[:2]) ** 2).sum(axis=1), 1.0, atol=1e-9)
     for name, value in (("X", 0), ("Y", 1), ("Z", 2)):
         assert f"<td>{words.significant(1e3 * fitted['rms_deviation_m'][value])}</td>" in text, name
+
+
+def test_outlines_touch_their_surface() -> None:
+    """A turned ellipsoid, and the same as ten coefficients about another point; an open quadric has none."""
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    turn[0] *= np.linalg.det(turn)
+    form, centre, away = (
+        turn.T @ np.diag([1.0, 0.25, 4.0]) @ turn,
+        np.array([1.0, 2.0, 3.0]),
+        np.array([0.3, -0.2, 0.1]),
+    )
+    u = -form @ away
+    ten = np.array([*np.diag(form), form[0, 1], form[0, 2], form[1, 2], *u, away @ form @ away - 1.0])
+    seen = np.linalg.inv(np.linalg.inv(form)[np.ix_([0, 2], [0, 2])])
+    for one in (
+        Surface("ellipsoid", centre, np.array([1.0, 2.0, 0.5]), turn),
+        Surface("quadric", centre - away, np.ones(3), coefficients=ten),
+        Surface("quadric", centre - away, np.ones(3), coefficients=-ten),
+    ):
+        rim = surface.outline(one.as_dict(), [0, 2]) - centre[[0, 2]]
+        assert len(rim) > 20
+        np.testing.assert_allclose(np.einsum("ni,ij,nj->n", rim, seen, rim), 1.0)
+    for square in ([1.0, -1.0, -1.0], [1.0, 1.0, 0.0], [-1.0, -1.0, -1.0]):
+        open_ = Surface("quadric", centre, np.ones(3), coefficients=np.array([*square, *[0.0] * 6, -1.0]))
+        assert surface.outline(open_.as_dict(), [0, 2]).shape == (0, 2)
 
 
 @pytest.mark.parametrize("command", ["dlt", "resect", "intersect"])

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from fg_orient.closerange.report.maps import AXES, MAX_NAMES, VIEWS, WIDTH, Frame
 from fg_orient.closerange.report.words import length, round_length
+from fg_orient.closerange.surface import Surface
 from fg_orient.report.panel import Panel, ticks
 from fg_orient.report.scale import round_down
 from fg_orient.report.words import printable
@@ -20,6 +21,8 @@ Array = npt.NDArray[np.float64]
 #: Radii of the smallest and of the largest deviation, drawing units.
 SMALLEST: Final = 1.5
 LARGEST: Final = 11.0
+#: An axis of a quadric with less than this of the largest curvature is open.
+_FLAT: Final = 1e-6
 #: Strengths of a colour, as in the heat maps.
 _STEPS: Final = 5
 
@@ -36,12 +39,12 @@ def _view(
     record: dict[str, Any], points: list[dict[str, Any]], at: Array, distance: Array, words: str, across: int, up: int
 ) -> Markup:
     axes = [across, up]
-    outline = _outline(record["surface"], axes)
-    frame = Frame(np.vstack([at[:, axes], outline]))
+    rim = outline(record["surface"], axes)
+    frame = Frame(np.vstack([at[:, axes], rim]))
     largest = float(np.abs(distance).max()) or 1.0
     parts = []
-    if len(outline):
-        path = "L".join(f"{x:.1f} {y:.1f}" for x, y in frame(outline).tolist())
+    if len(rim):
+        path = "L".join(f"{x:.1f} {y:.1f}" for x, y in frame(rim).tolist())
         parts.append(Markup('<path class="outline" d="M{}z"/>').format(path))
     drawn = frame(at[:, axes])
     for k in np.argsort(-np.abs(distance), kind="stable").tolist():  # small ones stay visible above large ones
@@ -52,16 +55,31 @@ def _view(
     )
 
 
-def _outline(surface: dict[str, Any], axes: list[int]) -> Array:
-    """Outline (n, 2) of a closed surface seen along the third axis; none of other quadrics."""
-    semi = np.array(surface["semi_axes_m"], float).ravel()
-    if len(semi) != 3 or not (np.isfinite(semi) & (semi > 0.0)).all():
+def outline(surface: dict[str, Any], axes: list[int]) -> Array:
+    """Outline (n, 2) of a closed surface seen along the third axis; none of open quadrics.
+
+    Parameters
+    ----------
+    surface : dict
+        See :meth:`fg_orient.closerange.surface.Surface.as_dict`.
+    axes : list of int
+        Across and up.
+    """
+    found = Surface(surface["kind"], np.array(surface["centre_m"]), np.array(surface["semi_axes_m"]),
+                    np.array(surface["rotation"]), np.array(surface["coefficients"] or [], float))  # fmt: skip
+    form = found.conditions
+    values, vectors = np.linalg.eigh(form.square)
+    if np.abs(values).min() <= _FLAT * np.abs(values).max():
         return np.zeros((0, 2))
-    turn = np.array(surface["rotation"], float)
-    shape = (turn.T * semi**2 @ turn)[np.ix_(axes, axes)]
+    inverse = (vectors / values) @ vectors.T
+    middle = -inverse @ form.linear
+    shape = -float(form.value(middle[None])[0]) * inverse
+    if np.linalg.eigvalsh(shape)[0] <= 0.0:
+        return np.zeros((0, 2))
     angle = np.linspace(0.0, 2.0 * math.pi, 72, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.asarray(np.array(surface["centre_m"])[axes] + circle @ np.linalg.cholesky(shape).T)
+    half = np.linalg.cholesky(shape[np.ix_(np.array(axes), np.array(axes))])
+    return np.asarray((found.centre + middle)[axes] + circle @ half.T)
 
 
 def _radius(share: float) -> float:
