@@ -7,6 +7,7 @@ import io
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -283,6 +284,43 @@ def test_bash_completes_options(repository: Path, run: Any) -> None:
     )
     done = subprocess.run(["bash", "-c", program + asked], capture_output=True, text=True, timeout=60)
     assert (done.stdout.split(), done.stderr) == (["--quiet"], "")
+
+
+#: What a shell runs to say what it would offer: zsh with the last step of its completion printed instead of shown.
+OFFERED = {
+    "zsh": """
+        autoload -U compinit; compinit -D -u; eval "$(fg-orient completion zsh)"
+        [[ ${_comps[fg-orient]} == _fg_orient_completion ]] || exit 9
+        _arguments() { print -r -- "$@" }
+        words=(fg-orient adjust --qui) CURRENT=3; _fg_orient_completion
+        words=(fg-orient rep) CURRENT=2; _fg_orient_completion
+    """,
+    "fish": """
+        fg-orient completion fish | source
+        complete -C 'fg-orient adjust --qui'; complete -C 'fg-orient rep'
+    """,
+}
+OPTIONS = {"zsh": ("-f", "-c"), "fish": ("--no-config", "-c")}
+
+
+@pytest.mark.parametrize("shell", sorted(OFFERED))
+def test_other_shells_complete_commands_and_options(shell: str, repository: Path, tmp_path: Path) -> None:
+    found = shutil.which(shell)
+    if found is None:
+        pytest.skip(f"no {shell} on the path")
+    program = tmp_path / "bin" / "fg-orient"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nPYTHONPATH={repository} exec {sys.executable} -m fg_orient "$@"\n', "utf-8")
+    program.chmod(0o755)
+    environment = {**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}", "HOME": str(tmp_path)}
+    done = subprocess.run(
+        [found, *OPTIONS[shell], OFFERED[shell]], capture_output=True, text=True, timeout=60, env=environment
+    )
+    assert done.returncode == 0, done.stderr
+    for offered in ("--quiet", "No progress", "replay", "report", "reproduce", "Repeat a run"):
+        assert offered in done.stdout
+    for other in ("--json", "doctor", "adjust"):
+        assert other not in done.stdout
 
 
 def test_completion_of_shells(run: Any) -> None:
