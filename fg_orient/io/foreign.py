@@ -23,7 +23,7 @@ from fg_orient.interchange.convert import Fill, filled, read_survey
 from fg_orient.interchange.registry import Holds, Settings, format_named
 from fg_orient.interchange.survey import Survey
 from fg_orient.io.observations import ObservationFile, remarks_on_sigmas
-from fg_orient.io.points import PointFile, Record, point_file
+from fg_orient.io.points import PointFile, Record, located, point_file
 from fg_orient.io.tables import Faults, did_you_mean
 from fg_orient.names import Role
 
@@ -132,9 +132,9 @@ def read_foreign_points(table: Table, project: str, faults: Faults, scenes: list
         _require_whole(survey, faults)
         none = np.where(survey.located[:, None], survey.coordinates, np.nan)
         coordinates = Coordinates(none, survey.sigma_enu_m, survey.fixed)
-        return Record(
-            survey.ids, survey.roles, survey.lines, none, coordinates, None, sha256_of(table.absolute), survey.crs
-        )
+        digest = sha256_of(table.absolute)
+        found = Record(survey.ids, survey.roles, survey.lines, none, coordinates, None, digest, survey.crs)
+        return located(found, faults)
 
     return point_file(table.path, parse, faults, scenes)
 

@@ -147,27 +147,24 @@ def point_file(path: Path, parse: Parse, faults: Faults, scenes: Sequence[Scene]
     path : Path
         Where the points stand.
     parse : callable
-        Reads them, and again for the check points; coordinates without an operation are still those of the CRS.
+        Reads them, and again for the check points.
     faults, scenes
         See :func:`read_points`.
     """
-
-    def located(noted: Faults) -> Record | None:
-        found = parse(noted)
-        if found is None or found.operation is not None:
-            return found
-        control = _are(found.roles, Role.CONTROL)
-        ecef, operation = _ecef(found.crs, found.given, control, found.lines, noted)
-        return replace(found, coordinates=replace(found.coordinates, ecef_m=ecef), operation=operation)
-
-    parsed = located(faults)
+    parsed = parse(faults)
     if parsed is None:
         return None
     check_positions(scenes, parsed.crs, parsed.given, parsed.coordinates.ecef_m, parsed.lines, faults)
     known = _are(parsed.roles, Role.CONTROL)
     points = GroundPoints(parsed.ids, parsed.roles, _mask(parsed.coordinates, known))
     remarks = _remarks(str(path), parsed)
-    return PointFile(path, parsed.crs, parsed.sha256, points, parsed.operation, remarks, located)
+    return PointFile(path, parsed.crs, parsed.sha256, points, parsed.operation, remarks, parse)
+
+
+def located(found: Record, faults: Faults) -> Record:
+    """Points whose coordinates were left in their CRS, with those in ECEF."""
+    ecef, operation = _ecef(found.crs, found.given, _are(found.roles, Role.CONTROL), found.lines, faults)
+    return replace(found, coordinates=replace(found.coordinates, ecef_m=ecef), operation=operation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -239,9 +239,10 @@ def test_the_real_pair_is_read_with_its_real_sensors(real_data, tmp_path):
 
 
 def test_the_documented_example_is_a_valid_project(folder, repository):
-    """The listings of docs/file-formats.md, put into files, are read."""
+    """The first listings of docs/file-formats.md of a project, of points and of image points are read."""
     listings = (repository / "docs" / "file-formats.md").read_text(encoding="utf-8").split("```")[1::2]
-    project, points, observations = (text.partition("\n")[2] for text in listings)
+    project, (points, observations) = listings[0], [text for text in listings if text.startswith("text")]
+    project, points, observations = (text.partition("\n")[2] for text in (project, points, observations))
     folder.project.write_text(project, encoding="utf-8")
     folder.points.write_text(points, encoding="utf-8")
     rows = "".join(f"{image},{name},10,20,0.3,0.3\n" for name in ("P2", "P3", "T1") for image in ("left", "right"))

@@ -38,7 +38,8 @@ def test_eop_are_those_of_the_state(twin: Twin, image: str, number: int) -> None
 
 
 def folder(path: Path, values: dict[str, float], *, small_angle: bool = False) -> Path:
-    record = {"images": [{"id": "one", "file": "left.DIM"}], "provenance": {"options": {"small_angle": small_angle}}}
+    images, options = [{"id": "one", "file": "left.DIM"}], {"small_angle": small_angle}
+    record = {"status": "converged", "images": images, "provenance": {"options": options}}
     (path / "result.json").write_text(json.dumps(record), encoding="utf-8")
     rows = ["image,parameter,value_per_tau", *(f"one,{name},{value!r}" for name, value in values.items())]
     (path / "eop.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
