@@ -14,6 +14,7 @@ from factors._contract import evaluate
 from factors.coplanarity import COPLANARITY, turn_and_base
 from factors.frame_camera import CAMERA_SIZE, turned
 from factors.similarity import RECORD_SIZE, SIMILARITY
+from fg_orient.closerange.curvature import bend
 from fg_orient.closerange.feet import Conditions, distance_rows, weighted_distances
 from fg_orient.closerange.fitting import (
     UNDETERMINED,
@@ -93,6 +94,9 @@ class RelativeOrientation(Deviations):
     redundancy : int
     condition : float
     iterations : int
+    bend : float
+        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.curvature.bend`), standard
+        deviations one by one are not: few points of a plane, short bases.
     rival : RelativeRival or None
         Few points of a plane fit two orientations, and so may seven or eight points in space.
     """
@@ -107,6 +111,7 @@ class RelativeOrientation(Deviations):
     redundancy: int
     condition: float
     iterations: int
+    bend: float = 0.0
     rival: RelativeRival | None = None
 
 
@@ -172,10 +177,13 @@ def relative_orientation(
             minima.append(_adjusted_pair(points, size, rotation, base))
     minima.sort(key=attrgetter("squares"))
     try:
-        return _chosen(minima, n - 5, known=sigma is not None)
+        chosen = _chosen(minima, n - 5, known=sigma is not None)
     except (InputError, NoSolutionError):
         require_base(points, size, minima[0].squares if minima else 0.0, known=sigma is not None)
         raise
+    record, _ = _record(chosen.rotation, chosen.base)
+    bent = bend(lambda x, want: _pair_rows(record, points, size, x, want), np.zeros(5), chosen.m0)
+    return replace(chosen, bend=bent)
 
 
 def _chosen(minima: list[_Minimum], redundancy: int, *, known: bool) -> RelativeOrientation:
@@ -229,9 +237,9 @@ def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) ->
         return _Minimum(squares, rotation, base, in_front, None)
     assert judged.cofactors is not None
     redundancy = len(points) - 5
+    m0 = unit_weight(squares, redundancy)
     whole = RelativeOrientation(
-        rotation, base, axes, judged.cofactors, model, distances, unit_weight(squares, redundancy), redundancy,
-        judged.condition, len(found.log),
+        rotation, base, axes, judged.cofactors, model, distances, m0, redundancy, judged.condition, len(found.log),
     )  # fmt: skip
     return _Minimum(squares, rotation, base, in_front, whole)
 
@@ -278,6 +286,9 @@ class Similarity(Deviations):
     m0 : float or None
     redundancy : int
     condition : float
+    bend : float
+        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.curvature.bend`), standard
+        deviations one by one are not: points close to a line. For unknowns about the middle of the points.
     """
 
     scale: float
@@ -288,6 +299,7 @@ class Similarity(Deviations):
     m0: float | None
     redundancy: int
     condition: float
+    bend: float
 
     def apply(self, model: npt.ArrayLike) -> Array:
         """Ground coordinates (n, 3) of model points."""
@@ -343,9 +355,11 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
     away[4:, 3] = -offset
     redundancy = 3 * len(source) - 7
     residuals = found.residual.reshape(-1, 3) * sigma
+    m0 = unit_weight(float(found.residual @ found.residual), redundancy)
+    bent = bend(_similarity_rows(a, b, sigma / size, rotation, scale, shift), np.zeros(7), m0)
     return Similarity(
-        physical, rotation, to.offset + size * shift - offset, away @ cofactors @ away.T, residuals,
-        unit_weight(float(found.residual @ found.residual), redundancy), redundancy, judged.condition,
+        physical, rotation, to.offset + size * shift - offset, away @ cofactors @ away.T, residuals, m0, redundancy,
+        judged.condition, bent,
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, camera
+from fg_orient.closerange.curvature import bend
 from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.fitting import (
     UNDETERMINED,
@@ -85,6 +86,9 @@ class Resection(Deviations):
         Two or more: four points have eight coordinates.
     condition : float
     iterations : int
+    bend : float
+        Above 0.25 the covariance as a whole is optimistic (:func:`fg_orient.closerange.curvature.bend`), standard
+        deviations one by one are not: far cameras, whose turns move the centre along an arc.
     rival : Rival or None
         Points of a plane seen from far away fit two poses, mirrored in the line of sight.
     """
@@ -99,6 +103,7 @@ class Resection(Deviations):
     redundancy: int
     condition: float
     iterations: int
+    bend: float
     rival: Rival | None = None
 
 
@@ -233,9 +238,10 @@ def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, 
     photo = Photo.of(name, interior, rotation, moved)
     residuals = -found.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
     squares, redundancy = float(found.residual @ found.residual), len(found.residual) - 6
+    m0 = unit_weight(squares, redundancy)
     return Resection(
-        photo, rotation, moved, away @ cofactors @ away.T, residuals, squares, unit_weight(squares, redundancy),
-        redundancy, condition, len(found.log),
+        photo, rotation, moved, away @ cofactors @ away.T, residuals, squares, m0, redundancy, condition,
+        len(found.log), bend(rows, found.state, m0),
     )  # fmt: skip
 
 

@@ -1,0 +1,84 @@
+"""Whether the covariance holds as a whole: the bend of the unknowns, on a known parabola and on far cameras."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from fg_orient.closerange.curvature import BENT, bend
+from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
+from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.closerange.resection import resect
+
+from .conftest import Array
+
+CAMERA = Interior(60.0, y_axis="down")
+SIGMA = 0.005
+
+
+def test_bend_of_a_parabola() -> None:
+    """x1 observed with 0.1 beside 3 x0^2, x0 with 0.2, a turn between them: 3 * 0.2^2 / 0.1; m0 = 2 doubles it."""
+    turn = Rotation.from_euler("z", 0.4).as_matrix()[:2, :2]
+
+    def rows(y: Array, want: bool) -> tuple[Array, Array]:
+        x = turn @ y
+        design = np.array([[5.0, 0.0], [60.0 * x[0], 10.0], [0.0, 0.0]]) @ turn
+        return np.array([5.0 * x[0], 10.0 * (x[1] + 3.0 * x[0] ** 2), 1.0]), design if want else np.zeros((0, 2))
+
+    assert bend(rows, np.zeros(2), None) == pytest.approx(1.2, rel=1e-9)
+    assert bend(rows, np.zeros(2), 2.0) == pytest.approx(2.4, rel=1e-9)
+
+    def mixed(y: Array, want: bool) -> tuple[Array, Array]:
+        design = np.array([[1.0, 0.0], [0.9 * y[1], 1.0 + 0.9 * y[0]]])
+        return np.array([y[0], y[1] + 0.9 * y[0] * y[1]]), design if want else np.zeros((0, 2))
+
+    # mean of (0.9 e0 e1)^2 is 0.81 = 3 bend^2
+    assert bend(mixed, np.zeros(2), None) == pytest.approx(0.9 / np.sqrt(3.0), rel=1e-9)
+
+
+def squares(distance_m: float, runs: int) -> tuple[Array, Array, Array]:
+    """Resections of six points: squares by the covariance (n,), by single deviations (n, 6), and bends."""
+    whole, single, bends = [], [], []
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        points, rotation = rng.uniform(-1.0, 1.0, (6, 3)), Rotation.random(rng=rng).as_matrix()
+        photo = Photo.of("", CAMERA, rotation, -rotation.T @ [0.0, 0.0, distance_m])
+        found = resect(CAMERA, points, photo.project(points) + rng.normal(scale=SIGMA, size=(6, 2)), sigma=SIGMA)
+        turn = Rotation.from_matrix(found.rotation @ rotation.T).as_rotvec()
+        error = np.concatenate([turn, found.centre_m - photo.origin_m])
+        whole.append(float(error @ np.linalg.solve(found.cofactors, error)))
+        single.append(error**2 / np.diag(found.cofactors))
+        bends.append(found.bend)
+    return np.array(whole), np.array(single), np.array(bends)
+
+
+@pytest.mark.parametrize("runs", [24, pytest.param(400, marks=pytest.mark.slow)])
+def test_a_bend_tells_where_the_covariance_is_optimistic_as_a_whole(runs: int) -> None:
+    """Squares of errors are 1 + 3 bend^2/6 per unknown: at 8 m about 1, at 150 m several; single sigmas hold."""
+    low, high = chi2.ppf([1e-4, 1.0 - 1e-4], runs)
+    whole, single, bends = squares(8.0, runs)
+    assert bends.max() < BENT
+    assert chi2.ppf(1e-4, 6 * runs) <= whole.sum() <= chi2.ppf(1.0 - 1e-4, 6 * runs)
+    assert ((low <= single.sum(axis=0)) & (single.sum(axis=0) <= high)).all()
+    whole, single, bends = squares(150.0, runs)
+    assert np.median(bends) > 4.0 * BENT
+    assert whole.mean() > 12.0  # six by the covariance
+    assert 0.4 <= (whole.mean() - 6.0) / (3.0 * np.mean(bends**2)) <= 2.5
+    assert ((low <= single.sum(axis=0)) & (single.sum(axis=0) <= high)).all()
+
+
+def test_orientations_tell_their_bend() -> None:
+    rng = np.random.default_rng(1)
+    points = rng.uniform([-1.0, -1.0, 4.0], [1.0, 1.0, 6.0], (12, 3))
+    bends = []
+    for base_m in (1.0, 0.05):
+        pair = [Photo.of("", CAMERA, np.eye(3), [x, 0.0, 0.0]).project(points) for x in (0.0, base_m)]
+        noisy = [image + rng.normal(scale=0.001, size=image.shape) for image in pair]
+        bends.append(relative_orientation(CAMERA, CAMERA, *noisy, sigma=0.001).bend)
+    assert 0.0 < bends[0] < BENT < bends[1]
+    model = np.outer([-1.0, 0.1, 1.2], [1.0, 0.0, 0.0])
+    thin, wide = (model + rng.normal(scale=s, size=(3, 3)) for s in (0.003, 1.0))
+    found = [absolute_orientation(m, m + rng.normal(scale=0.003, size=(3, 3)), sigma_m=0.003) for m in (thin, wide)]
+    assert found[0].bend > BENT > found[1].bend > 0.0
