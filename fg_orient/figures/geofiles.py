@@ -13,12 +13,15 @@ import numpy as np
 
 from fg_orient.errors import InputError
 from fg_orient.figures.layers import Layer, read_layers
+from fg_orient.interchange.geopackage import GPKG_OPTIONS
 from fg_orient.io.atomic import staged_file, write_text
 
 CRS: Final = "EPSG:4326"
 SUFFIXES: Final = (".gpkg", ".geojson")
 #: Digits of a degree in GeoJSON: 0.1 mm.
 DIGITS: Final = 9
+#: How GDAL writes UTC: GeoPackage knows times of no other zone.
+UTC_OF_GDAL: Final = 100
 #: Whole numbers among the attributes.
 WHOLE: Final = frozenset(("n_rays", "n_lines", "n_samples", "n_image_points"))
 
@@ -131,7 +134,7 @@ def _write_layer(path: Path, layer: Layer) -> None:
     write(
         path, np.asarray(shapely.to_wkb([shape(g) for g in layer.geometries]), object), columns, list(layer.columns),
         layer=layer.name, driver="GPKG", geometry_type=layer.kind, crs=CRS, promote_to_multi=layer.kind[:5] == "Multi",
-        nan_as_null=True,
+        nan_as_null=True, dataset_options=None if path.exists() else GPKG_OPTIONS,
     )  # fmt: skip
 
 
@@ -157,4 +160,4 @@ def _write_styles(path: Path, layers: tuple[Layer, ...], made: str) -> None:
     data = [np.array(values, bool if name == "useAsDefault" else object) for name, values in fields.items()]
     data.append(np.array([made[:19]] * n, "datetime64[ms]"))
     write(path, None, data, [*fields, "update_time"], layer="layer_styles", driver="GPKG", geometry_type=None,
-          layer_options={"FID": "id"})  # fmt: skip
+          layer_options={"FID": "id"}, gdal_tz_offsets={"update_time": np.full(n, UTC_OF_GDAL)})  # fmt: skip

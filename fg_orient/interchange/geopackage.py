@@ -24,6 +24,8 @@ from fg_orient.names import Role
 
 GROUND: Final = "ground_points"
 IMAGE: Final = "image_points"
+#: Version 1.2 holds all that we write; QGIS before 3.28 warns of later ones.
+GPKG_OPTIONS: Final = {"VERSION": "1.2"}
 
 
 def _libraries(file: Path) -> tuple[Any, Any]:
@@ -107,7 +109,7 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     with staged_file(paths[0], suffix=".gpkg") as temporary:
         pyogrio.raw.write(
             temporary, geometry, [*text, *survey.sigma_enu_m.T, survey.fixed], ["id", "role", *SIGMA_COLUMNS, "fixed"],
-            layer=GROUND, driver="GPKG", geometry_type="Point Z", crs=survey.crs,
+            layer=GROUND, driver="GPKG", geometry_type="Point Z", crs=survey.crs, dataset_options=GPKG_OPTIONS,
         )  # fmt: skip
         if len(survey.observed):
             _write_image(pyogrio, survey, temporary)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import sqlite3
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,14 @@ def test_footprints_hold_their_points(package: Path) -> None:
     assert columns["image"].tolist() == ["left", "right"] and columns["n_image_points"].tolist() == [47, 47]
     assert all(shapely.contains(polygon, points).all() for polygon in geometry)
     assert (columns["rms_line_px"] > 0.0).all() and columns["n_lines"].tolist() == [12000, 12000]
+
+
+def test_files_are_those_of_an_older_standard(package: Path) -> None:
+    """Seen in QGIS 3.22: it warns of version 1.4, and of a time that does not say that it is UTC."""
+    with sqlite3.connect(package) as base:
+        assert base.execute("pragma user_version").fetchone() == (10200,)
+        times = base.execute("select distinct cast(update_time as text) from layer_styles").fetchall()
+    assert len(times) == 1 and re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", times[0][0])
 
 
 def test_styles_lie_where_qgis_looks(package: Path) -> None:
