@@ -25,11 +25,12 @@ FLAT: Final = 1e-12
 def start_pairs(points: Array) -> list[tuple[Array, Array]]:
     """Rotations and bases worth trying, of tangents (n, 4) of points in both photos."""
     out = [(np.eye(3), sign * np.eye(3)[k]) for k in range(3) for sign in (1.0, -1.0)]
-    many = len(points) >= LEAST_EIGHT_POINT
-    if many:
+    if len(points) > LEAST_EIGHT_POINT:
         return [*_eight_points(points), *_plane(points), *out[:2]]
+    # eight points have no redundancy in the linear solution, which noise may then lead anywhere
+    linear = _eight_points(points) if len(points) == LEAST_EIGHT_POINT else []
     corners = np.array(list(product((1.0, -1.0), repeat=3))) / np.sqrt(3.0)
-    return [*out, *((np.eye(3), corner) for corner in corners), *_plane(points)]
+    return [*linear, *out, *((np.eye(3), corner) for corner in corners), *_plane(points)]
 
 
 def _plane(points: Array) -> list[tuple[Array, Array]]:

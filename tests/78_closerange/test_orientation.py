@@ -127,6 +127,14 @@ def test_known_sigmas_tell_minima_apart_by_the_difference() -> None:
     assert likeness(10.0, 195.0, 2, known=True) is None
 
 
+def test_eight_points_need_more_starts_than_the_linear_solution() -> None:
+    """It has no redundancy there: three of 100 scenes ended with the base reversed and m0 of 16 to 262."""
+    rng = np.random.default_rng(5042)
+    rotation, base, images = pair(rng, rng.uniform(-1.0, 1.0, (8, 3)), turned=True)
+    found = relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
+    require_near(found, rotation, base, m0=2.0)
+
+
 def test_points_close_to_a_line_leave_the_turn_open() -> None:
     rng = np.random.default_rng(3)
     model = np.outer(np.arange(5.0), [1.0, 2.0, 3.0])
