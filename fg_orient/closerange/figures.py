@@ -14,8 +14,8 @@ from fg_orient.closerange.report.maps import AXES, VIEWS, Scene, scene_of
 from fg_orient.closerange.report.plots import band_factor, by_photo, y_down
 from fg_orient.errors import InputError
 from fg_orient.figures import style
-from fg_orient.figures.write import CAPTIONS_FILE, FIGURES, FOLDER, FORMATS
-from fg_orient.io.folder import require_free, staged_folder, writing
+from fg_orient.figures.write import FIGURES, FOLDER, FORMATS, write_files
+from fg_orient.io.folder import require_free
 from fg_orient.names import Progress
 
 if TYPE_CHECKING:
@@ -77,11 +77,7 @@ def write_figures(
                 captions += [f"- `{name}`: {words}"]
             if progress is not None:
                 progress(done, len(PLOTS), "figures")
-    with staged_folder(target, overwrite=overwrite, contents=FIGURES) as staged, writing(target):
-        for name, data in files.items():
-            (staged / name).write_bytes(data)
-        (staged / CAPTIONS_FILE).write_text("\n".join(captions) + "\n", encoding="utf-8")
-    return target, sorted([*files, CAPTIONS_FILE])
+    return target, write_files(target, files, "\n".join(captions) + "\n", overwrite=overwrite)
 
 
 def _map(record: dict[str, Any]) -> Drawn | None:

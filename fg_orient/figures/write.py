@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -109,13 +109,17 @@ def write_figures(
         raise InputError.of("options.value", place="formats", value=unknown[0], expected=" or ".join(FORMATS))
     given = read_folder(Path(folder))
     require_free(target, overwrite=overwrite, contents=FIGURES)
-    with staged_folder(target, overwrite=overwrite, contents=FIGURES) as staged:
-        files, told = _draw(given, formats, progress)
-        with writing(target):
-            for name, data in files.items():
-                (staged / name).write_bytes(data)
-            (staged / CAPTIONS_FILE).write_text(captions.page(given, told), encoding="utf-8")
-    return target, sorted([*files, CAPTIONS_FILE])
+    files, told = _draw(given, formats, progress)
+    return target, write_files(target, files, captions.page(given, told), overwrite=overwrite)
+
+
+def write_files(target: Path, files: Mapping[str, bytes], words: str, *, overwrite: bool) -> list[str]:
+    """Write drawings and the page of their captions, whole or not at all; names of the files."""
+    with staged_folder(target, overwrite=overwrite, contents=FIGURES) as staged, writing(target):
+        for name, data in files.items():
+            (staged / name).write_bytes(data)
+        (staged / CAPTIONS_FILE).write_text(words, encoding="utf-8")
+    return sorted([*files, CAPTIONS_FILE])
 
 
 def _draw(

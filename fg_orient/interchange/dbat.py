@@ -83,20 +83,10 @@ def read_control(path: Path) -> tuple[list[str], Array]:
     InputError
         A line is faulty, or an id occurs twice.
     """
-    ids: dict[str, list[float]] = {}
-    for number, line in enumerate(read_lines(path), start=1):
-        if not line.strip() or line.startswith("#"):
-            continue
-        cells = [cell.strip() for cell in line.split(",")]
-        values = finite(cells[2:])
-        place = f"line {number}"
-        if len(cells) not in (5, 6, 8) or values is None or not cells[0] or (values[3:] <= 0.0).any():
-            raise InputError.of("dbat.cells", file=path.name, place=place, value=line.strip(), needed=_CONTROL)
-        if cells[0] in ids:
-            raise InputError.of("dbat.twice", file=path.name, place=place, value=cells[0])
-        sigma = values[3:].tolist() or [np.nan]
-        ids[cells[0]] = [*values[:3].tolist(), *(sigma if len(sigma) == 3 else sigma * 3)]
-    return list(ids), np.array(list(ids.values()), float).reshape(-1, 6)
+    rows = _rows(path, 2, (3, 4, 6), _CONTROL)
+    spread = {name: values[3:] if len(values) > 3 else [np.nan] for name, values in rows.items()}
+    whole = [np.append(values[:3], np.broadcast_to(spread[name], 3)) for name, values in rows.items()]
+    return list(rows), np.array(whole, float).reshape(-1, 6)
 
 
 def read_centres(path: Path) -> dict[str, Array]:
@@ -107,18 +97,29 @@ def read_centres(path: Path) -> dict[str, Array]:
     InputError
         A line is faulty, or a photo occurs twice.
     """
+    rows = _rows(path, 1, (4, 6), _CENTRES)
+    return {name: np.append(values[:3], np.broadcast_to(values[3:], 3)) for name, values in rows.items()}
+
+
+def _rows(path: Path, first: int, counts: tuple[int, ...], needed: str) -> dict[str, Array]:
+    """Numbers from cell ``first`` on by the name in the first cell; so many of them, sigmas behind three coordinates.
+
+    Raises
+    ------
+    InputError
+        A line is faulty, or a name occurs twice.
+    """
     out: dict[str, Array] = {}
     for number, line in enumerate(read_lines(path), start=1):
         if not line.strip() or line.startswith("#"):
             continue
         cells = [cell.strip() for cell in line.split(",")]
-        values = finite(cells[1:])
-        place = f"line {number}"
-        if len(cells) not in (5, 7) or values is None or not cells[0] or (values[3:] <= 0.0).any():
-            raise InputError.of("dbat.cells", file=path.name, place=place, value=line.strip(), needed=_CENTRES)
+        values, place = finite(cells[first:]), f"line {number}"
+        if values is None or len(values) not in counts or not cells[0] or (values[3:] <= 0.0).any():
+            raise InputError.of("dbat.cells", file=path.name, place=place, value=line.strip(), needed=needed)
         if cells[0] in out:
             raise InputError.of("dbat.twice", file=path.name, place=place, value=cells[0])
-        out[cells[0]] = np.append(values[:3], np.broadcast_to(values[3:], 3))
+        out[cells[0]] = values
     return out
 
 
