@@ -301,6 +301,7 @@ def _finish(record: dict[str, Any], as_json: bool, show: Any) -> None:
         emit(record)
         return
     show(record)
+    _doubt(record)
     if record["weights"] == "relative":
         note("note: no standard deviations were given: weights are relative, and m0 is the sigma of an observation")
     if record["out"]:
@@ -381,4 +382,12 @@ def _short(value: Any) -> str:
 
 def _warn(record: dict[str, Any]) -> None:
     for text in record["warnings"]:
+        note(f"warning: {text}")
+
+
+def _doubt(record: dict[str, Any]) -> None:
+    """Say what the first page of the report doubts; unlike tables it stays under ``--quiet``."""
+    from fg_orient.closerange.report.words import doubts
+
+    for text in doubts(record):
         note(f"warning: {text}")

@@ -17,6 +17,7 @@ from fg_orient.figures import style
 from fg_orient.figures.write import FIGURES, FOLDER, FORMATS, write_files
 from fg_orient.io.folder import require_free
 from fg_orient.names import Progress
+from fg_orient.report.scale import thousands
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +91,11 @@ def _map(record: dict[str, Any]) -> Drawn | None:
     for axes, (words, across, up) in zip(figure.subplots(1, 2), VIEWS[:2], strict=True):
         enlarged = _view(axes, scene, across, up)
         axes.set_title(words)
-    told = f"; ellipses of one standard deviation, enlarged {enlarged:.2g} times in the right view" if enlarged else ""
+    told = (
+        f"; ellipses of one standard deviation, enlarged {thousands(enlarged)} times in the right view"
+        if enlarged
+        else ""
+    )
     return (
         figure,
         f"points (triangles: control, circles: check, dots: new) and camera stations (squares), metres{told}.",

@@ -130,11 +130,37 @@ def test_a_gross_error_is_the_first_problem(made: Path, tmp_path: Path, record: 
     found = bundle(tmp_path, "--report", tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text("utf-8")
     problems = re.findall("<li>(.*?)</li>", text[text.index('id="problems"') : text.index("<nav")])
-    assert problems[0].startswith("look at y of point p3 in photo right: its residual is ")
     worst = max(found["residuals"], key=lambda row: abs(row["w_y"] or 0.0))
     assert (worst["id"], worst["photo"]) == ("p3", "right")
+    size = abs(worst["w_y"]) / found["m0"]
+    said = f"y of point p3 in photo right: its residual is {size:.1f} times its own standard deviation and m0"
+    assert found["m0"] > 2.0 and problems[0] == f"look at {said}"
+    tables = [tmp_path / w if w.endswith((".csv", ".toml")) else w for w in BUNDLE]
+    done = run(*tables, "--quiet")
+    assert done.code == 0 and done.stdout == ""
+    first, second, *_ = done.stderr.splitlines()
+    assert first.startswith(f"warning: The residuals are {words.significant(found['m0'])} times as large")
+    assert second == f"warning: look at {said}"
     part = text[text.index("<h3>Largest residuals</h3>") :]
     assert re.search(r'<tr><td class="id">(.*?)</td><td class="id text">(.*?)</td>', part).groups() == ("right", "p3")  # type: ignore[union-attr]
+
+
+def test_names_of_points_do_not_cover_each_other() -> None:
+    """Points of a small object between stations far away; a name that has no place stands in the tip of its point."""
+    rng = np.random.default_rng(1)
+    at, none = rng.uniform(-1.0, 1.0, (12, 3)), np.full((12, 3), np.nan)
+    ids = [f"P{k}" for k in range(11)] + ["a name that is far too long for any place " * 3]
+    far = np.array([[9.0, 9.0, 0.0], [-9.0, -9.0, 0.0]])
+    scene = maps.Scene(ids, ["control", "check"] * 6, at, np.zeros((12, 3, 3)), none, ["n", "s"], far, -far / 9.0, far)
+    drawing = maps.view(scene, "plan", 0, 1)
+    found = re.findall(r'class="name" x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">(\w+)<', drawing)
+    boxes = [(float(x) - (8.0 * len(name) if anchor == "end" else 0.0), float(y), 8.0 * len(name))
+             for x, y, anchor, name in found]  # fmt: skip
+    assert 5 <= len(boxes) <= 11 and all(
+        f"<title>{role} {ids[k][:20]}" in drawing for k, role in enumerate(scene.roles)
+    )
+    for j, (x, y, length) in enumerate(boxes):
+        assert all(x + length < a or a + long < x or abs(y - b) > 13.9 for a, b, long in boxes[:j])
 
 
 def test_w_is_the_residual_over_its_own_sigma(record: dict[str, Any]) -> None:
@@ -232,6 +258,7 @@ def fitted(made: Path) -> dict[str, Any]:
 def test_surface_deviations(made: Path, fitted: dict[str, Any]) -> None:
     text = (made / "surface" / "report.html").read_text("utf-8")
     structure(made / "surface" / "report.html")
+    assert "value / σ" not in text  # the centre of a surface is not tested against 0
     (_, plan), *_ = surface.deviation_views(fitted)
     above = sum(p["distance_m"] >= 0.0 for p in fitted["points"])
     assert len(re.findall(r'<g><title>[^<]*</title><circle class="deviation p\d"', plan)) == above

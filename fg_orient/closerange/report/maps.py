@@ -19,6 +19,7 @@ from fg_orient.report.scale import round_down, thousands
 from fg_orient.report.words import printable
 
 Array = npt.NDArray[np.float64]
+Box = tuple[float, float, float, float]
 
 WIDTH: Final = 720.0
 #: Tallest drawing; what is taller than wide is drawn smaller.
@@ -33,6 +34,8 @@ SHORTEST: Final = 5.0
 MAX_POINTS: Final = 800
 #: Stations and points whose names are written.
 MAX_NAMES: Final = 24
+#: Width of a letter of a point's name, drawing units.
+_LETTER: Final = 8.0
 #: Views: words, and the axes across and up.
 VIEWS: Final = (("Plan, X and Y", 0, 1), ("Elevation, X and Z", 0, 2), ("Elevation, Y and Z", 1, 2))
 AXES: Final = "XYZ"
@@ -162,7 +165,8 @@ def view(scene: Scene, words: str, across: int, up: int) -> Markup:
         parts.append(_ellipse(place, covariance, enlarged * frame.units))
     named = sum(role != "new" for role in scene.roles) <= MAX_NAMES
     for k, place, vector in zip(rows, drawn, vectors * enlarged * frame.units, strict=True):
-        parts.append(_point(scene, int(k), place, vector * np.array([1.0, -1.0]), named))
+        parts.append(_point(scene, int(k), place, vector * np.array([1.0, -1.0])))
+    parts += _names(scene, rows, drawn) if named else []
     parts += _stations(scene, frame, axes)
     parts.append(_foot(frame, scene, enlarged, len(scene.ids) - len(rows)))
     return Markup('<svg class="map" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
@@ -207,8 +211,8 @@ def _ellipse(place: Array, covariance: Array, scale: float) -> Markup:
     return Markup('<path class="ellipse" d="M{}z"/>').format("L".join(f"{x:.1f} {y:.1f}" for x, y in outline.tolist()))
 
 
-def _point(scene: Scene, k: int, place: Array, vector: Array, named: bool) -> Markup:
-    """A point with its vector, its tip, and its name where there are few."""
+def _point(scene: Scene, k: int, place: Array, vector: Array) -> Markup:
+    """A point with its vector and its tip, which tells its name."""
     x, y = (round(float(v), 1) for v in place)
     role, name = scene.roles[k], printable(scene.ids[k])
     symbol = {
@@ -225,8 +229,31 @@ def _point(scene: Scene, k: int, place: Array, vector: Array, named: bool) -> Ma
             for axis, v, s in zip(AXES, scene.at[k], spread, strict=True)]  # fmt: skip
     if np.isfinite(scene.difference[k]).all() and scene.difference[k].any():
         told.append("adjusted minus given " + ", ".join(length(float(v)) for v in scene.difference[k]))
-    label = f'<text class="name" x="{x + 7}" y="{y - 5}">{escape(name)}</text>' if named and role != "new" else ""
-    return Markup(f"<g><title>{escape(f'{role} {name}: ' + '; '.join(told))}</title>{line}{symbol}{label}</g>")
+    return Markup(f"<g><title>{escape(f'{role} {name}: ' + '; '.join(told))}</title>{line}{symbol}</g>")
+
+
+def _names(scene: Scene, rows: npt.NDArray[np.intp], drawn: Array) -> list[Markup]:
+    """Names of control and check points at the first of four corners where no symbol and no other name stands."""
+    kept = [(printable(scene.ids[k]), x, y) for k, (x, y) in zip(rows, drawn.tolist(), strict=True)
+            if scene.roles[k] != "new"]  # fmt: skip
+    taken = [(x - 5.0, x + 5.0, y - 5.0, y + 5.0) for _, x, y in kept]
+    out = []
+    for name, x, y in kept:
+        length = _LETTER * len(name)
+        for left, base in ((x + 7, y - 5), (x - 7 - length, y - 5), (x + 7, y + 15), (x - 7 - length, y + 15)):
+            box = (left, left + length, base - 11.0, base + 3.0)
+            if left >= 0.0 and left + length <= WIDTH and _free(box, taken):
+                taken.append(box)
+                anchor, at = ("start", x + 7) if left > x else ("end", x - 7)
+                out.append(Markup('<text class="name" x="{}" y="{}" text-anchor="{}">{}</text>').format(
+                    round(at, 1), round(base, 1), anchor, name))  # fmt: skip
+                break
+    return out
+
+
+def _free(box: Box, taken: list[Box]) -> bool:
+    """Tell whether a box (left, right, top, bottom) covers none of the others."""
+    return all(box[0] > b or box[1] < a or box[2] > d or box[3] < c for a, b, c, d in taken)
 
 
 def _stations(scene: Scene, frame: Frame, axes: list[int]) -> list[Markup]:
@@ -250,16 +277,13 @@ def _stations(scene: Scene, frame: Frame, axes: list[int]) -> list[Markup]:
     return [*names, *out]
 
 
-def _label(
-    x: float, y: float, name: str, taken: list[tuple[float, float, float, float]], height: float, below: bool
-) -> Markup:
+def _label(x: float, y: float, name: str, taken: list[Box], height: float, below: bool) -> Markup:
     """A name above or below its place (first ``below``), where no other stands; none where neither is free."""
     half = 4.6 * len(name) + 4.0
     middle = min(max(x, half), WIDTH - half)
     for at in (y + 20, y - 10) if below else (y - 10, y + 20):
         box = (middle - half, middle + half, at - 13.0, at + 3.0)
-        free = all(box[0] > b or box[1] < a or box[2] > d or box[3] < c for a, b, c, d in taken)
-        if free and 14.0 < at < height:
+        if _free(box, taken) and 14.0 < at < height:
             taken.append(box)
             return Markup('<text class="label" x="{}" y="{}" text-anchor="middle">{}</text>').format(
                 round(middle, 1), round(at, 1), name)  # fmt: skip

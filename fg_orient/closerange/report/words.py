@@ -78,15 +78,31 @@ def m0_words(record: dict[str, Any]) -> tuple[str, str]:
     )
 
 
+def _judged(record: dict[str, Any]) -> tuple[list[dict[str, Any]], list[tuple[str, str]]]:
+    """What has an m0 of its own (all, or each photo), and for each the kind and the sentence on it."""
+    if "m0" in record:
+        return [record], [m0_words(record)]
+    facts = [photo | {"weights": record["weights"], "kind": record["kind"]} for photo in record["photos"]]
+    if len(facts) == 1:
+        return facts, [m0_words(facts[0])]
+    named = [(kind, f"{one['photo'] or 'photo'}: {text}") for one in facts for kind, text in [m0_words(one)]]
+    return facts, named
+
+
+def doubts(record: dict[str, Any]) -> list[str]:
+    """What makes a result doubtful beside its warnings: m0 that chance does not explain, too large residuals."""
+    facts, found = _judged(record)
+    unlikely = [
+        text for one, (kind, text) in zip(facts, found, strict=True) if kind == "warn" and one["m0"] is not None
+    ]
+    return unlikely + _look_at(record)
+
+
 def verdict(record: dict[str, Any], problems: list[str]) -> dict[str, Any]:
     """Say in words how it ended: ``kind`` (good, warn), ``title``, ``text``."""
     done = "Fitted" if record["kind"] in ("surface", "dlt") else "Adjusted"
-    facts = [record] if "m0" in record else [photo | {"weights": record["weights"], "kind": record["kind"]}
-                                             for photo in record["photos"]]  # fmt: skip
-    found = [m0_words(one) for one in facts]
-    texts = [words for _, words in found]
-    if len(texts) > 1:
-        texts = [f"{photo['photo'] or 'photo'}: {text}" for photo, text in zip(facts, texts, strict=True)][:4]
+    facts, found = _judged(record)
+    texts = [words for _, words in found][:4]
     unchecked = any(one["m0"] is None for one in facts)
     if unchecked or problems or any(kind == "warn" for kind, _ in found):
         title = f"{done}, unchecked" if unchecked else f"{done}, with doubts"
@@ -130,15 +146,20 @@ def suspects(record: dict[str, Any]) -> list[tuple[float, str]]:
     return sorted(((w / common, words) for w, words in rows if w / common > limit), key=lambda row: -row[0])
 
 
-def problems(record: dict[str, Any]) -> list[str]:
-    """What the reader should look at, the worst first."""
+def _look_at(record: dict[str, Any]) -> list[str]:
+    """Name the first observations that are suspicious, and what their figure is over."""
     found = suspects(record)
-    out = [
-        f"look at {words}: its residual is {number(w, 1)} times its own standard deviation"
-        for w, words in found[:SUSPECTS]
-    ]
+    scaled = record["weights"] == "absolute" and (record.get("m0") or 1.0) > 1.0
+    own = "its own standard deviation and m0" if scaled else "its own standard deviation"
+    out = [f"look at {words}: its residual is {number(w, 1)} times {own}" for w, words in found[:SUSPECTS]]
     if len(found) > SUSPECTS:
         out.append(f"{len(found) - SUSPECTS} more observations to look at are listed with the residuals")
+    return out
+
+
+def problems(record: dict[str, Any]) -> list[str]:
+    """What the reader should look at, the worst first."""
+    out = _look_at(record)
     for one in record.get("directions", {}).get("weakest", []):
         if one["value"] < 1.0 / WEAK:
             times = significant(1.0 / one["value"], 2)
