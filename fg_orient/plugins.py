@@ -52,7 +52,7 @@ def _imported(path: Path) -> ModuleType:
     module = sys.modules[path.stem] = module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a script that ends itself would end the command as if it were good
         del sys.modules[path.stem]
         value = error if isinstance(error, FgOrientError) else told(error)
         raise InputError.of("plugin.failed", file=path, place=_line(error, path), value=value) from error

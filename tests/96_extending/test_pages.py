@@ -321,3 +321,21 @@ def test_a_file_is_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     again: Any = load_plugin(path)
     monkeypatch.delitem(sys.modules, "docs_counts")
     assert first.loaded is again.loaded
+
+
+# --- files that cannot be loaded -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "place", "said"),
+    [
+        ("x = 1\nraise ValueError('two\\nlines')\n", "line 2", "ValueError: two lines"),
+        ("import sys\nsys.exit(0)\n", "line 2", "SystemExit: 0"),  # it ended the command as if that had done its work
+    ],
+)
+def test_a_plugin_that_ends_is_named(tmp_path: Path, code: str, place: str, said: str) -> None:
+    file = tmp_path / "ends_early.py"
+    file.write_text(code, "utf-8")
+    ended = in_process("--plugin", file, "completion", "bash")
+    assert (ended.code, ended.stdout) == (2, "")
+    assert ended.stderr.startswith(f"error: {file}, {place}: the plugin cannot be loaded (found {said})")
