@@ -60,7 +60,10 @@ class GraphNetwork:
                 n = len(variable.start)
                 unit = gtsam.noiseModel.Unit.Create(n)
                 linear.add(gtsam.JacobianFactor(k, np.sqrt(damping) * np.eye(n), np.zeros(n), unit))
-        delta = linear.optimize(self.ordering, gtsam.EliminateQR)
+        try:
+            delta = linear.optimize(self.ordering, gtsam.EliminateQR)
+        except RuntimeError as error:  # GTSAM's words: a page on its own numbers of variables
+            raise RuntimeError("singular normal equations") from error
         step = np.concatenate([delta.at(k) for k in range(len(self.network.variables))])
         if not np.isfinite(step).all():
             raise RuntimeError("singular normal equations")

@@ -8,13 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
-from fg_orient.adjustment.network import Network, Observation
+from fg_orient.adjustment.network import Network, Observation, dependent
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
 #: A condition (m, or a sine) holds if no more than this is left: rounding of coordinates of 1e6 m.
 HELD: Final = 1e-9
+#: What ends the search: well below, so that dependence shows in the derivatives.
+_FOUND: Final = 1e-12
 #: Conditions with this share of the largest misfit are named.
 NAMED: Final = 0.1
 #: Distance of two points by that at the start, below which conditions have made them one.
@@ -36,7 +38,8 @@ def require_consistent(network: Network) -> None:
     Raises
     ------
     InputError
-        Names the conditions that stay unmet, or the points that would be one.
+        Names the conditions that stay unmet, the points that would be one, or a condition that follows from the others
+        where all hold.
     """
     hard = _hard(network)
     if not hard.observations:
@@ -55,6 +58,9 @@ def require_consistent(network: Network) -> None:
         named = [o.label.partition(": ")[0] for o in hard.observations if merged & {*_points(hard, o)}]
         points = ", ".join(hard.variables[k].name.removeprefix("point ") for k in sorted(merged))
         raise InputError.of("closerange.merged", place="bundle", names="; ".join(dict.fromkeys(named)), points=points)
+    label = dependent(hard, hard.rows(state))
+    if label:
+        raise InputError.of("closerange.dependent", place=label)
 
 
 def _points(hard: Network, observation: Observation) -> list[int]:
@@ -98,7 +104,7 @@ def _least(hard: Network) -> tuple[Array, Array]:
     state, damping = hard.start, _DAMPING
     rows = hard.rows(state)
     for _ in range(_STEPS):
-        if np.abs(rows.condition).max() <= HELD:
+        if np.abs(rows.condition).max() <= _FOUND:
             break
         # of the scaled conditions, the least ones with the shortest way
         size = float(np.linalg.norm(rows.border, 2))

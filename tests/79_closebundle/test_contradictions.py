@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from factors.constraints import DISTANCE
+from fg_orient.adjustment.network import Network, Observation, Variable
+from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.closerange.bundle import Bundle, adjust_bundle
 from fg_orient.closerange.constraints import Constraint
 from fg_orient.errors import InputError
@@ -95,3 +98,24 @@ def test_a_constraint_that_follows_where_the_others_hold_is_dependent() -> None:
     assert error.problems[0].place == "sphere of p0, p1, p2, p3, p4: p4"
     again = adjusted(on_sphere(7), Constraint("sphere", names), Constraint("sphere", names[:4]))
     assert [f["radius"][0] for f in again.figures] == pytest.approx([again.figures[0]["radius"][0]] * 2, abs=1e-9)
+
+
+@pytest.mark.parametrize("backend", ["dense", "graph"])
+def test_dependence_is_named_where_steps_do_not_end(backend: str) -> None:
+    """The fourth point of a circle lies on a sphere of the other three: as a graph it read as not converging."""
+    angle = np.arange(4.0) + 0.3
+    ring = 0.8 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(4)])
+    points = MIDDLE + np.vstack([ring, [[0.0, 0.0, 0.8], [0.48, 0.0, 0.64]], cloud(4) - MIDDLE])
+    names = tuple(f"p{k}" for k in range(6))
+    error = refused(points, Constraint("circle", names[:4]), Constraint("sphere", names), backend=backend)
+    assert error.problems[0].code == "closerange.dependent"
+    assert error.problems[0].place == "sphere of p0, p1, p2, p3, p4, p5: p3"
+
+
+def test_singular_equations_of_a_graph_have_our_words() -> None:
+    """Two points with one distance: the reason was a page of GTSAM on its own variables."""
+    points = [Variable(f"point p{k}", np.array([float(k), 0.0, 0.0]), ("X", "Y", "Z"), is_point=True) for k in range(2)]
+    one = Observation(DISTANCE, (0, 1), np.array([1.0, 1.0]), np.zeros((2, 0)), 1, "distance of p0, p1")
+    network = Network(tuple(points), (one,))
+    with pytest.raises(RuntimeError, match=r"^singular normal equations$"):
+        GraphNetwork(network).linearise(network.start).solve(0.0)
