@@ -20,6 +20,11 @@ LEAST_EIGHT_POINT: Final = 8
 NO_BASE: Final = 1e-3
 #: Difference of the largest and smallest singular values of a homography that is a rotation.
 FLAT: Final = 1e-12
+#: Quarter turns about the view.
+_ROLLS: Final = (
+    np.diag([-1.0, -1.0, 1.0]),
+    *(np.array([[0.0, -s, 0.0], [s, 0.0, 0.0], [0.0, 0.0, 1.0]]) for s in (1, -1)),
+)
 
 
 def start_pairs(points: Array) -> list[tuple[Array, Array]]:
@@ -30,7 +35,8 @@ def start_pairs(points: Array) -> list[tuple[Array, Array]]:
     # eight points have no redundancy in the linear solution, which noise may then lead anywhere
     linear = _eight_points(points) if len(points) == LEAST_EIGHT_POINT else []
     corners = np.array(list(product((1.0, -1.0), repeat=3))) / np.sqrt(3.0)
-    return [*linear, *out, *((np.eye(3), corner) for corner in corners), *_plane(points)]
+    rolled = [(roll, base) for roll in _ROLLS for _, base in out]  # the second camera held upright, or upside down
+    return [*linear, *out, *((np.eye(3), corner) for corner in corners), *rolled, *_plane(points)]
 
 
 def _plane(points: Array) -> list[tuple[Array, Array]]:
