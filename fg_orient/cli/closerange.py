@@ -387,7 +387,5 @@ def _warn(record: dict[str, Any]) -> None:
 
 def _doubt(record: dict[str, Any]) -> None:
     """Say what the first page of the report doubts; unlike tables it stays under ``--quiet``."""
-    from fg_orient.closerange.report.words import doubts
-
-    for text in doubts(record):
+    for text in record["doubts"]:
         note(f"warning: {text}")

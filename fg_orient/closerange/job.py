@@ -29,6 +29,7 @@ from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.photo import Photo
 from fg_orient.closerange.report import REPORT_FILE
 from fg_orient.closerange.report.html import render
+from fg_orient.closerange.report.words import doubts
 from fg_orient.closerange.resection import Resection, resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Method, Priors, fit_surface
@@ -393,6 +394,7 @@ def finished(
               "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
               "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
               "report": {"inputs": [{"file": one.name, "sha256": sha256_of(one)} for one in files]}}  # fmt: skip
+    record["doubts"] = doubts(record)
     page = "" if out is None and report is None else render(record)
     if out is not None:
         with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):

@@ -143,7 +143,8 @@ def test_a_gross_error_is_the_first_problem(made: Path, tmp_path: Path, record: 
     assert done.code == 0 and done.stdout == ""
     first, second, *_ = done.stderr.splitlines()
     assert first.startswith(f"warning: The residuals are {words.significant(found['m0'])} times as large")
-    assert second == f"warning: look at {said}"
+    assert second == f"warning: look at {said}" and "(y_axis)" in first
+    assert [f"warning: {text}" for text in json.loads(run(*tables, "--json").stdout)["doubts"][:2]] == [first, second]
     part = text[text.index("<h3>Largest residuals</h3>") :]
     assert re.search(r'<tr><td class="id">(.*?)</td><td class="id text">(.*?)</td>', part).groups() == ("right", "p3")  # type: ignore[union-attr]
 

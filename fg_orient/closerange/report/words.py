@@ -68,7 +68,8 @@ def m0_words(record: dict[str, Any]) -> tuple[str, str]:
     if m0 > high:
         return "warn", (
             f"The residuals are {significant(m0, 3)} times as large as the given standard deviations (m0; {between}): "
-            "these are too small, or the model lacks something, or there are gross errors."
+            "these are too small, or the model lacks something, or there are gross errors"
+            + ("." if record["kind"] == "surface" else ", or y of the image coordinates points the other way (y_axis).")
         )
     if m0 < low:
         return "warn", f"m0 is {significant(m0, 3)}, and {between}: the given standard deviations are too large."
