@@ -18,10 +18,10 @@ from fg_orient.closerange.bundle_determined import require_determined, require_r
 from fg_orient.closerange.bundle_network import Built, build
 from fg_orient.closerange.bundle_quality import Quality, quality_of
 from fg_orient.closerange.consistent import HELD, missed_most, require_consistent
-from fg_orient.closerange.constraints import Constraint
+from fg_orient.closerange.constraints import JUDGED, Constraint
 from fg_orient.closerange.fitting import as_points, plain_reason, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Interior, Photo
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import FgOrientError, InputError, NoSolutionError
 from fg_orient.linear.system import MAX_UNKNOWNS
 from fg_orient.linear.threads import one_blas_thread
 
@@ -168,6 +168,7 @@ class Bundle:
         Diagonal, for the sigmas given.
     m0 : float or None
     redundancy, iterations : int
+        Iterations with all constraints; those before, without spheres and spheroids, are not counted.
     backend : str
     quality : Quality
         Redundancy numbers, covariances, weak directions.
@@ -270,8 +271,13 @@ def adjust_bundle(
     require_sigmas(given)
     which, of = np.asarray(photo, np.intp), np.asarray(point, np.intp)
     with one_blas_thread():
-        built = build(photos, tuple(ids), as_points(start_m, 3, "points", InputError.of), which, of, measured, given,
-                      control or {}, constraints, residual == "condition")  # fmt: skip
+        start = as_points(start_m, 3, "points", InputError.of)
+
+        def made(stated: Sequence[Constraint], begin: tuple[Built, Array] | None = None) -> Built:
+            return build(photos, tuple(ids), start, which, of, measured, given, control or {}, stated,
+                         residual == "condition", begin)  # fmt: skip
+
+        built = made(constraints, _begun(made, constraints, which, of, optimizer))
         network = built.network
         if network.n_unknowns > MAX_UNKNOWNS:
             raise InputError.of("linear.too_large", place="bundle", value=network.n_unknowns, limit=MAX_UNKNOWNS)
@@ -279,6 +285,28 @@ def adjust_bundle(
         engine = BACKENDS[backend](network)
         found = _solved(built, engine, optimizer, callback)
         return _result(built, engine, found, which, of, given)
+
+
+def _begun(
+    made: Callable[[Sequence[Constraint]], Built], constraints: Sequence[Constraint], which: Index, of: Index,
+    optimizer: str,
+) -> tuple[Built, Array] | None:  # fmt: skip
+    """The bundle without spheres and spheroids and its state, or None where these are needed or there are none.
+
+    Start points that are far off determine no figure, though their rays do; and from there a figure of small sigma is
+    a narrow bent valley, along which damped steps creep.
+    """
+    others = [c for c in constraints if c.kind not in JUDGED]
+    if len(others) == len(constraints):
+        return None
+    try:
+        free = made(others)
+        if free.network.n_unknowns > MAX_UNKNOWNS:
+            return None
+        require_rays(free, which, of)
+        return free, _solved(free, DenseNetwork(free.network), optimizer, None).state
+    except FgOrientError:
+        return None
 
 
 def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None) -> LoopResult[Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
@@ -171,8 +171,12 @@ def _camera(interior: Interior) -> Array:
 def build(
     photos: Sequence[BundlePhoto], ids: tuple[str, ...], start: Array, which: Index, of: Index, image: Array,
     sigma: Array, control: Control, constraints: Sequence[Constraint], is_condition: bool,
+    begin: tuple[Built, Array] | None = None,
 ) -> Built:  # fmt: skip
-    """Make the network of a bundle; see :func:`fg_orient.closerange.bundle.adjust_bundle`."""
+    """Make the network of a bundle; see :func:`fg_orient.closerange.bundle.adjust_bundle`.
+
+    ``begin``: the same bundle with fewer constraints, and the state (u,) where the unknowns begin.
+    """
     _require_sizes(photos, ids, start, which, of, image)
     origin = start.mean(axis=0)
     extent = float(np.linalg.norm(start - origin, axis=1).max()) or 1.0
@@ -189,10 +193,20 @@ def build(
     for a in range(len(of)):
         _add_image_point(built, int(which[a]), int(of[a]), image[a], sigma[a], reach, is_condition)
     built.observations += extras
+    if begin is not None:
+        _begin_at(built, *begin)
     require_one_value(constraints)
     for constraint in constraints:
         _add_constraint(built, constraint)
     return built
+
+
+def _begin_at(built: Built, other: Built, state: Array) -> None:
+    """Begin where another bundle of the same photos and points ended; figures stand behind both of them."""
+    for k, variable in enumerate(built.variables):
+        built.variables[k] = replace(variable, start=state[other.network.part(k)])
+    for j, k in built.point_variables.items():
+        built.start[j] = built.variables[k].start + built.origin
 
 
 def _require_sizes(

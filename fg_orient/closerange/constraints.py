@@ -28,6 +28,8 @@ OF_PHOTOS: Final = ("base", "equal attitude")
 #: Kinds that need a value, m, and those with a fixed number of members.
 MEASURED: Final = ("distance", "base")
 EXACT: Final = ("distance", "parallel", *OF_PHOTOS)
+#: Figures that are refused if their points do not determine them, before the bundle is adjusted.
+JUDGED: Final = ("sphere", "spheroid")
 AXES: Final = ("x", "y", "z")
 _NONE: Final = np.zeros((2, 0))
 
