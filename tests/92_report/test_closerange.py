@@ -167,6 +167,29 @@ def test_names_of_points_do_not_cover_each_other() -> None:
         assert all(x + length < a or a + long < x or abs(y - b) > 13.9 for a, b, long in boxes[:j])
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_names_of_stations_do_not_cover_those_of_points(seed: int) -> None:
+    """Stations amid the points: every name stands apart from all others and from the squares of the stations."""
+    rng = np.random.default_rng(seed)
+    at, none = rng.uniform(-1.0, 1.0, (12, 3)), np.full((12, 3), np.nan)
+    centres = at[:4] + [0.1, 0.02, 0.0]
+    scene = maps.Scene([f"P{k}" for k in range(12)], ["control"] * 12, at, np.zeros((12, 3, 3)), none, list("abcd"),
+                       centres, np.full((4, 3), np.nan), centres)  # fmt: skip
+    drawing = maps.view(scene, "plan", 0, 1)
+    boxes = []
+    for kind, x, y, anchor, name in re.findall(
+        r'class="(name|label)" x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">(\w+)<', drawing
+    ):
+        size = 8.0 * len(name) if kind == "name" else 9.2 * len(name) + 8.0
+        left = float(x) - {"start": 0.0, "end": size, "middle": 0.5 * size}[anchor]
+        boxes.append((left, left + size, float(y) - (11.0 if kind == "name" else 13.0), float(y) + 3.0))
+    places = re.findall(r'class="station" d="M([\d.]+) ([\d.]+)h9', drawing)[:4]
+    boxes += [(float(x), float(x) + 9.0, float(y), float(y) + 9.0) for x, y in places]
+    assert len(boxes) > 12
+    for j, (a, b, c, d) in enumerate(boxes[:-4]):
+        assert all(b < e or a > f or d < g or c > h for e, f, g, h in boxes[j + 1 :])
+
+
 def test_w_is_the_residual_over_its_own_sigma(record: dict[str, Any]) -> None:
     for row in record["residuals"]:
         for a in "xy":
@@ -313,6 +336,7 @@ def test_the_other_commands_have_a_page(made: Path, tmp_path: Path, command: str
     assert done.json["page"] == str(tmp_path / "page.html") and done.json["out"] is None
     again = run("closerange", command, *(made / w for w in given[command]), "--report", tmp_path / "page.html")
     assert again.code == 2 and "page.html, --report: the output exists already" in again.stderr
+    assert "; give another --report or add --overwrite" in again.stderr
     away = run("closerange", command, *(made / w for w in given[command]), "--report", tmp_path / "no" / "page.html")
     assert away.code == 2 and "no such folder" in away.stderr
 

@@ -166,8 +166,9 @@ def view(scene: Scene, words: str, across: int, up: int) -> Markup:
     named = sum(role != "new" for role in scene.roles) <= MAX_NAMES
     for k, place, vector in zip(rows, drawn, vectors * enlarged * frame.units, strict=True):
         parts.append(_point(scene, int(k), place, vector * np.array([1.0, -1.0])))
-    parts += _names(scene, rows, drawn) if named else []
-    parts += _stations(scene, frame, axes)
+    taken = _symbols(scene, rows, drawn, frame(scene.centres[:, axes]))
+    parts += _names(scene, rows, drawn, taken) if named else []
+    parts += _stations(scene, frame, axes, taken)
     parts.append(_foot(frame, scene, enlarged, len(scene.ids) - len(rows)))
     return Markup('<svg class="map" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
         WIDTH, round(frame.height + (94.0 if enlarged > 0.0 else 62.0), 1), words, Markup("").join(parts)
@@ -232,11 +233,17 @@ def _point(scene: Scene, k: int, place: Array, vector: Array) -> Markup:
     return Markup(f"<g><title>{escape(f'{role} {name}: ' + '; '.join(told))}</title>{line}{symbol}</g>")
 
 
-def _names(scene: Scene, rows: npt.NDArray[np.intp], drawn: Array) -> list[Markup]:
-    """Names of control and check points at the first of four corners where no symbol and no other name stands."""
+def _symbols(scene: Scene, rows: npt.NDArray[np.intp], drawn: Array, stations: Array) -> list[Box]:
+    """Boxes of control points, check points and stations: no name may cover them."""
+    known = [place for k, place in zip(rows, drawn.tolist(), strict=True) if scene.roles[k] != "new"]
+    sized = [(5.0, known), (6.0, stations.tolist())]
+    return [(x - half, x + half, y - half, y + half) for half, places in sized for x, y in places]
+
+
+def _names(scene: Scene, rows: npt.NDArray[np.intp], drawn: Array, taken: list[Box]) -> list[Markup]:
+    """Names of control and check points at the first of four corners where nothing in ``taken`` stands; adds them."""
     kept = [(printable(scene.ids[k]), x, y) for k, (x, y) in zip(rows, drawn.tolist(), strict=True)
             if scene.roles[k] != "new"]  # fmt: skip
-    taken = [(x - 5.0, x + 5.0, y - 5.0, y + 5.0) for _, x, y in kept]
     out = []
     for name, x, y in kept:
         length = _LETTER * len(name)
@@ -256,10 +263,11 @@ def _free(box: Box, taken: list[Box]) -> bool:
     return all(box[0] > b or box[1] < a or box[2] > d or box[3] < c for a, b, c, d in taken)
 
 
-def _stations(scene: Scene, frame: Frame, axes: list[int]) -> list[Markup]:
-    """Projection centres as squares with the direction of view, their names where there are few."""
+def _stations(scene: Scene, frame: Frame, axes: list[int], taken: list[Box]) -> list[Markup]:
+    """Projection centres as squares with the direction of view, their names where there are few and nothing stands."""
     places = frame(scene.centres[:, axes]).round(1).tolist()
-    names, out, taken = [], [], [(x - 6.0, x + 6.0, y - 6.0, y + 6.0) for x, y in places]
+    names: list[Markup] = []
+    out: list[Markup] = []
     for k, (x, y) in enumerate(places):
         look = scene.looks[k][axes]
         view_line = Markup("")
