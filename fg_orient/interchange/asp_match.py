@@ -140,13 +140,14 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
-    """Write one file for two images, or a folder of ``run-A__B.match`` for all pairs."""
+    """Write one file for two images, whose name tells them, or a folder of ``run-A__B.match`` for all pairs."""
     o = survey.observed
     pixels = np.column_stack([o.line, o.sample])
     pairs = pairs_of(o.image, o.point)
     if paths[0].suffix == ".match":
         if len(survey.images) != 2:
             raise InputError.of("match.pair", file=paths[0].name, value=f"{len(survey.images)} images")
+        images_of(paths[0])  # a name that does not tell the images would be refused on reading
         rows = pairs.get((0, 1), np.empty((0, 2), np.intp))
         write_match(paths[0], pixels[rows[:, 0]], pixels[rows[:, 1]])
         return
