@@ -77,6 +77,7 @@ def convert(
     with outcome(as_json, debug, quiet, log):
         from fg_orient.interchange.convert import Fill, filled, placed, read_survey, write_survey
         from fg_orient.interchange.registry import Settings, format_named, format_of
+        from fg_orient.interchange.registry import formats as all_formats
 
         if formats:
             _list(as_json)
@@ -93,6 +94,10 @@ def convert(
         if reader.read_model is not None and writer.write_model is not None:
             _convert_model(files, reader, out[0], writer, settings, accept_unverified, overwrite, as_json)
             return
+        if writer.write is None and writer.write_model is not None:
+            known = ", ".join(name for name, f in all_formats().items() if f.read_model is not None)
+            raise InputError.of("interchange.needs_model", file=out[0], place="--to", value=writer.name,
+                                source=reader.name, known=known)  # fmt: skip
         survey, remarks = read_survey(
             files, reader, settings, accept_unverified=accept_unverified, scenes=_scenes(metadata or [])
         )

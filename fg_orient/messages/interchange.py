@@ -10,6 +10,10 @@ INTERCHANGE: Final = {
     "interchange.files": ("the format {format} has other files", "give: {names}"),
     "interchange.no_reader": ("the format is only written", "convert to it, not from it"),
     "interchange.no_writer": ("the format is only read", "convert from it, not to it"),
+    "interchange.needs_model": (
+        "the format holds cameras and poses, which {source} does not",
+        "convert from a format that holds a model, too: {known}",
+    ),
     "interchange.unverified": (
         "this reader was never tried on a file of the program itself: pixel origin and columns are from descriptions",
         "look at docs/formats, compare one point with the program, and add --accept-unverified",

@@ -47,6 +47,15 @@ def test_matches_become_tables_and_a_database(tmp_path: Path) -> None:
     assert sorted(survey.observed.line.tolist()) == [10.25, 11.25, 30.0, 31.0]
 
 
+@pytest.mark.parametrize("wanted", ["bundler", "bal", "colmap-text"])
+def test_points_are_no_model(wanted: str, tmp_path: Path) -> None:
+    """Formats that are written from a model only say so, and which formats hold one."""
+    words = ["convert", matches(tmp_path), "--accept-unverified", "--to", wanted, "--out", tmp_path / "out"]
+    ended = in_process(*words)
+    assert ended.code == 2 and "holds cameras and poses, which asp-match does not" in ended.stderr
+    assert "only read" not in ended.stderr and "bal, bundler" in ended.stderr and "colmap-text" in ended.stderr
+
+
 def test_rounding_to_single_precision_is_told(tmp_path: Path) -> None:
     (tmp_path / "t").mkdir()
     for name in ("a", "b"):
