@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 #: Options of ``convert`` that messages name, and the entries of a project that take their place.
 _ENTRIES = {"--from": "format", "--accept-unverified": "accept_unverified = true", "--crs": "crs", "--check": "check"}
+#: A remedy that a project has no entry for: its points stay in the CRS of their file.
+_TRANSFORMS: Final = "; --to-crs transforms"
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class Table:
 
     def _in_project(self, found: Problem, project: str) -> Problem:
         place = f"{self.name}.{_ENTRIES[found.place].partition(' ')[0]}" if found.place in _ENTRIES else found.place
-        remedy = re.sub("|".join(_ENTRIES), lambda m: _ENTRIES[m[0]], found.remedy)
+        remedy = re.sub("|".join(_ENTRIES), lambda m: _ENTRIES[m[0]], found.remedy.replace(_TRANSFORMS, ""))
         named = dict(zip(map(str, self.absolute), map(str, self.paths), strict=True))
         return replace(found, file=named.get(found.file, found.file) or project, place=place, remedy=remedy)
 

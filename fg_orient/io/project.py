@@ -291,8 +291,9 @@ def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, 
         table = _foreign(project, folder, "observations")
         both = read_foreign_observations(table, file, known_images, sound, observation_faults)
         observations, points = both or (None, points)
-    problems = (*crs_problems, *point_faults.problems, *observation_faults.problems)
-    return _Tables(points, observations, problems)
+    # both tables may name one file of another program: its faults are said once
+    problems = dict.fromkeys((*crs_problems, *point_faults.problems, *observation_faults.problems))
+    return _Tables(points, observations, tuple(problems))
 
 
 def _foreign(project: ProjectFile, folder: Path, name: str) -> Table:

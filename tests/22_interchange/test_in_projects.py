@@ -130,6 +130,15 @@ def test_faults_name_file_line_and_entry(folder: Path) -> None:
     assert len(fg.read_project(path).observations) == 94
 
 
+def test_another_crs_than_the_file_says_is_one_fault_with_a_remedy_of_projects(folder: Path) -> None:
+    path = from_format(folder, "odm")
+    path.write_text(path.read_text("utf-8").replace('format = "odm"', 'format = "odm"\ncrs = "EPSG:32633"', 1), "utf-8")
+    ended = in_process("validate", path, "--json")
+    (found,) = ended.json["errors"]
+    assert (ended.code, found["code"]) == (2, "interchange.crs_differs")
+    assert found["remedy"] == "leave crs out, or give the same with a vertical CRS"
+
+
 def test_our_points_with_tie_points_of_another_program(folder: Path, own: Block) -> None:
     """Image points that only the other file knows are tie points; entries of foreign files are refused for our own."""
     (gcp,) = exported(folder, "metashape-xml")
