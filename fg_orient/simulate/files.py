@@ -123,7 +123,7 @@ def _write_block(folder: Path, simulation: Simulation, values: dict[str, Any], w
     write_points(
         folder / "points.csv", ground.ids, ground.roles, np.where(known, ground.measured, np.nan),
         np.where(known, ground.sigma_enu_m, np.nan),
-        comments=[*made, "measured values: WGS84, EPSG:4979, ellipsoidal heights; sigmas at the point"],
+        comments=[*made, "measured values: WGS84, ellipsoidal heights; sigmas at the point", "crs: EPSG:4979"],
     )  # fmt: skip
     write_observations(
         folder / "observations.csv", [truth.image_ids[k] for k in simulation.image],
