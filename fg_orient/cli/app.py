@@ -117,9 +117,8 @@ def _usage_error(error: Exception) -> int:
     if explain is None:
         raise error
     context = getattr(error, "ctx", None)
-    found = InputError.of(
-        "cli.usage", place=context.command_path if context else "fg-orient", text=explain().rstrip(".")
-    )
+    text = explain().rstrip(".").replace("Value error, ", "")  # pydantic's prefix of what the choices of a type refuse
+    found = InputError.of("cli.usage", place=context.command_path if context else "fg-orient", text=text)
     if "--json" in sys.argv:
         emit_errors(*found.problems)
     note(f"error: {found}")

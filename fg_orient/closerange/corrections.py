@@ -38,6 +38,6 @@ def parameters_of(words: Sequence[str], place: str) -> tuple[str, ...]:
     for word in words:
         if word not in SETS and word not in NAMES:
             known = ", ".join((*NAMES[:10], *SETS, "a1 to a21", *NAMES[31:]))
-            raise InputError.of("closerange.bundle", place=place, value=word, expected=known)
+            raise InputError.of("closerange.parameter", place=place, value=word, known=known)
         out += SETS.get(word, (word,))
     return tuple(dict.fromkeys(out))

@@ -153,6 +153,10 @@ CLOSERANGE: Final = {
         "not a backend of close range: hard constraints and correlates have no form in others",
         "choose one of {known}",
     ),
+    "closerange.parameter": (
+        "this is no name of a camera parameter, nor of a set of them",
+        "choose one of {known}",
+    ),
     "closerange.bundle": ("this part of the bundle is not possible", "give {expected}"),
     "closerange.no_place": (
         "the point is seen in one photo only and has no coordinates",

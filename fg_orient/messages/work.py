@@ -198,7 +198,7 @@ REMARKS: Final = {
 }
 
 OUTPUT: Final = {
-    "output.exists": ("the output exists already", "give another --out or add --overwrite"),
+    "output.exists": ("the output exists already", "give another {place} or add --overwrite"),
     "output.not_a_folder": ("this is no folder, or a link to one", "give another --out"),
     "output.foreign": (
         "the folder holds other files, so it is not replaced",
