@@ -130,6 +130,11 @@ def test_faults_name_file_line_and_entry(folder: Path) -> None:
     assert len(fg.read_project(path).observations) == 94
 
 
+def test_convert_reads_the_crs_of_a_simulation(source: Path, tmp_path: Path) -> None:
+    ended = in_process("convert", source / "points.csv", "--from", "csv", "--out", tmp_path / "points.geojson", "--json")
+    assert ended.code == 0 and ended.json["points"] > 30, ended.stderr
+
+
 def test_another_crs_than_the_file_says_is_one_fault_with_a_remedy_of_projects(folder: Path) -> None:
     path = from_format(folder, "odm")
     path.write_text(path.read_text("utf-8").replace('format = "odm"', 'format = "odm"\ncrs = "EPSG:32633"', 1), "utf-8")

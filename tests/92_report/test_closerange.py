@@ -172,22 +172,22 @@ def test_names_of_stations_do_not_cover_those_of_points(seed: int) -> None:
     """Stations amid the points: every name stands apart from all others and from the squares of the stations."""
     rng = np.random.default_rng(seed)
     at, none = rng.uniform(-1.0, 1.0, (12, 3)), np.full((12, 3), np.nan)
-    centres = at[:4] + [0.1, 0.02, 0.0]
-    scene = maps.Scene([f"P{k}" for k in range(12)], ["control"] * 12, at, np.zeros((12, 3, 3)), none, list("abcd"),
-                       centres, np.full((4, 3), np.nan), centres)  # fmt: skip
+    centres = rng.uniform(-1.0, 1.0, (8, 3))
+    scene = maps.Scene([f"P{k}" for k in range(12)], ["control"] * 12, at, np.zeros((12, 3, 3)), none, [f"photo{k}" for k in range(8)],
+                       centres, np.full((8, 3), np.nan), centres)  # fmt: skip
     drawing = maps.view(scene, "plan", 0, 1)
-    boxes = []
+    boxes = []  # written to 0.1 units
     for kind, x, y, anchor, name in re.findall(
         r'class="(name|label)" x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">(\w+)<', drawing
     ):
         size = 8.0 * len(name) if kind == "name" else 9.2 * len(name) + 8.0
         left = float(x) - {"start": 0.0, "end": size, "middle": 0.5 * size}[anchor]
         boxes.append((left, left + size, float(y) - (11.0 if kind == "name" else 13.0), float(y) + 3.0))
-    places = re.findall(r'class="station" d="M([\d.]+) ([\d.]+)h9', drawing)[:4]
+    places = re.findall(r'class="station" d="M([\d.]+) ([\d.]+)h9', drawing)[:8]
     boxes += [(float(x), float(x) + 9.0, float(y), float(y) + 9.0) for x, y in places]
-    assert len(boxes) > 12
-    for j, (a, b, c, d) in enumerate(boxes[:-4]):
-        assert all(b < e or a > f or d < g or c > h for e, f, g, h in boxes[j + 1 :])
+    assert len(boxes) > 20
+    for j, (a, b, c, d) in enumerate(boxes[:-8]):
+        assert all(b < e + 0.2 or a > f - 0.2 or d < g + 0.2 or c > h - 0.2 for e, f, g, h in boxes[j + 1 :])
 
 
 def test_w_is_the_residual_over_its_own_sigma(record: dict[str, Any]) -> None:
