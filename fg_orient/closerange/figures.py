@@ -150,7 +150,8 @@ def _residuals(record: dict[str, Any]) -> Drawn | None:
             axes.invert_yaxis()
     for axes in grid[len(photos) :]:
         axes.set_visible(False)
-    return figure, f"image residuals, all at one scale: nine of ten are shorter than {long:.2g} image units."
+    words = f"nine of ten are shorter than {long:.2g} image units."
+    return figure, f"image residuals, measured minus computed, all at one scale: {words}"
 
 
 def _numbers(rows: list[dict[str, Any]]) -> Array:

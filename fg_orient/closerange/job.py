@@ -100,7 +100,7 @@ def run_dlt(
         record = _dlt_record(found)
         record["warnings"] += [found.doubt] if found.doubt else []
         record["warnings"] += [LITTLE_REDUNDANCY] if found.redundancy == 1 and stated is None else []
-        return record | _photo_points(table, rows, found.photo)
+        return record | _photo_points(table, rows, found.photo, sigma)
 
     photos = _each_photo(table, sigma, one)
     return finished(
@@ -146,7 +146,7 @@ def run_resect(
         interior, used = of_name(cameras, name, camera), rows[~table.check[rows]]
         found = resect(interior, table.ground[used], table.image[used], sigma=weights[~table.check[rows]], name=name)
         texts.append(photo_text(found.photo, interior, found.rotation))
-        return _resection_record(found) | _photo_points(table, rows, found.photo)
+        return _resection_record(found) | _photo_points(table, rows, found.photo, sigma)
 
     photos = _each_photo(table, sigma, one)
     return finished({"kind": "resection", **unit_of_weights(table, sigma), "photos": photos}, path, table, out,
@@ -188,9 +188,10 @@ def run_intersect(
          "misfit": float(rms[k] / np.sqrt(of.count(k)))}
         for k, name in enumerate(ids)
     ]  # fmt: skip
-    seen = zip(table.photos, table.ids, table.image.tolist(), found.residuals.tolist(), strict=True)
-    residuals = [{"photo": p, "id": i, "x": x, "y": y, "residual_x": vx, "residual_y": vy}
-                 for p, i, (x, y), (vx, vy) in seen]  # fmt: skip
+    seen = zip(table.photos, table.ids, table.image.tolist(), (-found.residuals).tolist(), strict=True)
+    given = _given_sigmas(table, sigma) or [{}] * len(table)
+    residuals = [{"photo": p, "id": i, "x": x, "y": y, "residual_x": vx, "residual_y": vy, **s}
+                 for (p, i, (x, y), (vx, vy)), s in zip(seen, given, strict=True)]  # fmt: skip
     centres = [{"photo": n, "exterior": {"centre_m": known[n].origin_m.tolist()}} for n in names if n in known]
     record = {
         "kind": "intersection", **unit_of_weights(table, sigma), "m0": found.m0, "redundancy": found.redundancy,
@@ -220,6 +221,7 @@ def run_surface(
     with one_blas_thread():
         found = fit_surface(table.ground, kind, axis=axis, sigma_m=weights, method=method, priors=priors)
     sd = found.sigma
+    ratio = None if weights is None or method != "geometric" else np.linalg.norm(found.deviations_m / weights, axis=1)
     record: Record = {
         "kind": "surface", **unit_of_weights(table, sigma_m), "surface": found.surface.as_dict(), "method": method,
         "axis": axis if kind == "spheroid" else None, "m0": found.m0, "redundancy": found.redundancy,
@@ -231,7 +233,8 @@ def run_surface(
         ],
         "points": [
             {"id": name, **xyz(table.ground[k]), **xyz(found.deviations_m[k], "deviation_"),
-             "distance_m": float(found.distances_m[k])}
+             "distance_m": float(found.distances_m[k]),
+             **({} if ratio is None else {"distance_over_sigma": float(ratio[k])})}
             for k, name in enumerate(table.ids)
         ],
         "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
@@ -343,18 +346,26 @@ def exterior_record(rotation: Array, centre: Array, turns: Sequence[Any], sigma:
     }  # fmt: skip
 
 
-def _photo_points(table: Observed, rows: Array, photo: Photo) -> Record:
-    """Residuals of all points of a photo, computed minus measured, and their RMS by role."""
+def _photo_points(table: Observed, rows: Array, photo: Photo, sigma: float | None) -> Record:
+    """Residuals of all points of a photo, measured minus computed, and their RMS by role."""
     index = np.asarray(rows, np.intp)
-    residual = photo.project(table.ground[index]) - table.image[index]
+    residual = table.image[index] - photo.project(table.ground[index])
+    given = _given_sigmas(table, sigma)
     check = table.check[index]
     points = [
         {"id": table.ids[k], "role": "check" if table.check[k] else "control", "residual_x": float(r[0]),
          "residual_y": float(r[1]), "x": float(table.image[k, 0]), "y": float(table.image[k, 1]),
-         **xyz(table.ground[k])}
+         **xyz(table.ground[k]), **(given[k] if given else {})}
         for k, r in zip(index.tolist(), residual, strict=True)
     ]  # fmt: skip
     return {"rms": plain_rms(residual[~check]), "check_rms": plain_rms(residual[check]), "points": points}
+
+
+def _given_sigmas(table: Observed, sigma: float | None) -> list[Record]:
+    """Given standard deviations of the image coordinates; none where all have the same weight."""
+    if unit_of_weights(table, sigma)["weights"] == "relative":
+        return []
+    return [{"sigma_x": x, "sigma_y": y} for x, y in weights_of(table, sigma).tolist()]
 
 
 def xyz(values: Array | None, prefix: str = "") -> Record:

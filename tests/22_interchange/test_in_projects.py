@@ -131,7 +131,8 @@ def test_faults_name_file_line_and_entry(folder: Path) -> None:
 
 
 def test_convert_reads_the_crs_of_a_simulation(source: Path, tmp_path: Path) -> None:
-    ended = in_process("convert", source / "points.csv", "--from", "csv", "--out", tmp_path / "points.geojson", "--json")
+    words = ["convert", source / "points.csv", "--from", "csv", "--out", tmp_path / "points.geojson"]
+    ended = in_process(*words, "--json")
     assert ended.code == 0 and ended.json["points"] > 30, ended.stderr
 
 

@@ -118,7 +118,7 @@ def test_three_images_need_a_folder_and_names_must_fit_one(tmp_path: Path) -> No
     with pytest.raises(InputError, match="3 images"):
         FORMAT.write(survey, (tmp_path / "run-a__b.match",), Settings())  # type: ignore[misc]
     two = tie_survey(("a", "b"), ("1",), np.arange(2), np.zeros(2, int), np.zeros(2), np.zeros(2))
-    with pytest.raises(InputError, match="name it PREFIX-LEFT__RIGHT.match"):
+    with pytest.raises(InputError, match=r"name it PREFIX-LEFT__RIGHT\.match"):
         FORMAT.write(two, (tmp_path / "p.match",), Settings())  # type: ignore[misc]
     assert not (tmp_path / "p.match").exists()
     odd = tie_survey(("a__b", "c"), ("1",), np.arange(2), np.zeros(2, int), np.zeros(2), np.zeros(2))

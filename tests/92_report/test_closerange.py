@@ -6,6 +6,7 @@ import copy
 import csv
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +174,8 @@ def test_names_of_stations_do_not_cover_those_of_points(seed: int) -> None:
     rng = np.random.default_rng(seed)
     at, none = rng.uniform(-1.0, 1.0, (12, 3)), np.full((12, 3), np.nan)
     centres = rng.uniform(-1.0, 1.0, (8, 3))
-    scene = maps.Scene([f"P{k}" for k in range(12)], ["control"] * 12, at, np.zeros((12, 3, 3)), none, [f"photo{k}" for k in range(8)],
+    names = [f"photo{k}" for k in range(8)]
+    scene = maps.Scene([f"P{k}" for k in range(12)], ["control"] * 12, at, np.zeros((12, 3, 3)), none, names,
                        centres, np.full((8, 3), np.nan), centres)  # fmt: skip
     drawing = maps.view(scene, "plan", 0, 1)
     boxes = []  # written to 0.1 units
@@ -199,6 +201,55 @@ def test_w_is_the_residual_over_its_own_sigma(record: dict[str, Any]) -> None:
                 continue
             assert row[f"w_{a}"] == pytest.approx(row[f"residual_{a}"] / (1e-3 * np.sqrt(r)))
             assert row[f"mdb_{a}"] == pytest.approx(np.sqrt(17.075 / r) * 1e-3, rel=1e-4)
+
+
+@pytest.mark.parametrize("command", ["dlt", "resect", "intersect", "bundle"])
+def test_a_gross_error_is_named_and_its_residual_has_its_sign(command: str, made: Path, tmp_path: Path) -> None:
+    """Measured minus computed in all kinds: a coordinate too large by 0.05 leaves a residual above zero.
+
+    It is y of an intersection, since two rays do not check x along their base. Eleven unknowns of a DLT take too much
+    of the error for a ratio without redundancy numbers: there m0 alone tells of it.
+    """
+    axis = "y" if command == "intersect" else "x"
+    shutil.copytree(made, tmp_path / "made")
+    folder = tmp_path / "made"
+    name = "control.csv" if command in ("dlt", "resect") else "image.csv"
+    lines = (folder / name).read_text("utf-8").splitlines()
+    columns = lines[0].split(",")
+    cells = lines[4].split(",")
+    cells[columns.index(axis)] = repr(float(cells[columns.index(axis)]) + 0.05)
+    (folder / name).write_text("\n".join([*lines[:4], ",".join(cells), *lines[5:]]) + "\n", "utf-8")
+    point, photo = cells[columns.index("id")], cells[columns.index("photo")]
+    others = {"dlt": [], "resect": ["cameras.toml"], "intersect": [Path("out", "photos.toml")]}
+    words_ = ["closerange", command, folder / name, *(folder / w for w in others.get(command, []))]
+    record = bundle(folder) if command == "bundle" else run(*words_, "--sigma", "0.001", "--json").json
+    rows = record.get("residuals") or [{"photo": p["photo"]} | r for p in record["photos"] for r in p["points"]]
+    (row,) = (r for r in rows if (r["photo"], r["id"]) == (photo, point))
+    assert row[f"residual_{axis}"] > 0.005
+    told = " ".join(words.doubts({"warnings": [], "photos": []} | record))
+    named = {"dlt": "times as large as", "intersect": f"look at point {point}: the misfit of its rays"}
+    assert named.get(command, f"{axis} of point {point} in photo {photo}") in told
+
+
+@pytest.mark.parametrize("sigma", [0.001, None])
+def test_a_point_off_a_surface_is_a_problem(sigma: float | None, tmp_path: Path) -> None:
+    """17 mm off among 1 mm of noise: named with its distance; no other point, and none without the error."""
+    page_files.surface_points(tmp_path)
+    path = tmp_path / "points.csv"
+    given = [] if sigma is None else ["--sigma", sigma]
+    fitted = ["closerange", "surface", path, "--kind", "spheroid", *given, "--json"]
+    assert words.problems(run(*fitted).json | {"photos": []}) == []
+    lines = path.read_text("utf-8").splitlines()
+    name, *at = lines[8].split(",")
+    moved = np.array(at, float) + 0.017 * np.array([float(at[0]), 0.0, float(at[2])]) / np.hypot(
+        *np.array(at, float)[::2]
+    )
+    path.write_text("\n".join([*lines[:8], ",".join([name, *map(repr, moved.tolist())]), *lines[9:]]) + "\n", "utf-8")
+    (told,) = words.problems(run(*fitted).json | {"photos": []})
+    found = re.fullmatch(
+        rf"look at point {name}: its normal distance, (.*) mm, is (.*) times the standard deviation .* show", told
+    )
+    assert found is not None and float(found[1]) > 10.0 and 8.0 < float(found[2]) < 25.0
 
 
 def test_points_and_ellipses_stand_where_the_record_says(record: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtri
 
+from fg_orient.closerange.report.outlying import Group, outlying
 from fg_orient.distributions import chi_square_interval, sidak
 from fg_orient.report.words import number
 
@@ -155,7 +156,46 @@ def _look_at(record: dict[str, Any]) -> list[str]:
     out = [f"look at {words}: its residual is {number(w, 1)} times {own}" for w, words in found[:SUSPECTS]]
     if len(found) > SUSPECTS:
         out.append(f"{len(found) - SUSPECTS} more observations to look at are listed with the residuals")
-    return out
+    return out + _outlying(record)
+
+
+def _outlying(record: dict[str, Any]) -> list[str]:
+    """Name the first residuals that stand out where redundancy numbers are not known: all kinds but the bundle."""
+    groups = [Group(f, record["weights"] == "absolute", rows) for f, rows in _groups(record)]
+    found = sorted((one for group in groups for one in outlying(group, LEVEL / len(groups))), key=lambda one: -one[0])
+    more = [f"{len(found) - SUSPECTS} more residuals stand out like these"] if len(found) > SUSPECTS else []
+    return [text for _, text in found[:SUSPECTS]] + more
+
+
+def _groups(record: dict[str, Any]) -> list[tuple[int, list[tuple[float, float, int, str]]]]:
+    """Redundancy and residuals of each adjustment; not of surfaces whose distances are not what is least."""
+    if record["kind"] == "surface":
+        rows = [(abs(p["distance_m"]), p.get("distance_over_sigma", abs(p["distance_m"])), 1,
+                 f"point {p['id']}: its normal distance, {length(p['distance_m'])},")
+                for p in record["points"]]  # fmt: skip
+        return [(record["redundancy"], rows)] if record["method"] == "geometric" else []
+    if record["kind"] == "intersection":
+        return [(record["redundancy"], _misfits(record))]
+    photos = record["photos"] if record["kind"] in ("dlt", "resection") else []
+    return [(photo["redundancy"], _coordinates(photo["points"], photo["photo"])) for photo in photos]
+
+
+def _misfits(record: dict[str, Any]) -> list[tuple[float, float, int, str]]:
+    """Points by what their rays miss each other, over the root of their redundancy."""
+    squares: dict[str, float] = {}
+    for r in record["residuals"]:
+        own = sum((r[f"residual_{a}"] / r.get(f"sigma_{a}", 1.0)) ** 2 for a in "xy")
+        squares[r["id"]] = squares.get(r["id"], 0.0) + own
+    return [(p["misfit"], math.sqrt(squares[p["id"]] / (2 * p["rays"] - 3)), 2 * p["rays"] - 3,
+             f"point {p['id']}: the misfit of its rays, {significant(p['misfit'])},")
+            for p in record["points"]]  # fmt: skip
+
+
+def _coordinates(rows: list[dict[str, Any]], photo: str) -> list[tuple[float, float, int, str]]:
+    """Residuals of image coordinates; those of check points took no part."""
+    return [(abs(r[f"residual_{a}"]), abs(r[f"residual_{a}"]) / r.get(f"sigma_{a}", 1.0), 1,
+             f"{a} of point {r['id']} in photo {photo or '-'}: its residual, {significant(r[f'residual_{a}'])},")
+            for r in rows for a in "xy" if r.get("role") != "check"]  # fmt: skip
 
 
 def problems(record: dict[str, Any]) -> list[str]:
