@@ -37,6 +37,8 @@ PARAMETERS: Final = tuple(f"L{k}" for k in range(1, 12))
 RECOVERED: Final = ("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z")
 #: Smallest singular value of the scaled design by its largest, below which the points lie in a plane but for noise.
 PLANE_LIMIT: Final = 1e-7
+#: Third singular value of the points about their middle by the first, up to which a refusal speaks of a plane.
+CLOSE_TO_PLANE: Final = 0.1
 #: Movement of the centre of the distortion that ends its search, by the extent of the image.
 SETTLED: Final = 1e-9
 _STEP: Final = 1e-30
@@ -177,7 +179,7 @@ def fit_dlt(
     rows = equation_rows(DLT, records, setup)
     direct = direct_dlt(records[:, :3], records[:, 3:5])
     state, log = np.concatenate([direct, np.zeros(len(codes))]), 1
-    _require_spatial(rows(state, True)[1][:, :11])
+    _require_spatial(ground, rows(state, True)[1][:, :11])
     if len(codes):
         centre = (
             recover(direct, np.zeros(3)).principal if about is None else target.normalised(np.asarray(about, float))
@@ -189,12 +191,12 @@ def fit_dlt(
     if not (below > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(below)) + 1}")
     residual, design = rows(state, True)
-    judged = _require_spatial(design)
+    judged = _require_spatial(ground, design)
     assert judged.cofactors is not None
     white, redundancy = residual.ravel(), residual.size - len(state)
     doubt = require_depth(ground, state[:11], judged.cofactors, unit_weight(float(white @ white), redundancy),
                           redundancy, known=sigma is not None)  # fmt: skip
-    found = _result(name, tuple(distortion), source, target, state, residual.reshape(-1, 2) * size, size,
+    found = _result(name, tuple(distortion), ground, source, target, state, residual.reshape(-1, 2) * size, size,
                     target.physical(records[0, 8:]), judged, log)  # fmt: skip
     return replace(found, doubt=doubt)
 
@@ -233,17 +235,24 @@ def _require(ground: Array, image: Array, sigma: Array, distortion: Sequence[str
     return np.array([DISTORTION.index(name) for name in distortion], float)
 
 
-def _require_spatial(design: Array) -> Determination:
+def _open(ground: Array, value: str) -> InputError:
+    """Why points do not determine L: they lie close to a plane, or else on a twisted cubic with the camera or so."""
+    size = np.linalg.svd(ground - ground.mean(axis=0), compute_uv=False)
+    code = "closerange.plane" if size[2] <= CLOSE_TO_PLANE * size[0] else "closerange.critical"
+    return InputError.of(code, place="DLT", value=value)  # type: ignore[return-value]
+
+
+def _require_spatial(ground: Array, design: Array) -> Determination:
     """Refuse points in a plane, or elsewhere where L is not determined."""
     found = determination(design)
     if found.cofactors is None or found.condition >= 1.0 / max(PLANE_LIMIT, RANK_LIMIT):
-        raise InputError.of("closerange.plane", place="DLT", value=f"condition {found.condition:.2g}")
+        raise _open(ground, f"condition {found.condition:.2g}")
     return found
 
 
 def _result(
-    name: str, distortion: tuple[str, ...], source: Scaling, target: Scaling, state: Array, residuals: Array,
-    sigma: Array, about: Array, judged: Determination, iterations: int,
+    name: str, distortion: tuple[str, ...], ground: Array, source: Scaling, target: Scaling, state: Array,
+    residuals: Array, sigma: Array, about: Array, judged: Determination, iterations: int,
 ) -> DltFit:  # fmt: skip
     """Physical parameters: linear in the normalised ones, since the last element of the matrix stays 1."""
     to_physical = _denormalisation(source, target, distortion)
@@ -254,7 +263,7 @@ def _result(
     white = (residuals / sigma).ravel()
     redundancy = len(white) - len(state)
     m0 = unit_weight(float(white @ white), redundancy)
-    recovered = _scaled(recover(values[:11], source.offset, cofactors[:11, :11]), m0, source, sigma)
+    recovered = _scaled(recover(values[:11], source.offset, cofactors[:11, :11]), m0, ground, sigma)
     matrix = np.append(values[:11], 1.0).reshape(3, 4)
     centre = about if distortion else recovered.principal
     photo = Photo(name, matrix, source.offset, centre, corrections_of(distortion, values[11:]))
@@ -262,15 +271,15 @@ def _result(
                   recovered, iterations)  # fmt: skip
 
 
-def _scaled(found: Recovered, m0: float | None, source: Scaling, sigma: Array) -> Recovered:
+def _scaled(found: Recovered, m0: float | None, ground: Array, sigma: Array) -> Recovered:
     """Orientation with standard deviations a posteriori; refused if its centre is 1000 times worse than a point."""
     apriori = found.sigma
     assert apriori is not None
-    depth = float(np.linalg.norm(found.centre_m - source.offset))
+    depth = float(np.linalg.norm(found.centre_m - ground.mean(axis=0)))
     worst = max(apriori[name] for name in ("X0", "Y0", "Z0"))
     ratio = worst / (float(np.sqrt(np.mean(sigma**2))) * depth / found.cx)
     if not ratio <= UNDETERMINED:
-        raise InputError.of("closerange.plane", place="DLT", value=f"projection centre {ratio:.2g} sigmas of a point")
+        raise _open(ground, f"projection centre {ratio:.2g} sigmas of a point")
     return replace(found, sigma=None if m0 is None else {name: m0 * s for name, s in apriori.items()})
 
 

@@ -57,6 +57,11 @@ CLOSERANGE: Final = {
         "the control points do not determine a DLT: they lie in a plane, or close to it",
         "add points in front of it and behind, or use resect, which needs a known camera",
     ),
+    "closerange.critical": (
+        "the control points do not determine a DLT, though they lie in no plane: with the camera they are near another "
+        "critical configuration (a twisted cubic; a plane and a line through the camera), or it is far away",
+        "add points elsewhere, in front and behind, or use resect, which needs a known camera",
+    ),
     "closerange.flat": (
         "the control points are flat within the noise of the image: heights of {height} rms above a plane, whose photo "
         "alone leaves the camera open",

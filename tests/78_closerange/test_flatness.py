@@ -54,6 +54,25 @@ def test_the_limit_is_where_the_inverse_of_a_number_is_honest() -> None:
     assert limits(1, known=False) == pytest.approx((ALLOWED, ALLOWED * needed / noise), rel=1e-9)
 
 
+@pytest.mark.parametrize(("shape", "code"), [("cubic", "closerange.critical"), ("plane", "closerange.plane")])
+def test_deep_points_of_a_critical_configuration_are_no_plane(shape: str, code: str) -> None:
+    """Nine points and the camera on a twisted cubic leave L open; they were said to lie in a plane."""
+
+    def cubic(t: Array) -> Array:
+        return np.column_stack([t, 1.4 * t**2, 1.6 * (t**3 - 0.8 * t)])
+
+    points, centre = cubic(np.linspace(-1.0, 1.0, 9)), cubic(np.array([2.0]))[0]
+    if shape == "plane":
+        points[:, 2] = 0.3 * points[:, 0]
+    view = (points.mean(axis=0) - centre) / np.linalg.norm(points.mean(axis=0) - centre)
+    right = np.cross([0.0, 0.0, 1.0], view) / np.linalg.norm(view[:2])
+    photo = Photo.of("", CAMERA, np.array([right, np.cross(view, right), view]), centre)
+    assert tried(points, photo.project(points), SIGMA) == code
+    if shape == "cubic":  # elsewhere the same points do
+        beside = Photo.of("", CAMERA, np.array([right, np.cross(view, right), view]), centre + 10.0 * right)
+        assert isinstance(tried(points, beside.project(points), SIGMA / 1e3), DltFit)
+
+
 @pytest.mark.parametrize(("runs", "sizes"), [(8, (8, 20)), pytest.param(300, (6, 8, 20), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("heights_m", [1e-5, 1e-4, 1e-3])
 def test_no_camera_from_flat_points(heights_m: float, runs: int, sizes: tuple[int, ...]) -> None:
