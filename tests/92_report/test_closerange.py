@@ -231,6 +231,13 @@ def test_a_gross_error_is_named_and_its_residual_has_its_sign(command: str, made
     assert named.get(command, f"{axis} of point {point} in photo {photo}") in told
 
 
+def test_an_unknown_camera_parameter_is_told_with_the_known_ones(made: Path) -> None:
+    tables = [made / w if w.endswith((".csv", ".toml")) else w for w in BUNDLE[:-1]]
+    done = run(*tables, "q9")
+    assert done.code == 2 and "no name of a camera parameter" in done.stderr
+    assert "choose one of c, x0, y0, k1" in done.stderr
+
+
 @pytest.mark.parametrize("sigma", [0.001, None])
 def test_a_point_off_a_surface_is_a_problem(sigma: float | None, tmp_path: Path) -> None:
     """17 mm off among 1 mm of noise: named with its distance; no other point, and none without the error."""
