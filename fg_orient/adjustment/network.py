@@ -161,7 +161,8 @@ class Network:
     def evaluated(self, o: Observation, state: Array, *, jacobian: bool) -> tuple[Array, Array]:
         """Residual (m,) and derivatives (m, u) of an observation."""
         x = [u if isinstance(u, np.ndarray) else state[self.part(u)] for u in o.unknowns]
-        blocks = o.equation.kernel(o.record, o.setup, *x, jacobian)
+        with np.errstate(all="ignore"):  # what overflows is not finite, which is refused by name
+            blocks = o.equation.kernel(o.record, o.setup, *x, jacobian)
         sizes = tuple(len(v) for v in x) if jacobian else ()
         check_blocks(o.equation.name, o.label, blocks if jacobian else blocks[:1], sizes, o.n_residuals)
         out = np.zeros((o.n_residuals if jacobian else 0, self.n_unknowns))

@@ -17,7 +17,7 @@ from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.closerange.bundle_determined import require_determined, require_rays
 from fg_orient.closerange.bundle_network import Built, build
 from fg_orient.closerange.bundle_quality import Quality, quality_of
-from fg_orient.closerange.consistent import HELD, missed_most, require_consistent
+from fg_orient.closerange.consistent import HELD, missed_most, require_consistent, require_slopes
 from fg_orient.closerange.constraints import JUDGED, Constraint
 from fg_orient.closerange.fitting import as_points, plain_reason, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Interior, Photo
@@ -333,6 +333,7 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
 
 def _require_independent(network: Network, rows: Rows) -> None:
     """Refuse a hard constraint that follows from those before it: redundancy and cofactors would count it twice."""
+    require_slopes(network, rows)
     label = dependent(network, rows)
     if label:
         raise InputError.of("closerange.dependent", place=label)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
-from fg_orient.adjustment.network import Network, Observation, dependent
+from fg_orient.adjustment.network import DEPENDENT, Network, Observation, Rows, dependent
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -61,6 +61,21 @@ def require_consistent(network: Network) -> None:
     label = dependent(hard, hard.rows(state))
     if label:
         raise InputError.of("closerange.dependent", place=label)
+
+
+def require_slopes(network: Network, rows: Rows) -> None:
+    """Refuse a hard condition that is not met and that no small change mends: lines at right angles, to be parallel.
+
+    Raises
+    ------
+    InputError
+        Names the condition and what it misses.
+    """
+    length = np.linalg.norm(rows.border, axis=1)
+    stuck = (length <= DEPENDENT * length.max(initial=0.0)) & (np.abs(rows.condition) > HELD)
+    if stuck.any():
+        k = int(np.argmax(stuck))
+        raise InputError.of("closerange.saddle", place=_labels(_hard(network))[k], value=f"{rows.condition[k]:.3g}")
 
 
 def _points(hard: Network, observation: Observation) -> list[int]:

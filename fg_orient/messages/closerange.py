@@ -145,6 +145,11 @@ CLOSERANGE: Final = {
         "this hard constraint follows from the others, or contradicts them",
         "leave it out, or give it a sigma",
     ),
+    "closerange.saddle": (
+        "this hard constraint is not met, and no small change of the start brings it nearer (as lines at right angles "
+        "that shall be parallel)",
+        "look for a wrong member, or begin with points nearer to the constraint",
+    ),
     "closerange.contradiction": (
         "these hard constraints cannot hold together: {names}",
         "look for a wrong value or member; give them sigmas, or leave one out",

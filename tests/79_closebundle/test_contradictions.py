@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from factors._contract import NotFiniteError
 from factors.constraints import DISTANCE
 from fg_orient.adjustment.network import Network, Observation, Variable
 from fg_orient.adjustment.network_graph import GraphNetwork
@@ -138,3 +139,21 @@ def test_singular_equations_of_a_graph_have_our_words() -> None:
     network = Network(tuple(points), (one,))
     with pytest.raises(RuntimeError, match=r"^singular normal equations$"):
         GraphNetwork(network).linearise(network.start).solve(0.0)
+
+
+def test_lines_at_right_angles_have_no_way_to_be_parallel() -> None:
+    """The sine of their angle has no slope there: a single constraint was said to follow from the others."""
+    points = cloud()
+    points[:4] = MIDDLE + np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.0, 0.5], [0.5, 0.0, -0.5]])
+    with pytest.raises(InputError) as caught:
+        adjusted(points, Constraint("parallel", ("p0", "p1", "p2", "p3")), off_m=0.0)
+    assert caught.value.problems[0].code == "closerange.saddle"
+    assert "parallel of p0, p1, p2, p3" in str(caught.value)
+
+
+def test_a_state_that_overflows_is_named_without_a_warning() -> None:
+    """Steps that run away printed a warning of NumPy on the terminal."""
+    points = [Variable(f"point p{k}", np.array([float(k), 0.0, 0.0]), ("X", "Y", "Z"), is_point=True) for k in range(2)]
+    one = Observation(DISTANCE, (0, 1), np.array([1.0, 1.0]), np.zeros((2, 0)), 1, "distance of p0, p1")
+    with pytest.raises(NotFiniteError, match="distance of p0, p1: residual is not finite"):
+        Network(tuple(points), (one,)).rows(np.array([1e200, 0.0, 0.0, -1e200, 0.0, 0.0]))
