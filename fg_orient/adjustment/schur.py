@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Callable, Iterator
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +34,7 @@ from fg_orient.adjustment.schur_structure import (
     compile_structure,
     reason_against,
 )
-from fg_orient.adjustment.threads import Workers
+from fg_orient.adjustment.threads import Index, Workers
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -165,11 +165,19 @@ class SchurSystem:
         b = backend.buffers if fresh else self.buffers()
         self._eliminated_at, backend.last_damping, wide = None, damping, s.widened(self.state.image)
         for tile in s.tiles:
-            (lo, hi), there = tile.chunks, not fresh and (tile.kept or b.held is tile)
-            at = (b.rows(tile), self.state, None if there else wide, damping, b)
-            backend.workers.run(backend.stages.chunks, s.cost[lo : hi + 1], *at, start=lo)
-            b.held = b.held if tile.kept else tile
+            lo, hi = tile.chunks
+            self._share_out(tile, backend.stages.chunks, s.cost[lo : hi + 1], wide, damping, b, fresh=fresh)
         self._eliminated_at = damping
+
+    def _share_out(
+        self, tile: Tile, stage: Callable[..., None], cuts: int | Index, wide: Array, *more: Any, fresh: bool = False
+    ) -> None:  # fmt: skip
+        """Run a stage over the chunks of a tile; it computes rows that are not there, or all if ``fresh``."""
+        b = self._backend.buffers
+        there = not fresh and (tile.kept or b.held is tile)
+        at = (b.rows(tile), self.state, None if there else wide, *more)
+        self._backend.workers.run(stage, cuts, *at, start=tile.chunks[0])
+        b.held = b.held if tile.kept else tile
 
     def _gathered_gradient(self) -> Array:
         """Gradient (u,) of the image unknowns, from those of the chunks."""
@@ -204,10 +212,8 @@ class SchurSystem:
         ground, wide = np.zeros((len(s.number), 3)), s.widened(backend.problem.image_matrix(image))
         own = s.widened(self.state.image)
         for tile in reversed(s.tiles):
-            (lo, hi), there = tile.chunks, tile.kept or b.held is tile
-            at = (b.rows(tile), self.state, None if there else own, wide, b, ground)
-            backend.workers.run(backend.stages.substituted, hi - lo, *at, start=lo)
-            b.held = b.held if tile.kept else tile
+            n_chunks = tile.chunks[1] - tile.chunks[0]
+            self._share_out(tile, backend.stages.substituted, n_chunks, own, wide, b, ground)
         return self._step(image, ground, float(b.squares.sum()))
 
     def dogleg(self, radius: float) -> SchurStep:

@@ -27,7 +27,7 @@ from fg_orient.closerange.files import (
 from fg_orient.closerange.fitting import plain_rms
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.photo import Photo
-from fg_orient.closerange.report import REPORT_FILE
+from fg_orient.closerange.report import RECORD_FILE, REPORT_FILE
 from fg_orient.closerange.report.html import render
 from fg_orient.closerange.report.words import doubts
 from fg_orient.closerange.resection import Resection, resect
@@ -47,12 +47,12 @@ T = TypeVar("T")
 
 SCHEMA: Final = 1
 CONTENTS: Final = Contents(
-    "closerange.json",
+    RECORD_FILE,
     (
-        "closerange.json",
+        RECORD_FILE,
         "points.csv",
         "photos.toml",
-        "report.html",
+        REPORT_FILE,
         "figures/*.svg",
         "figures/*.pdf",
         "figures/captions.md",
@@ -409,7 +409,7 @@ def finished(
     page = "" if out is None and report is None else render(record)
     if out is not None:
         with staged_folder(out, overwrite=overwrite, contents=CONTENTS) as folder, writing(out):
-            (folder / "closerange.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
+            (folder / RECORD_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
             (folder / REPORT_FILE).write_text(page, encoding="utf-8")
             _write_points(folder / "points.csv", record)
             if photos:

@@ -41,9 +41,10 @@ def render(record: dict[str, Any]) -> str:
     shell.filters |= {"significant": significant}
     told = problems(record)
     parts = _surface(record) if record["kind"] == "surface" else _photos(record)
+    accuracy = _accuracy(record)
     return shell.get_template("closerange.html.j2").render(
         r=record, kind=KINDS[record["kind"]], verdict=verdict(record, told), problems=told, many=MANY,
-        sections=_sections(record, parts), accuracy=_accuracy(record), suspects=suspects(record)[:WORST], **parts,
+        sections=_sections(record, parts, accuracy), accuracy=accuracy, suspects=suspects(record)[:WORST], **parts,
     )  # fmt: skip
 
 
@@ -82,11 +83,11 @@ def _empty() -> dict[str, Any]:
     return lists | {"histogram": none, "directions": none, "redundancy": none, "max_photos": MAX_PHOTOS}
 
 
-def _sections(record: dict[str, Any], parts: dict[str, Any]) -> list[tuple[str, str]]:
+def _sections(record: dict[str, Any], parts: dict[str, Any], accuracy: dict[str, Any]) -> list[tuple[str, str]]:
     """Parts of the page that are there, and their words."""
     has_camera = record["cameras"] or parts["curves"] or any(p["parameters"] for p in record["photos"])
     wanted = (
-        ("accuracy", "Accuracy", _accuracy(record)["rows"]),
+        ("accuracy", "Accuracy", accuracy["rows"]),
         ("map", "Deviations" if record["kind"] == "surface" else "Map", parts["views"]),
         ("parameters", "Parameters", record["kind"] == "surface"), ("camera", "Camera", has_camera),
         ("residuals", "Residuals", parts["residuals"]), ("reliability", "Reliability", parts["redundancy"]),
