@@ -48,6 +48,7 @@ class SchurSystem:
 
     def __init__(self, backend: SchurBackend, state: State) -> None:
         self._backend, self.state = backend, state
+        self._name = object()  # in the buffers; with the system there, both would wait for the garbage collector
         self._newton: SchurStep | None = None
         self._robust, self._excess = backend.robust, 0.0
         self._eliminated_at: float | None = None
@@ -62,7 +63,7 @@ class SchurSystem:
 
     def _fill(self) -> None:
         b, backend = self._backend.buffers, self._backend
-        b.held, b.root_weight, b.owner, self._eliminated_at = None, np.ones(0), self, None
+        b.held, b.root_weight, b.owner, self._eliminated_at = None, np.ones(0), self._name, None
         b.control = backend.problem.control_records
         if self._robust is None and backend.last_damping == 0.0:
             # Gauss-Newton eliminates next: at once, while the rows are near
@@ -97,7 +98,7 @@ class SchurSystem:
 
     def buffers(self) -> Buffers:
         """Arrays that hold this linearisation."""
-        if self._backend.buffers.owner is not self:
+        if self._backend.buffers.owner is not self._name:
             self._fill()
         return self._backend.buffers
 

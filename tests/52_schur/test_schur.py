@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -335,6 +337,21 @@ def test_a_system_whose_arrays_were_taken_is_made_again() -> None:
     expected = backend.linearise(problem.start).solve(0.5)
     backend.linearise(moved(problem, 1)).solve(0.5)
     assert np.array_equal(first.solve(0.5).image, expected.image)
+
+
+@pytest.mark.parametrize("backend", [SchurBackend, GraphBackend])
+def test_memory_of_a_backend_goes_with_it(backend: Callable[[Problem], SchurBackend | GraphBackend]) -> None:
+    problem = compile_problem(grid(2, 2, 30))
+    made = backend(problem)
+    gone = weakref.ref(made)
+    gc.collect()
+    gc.disable()  # as while an adjustment runs
+    try:
+        OPTIMIZERS["gauss-newton"](made, made.initial(), 20, None)
+        del made
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_workers_cover_the_range_once() -> None:
