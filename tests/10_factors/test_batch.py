@@ -9,16 +9,18 @@ import pytest
 
 from factors import pushbroom
 from factors.batch import batch
-from factors.batch_pushbroom import BLOCK
+from factors.batch_blocks import BLOCK
 
 N = 2 * BLOCK + 11  # whole blocks and a part of one
 N_IMAGES = 5
+#: Position, velocity, angles: copied by tiles.
+NINE = [3 * k for k in range(9)]
 
 
 class Case:
     """Observations of random geometry, sorted at random, and what the rows write."""
 
-    def __init__(self, rng: np.random.Generator, small: str, codes: list[int]) -> None:
+    def __init__(self, rng: np.random.Generator, small: str, codes: list[int], n_basis: int = 2) -> None:
         records = np.stack([pushbroom.example(rng).record for _ in range(N)])
         records[:, 27] = {"none": 0.0, "all": 1.0}.get(small, records[:, 27])
         setup = np.stack([np.array(codes, float), np.ones(len(codes))])
@@ -27,16 +29,19 @@ class Case:
         self.c = self.columns.n_components
         self.row, self.image, self.point = rng.permutation(N), rng.integers(0, N_IMAGES, N), rng.integers(0, 9, N)
         self.members = np.arange(N)
-        self.basis = rng.normal(size=(N, 2))
+        self.basis, self.n_basis = rng.normal(size=(N, n_basis)), n_basis
         scale = np.repeat([[10.0], [1e-2], [5e-5], [1e-4]], [3, 3, 3, 2], axis=0)[: self.c, 0]
-        self.wide, self.ground = rng.normal(size=(N_IMAGES, 2 * self.c)) * np.tile(scale, 2), rng.normal(size=(9, 3))
+        self.wide, self.ground = (
+            rng.normal(size=(N_IMAGES, n_basis * self.c)) * np.tile(scale, n_basis),
+            rng.normal(size=(9, 3)),
+        )
 
     def run(self, *ends: int, want: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
         """Residuals, Jacobians, and the first observation that is not finite, range by range."""
         value, d_image, d_ground = np.full((N, 2), 7.0), np.full((N, 2, self.c), 7.0), np.full((N, 2, 3), 7.0)
         bad = [
-            self.rows(lo, hi, self.members, self.records, self.row, self.image, self.point, self.columns.setup, 2,
-                      self.basis, self.wide, self.ground, value, d_image, d_ground, want)
+            self.rows(lo, hi, self.members, self.records, self.row, self.image, self.point, self.columns.setup,
+                      self.n_basis, self.basis, self.wide, self.ground, value, d_image, d_ground, want)
             for lo, hi in pairwise(ends)
         ]  # fmt: skip
         return value, d_image, d_ground, max(bad)
@@ -44,14 +49,15 @@ class Case:
     def scalar(self, a: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The kernel of the factors at one observation, components as unknowns."""
         w, c = self.wide[self.image[a]], self.c
-        x = self.basis[a, 0] * w[:c] + self.basis[a, 1] * w[c:]
+        x = sum(self.basis[a, b] * w[b * c : (b + 1) * c] for b in range(self.n_basis))
         return pushbroom.kernel(self.records[self.row[a]], self.columns.setup, x, self.ground[self.point[a]], True)
 
 
 @pytest.mark.parametrize("small", ["none", "all", "some"])
-@pytest.mark.parametrize("codes", [[3 * k for k in range(9)] + [27, 28], [0, 3, 6]])
-def test_rows_are_those_of_the_factor(small: str, codes: list[int], rng: np.random.Generator) -> None:
-    case = Case(rng, small, codes)
+@pytest.mark.parametrize("n_basis", [2, 3])
+@pytest.mark.parametrize("codes", [NINE, [*NINE[1::-1], *NINE[2:]], [*NINE, 27, 28], [0, 3, 6]])
+def test_rows_are_those_of_the_factor(small: str, codes: list[int], n_basis: int, rng: np.random.Generator) -> None:
+    case = Case(rng, small, codes, n_basis)
     value, d_image, d_ground, bad = case.run(0, N)
     assert bad == -1
     for a in range(N):
@@ -62,7 +68,7 @@ def test_rows_are_those_of_the_factor(small: str, codes: list[int], rng: np.rand
 
 
 def test_rows_do_not_depend_on_the_division(rng: np.random.Generator) -> None:
-    case = Case(rng, "none", [3 * k for k in range(9)])
+    case = Case(rng, "none", NINE, 3)
     whole = case.run(0, N)
     for ends in ((0, 1, 2, N), (0, BLOCK + 3, N), (0, 5, 2 * BLOCK - 1, N)):
         assert all(np.array_equal(a, b) for a, b in zip(whole, case.run(*ends), strict=True))
@@ -73,7 +79,7 @@ def test_rows_do_not_depend_on_the_division(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("want", [False, True])
 def test_the_first_observation_that_is_not_finite_is_told(want: bool, rng: np.random.Generator) -> None:
-    case = Case(rng, "none", [3 * k for k in range(9)])
+    case = Case(rng, "none", NINE, 3)
     for a in (N - 1, BLOCK + 4):
         case.records[case.row[a], 31] = np.nan
         assert case.run(0, N, want=want)[3] == a
