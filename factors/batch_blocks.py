@@ -9,8 +9,9 @@ import numpy as np
 from factors import pushbroom
 from factors._compile import exact
 from factors._contract import Array
+from factors.batch_components import write_eight
 from factors.batch_rows import Index
-from factors.batch_tiles import SIDE, sum_lines, turn_in, turn_out
+from factors.batch_tiles import SIDE, turn_in, turn_out
 from factors.sight import STORED
 
 #: Observations of one block: with 80 numbers each they stay in the first-level cache.
@@ -89,7 +90,7 @@ def correct(
             for q in range(SIDE):
                 a = members[first + i + q]
                 m, b0, b1, b2 = image[a], basis[a, 0], basis[a, 1], basis[a, 2]
-                sum_lines(space, q * SIDE, wide, m * wide.shape[1], 9, basis, a * basis.shape[1])
+                write_eight(space, q * SIDE, wide, m * wide.shape[1], basis, a * basis.shape[1])
                 d[8 * BLOCK + i + q] = 0.0 + b0 * wide[m, 8] + b1 * wide[m, 17] + b2 * wide[m, 26]
             turn_in(space, d, lines, 0, i, BLOCK)
     for i in range(whole, size):

@@ -1,4 +1,4 @@
-"""Ground points of a block eliminated, and found again: 3 x 3 blocks, gradients, back-substitution.
+"""Ground points of a block eliminated: 3 x 3 blocks, gradients, rows reduced by them.
 
 With the whitened Jacobians J (image) and G (ground) of the image points, ``H = sum G^T G + W^T W`` of a ground point,
 its diagonal lengthened by the share ``damping``, ``H^-1 = R^T R`` (R the inverse Cholesky factor, lower triangular), a
@@ -8,17 +8,19 @@ solution x of the reduced system gives the point's step ``-H^-1 (g + sum G^T J x
 from __future__ import annotations
 
 import math
-
-import numpy as np
+from typing import Final
 
 from factors._compile import threaded
 from factors._contract import Array
-from factors.batch_rows import Flags, Index, Small
+from factors.batch_rows import Flags, Small
 
+Block = tuple[float, float, float, float, float, float]  # lower triangle: 00 10 11 20 21 22
+Gradient = tuple[float, float, float]
+
+ZERO_BLOCK: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+ZERO_GRADIENT: Final = (0.0, 0.0, 0.0)
 #: A point whose pivot falls below this part of its diagonal element is not determined.
 SINGULAR = 1e-14
-#: Rays of a point for which space is kept; more get their own.
-MOST_RAYS = 64
 
 
 @threaded
@@ -46,24 +48,21 @@ def point_blocks(
     int
         The first point that is not determined, or -1.
     """
-    bad, h, g = -1, np.empty(6), np.empty(3)
+    bad = -1
     for p in range(lo, hi):
-        h[:], g[:] = 0.0, 0.0
-        for k in range(6):
-            root[p, k] = 0.0
+        h, g, found = ZERO_BLOCK, ZERO_GRADIENT, ZERO_BLOCK
         if free[p] > 0:
             if free[p] == 2:
-                _add_control(control, ground, number[p], h, g)
+                h, g = _with_control(control, ground, number[p], h, g)
             for a in range(first[p] - base, first[p + 1] - base):
                 for r in range(2):
-                    _add(h, g, d_ground[a, r, 0], d_ground[a, r, 1], d_ground[a, r, 2], value[a, r])
-            for k in (0, 2, 5):
-                h[k] *= 1.0 + damping
-            if not _inverse_root(h, root, p) and bad < 0:
-                bad = p
-        for k in range(3):
-            gradient[p, k] = g[k]
-        r0, r1, r2, r3, r4, r5 = root[p, 0], root[p, 1], root[p, 2], root[p, 3], root[p, 4], root[p, 5]
+                    h, g = _with(h, g, d_ground[a, r, 0], d_ground[a, r, 1], d_ground[a, r, 2], value[a, r])
+            more = 1.0 + damping
+            regular, found = _inverse_root((h[0] * more, h[1], h[2] * more, h[3], h[4], h[5] * more))
+            bad = p if bad < 0 and not regular else bad
+        r0, r1, r2, r3, r4, r5 = found
+        root[p, 0], root[p, 1], root[p, 2], root[p, 3], root[p, 4], root[p, 5] = found
+        gradient[p, 0], gradient[p, 1], gradient[p, 2] = g
         u0, u1, u2 = r0 * g[0], r1 * g[0] + r2 * g[1], r3 * g[0] + r4 * g[1] + r5 * g[2]
         for a in range(first[p] - base, first[p + 1] - base):
             for r in range(2):
@@ -78,123 +77,39 @@ def point_blocks(
 
 
 @threaded
-def _add_control(control: Array, ground: Array, j: int, h: Array, g: Array) -> None:
-    """Add the three equations of a control point."""
+def _with_control(control: Array, ground: Array, j: int, h: Block, g: Gradient) -> tuple[Block, Gradient]:
+    """Block and gradient with the three equations of a control point."""
     x, y, z = ground[j, 0] - control[j, 9], ground[j, 1] - control[j, 10], ground[j, 2] - control[j, 11]
     for r in range(0, 9, 3):
         w0, w1, w2 = control[j, r], control[j, r + 1], control[j, r + 2]
-        _add(h, g, w0, w1, w2, w0 * x + w1 * y + w2 * z)
+        h, g = _with(h, g, w0, w1, w2, w0 * x + w1 * y + w2 * z)
+    return h, g
 
 
 @threaded
-def _add(h: Array, g: Array, x: float, y: float, z: float, residual: float) -> None:
-    """Add one equation to the lower triangle (00 10 11 20 21 22) and the gradient."""
-    h[0] += x * x
-    h[1] += y * x
-    h[2] += y * y
-    h[3] += z * x
-    h[4] += z * y
-    h[5] += z * z
-    g[0] += x * residual
-    g[1] += y * residual
-    g[2] += z * residual
+def _with(h: Block, g: Gradient, x: float, y: float, z: float, residual: float) -> tuple[Block, Gradient]:
+    """Block and gradient with one equation more."""
+    return (
+        (h[0] + x * x, h[1] + y * x, h[2] + y * y, h[3] + z * x, h[4] + z * y, h[5] + z * z),
+        (g[0] + x * residual, g[1] + y * residual, g[2] + z * residual),
+    )
 
 
 @threaded
-def _inverse_root(h: Array, out: Array, p: int) -> bool:
-    """Write the inverse of the Cholesky factor of a lower triangle to out[p]; False if it is singular."""
+def _inverse_root(h: Block) -> tuple[bool, Block]:
+    """Inverse of the Cholesky factor of a lower triangle; zeros, and False, if it is singular."""
     if not h[0] > 0.0:
-        return False
+        return False, ZERO_BLOCK
     l00 = math.sqrt(h[0])
     l10, l20 = h[1] / l00, h[3] / l00
     d1 = h[2] - l10 * l10
     if not d1 > SINGULAR * h[2]:
-        return False
+        return False, ZERO_BLOCK
     l11 = math.sqrt(d1)
     l21 = (h[4] - l20 * l10) / l11
     d2 = h[5] - l20 * l20 - l21 * l21
     if not d2 > SINGULAR * h[5]:
-        return False
+        return False, ZERO_BLOCK
     r00, r11, r22 = 1.0 / l00, 1.0 / l11, 1.0 / math.sqrt(d2)
-    out[p, 0], out[p, 2], out[p, 5] = r00, r11, r22
-    out[p, 1] = -l10 * r00 * r11
-    out[p, 4] = -l21 * r11 * r22
-    out[p, 3] = -(l20 * r00 - l21 * l10 * r00 * r11) * r22
-    return True
-
-
-@threaded
-def _along(
-    a: int, base: int, d_image: Array, basis: Array, i: int, wide: Array, n_basis: int, n_components: int
-) -> tuple[float, float]:
-    """Product of the image Jacobian of observation a with the wide unknowns of image i."""
-    y0, y1 = 0.0, 0.0
-    for c in range(n_components):
-        x = 0.0
-        for b in range(n_basis):
-            x += basis[a, b] * wide[i, b * n_components + c]
-        y0 += d_image[a - base, 0, c] * x
-        y1 += d_image[a - base, 1, c] * x
-    return y0, y1
-
-
-@threaded
-def back_substitute(
-    lo: int, hi: int, places: Small, first: Small, image: Small, n_basis: Index, n_components: Index, basis: Array,
-    wide: Array, base: int, value: Array, d_image: Array, d_ground: Array, root: Array, gradient: Array, step: Array,
-    squares: Array,
-) -> None:  # fmt: skip
-    """Write the steps (P, 3) of the points of chunks lo to hi, and the sums of the squares of the linear residuals.
-
-    ``places`` (N + 1,): first point of each chunk; ``squares`` (N,). Others: see :func:`point_blocks`.
-    """
-    along = np.empty((MOST_RAYS, 2))
-    for n in range(lo, hi):
-        total = 0.0
-        for p in range(places[n], places[n + 1]):
-            t0, t1, t2 = gradient[p, 0], gradient[p, 1], gradient[p, 2]
-            if first[p + 1] - first[p] > len(along):
-                along = np.empty((first[p + 1] - first[p], 2))
-            for a in range(first[p], first[p + 1]):
-                k, i = a - base, image[a]
-                y0, y1 = _along(a, base, d_image, basis, i, wide, n_basis[i], n_components[i])
-                along[a - first[p], 0], along[a - first[p], 1] = y0, y1
-                t0 += d_ground[k, 0, 0] * y0 + d_ground[k, 1, 0] * y1
-                t1 += d_ground[k, 0, 1] * y0 + d_ground[k, 1, 1] * y1
-                t2 += d_ground[k, 0, 2] * y0 + d_ground[k, 1, 2] * y1
-            r0, r1, r2, r3, r4, r5 = root[p, 0], root[p, 1], root[p, 2], root[p, 3], root[p, 4], root[p, 5]
-            u0, u1, u2 = r0 * t0, r1 * t0 + r2 * t1, r3 * t0 + r4 * t1 + r5 * t2
-            x0, x1, x2 = -(r0 * u0 + r1 * u1 + r3 * u2), -(r2 * u1 + r4 * u2), -r5 * u2
-            step[p, 0], step[p, 1], step[p, 2] = x0, x1, x2
-            for a in range(first[p], first[p + 1]):
-                k = a - base
-                for r in range(2):
-                    after = value[k, r] + along[a - first[p], r]
-                    after += d_ground[k, r, 0] * x0 + d_ground[k, r, 1] * x1 + d_ground[k, r, 2] * x2
-                    total += after * after
-        squares[n] = total
-
-
-@threaded
-def product(
-    lo: int, hi: int, places: Small, first: Small, free: Flags, image: Small, n_basis: Index, n_components: Index,
-    basis: Array, wide: Array, base: int, share: float, value: Array, d_image: Array, d_ground: Array, step: Array,
-    squares: Array,
-) -> None:  # fmt: skip
-    """Sum the squares of ``share`` of the residuals plus the Jacobian times a given step, by chunk.
-
-    ``wide``: the step of the images; ``step`` (P, 3): that of the points. Others: see :func:`back_substitute`.
-    """
-    for n in range(lo, hi):
-        total = 0.0
-        for p in range(places[n], places[n + 1]):
-            moves = 1.0 if free[p] > 0 else 0.0
-            x0, x1, x2 = moves * step[p, 0], moves * step[p, 1], moves * step[p, 2]
-            for a in range(first[p], first[p + 1]):
-                k, i = a - base, image[a]
-                y = _along(a, base, d_image, basis, i, wide, n_basis[i], n_components[i])
-                for r in range(2):
-                    after = share * value[k, r] + y[r]
-                    after += d_ground[k, r, 0] * x0 + d_ground[k, r, 1] * x1 + d_ground[k, r, 2] * x2
-                    total += after * after
-        squares[n] = total
+    r20 = -(l20 * r00 - l21 * l10 * r00 * r11) * r22
+    return True, (r00, -l10 * r00 * r11, r11, r20, -l21 * r11 * r22, r22)

@@ -23,6 +23,7 @@ from factors import (
     batch_pairs,
     batch_points,
     batch_sort,
+    batch_steps,
     batch_weights,
     ellipsoid,
     ephemeris,
@@ -155,13 +156,13 @@ def _compile_reduction(
                               gradient, scaled)  # fmt: skip
     rays = (image, one, components, basis)
     places = np.array([0, 1], np.int32)
-    batch_points.back_substitute(0, 1, places, first, *rays, wide, 0, value, d_image, d_ground, root, gradient, step,
+    batch_steps.back_substitute(0, 1, places, first, *rays, wide, 0, value, d_image, d_ground, root, gradient, step,
                                  squares)  # fmt: skip
     batch_weights.scale_rows(0, 2, np.ones(2), value, d_image, d_ground)
     batch_ground.move(number, step, np.zeros((1, 3)))
     for control in (np.zeros((1, 12)), _read_only(np.zeros((1, 12)))):  # as a loss weighs them, as a block keeps them
         batch_ground.control_squares(np.zeros((1, 3)), control, np.zeros(1, np.int64), squares)
-    batch_points.product(0, 1, places, first, free, *rays, wide, 0, 1.0, value, d_image, d_ground, step, squares)
+    batch_steps.product(0, 1, places, first, free, *rays, wide, 0, 1.0, value, d_image, d_ground, step, squares)
     slots, begin, own = np.arange(3, dtype=np.int32), np.array([0, 3]), np.array([1, 0, 1], np.int32)
     sums, gradients = np.zeros((3, 1, n_components**2 + 8)), np.zeros((3, 1, n_components + 8))
     pairs = (chunks, pieces, slots, begin, *rays, 0)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from factors.batch_gather import gather_blocks, gather_gradients
 from factors.batch_ground import control_squares, move
 from factors.batch_pairs import image_gradients
-from factors.batch_points import product
+from factors.batch_steps import product
 from factors.batch_weights import scale_rows
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from factors.batch_pairs import pair_blocks
-from factors.batch_points import back_substitute, point_blocks
+from factors.batch_points import point_blocks
+from factors.batch_steps import back_substitute
 from factors.batch_weights import scale_rows
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_reduced import Singular
