@@ -14,36 +14,11 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from factors.batch_tiles import LINE, SIDE, contiguous, load, store
+from factors.batch_tiles import LINE, SIDE, contiguous, element, load, spread, store, total_of
 from factors.vectors import data_of
 
 N_BASIS: Final = 3
 N_COMPONENTS: Final = 9
-_LANE: Final = ir.IntType(32)
-
-
-def _element(builder: Any, pointer: Any, at: Any, k: int) -> Any:
-    """Number k behind a place."""
-    return builder.load(builder.gep(pointer, [builder.add(at, ir.Constant(at.type, k))]))
-
-
-def _shuffled(builder: Any, line: Any, lanes: list[int]) -> Any:
-    """Lanes of a line, in this order."""
-    return builder.shuffle_vector(line, line, ir.Constant(ir.VectorType(_LANE, len(lanes)), lanes))
-
-
-def _spread(builder: Any, number: Any) -> Any:
-    """All lanes one number."""
-    line = builder.insert_element(ir.Constant(LINE, ir.Undefined), number, ir.Constant(_LANE, 0))
-    return _shuffled(builder, line, [0] * SIDE)
-
-
-def _total(builder: Any, line: Any) -> Any:
-    """Sum of the lanes: halves, quarters, neighbours, so that the bits do not depend on the processor."""
-    for half in (4, 2, 1):
-        low, high = (_shuffled(builder, line, list(range(at, at + half))) for at in (0, half))
-        line = builder.fadd(low, high)
-    return builder.extract_element(line, ir.Constant(_LANE, 0))
 
 
 def _write_eight(typing: Any, out: Any, to: Any, wide: Any, at: Any, basis: Any, place: Any) -> Any:
@@ -59,7 +34,7 @@ def _write_eight(typing: Any, out: Any, to: Any, wide: Any, at: Any, basis: Any,
         total = ir.Constant(LINE, [0.0] * SIDE)
         for b in range(N_BASIS):
             at = builder.add(arguments[3], ir.Constant(arguments[3].type, b * N_COMPONENTS))
-            value = _spread(builder, _element(builder, values, arguments[5], b))
+            value = spread(builder, element(builder, values, arguments[5], b))
             total = builder.fadd(total, builder.fmul(value, load(builder, builder.gep(unknowns, [at]))))
         store(builder, total, builder.gep(target, [arguments[1]]))
         return context.get_dummy_value()
@@ -79,9 +54,9 @@ def _row_along(typing: Any, rows: Any, row: Any, basis: Any, place: Any, wide: A
         parts = []
         for b in range(N_BASIS):
             at = builder.add(arguments[5], ir.Constant(arguments[5].type, b * N_COMPONENTS))
-            value, eight = _element(builder, values, arguments[3], b), load(builder, builder.gep(unknowns, [at]))
-            last = _element(builder, unknowns, at, SIDE)
-            product = builder.fmul(_spread(builder, value), eight, flags=fused), builder.fmul(value, last, flags=fused)
+            value, eight = element(builder, values, arguments[3], b), load(builder, builder.gep(unknowns, [at]))
+            last = element(builder, unknowns, at, SIDE)
+            product = builder.fmul(spread(builder, value), eight, flags=fused), builder.fmul(value, last, flags=fused)
             parts.append(product)
         x, ninth = parts[0]
         for more, last in parts[1:]:
@@ -89,8 +64,8 @@ def _row_along(typing: Any, rows: Any, row: Any, basis: Any, place: Any, wide: A
         out = []
         for r in range(2):
             at = builder.add(arguments[1], ir.Constant(arguments[1].type, r * N_COMPONENTS))
-            eight = _total(builder, builder.fmul(x, load(builder, builder.gep(lines, [at]))))
-            last = builder.fmul(ninth, _element(builder, lines, at, SIDE), flags=fused)
+            eight = total_of(builder, builder.fmul(x, load(builder, builder.gep(lines, [at]))))
+            last = builder.fmul(ninth, element(builder, lines, at, SIDE), flags=fused)
             out.append(builder.fadd(eight, last, flags=fused))
         pack: Any = cgutils.pack_array
         return pack(builder, out)

@@ -2,9 +2,54 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
 from factors._compile import threaded
 from factors._contract import Array
 from factors.batch_rows import Index
+from factors.batch_tiles import LINE, SIDE, contiguous, load, spread, store, total_of
+from factors.vectors import data_of
+
+
+def _write_lines(
+    typing: Any, out: Any, to: Any, given: Any, at: Any, scale: Any, begin: Any, sums: Any, factor: Any, lines: Any
+) -> Any:  # fmt: skip
+    """Write numbers times ``scale`` from ``begin`` times ``factor``, eight to a line; add absolute values to ``sums``.
+
+    Returns the sum of these.
+    """
+    contiguous(out, given, scale, sums)
+    place, number = types.intp, types.float64
+    signature = number(out, place, given, place, scale, place, sums, number, place)
+
+    def generate(context: Any, builder: Any, kinds: Any, arguments: Any) -> Any:
+        data = [data_of(context, builder, kinds.args[k], arguments[k]) for k in (0, 2, 4, 6)]
+        begins = [builder.gep(base, [arguments[k]]) for base, k in zip(data, (1, 3, 5, 5), strict=True)]
+        make: Any = cgutils.alloca_once
+        total, here = make(builder, LINE), spread(builder, arguments[7])
+        builder.store(ir.Constant(LINE, [0.0] * SIDE), total)
+        absolute = builder.module.declare_intrinsic("llvm.fabs.v8f64", (), ir.FunctionType(LINE, [LINE]))
+        with cgutils.for_range(builder, arguments[8]) as loop:
+            step = builder.mul(loop.index, ir.Constant(loop.index.type, SIDE))
+            target, source, scales, added = (builder.gep(base, [step]) for base in begins)
+            line = builder.fmul(builder.fmul(load(builder, source), load(builder, scales)), here)
+            store(builder, line, target)
+            size = builder.call(absolute, [line])
+            store(builder, builder.fadd(load(builder, added), size), added)
+            builder.store(builder.fadd(builder.load(total), size), total)
+        return total_of(builder, builder.load(total))
+
+    return signature, generate
+
+
+#: Compiled only; the first argument is numba's.
+write_lines: Callable[..., float] = intrinsic(_write_lines)
 
 
 @threaded
@@ -32,29 +77,44 @@ def fill_lower(
         r, c = place[j], place[i]
         if r == c:
             for p in range(size[i]):
-                _fill_column(b, p, p, size[j], True, blocks, r, c + p, scale, banded, out, sums)
+                _fill_row(b, p, p, size[j], blocks, r, c + p, scale, banded, out, sums)
                 sums[c + p] -= abs(blocks[b, p, p]) * scale[c + p] * scale[c + p]  # it was added twice
         elif r > c:
             for p in range(size[i]):
-                _fill_column(b, p, 0, size[j], True, blocks, r, c + p, scale, banded, out, sums)
+                _fill_row(b, p, 0, size[j], blocks, r, c + p, scale, banded, out, sums)
         else:
             for q in range(size[j]):
-                _fill_column(b, q, 0, size[i], False, blocks, c, r + q, scale, banded, out, sums)
+                _fill_column(b, q, size[i], blocks, c, r + q, scale, banded, out, sums)
+
+
+@threaded
+def _fill_row(
+    b: int, p: int, lo: int, hi: int, blocks: Array, r: int, c: int, scale: Array, banded: bool, out: Array,
+    sums: Array,
+) -> None:  # fmt: skip
+    """Write row p of a block, from element lo to hi, to rows r + lo ... of column c of the matrix."""
+    here, shift, lines = scale[c], c if banded else 0, (hi - lo) // SIDE
+    to, at = c * out.shape[1] + r + lo - shift, (b * blocks.shape[1] + p) * blocks.shape[2] + lo
+    total = write_lines(out, to, blocks, at, scale, r + lo, sums, here, lines)
+    for q in range(lo + lines * SIDE, hi):
+        value = blocks[b, p, q] * scale[r + q] * here
+        out[c, r + q - shift] = value
+        sums[r + q] += abs(value)
+        total += abs(value)
+    sums[c] += total
 
 
 @threaded
 def _fill_column(
-    b: int, p: int, lo: int, hi: int, by_row: bool, blocks: Array, r: int, c: int, scale: Array, banded: bool,
-    out: Array, sums: Array,
+    b: int, p: int, hi: int, blocks: Array, r: int, c: int, scale: Array, banded: bool, out: Array, sums: Array
 ) -> None:  # fmt: skip
-    """Write row p of a block, or its column p, from element lo to hi to rows r + lo ... of column c of the matrix."""
+    """Write column p of a block, to element hi, to rows r ... of column c of the matrix."""
     here, shift, total = scale[c], c if banded else 0, 0.0
-    for q in range(lo, hi):
-        value = (blocks[b, p, q] if by_row else blocks[b, q, p]) * scale[r + q] * here
+    for q in range(hi):
+        value = blocks[b, q, p] * scale[r + q] * here
         out[c, r + q - shift] = value
         sums[r + q] += abs(value)
-    for q in range(lo, hi):
-        total += abs(out[c, r + q - shift])
+        total += abs(value)
     sums[c] += total
 
 

@@ -17,6 +17,7 @@ from factors.vectors import data_of
 
 #: Numbers along a side of a tile; processors with narrower vectors take several for a line.
 SIDE: Final = 8
+_LANE: Final = ir.IntType(32)
 LINE: Final = ir.VectorType(ir.DoubleType(), SIDE)
 
 
@@ -42,9 +43,33 @@ def store(builder: Any, line: Any, pointer: Any) -> None:
     builder.store(line, _line(builder, pointer)).align = 8
 
 
+def element(builder: Any, pointer: Any, at: Any, k: int) -> Any:
+    """Number k behind a place."""
+    return builder.load(builder.gep(pointer, [builder.add(at, ir.Constant(at.type, k))]))
+
+
+def _shuffled(builder: Any, line: Any, lanes: list[int]) -> Any:
+    """Lanes of a line, in this order."""
+    return builder.shuffle_vector(line, line, ir.Constant(ir.VectorType(_LANE, len(lanes)), lanes))
+
+
+def spread(builder: Any, number: Any) -> Any:
+    """All lanes one number."""
+    line = builder.insert_element(ir.Constant(LINE, ir.Undefined), number, ir.Constant(_LANE, 0))
+    return _shuffled(builder, line, [0] * SIDE)
+
+
+def total_of(builder: Any, line: Any) -> Any:
+    """Sum of the lanes: halves, quarters, neighbours, so that the bits do not depend on the processor."""
+    for half in (4, 2, 1):
+        low, high = (_shuffled(builder, line, list(range(at, at + half))) for at in (0, half))
+        line = builder.fadd(low, high)
+    return builder.extract_element(line, ir.Constant(_LANE, 0))
+
+
 def _swapped(builder: Any, a: Any, b: Any, apart: int) -> tuple[Any, Any]:
     """Lines a and b after the squares of ``apart`` numbers on their other diagonal have changed places."""
-    index = ir.VectorType(ir.IntType(32), SIDE)
+    index = ir.VectorType(_LANE, SIDE)
     low = [k if not k & apart else SIDE + k - apart for k in range(SIDE)]
     high = [k + apart if not k & apart else SIDE + k for k in range(SIDE)]
     return tuple(builder.shuffle_vector(a, b, ir.Constant(index, mask)) for mask in (low, high))

@@ -1,6 +1,6 @@
 """The reduced camera system solved: Cholesky factor of the full or banded matrix, or GTSAM on its blocks.
 
-Full matrices are LAPACK's; of a band, too, where ``factors.batch_band`` does not pay.
+Where ``factors.batch_band`` pays it factorises full matrices as well, as bands of full width; elsewhere LAPACK does.
 
 Blocks are those of the upper triangle, (B, k, k) in the order of ``Pattern.block_row``; the unknowns of image i
 are ``first[i]`` to ``first[i + 1]``. GTSAM eliminates a graph of one HessianFactor per image and one per pair of
@@ -36,7 +36,8 @@ Index = npt.NDArray[np.int64]
 CONDITION_LIMIT: Final = 1e13
 #: A band of up to this share of the matrix is taken: LAPACK's banded factorisation against the full one and GTSAM took
 #: 1.7, 2.1 and 3.3 ms at 432 unknowns with a band of 0.62, 6.4, 14.5 and 20 ms at 972 with 0.39, 40, 204 and 92 ms
-#: at 2700 with 0.22 (measured, blocks of 4 x 4, 6 x 6 and 10 x 10 scenes).
+#: at 2700 with 0.22 (measured, blocks of 4 x 4, 6 x 6 and 10 x 10 scenes). Where ours pays, it takes a full matrix of
+#: 108, 432, 972 and 2700 in 0.014, 0.32, 3.3 and 74 ms, LAPACK in 0.019, 0.63, 6.5 and 125: no band is too wide.
 BANDED: Final = 0.65
 #: Elements of the largest band: 0.24 GB.
 BAND_LIMIT: Final = 30_000_000
@@ -158,13 +159,14 @@ class LapackReduced:
         return np.asarray(substitute(self._factor, right, lower=1)[0])
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; of the full matrix, or for all of a small one, the inverse is formed.
+        """See :class:`Reduced`; of a full matrix or wide band, or for all of a small one, the inverse is formed.
 
         Else the columns asked for are solved.
         """
         self._judge()
         index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
-        if self._banded and (len(images) < len(self._first) - 1 or len(index) > DENSE_LIMIT):
+        narrow = self._banded and self._order.band <= BANDED * len(self._scale)
+        if narrow and (len(images) < len(self._first) - 1 or len(index) > DENSE_LIMIT):
             place = np.empty(len(self._scale), np.int64)
             place[self._order.unknowns] = np.arange(len(place))
             right = np.zeros((len(self._scale), len(index)), order="F")
@@ -178,10 +180,10 @@ class LapackReduced:
         """Inverse of S; from a band, too: its columns one by one take three times as long."""
         factor, unknowns = self._factor, self._order.unknowns
         if self._banded:
-            n, (below, column) = len(self._scale), np.indices(factor.shape)
-            inside = below + column < n
+            n, band = len(self._scale), self._order.band
             factor = np.zeros((n, n), order="F")
-            factor[(below + column)[inside], column[inside]] = self._factor[inside]
+            for c in range(n):
+                factor[c : c + band + 1, c] = self._factor[: min(band + 1, n - c), c]
         half = np.tril(lapack.dpotri(factor, lower=1)[0])
         out: Array = np.empty_like(half)
         out[np.ix_(unknowns, unknowns)] = (half + np.tril(half, -1).T) * np.outer(self._scale, self._scale)
@@ -404,7 +406,8 @@ class ReducedSystems:
 
 def _suitable(pattern: Pattern, unknowns: int, band: int) -> str:
     """What solves a pattern soonest."""
-    if band <= BANDED * unknowns and (band + 1) * unknowns <= BAND_LIMIT:
+    pays = band <= BANDED * unknowns or (PAYS and unknowns <= FULL_LIMIT)
+    if pays and (band + 1) * unknowns <= BAND_LIMIT:
         return "banded"
     images = len(pattern.size)
     share = 2.0 * len(pattern.block_row) / (images * (images + 1))
