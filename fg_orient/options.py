@@ -109,8 +109,8 @@ class Options:
     small_angle : bool
         True linearises the attitude rotation in its angles, as the publications do; False keeps it exact.
     backend : str
-        "auto", "graph", "schur" or "dense"; judged when the block is adjusted. "auto" takes the Schur complement from
-        100 image points on where it can, else the graph.
+        "auto", "graph", "schur" or "dense"; judged when the block is adjusted. "auto" takes the Schur complement
+        where it can, else the graph.
     solver : str or None
         Linear solver of the dense backend by its name in the registry; None = its default, "qr". Judged
         when the block is adjusted.

@@ -18,7 +18,6 @@ import numpy as np
 from factors import pushbroom
 from fg_orient.adjustment.models.contract import image_models
 from fg_orient.adjustment.point_cofactors import CHUNK, WHOLE_LIMIT, full_statistics
-from fg_orient.adjustment.problem import participating
 from fg_orient.adjustment.schur_structure import ALL_KEPT, LEAST_CHUNKS
 from fg_orient.adjustment.solve import suitable_backend
 from fg_orient.block import Block
@@ -91,8 +90,7 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     n, u = len(block.observations), sum(sizes)
     records = 8 * (pushbroom.RECORD_SIZE + options.curve_intervals)
     common = n * (2 * records + 48) + len(block.points.ids) * 8 * PER_POINT
-    rays = participating(block)
-    backend = suitable_backend(block, models, len(rays), not bool(block.points.known.fixed[rays.point].all()))
+    backend = suitable_backend(block, models)
     working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
     if backend == "schur" and elsewhere:
         working -= n * SCHUR

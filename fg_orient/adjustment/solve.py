@@ -55,8 +55,6 @@ OPTIMIZER_NAMES = (*OPTIMIZERS, *NATIVE)
 #: "auto" is the Schur complement for blocks it was made for (:func:`chosen_backend`), else the graph; dense
 #: matrices are for comparison and are asked for by name.
 BACKENDS = ("auto", "graph", "schur", "dense")
-#: Image points from which "auto" takes the Schur complement.
-SCHUR_FROM = 100
 #: Image points up to which "auto" goes over to the graph where the Schur complement gives up: it takes 13 kB for each.
 GRAPH_FALLBACK = 100_000
 
@@ -150,11 +148,11 @@ def solve(
 
 def chosen_backend(problem: Problem) -> str:
     """See :func:`suitable_backend`."""
-    return suitable_backend(problem.block, problem.models, len(problem.observations), bool(problem.active.any()))
+    return suitable_backend(problem.block, problem.models)
 
 
-def suitable_backend(block: Block, models: Sequence[ImageModel], n_image_points: int, has_unknown_points: bool) -> str:
-    """Backend of the options; for "auto" the Schur complement if it can take the block and pays, else the graph.
+def suitable_backend(block: Block, models: Sequence[ImageModel]) -> str:
+    """Backend of the options; for "auto" the Schur complement if it can take the block, else the graph.
 
     Without priors the graph is taken: its QR does not square the condition.
     """
@@ -163,11 +161,9 @@ def suitable_backend(block: Block, models: Sequence[ImageModel], n_image_points:
         return options.backend
     from fg_orient.adjustment.schur_structure import reason_against
 
-    # under a loss also small ones: where all rays of a point are turned down, GTSAM gives no covariance
-    large = (n_image_points >= SCHUR_FROM or options.loss != NONE) and has_unknown_points
     regular = options.priors or options.datum == "free"
     possible = regular and options.optimizer in OPTIMIZERS and not reason_against(block, models)
-    return "schur" if large and possible else "graph"
+    return "schur" if possible else "graph"
 
 
 def require_possible(options: Options) -> None:

@@ -108,16 +108,17 @@ def test_a_breakdown_on_the_way_is_one_line_and_exit_code_three(twin: Block, mon
 
     monkeypatch.setattr(graph.GraphSystem, "solve", indeterminate)
     with pytest.raises(fg.NoSolutionError, match="cannot be solved: Indeterminant linear system near") as caught:
-        fg.adjust(twin, eop_set=10)
+        fg.adjust(twin, eop_set=10, backend="graph")
     assert caught.value.exit_code == 3
     assert "\n" not in str(caught.value)
 
 
-def test_badly_scaled_systems_are_solved_by_qr(twin: Block) -> None:
-    """Sigmas of 0.0003 px: GTSAM's Cholesky gives up, the answer exists."""
+@pytest.mark.parametrize("backend", ["graph", "schur"])
+def test_badly_scaled_systems_are_solved(twin: Block, backend: str) -> None:
+    """Sigmas of 0.0003 px: GTSAM's Cholesky gives up, its QR does not; the answer exists."""
     o = twin.observations
     sharp = replace(o, sigma_line_px=np.full(len(o), 3e-4), sigma_sample_px=np.full(len(o), 3e-4))
-    solution = fg.adjust(replace(twin, observations=sharp), eop_set=15)
+    solution = fg.adjust(replace(twin, observations=sharp), eop_set=15, backend=backend)
     assert solution.status is fg.Status.NOT_TRUSTWORTHY  # the noise is 0.3 px
     assert np.isfinite(solution.state.image).all()
 

@@ -482,14 +482,10 @@ def test_auto_takes_what_the_block_asks_for() -> None:
     assert chosen_backend(compile_problem(with_options(block, optimizer="native"))) == "graph"
     assert chosen_backend(compile_problem(with_options(block, backend="dense"))) == "dense"
     assert chosen_backend(compile_problem(with_own_observation(block))) == "graph"
-    assert chosen_backend(compile_problem(grid(1, 2, 24))) == "graph"  # 48 image points
     control = np.isin(block.observations.point, block.points.where(Role.CONTROL))
     points = block.points.where(Role.CONTROL)
-    only = fixed_control(replace(block, observations=block.observations.take(control)), len(points))
-    only = measured_twice(only, len(only.observations))
-    while len(only.observations) < 100:
-        only = measured_twice(only, len(only.observations))
-    assert chosen_backend(compile_problem(only)) == "graph"
+    resections = fixed_control(replace(block, observations=block.observations.take(control)), len(points))
+    assert chosen_backend(compile_problem(resections)) == "schur"
 
 
 def with_own_observation(block: Block) -> Block:

@@ -194,7 +194,7 @@ def test_options_replace_those_of_the_project(run: Any, twin: Path) -> None:
 
 def test_dense_backend_and_its_solver(run: Any, twin: Path) -> None:
     """From the command line and from the project file; the figures are those of the graph."""
-    graph = run("adjust", twin, "--eop-set", 16, "--json").json
+    graph = run("adjust", twin, "--eop-set", 16, "--backend", "graph", "--json").json
     dense = run("adjust", twin, "--eop-set", 16, "--backend", "dense", "--solver", "pivot_inverse", "--overwrite",
                 "--json").json  # fmt: skip
     assert (graph["backend"], graph["solver"]) == ("graph", None)
