@@ -17,10 +17,11 @@ import numpy as np
 from factors._compile import threaded
 from factors._contract import Array
 from factors.batch_rows import Index, Small
-from factors.vectors import LANES, add_eight, add_four, add_one, add_two, aligned, combine_nine, outer_nine
+from factors.batch_sums import add_rows
+from factors.vectors import LANES, aligned, combine_nine, outer_nine
 
 #: Points whose pairs are formed before they are added up: what is read and written then stays near the processor.
-BATCH = 16
+BATCH = 24
 
 
 @threaded
@@ -67,23 +68,6 @@ def _weigh(n: int, a: int, b: int, rays: int, basis: Array, b_a: int, b_b: int, 
 
 
 @threaded
-def _add(n: int, weight: Array, m: int, t: Array, end: int, out: Array, s: int) -> None:
-    """Add n rows of t, times their weights, to ``out[s, m]``: by eights, then what is left by four, two and one."""
-    at, stride, width, k = (s * out.shape[1] + m) * out.shape[2], t.shape[1], weight.shape[1], 0
-    while k + 8 <= n:
-        add_eight(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
-        k += 8
-    if n - k >= 4:
-        add_four(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
-        k += 4
-    if n - k >= 2:
-        add_two(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
-        k += 2
-    if k < n:
-        add_one(out, at, t, k * stride, stride, weight, m * width + k, end // LANES)
-
-
-@threaded
 def _add_gradient(
     n: int, a: int, rays: int, base: int, n_b: int, n_c: int, basis: Array, value: Array, place: int, d_image: Array,
     t: Array, weight: Array, out: Array, s: int,
@@ -99,8 +83,7 @@ def _add_gradient(
                 t[k, c] = d_image[i, 0, c] * q0 + d_image[i, 1, c] * q1
         for b in range(n_b):
             weight[b, k] = basis[base + i, b]
-    for b in range(n_b):
-        _add(n, weight, b, t, out.shape[2], out, s)
+    add_rows(n, weight, 0, n_b, t, out.shape[2], out, s)
 
 
 @threaded
@@ -156,18 +139,18 @@ def pair_blocks(
                         end = min(size, -(-c_a * c_b // LANES) * LANES)
                         _form(n, a, b, rays, base, d_image, scaled, c_a, c_b, t)
                         _weigh(n, a, b, rays, basis, b_a, b_b, weight)
-                        for p in range(b_a):
-                            for q in range(p if a == b else 0, b_b):  # symmetric for a ray with itself
-                                _add(n, weight, p * b_b + q, t, end, sums, s)
-                        if a == b:
+                        if a == b:  # symmetric
+                            for p in range(b_a):
+                                add_rows(n, weight, p * b_b + p, b_b - p, t, end, sums, s)
                             _add_gradient(
                                 n, a, rays, base, b_a, c_a, basis, scaled, 6, d_image, t, weight, gradients, s
                             )
-                        elif i == j:  # two rays in one image stand in both orders
+                            continue
+                        add_rows(n, weight, 0, b_a * b_b, t, end, sums, s)
+                        if i == j:  # two rays in one image stand in both orders
                             _form(n, b, a, rays, base, d_image, scaled, c_b, c_a, t)
                             _weigh(n, b, a, rays, basis, b_b, b_a, weight)
-                            for m in range(b_a * b_b):
-                                _add(n, weight, m, t, end, sums, s)
+                            add_rows(n, weight, 0, b_a * b_b, t, end, sums, s)
 
 
 @threaded

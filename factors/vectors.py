@@ -14,7 +14,6 @@ from typing import Any, Final
 import numpy as np
 from llvmlite import binding, ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
@@ -53,24 +52,24 @@ def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:
     return make_array(kind)(context, builder, array).data
 
 
-def _vector(builder: Any, pointer: Any, offset: Any) -> Any:
+def vector_at(builder: Any, pointer: Any, offset: Any) -> Any:
     """Address of a vector of numbers from an offset."""
     return builder.bitcast(builder.gep(pointer, [offset]), _LANES.as_pointer())
 
 
 def load(builder: Any, pointer: Any, offset: Any) -> Any:
     """A vector of numbers from an offset."""
-    out = builder.load(_vector(builder, pointer, offset))
+    out = builder.load(vector_at(builder, pointer, offset))
     out.align = 8
     return out
 
 
 def store(builder: Any, vector: Any, pointer: Any, offset: int) -> None:
     """Write a vector from an offset."""
-    builder.store(vector, _vector(builder, pointer, ir.Constant(_INT, offset))).align = 8
+    builder.store(vector, vector_at(builder, pointer, ir.Constant(_INT, offset))).align = 8
 
 
-def _number(builder: Any, pointer: Any, offset: int) -> Any:
+def number_at(builder: Any, pointer: Any, offset: int) -> Any:
     """All lanes the number at an offset."""
     return splat(builder, builder.load(builder.gep(pointer, [ir.Constant(_INT, offset)])))
 
@@ -102,10 +101,10 @@ def _outer_nine(
             x, y = (load(builder, line, ir.Constant(_INT, k)) for line in d_b)
             turned = [_sum(builder, m[2 * r], x, m[2 * r + 1], y) for r in range(2)]
             for c in range(9):
-                one, two = (_number(builder, line, c) for line in d_a)
+                one, two = (number_at(builder, line, c) for line in d_a)
                 product = _sum(builder, one, turned[0], two, turned[1])
                 store(builder, product, target, 8 * c + k)
-        x, y = (_number(builder, line, 8) for line in d_b)
+        x, y = (number_at(builder, line, 8) for line in d_b)
         turned = [_sum(builder, m[2 * r], x, m[2 * r + 1], y) for r in range(2)]
         for k in range(0, 9, LANES):
             one, two = (load(builder, line, ir.Constant(_INT, k)) for line in d_a)
@@ -131,48 +130,9 @@ def _combine_nine(typing: Any, out: Any, at: Any, rows: Any, width: Any, a: Any,
     return signature, generate
 
 
-def _adder(rows: int) -> Callable[..., None]:
-    """Make the function that adds so many rows at once: an element of the sum is then loaded and stored once."""
-
-    def add_rows(
-        typing: Any, out: Any, at: Any, t: Any, begin: Any, stride: Any, weight: Any, w: Any, vectors: Any
-    ) -> Any:
-        place = types.intp
-        signature = types.void(out, place, t, place, place, weight, place, place)
-
-        def generate(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
-            target, source, weights = (data_of(context, builder, given.args[k], arguments[k]) for k in (0, 2, 5))
-            target, weights = builder.gep(target, [arguments[1]]), builder.gep(weights, [arguments[6]])
-            start, factors = [builder.gep(source, [arguments[3]])], [_number(builder, weights, r) for r in range(rows)]
-            for _ in range(rows - 1):
-                start.append(builder.gep(start[-1], [arguments[4]]))
-            with cgutils.for_range(builder, arguments[7]) as loop:
-                e = builder.mul(loop.index, ir.Constant(_INT, LANES))
-                total = [load(builder, target, e)]
-                for r in range(rows):
-                    product = builder.fmul(factors[r], load(builder, start[r], e), flags=("contract",))
-                    if r == rows // 2 and r > 0:
-                        total.append(product)
-                    else:
-                        total[-1] = builder.fadd(total[-1], product, flags=("contract",))
-                builder.store(
-                    total[0] if rows == 1 else builder.fadd(*total), _vector(builder, target, e)
-                ).align = 8  # fmt: skip
-            return context.get_dummy_value()
-
-        return signature, generate
-
-    compiled: Callable[..., None] = intrinsic(add_rows)
-    return compiled
-
-
 #: Compiled only; the first argument is numba's.
 outer_nine: Callable[..., None] = intrinsic(_outer_nine)
 combine_nine: Callable[..., None] = intrinsic(_combine_nine)
-#: ``f(out, at, t, begin, stride, weight, w, vectors)``: to ``out`` from ``at`` add eight, four, two or one row of
-#: ``t``, the first from ``begin``, each ``stride`` behind the one before, times the numbers of ``weight`` from ``w``;
-#: ``vectors`` times :data:`LANES` elements.
-add_eight, add_four, add_two, add_one = _adder(8), _adder(4), _adder(2), _adder(1)
 
 
 @threaded
