@@ -24,7 +24,7 @@ help:  ## list the targets
 
 demo: $(STAMP)  ## simulate the Zonguldak stereo twin, adjust it, write the report
 	$(BIN)/fg-orient simulate zonguldak --out demo/zonguldak --overwrite
-	$(BIN)/fg-orient adjust demo/zonguldak/project.toml --out demo/result --overwrite
+	$(BIN)/fg-orient adjust demo/zonguldak/project.toml --backend graph --out demo/result --overwrite
 	@echo "report: $(CURDIR)/demo/result/report.html"
 
 # small matrices: two BLAS threads cost more than one, and every core has a worker already
