@@ -1,0 +1,44 @@
+"""Few points, few images: ``auto`` takes the Schur backend there as well and says what the graph says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fg_orient as fg
+from fg_orient.block import Block
+from fg_orient.names import Role
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+
+
+@pytest.fixture(scope="module")
+def twin() -> Block:
+    """Give two images, 37 control points and 10 check points."""
+    return zonguldak_block(ZonguldakOptions(seed=1))[0]
+
+
+def thinned(block: Block, n_control: int, images: tuple[int, ...], rng: np.random.Generator) -> Block:
+    """So many control points, the check points, and rays of these images only."""
+    points = block.points
+    control = rng.permutation(points.where(Role.CONTROL))[:n_control]
+    kept = np.concatenate([control, points.where(Role.CHECK)])
+    rows = np.isin(block.observations.point, kept) & np.isin(block.observations.image, images)
+    return replace(block, observations=block.observations.take(np.flatnonzero(rows)))
+
+
+@pytest.mark.parametrize("images", [(0, 1), (0,)])
+@pytest.mark.parametrize("n_control", [1, 3, 12])
+@pytest.mark.parametrize("eop_set", [1, 10, 20])
+def test_auto_says_what_the_graph_says(
+    twin: Block, eop_set: int, n_control: int, images: tuple[int, ...], rng: np.random.Generator
+) -> None:
+    block = thinned(twin, n_control, images, rng)
+    auto, graph = (fg.adjust(block, eop_set=eop_set, backend=backend) for backend in ("auto", "graph"))
+    assert (auto.backend, graph.backend) == ("schur", "graph")
+    assert (auto.status, auto.warnings, auto.redundancy) == (graph.status, graph.warnings, graph.redundancy)
+    assert np.abs(auto.state.image - graph.state.image).max() <= 1e-9
+    for image in images:
+        ours, theirs = (s.covariance(f"image:{block.images[image].id}").values for s in (auto, graph))
+        assert np.abs(ours - theirs).max() <= 1e-9 * np.abs(theirs).max()
