@@ -20,10 +20,10 @@ def twin() -> Block:
 
 
 def thinned(block: Block, n_control: int, images: tuple[int, ...], rng: np.random.Generator) -> Block:
-    """So many control points, the check points, and rays of these images only."""
+    """So many control points, of two images the check points too, and rays of these images only."""
     points = block.points
     control = rng.permutation(points.where(Role.CONTROL))[:n_control]
-    kept = np.concatenate([control, points.where(Role.CHECK)])
+    kept = control if len(images) == 1 else np.concatenate([control, points.where(Role.CHECK)])
     rows = np.isin(block.observations.point, kept) & np.isin(block.observations.image, images)
     return replace(block, observations=block.observations.take(np.flatnonzero(rows)))
 
