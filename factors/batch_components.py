@@ -14,8 +14,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from factors.batch_tiles import LINE, SIDE, contiguous, element, load, spread, store, total_of
-from factors.vectors import data_of
+from factors.batch_tiles import LINE, SIDE, contiguous, element, total_of
+from factors.vectors import data_of, load, splat, store
 
 N_BASIS: Final = 3
 N_COMPONENTS: Final = 9
@@ -34,9 +34,9 @@ def _write_eight(typing: Any, out: Any, to: Any, wide: Any, at: Any, basis: Any,
         total = ir.Constant(LINE, [0.0] * SIDE)
         for b in range(N_BASIS):
             at = builder.add(arguments[3], ir.Constant(arguments[3].type, b * N_COMPONENTS))
-            value = spread(builder, element(builder, values, arguments[5], b))
-            total = builder.fadd(total, builder.fmul(value, load(builder, builder.gep(unknowns, [at]))))
-        store(builder, total, builder.gep(target, [arguments[1]]))
+            value = splat(builder, element(builder, values, arguments[5], b), SIDE)
+            total = builder.fadd(total, builder.fmul(value, load(builder, unknowns, at, SIDE)))
+        store(builder, total, target, arguments[1])
         return context.get_dummy_value()
 
     return signature, generate
@@ -54,9 +54,12 @@ def _row_along(typing: Any, rows: Any, row: Any, basis: Any, place: Any, wide: A
         parts = []
         for b in range(N_BASIS):
             at = builder.add(arguments[5], ir.Constant(arguments[5].type, b * N_COMPONENTS))
-            value, eight = element(builder, values, arguments[3], b), load(builder, builder.gep(unknowns, [at]))
+            value, eight = element(builder, values, arguments[3], b), load(builder, unknowns, at, SIDE)
             last = element(builder, unknowns, at, SIDE)
-            product = builder.fmul(spread(builder, value), eight, flags=fused), builder.fmul(value, last, flags=fused)
+            product = (
+                builder.fmul(splat(builder, value, SIDE), eight, flags=fused),
+                builder.fmul(value, last, flags=fused),
+            )
             parts.append(product)
         x, ninth = parts[0]
         for more, last in parts[1:]:
@@ -64,7 +67,7 @@ def _row_along(typing: Any, rows: Any, row: Any, basis: Any, place: Any, wide: A
         out = []
         for r in range(2):
             at = builder.add(arguments[1], ir.Constant(arguments[1].type, r * N_COMPONENTS))
-            eight = total_of(builder, builder.fmul(x, load(builder, builder.gep(lines, [at]))))
+            eight = total_of(builder, builder.fmul(x, load(builder, lines, at, SIDE)))
             last = builder.fmul(ninth, element(builder, lines, at, SIDE), flags=fused)
             out.append(builder.fadd(eight, last, flags=fused))
         pack: Any = cgutils.pack_array

@@ -13,8 +13,8 @@ from numba.extending import intrinsic
 from factors._compile import threaded
 from factors._contract import Array
 from factors.batch_rows import Index
-from factors.batch_tiles import LINE, SIDE, contiguous, load, spread, store, total_of
-from factors.vectors import data_of
+from factors.batch_tiles import LINE, SIDE, contiguous, total_of
+from factors.vectors import data_of, load, splat, store
 
 
 def _write_lines(
@@ -32,16 +32,17 @@ def _write_lines(
         data = [data_of(context, builder, kinds.args[k], arguments[k]) for k in (0, 2, 4, 6)]
         begins = [builder.gep(base, [arguments[k]]) for base, k in zip(data, (1, 3, 5, 5), strict=True)]
         make: Any = cgutils.alloca_once
-        total, here = make(builder, LINE), spread(builder, arguments[7])
+        total, here = make(builder, LINE), splat(builder, arguments[7], SIDE)
         builder.store(ir.Constant(LINE, [0.0] * SIDE), total)
         absolute = builder.module.declare_intrinsic("llvm.fabs.v8f64", (), ir.FunctionType(LINE, [LINE]))
         with cgutils.for_range(builder, arguments[8]) as loop:
             step = builder.mul(loop.index, ir.Constant(loop.index.type, SIDE))
-            target, source, scales, added = (builder.gep(base, [step]) for base in begins)
-            line = builder.fmul(builder.fmul(load(builder, source), load(builder, scales)), here)
-            store(builder, line, target)
+            target, source, scales, added = begins
+            scaled = builder.fmul(load(builder, source, step, SIDE), load(builder, scales, step, SIDE))
+            line = builder.fmul(scaled, here)
+            store(builder, line, target, step)
             size = builder.call(absolute, [line])
-            store(builder, builder.fadd(load(builder, added), size), added)
+            store(builder, builder.fadd(load(builder, added, step, SIDE), size), added, step)
             builder.store(builder.fadd(builder.load(total), size), total)
         return total_of(builder, builder.load(total))
 

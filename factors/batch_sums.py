@@ -16,7 +16,7 @@ from numba.extending import intrinsic
 
 from factors._compile import threaded
 from factors._contract import Array
-from factors.vectors import LANES, data_of, load, number_at, vector_at
+from factors.vectors import LANES, data_of, load, number_at, store
 
 #: Sums at once: where vectors are narrower there are not enough registers for the weights of three.
 TOGETHER: Final = 3 if LANES == 8 else 1
@@ -52,7 +52,7 @@ def _adder(rows: int) -> Callable[..., None]:
             taken = [load(builder, line, e) for line in lines]
             for target, own in zip(targets, factors, strict=True):
                 total = _sum(builder, load(builder, target, e), own, taken)
-                builder.store(total, vector_at(builder, target, e)).align = 8
+                store(builder, total, target, e)
 
     def add(
         typing: Any, out: Any, at: Any, apart: Any, t: Any, begin: Any, stride: Any, weight: Any, w: Any, width: Any,

@@ -13,7 +13,7 @@ from numba import types
 from numba.core import errors
 from numba.extending import intrinsic
 
-from factors.vectors import data_of
+from factors.vectors import data_of, load, store
 
 #: Numbers along a side of a tile; processors with narrower vectors take several for a line.
 SIDE: Final = 8
@@ -27,22 +27,6 @@ def contiguous(*arrays: Any) -> None:
         raise errors.TypingError("tiles are read from contiguous arrays only")
 
 
-def _line(builder: Any, pointer: Any) -> Any:
-    return builder.bitcast(pointer, LINE.as_pointer())
-
-
-def load(builder: Any, pointer: Any) -> Any:
-    """Eight numbers."""
-    out = builder.load(_line(builder, pointer))
-    out.align = 8
-    return out
-
-
-def store(builder: Any, line: Any, pointer: Any) -> None:
-    """Write eight numbers."""
-    builder.store(line, _line(builder, pointer)).align = 8
-
-
 def element(builder: Any, pointer: Any, at: Any, k: int) -> Any:
     """Number k behind a place."""
     return builder.load(builder.gep(pointer, [builder.add(at, ir.Constant(at.type, k))]))
@@ -51,12 +35,6 @@ def element(builder: Any, pointer: Any, at: Any, k: int) -> Any:
 def _shuffled(builder: Any, line: Any, lanes: list[int]) -> Any:
     """Lanes of a line, in this order."""
     return builder.shuffle_vector(line, line, ir.Constant(ir.VectorType(_LANE, len(lanes)), lanes))
-
-
-def spread(builder: Any, number: Any) -> Any:
-    """All lanes one number."""
-    line = builder.insert_element(ir.Constant(LINE, ir.Undefined), number, ir.Constant(_LANE, 0))
-    return _shuffled(builder, line, [0] * SIDE)
 
 
 def total_of(builder: Any, line: Any) -> Any:
@@ -107,9 +85,9 @@ def _turner(gathers: bool) -> Callable[..., None]:
             read, written, listed = (data_of(context, builder, given.args[k], arguments[k]) for k in range(3))
             here = _listed(builder, read if gathers else written, listed, arguments[3])
             there = _spaced(builder, written if gathers else read, *arguments[4:])
-            lines = [load(builder, pointer) for pointer in (here if gathers else there)]
+            lines = [load(builder, pointer, 0, SIDE) for pointer in (here if gathers else there)]
             for line, pointer in zip(_turned(builder, lines), there if gathers else here, strict=True):
-                store(builder, line, pointer)
+                store(builder, line, pointer, 0)
             return context.get_dummy_value()
 
         return types.void(source, target, places, place, place, place), generate

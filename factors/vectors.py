@@ -24,7 +24,6 @@ from factors._contract import Array
 LANES: Final = 8 if binding.get_host_cpu_features().get("avx512f") else 4
 #: Numbers that are read beyond nine: vectors are whole.
 SLACK: Final = -9 % LANES
-_LANES = ir.VectorType(ir.DoubleType(), LANES)
 _INT: Final = ir.IntType(64)
 
 
@@ -33,11 +32,11 @@ def padded(n: int) -> int:
     return -(-n // LANES) * LANES
 
 
-def splat(builder: Any, number: Any) -> Any:
+def splat(builder: Any, number: Any, lanes: int = LANES) -> Any:
     """All lanes one number."""
-    empty, places = ir.Constant(_LANES, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
+    empty = ir.Constant(ir.VectorType(ir.DoubleType(), lanes), ir.Undefined)
     one = builder.insert_element(empty, number, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(one, empty, ir.Constant(places, [0] * LANES))
+    return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(ir.IntType(32), lanes), [0] * lanes))
 
 
 def _sum(builder: Any, a: Any, x: Any, b: Any, y: Any) -> Any:
@@ -52,21 +51,22 @@ def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:
     return make_array(kind)(context, builder, array).data
 
 
-def vector_at(builder: Any, pointer: Any, offset: Any) -> Any:
+def _vector_at(builder: Any, pointer: Any, offset: Any, lanes: int) -> Any:
     """Address of a vector of numbers from an offset."""
-    return builder.bitcast(builder.gep(pointer, [offset]), _LANES.as_pointer())
+    place = ir.Constant(_INT, offset) if isinstance(offset, int) else offset
+    return builder.bitcast(builder.gep(pointer, [place]), ir.VectorType(ir.DoubleType(), lanes).as_pointer())
 
 
-def load(builder: Any, pointer: Any, offset: Any) -> Any:
+def load(builder: Any, pointer: Any, offset: Any, lanes: int = LANES) -> Any:
     """A vector of numbers from an offset."""
-    out = builder.load(vector_at(builder, pointer, offset))
+    out = builder.load(_vector_at(builder, pointer, offset, lanes))
     out.align = 8
     return out
 
 
-def store(builder: Any, vector: Any, pointer: Any, offset: int) -> None:
+def store(builder: Any, vector: Any, pointer: Any, offset: Any) -> None:
     """Write a vector from an offset."""
-    builder.store(vector, vector_at(builder, pointer, ir.Constant(_INT, offset))).align = 8
+    builder.store(vector, _vector_at(builder, pointer, offset, vector.type.count)).align = 8
 
 
 def number_at(builder: Any, pointer: Any, offset: int) -> Any:
