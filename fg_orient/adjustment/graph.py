@@ -195,7 +195,8 @@ class GraphSystem:
             linear.push_back(self._backend.damping_factors(damping, self._point_diagonals))
         if not self._backend.use_qr:
             try:
-                return self._step(linear.optimize(self._backend.ordering))
+                # one unknown after the other: a sixth less time than by cliques, whose points are single anyway
+                return self._step(linear.eliminateSequential(self._backend.ordering).optimize())
             except RuntimeError:  # GTSAM's Cholesky gives up on well-posed but badly scaled systems; QR does not
                 pass  # and is not taken for the next one, too: no iteration may depend on what is not carried
         return self._step(linear.optimize(self._backend.ordering, gtsam.EliminateQR))
