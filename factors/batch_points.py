@@ -1,8 +1,8 @@
 """Ground points of a block eliminated: 3 x 3 blocks, gradients, rows reduced by them.
 
 With the whitened Jacobians J (image) and G (ground) of the image points, ``H = sum G^T G + W^T W`` of a ground point,
-its diagonal lengthened by the share ``damping``, ``H^-1 = R^T R`` (R the inverse Cholesky factor, lower triangular), a
-solution x of the reduced system gives the point's step ``-H^-1 (g + sum G^T J x)``. Arrays: ``factors.batch``.
+its diagonal lengthened by the share ``damping``, ``H^-1 = R^T R`` (R the inverse Cholesky factor, lower triangular).
+Arrays: ``factors.batch``; the steps of the points: ``factors.batch_steps``.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """What the pairs of rays spend their time in, in vector instructions of 512 bits where the processor has them, or 256.
 
 Written out, because the compiler does not find them: it unrolls a loop of nine before it could vectorise it, and it
-asks before each sum of rows whether the arrays overlap, which takes as long as the sum. Nine components per image point
-are the usual case (position, velocity, angles): their product takes 14 ns instead of 50, and its sum with nine
-weights 40 instead of 75 (measured). All arrays are contiguous; places are those of their elements in memory.
+asks before each sum of rows (``factors.batch_sums``) whether the arrays overlap, which takes as long as the sum. Nine
+components per image point are the usual case (position, velocity, angles): their product takes 14 ns instead of 50
+(measured). All arrays are contiguous; places are those of their elements in memory.
 """
 
 from __future__ import annotations

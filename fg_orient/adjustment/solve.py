@@ -52,7 +52,7 @@ S = TypeVar("S")
 #: Names of ``--optimizer``; the native ones are GTSAM's own, for equality tests on small blocks.
 NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
 OPTIMIZER_NAMES = (*OPTIMIZERS, *NATIVE)
-#: "auto" is the Schur complement for blocks it was made for (:func:`chosen_backend`), else the graph; dense
+#: "auto" is the Schur complement for blocks it can take (:func:`chosen_backend`), else the graph; dense
 #: matrices are for comparison and are asked for by name.
 BACKENDS = ("auto", "graph", "schur", "dense")
 #: Image points up to which "auto" goes over to the graph where the Schur complement gives up: it takes 13 kB for each.
