@@ -40,8 +40,8 @@ check: $(STAMP)  ## ruff, mypy, import-linter, documentation
 	$(MAKE) --no-print-directory --jobs=3 --output-sync docs lint kernels DOCS_JOBS=1
 
 # each worker of the tests would compile them for itself
-kernels: $(STAMP)  ## compile the numba kernels, or find them in the cache
-	$(BIN)/python -m factors.warmup
+kernels: $(STAMP)  ## compile the numba kernels that the tests call most, or find them in the cache
+	$(BIN)/python -m tests.support.kernels
 
 lint: $(STAMP)  ## ruff, mypy, import-linter
 	$(BIN)/ruff check .

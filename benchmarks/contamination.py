@@ -47,7 +47,6 @@ import numpy as np
 import numpy.typing as npt
 
 import fg_orient as fg
-from factors.warmup import compile_kernels
 from fg_orient.adjustment.irls import norms_at
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
@@ -56,6 +55,7 @@ from fg_orient.block import Block, Coordinates, GroundPoints, ImagePoints
 from fg_orient.io.atomic import write_bytes
 from fg_orient.names import Role
 from fg_orient.quality.residuals import residual_cofactors
+from fg_orient.selftest import self_test
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.simulation import Truth
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
@@ -307,7 +307,7 @@ def study(
         for task in tasks:
             note(task, one(task))
         return out
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=compile_kernels) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=self_test) as pool:
         for task, records in zip(tasks, pool.map(one, tasks), strict=True):
             note(task, records)
     return out

@@ -37,7 +37,6 @@ from benchmarks.flat import FlatProblem
 from benchmarks.hardware import Meter
 from benchmarks.page import write_page
 from benchmarks.table import print_table
-from factors.warmup import compile_kernels
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.io.project import read_project
 from fg_orient.simulate.block import BlockOptions, simulate_block
@@ -132,7 +131,6 @@ def pinhole_entries(given: argparse.Namespace) -> list[Entry]:
 def warm_up(given: argparse.Namespace) -> float:
     """Compile or load everything that the timed runs call: seconds."""
     start = time.perf_counter()
-    compile_kernels()
     small = compile_problem(cases.spot_block("94"))
     frames = pinhole.pinhole_problem("1e3")
     for threads in (1, 2):

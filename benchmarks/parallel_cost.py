@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from factors.warmup import compile_kernels
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
@@ -25,6 +24,7 @@ from fg_orient.linear.threads import one_blas_thread
 from fg_orient.parallel.backend import PartedBackend
 from fg_orient.parallel.parts import default_parts
 from fg_orient.parallel.pool import Execution, InProcess, Pool, opened, work_folder
+from fg_orient.selftest import self_test
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 
@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("--parts", type=int)
     parser.add_argument("--workers", type=int, nargs="*", default=[1, 2])
     arguments = parser.parse_args()
-    compile_kernels()
+    self_test()
     side = 4 if arguments.image_points < 5e4 else 6 if arguments.image_points < 5e5 else 10
     block, _ = grid_block(BlockOptions(rows=side, columns=side, points=round(arguments.image_points / 3.6)))
     problem = compile_problem(replace(block, options=replace(block.options, eop_set=20)))
@@ -94,7 +94,7 @@ def main() -> None:
     for workers in arguments.workers:
         start = time.perf_counter()
         with opened(Execution(workers=max(workers, 2))) as pool:
-            pool.client.run(compile_kernels)
+            pool.client.run(self_test)
             print(f"{'':24s} {max(workers, 2)} processes ready after {time.perf_counter() - start:.1f} s")
             if workers == 1:
                 first = pool.workers()[0]

@@ -22,12 +22,12 @@ from pathlib import Path
 
 import numpy as np
 
-from factors.warmup import compile_kernels
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import Backend
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.linear.threads import one_blas_thread
+from fg_orient.selftest import self_test
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 #: The graph needs 12 kB per image point: it is left out above this size.
@@ -123,7 +123,7 @@ def main() -> int:
     parser.add_argument("--reduced", action="store_true")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    print(f"kernels compiled or loaded in {compile_kernels():.1f} s")
+    self_test()  # compiles or loads the kernels
     cases = [Case(size, given.reduced) for size in given.sizes]
     with one_blas_thread():
         for case in cases:

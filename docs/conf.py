@@ -54,7 +54,7 @@ nitpicky = False
 # line, the loops inside the backends and the printed values; a module takes a third of a second of a processor.
 _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
-    factors/batch* factors/warmup.py
+    factors/batch*
     fg_orient/__main__.py fg_orient/adjustment/* fg_orient/cells.py fg_orient/cli fg_orient/closerange/*job.py
     fg_orient/closerange/bundle_record.py fg_orient/closerange/importing.py fg_orient/closerange/report
     fg_orient/comparison/* fg_orient/doctor.py fg_orient/experiments/* fg_orient/figures/style* fg_orient/io/assemble.py

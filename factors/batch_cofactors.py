@@ -82,7 +82,7 @@ def ray_cofactors(
     """
     turned, t, total, half = np.empty((2, q.shape[2])), np.empty((2, 2)), np.empty((3, 3)), np.empty((3, 3))
     for p in range(lo, hi):
-        total[:], out[p] = 0.0, 0.0
+        total[:], half[:], out[p] = 0.0, 0.0, 0.0
         for a in range(first[p], first[p + 1]):
             response[a] = 0.0
         for a in range(first[p], first[p + 1]):
@@ -94,24 +94,27 @@ def ray_cofactors(
                     _add(total, d_ground, a, b, t)
                     _gather(response, d_ground, a, b, t)
                 if a == b:
-                    fitted[a] = t
+                    for r in range(2):
+                        for c in range(2):
+                            fitted[a, r, c] = t[r, c]
         if not free[p]:
             continue
-        half[:] = _product(inverse[p], total)
-        out[p] = inverse[p] + _product(half, inverse[p])
+        _add_product(inverse[p], total, half)
+        for r in range(3):
+            for c in range(3):
+                out[p, r, c] = inverse[p, r, c]
+        _add_product(half, inverse[p], out[p])
         for a in range(first[p], first[p + 1]):
             _finish(inverse[p], out[p], d_ground[a], fitted[a], response[a])
 
 
 @threaded
-def _product(a: Array, b: Array) -> Array:
-    """Product of two (3, 3) matrices."""
-    c = np.zeros((3, 3))
+def _add_product(a: Array, b: Array, c: Array) -> None:
+    """Add the product of two (3, 3) matrices to a third, in loops: for ``c += d`` numba compiles 40 functions."""
     for i in range(3):
         for j in range(3):
             for k in range(3):
                 c[i, j] += a[i, k] * b[k, j]
-    return c
 
 
 @threaded

@@ -29,7 +29,9 @@ def frame_rows(
         i, k, p = image[a], row[a], point[a]
         if not known[i]:
             known[i] = True
-            table[i] = frame.camera(records[k], setup, wide[i, :c])
+            new = frame.camera(records[k], setup, wide[i, :c])
+            for j in range(len(new)):
+                table[i, j] = new[j]
         cam = row_of(table, i)
         ray = direction(cam, ground[p, 0], ground[p, 1], ground[p, 2])
         line, sample = pixel(cam, ray[0], ray[1])
@@ -63,7 +65,9 @@ def measured_frame_rows(
         i, k, p = image[a], row[a], point[a]
         if not known[i]:
             known[i] = True
-            table[i] = frame_measured.camera(records[k], setup, wide[i, :c])
+            new = frame_measured.camera(records[k], setup, wide[i, :c])
+            for j in range(len(new)):
+                table[i, j] = new[j]
         cam, o_line, o_sample = table[i], records[k, 0], records[k, 1]
         ray = direction(cam, ground[p, 0], ground[p, 1], ground[p, 2])
         line, sample = frame_measured.difference(cam, o_line, o_sample, ray[0], ray[1])

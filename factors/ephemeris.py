@@ -8,29 +8,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors._contract import Array, compiled
+from factors._contract import Array
 
 MAX_SAMPLES = 8
+#: Times that are interpolated together: what is read and written stays near the processor.
+AT_ONCE = 2048
 
 
-@compiled
 def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
     """Interpolate (n, c) samples at N times inside their span: -> (N, c).
 
     Exact for polynomials up to degree min(n, 8) - 1.
     """
-    n, columns = samples.shape
-    use = min(n, MAX_SAMPLES)
-    out = np.zeros((len(time_s), columns))
-    for i in range(len(time_s)):
-        t = time_s[i]
-        first = np.searchsorted(sample_time_s, t) - use // 2
-        first = max(0, min(n - use, first))
-        for e in range(first, first + use):
-            weight = 1.0
-            for d in range(first, first + use):
+    use = min(len(sample_time_s), MAX_SAMPLES)
+    out = np.zeros((len(time_s), samples.shape[1]))
+    for lo in range(0, len(time_s), AT_ONCE):
+        t = time_s[lo : lo + AT_ONCE]
+        first = np.clip(np.searchsorted(sample_time_s, t) - use // 2, 0, len(sample_time_s) - use)
+        times = [sample_time_s[first + e] for e in range(use)]
+        after = [t - sample for sample in times]
+        for e in range(use):
+            weight = np.ones(len(t))
+            for d in range(use):
                 if d != e:
-                    weight *= (t - sample_time_s[d]) / (sample_time_s[e] - sample_time_s[d])
-            for c in range(columns):
-                out[i, c] += weight * samples[e, c]
+                    weight *= after[d] / (times[e] - times[d])
+            out[lo : lo + AT_ONCE] += weight[:, None] * samples[first + e]
     return out

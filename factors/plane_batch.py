@@ -36,15 +36,16 @@ def targets(kind: int, sources: Array, setup: Array, c: Array) -> Array:
         for k in range(3):
             record[k] = sources[i, k]
         if kind == 0:
-            out[i] = plane.residual_polynomial(record, setup, c)
+            value = plane.residual_polynomial(record, setup, c)
         elif kind == 1:
-            out[i] = plane.residual_helmert(record, setup, c)
+            value = plane.residual_helmert(record, setup, c)
         elif kind == 2:
-            out[i] = plane.residual_projective(record, setup, c)
+            value = plane.residual_projective(record, setup, c)
         elif kind == 3:
-            out[i] = line_scanner.residual_affine(record, setup, c)
+            value = line_scanner.residual_affine(record, setup, c)
         elif kind == 4:
-            out[i] = line_scanner.residual_parallel(record, setup, c)
+            value = line_scanner.residual_parallel(record, setup, c)
         else:
-            out[i] = line_scanner.residual_dlt(record, setup, c)
+            value = line_scanner.residual_dlt(record, setup, c)
+        out[i, 0], out[i, 1] = value[0], value[1]
     return out

@@ -69,7 +69,8 @@ def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
     """Residuals of N observations of one image at N ground points: (N, 104), (N, 3) -> (N, 2)."""
     out = np.empty((len(records), 2))
     for i in range(len(records)):
-        out[i] = residual(records[i], setup, x, ground[i])
+        value = residual(records[i], setup, x, ground[i])
+        out[i, 0], out[i, 1] = value[0], value[1]
     return out
 
 

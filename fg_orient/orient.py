@@ -6,7 +6,6 @@ the backend, and only then opens the coordinates of the check points.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factors.warmup import compile_kernels
+from factors._preparation import preparing_seconds, working_clock
 from fg_orient import initial
 from fg_orient.adjusted import Adjusted
 from fg_orient.adjustment.checkpoint import Checkpoint
@@ -212,8 +211,7 @@ def adjust_once(
 ) -> Solution:
     """Adjust a block as its options say, one time, from a state if one is given; see :func:`adjust`."""
     memory = require_memory(block, elsewhere=execution is not None and execution.cluster is not None)
-    jit_s = compile_kernels()
-    start = time.perf_counter()
+    prepared, start = preparing_seconds(), working_clock()
     tell = stage or (lambda name, count: None)
     tell("structure", len(block.observations))
     inner = block.options.datum == "inner"
@@ -221,7 +219,7 @@ def adjust_once(
     observability = judge_observability(compiled)
     block_view = refuse_deficient(compiled, observability)
     compiled = with_minimal_datum(compiled) if inner else compiled
-    structure = time.perf_counter() - start
+    structure = working_clock() - start
     tell("iterations", len(compiled.observations))
     estimate = _solved(compiled, execution, callback, checkpoint, begin)
     compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
@@ -229,7 +227,7 @@ def adjust_once(
     solution = conclude(compiled, observability, block_view, estimate, structure)
     if inner and not len(held_unknowns(compiled)):
         solution = replace(solution, warnings=(_no_inner_datum(block), *solution.warnings))
-    return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=jit_s))
+    return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
 
 
 def _solved(
@@ -265,11 +263,11 @@ def adjust_again(
 
     Only what decides on the next observation to be left out is computed.
     """
-    start, tell = time.perf_counter(), stage or (lambda name, count: None)
+    start, tell = working_clock(), stage or (lambda name, count: None)
     tell("structure", len(block.observations))
     compiled = compiled_problem(block, like)
     require_determined(compiled)
-    structure = time.perf_counter() - start
+    structure = working_clock() - start
     tell("iterations", len(compiled.observations))
     estimate = _solved(compiled, execution, callback, None, begin)
     tell("statistics", len(compiled.observations))
@@ -295,7 +293,7 @@ def conclude(
     structure_s: float,
 ) -> Solution:
     """Statistics after convergence; the check points' coordinates are opened here and nowhere before."""
-    start = time.perf_counter()
+    start = working_clock()
     judged = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
     cofactors, withheld = _cofactors(judged, estimate)
     located = _located_afterwards(compiled, estimate.state)
@@ -321,7 +319,7 @@ def conclude(
         accuracy=accuracy,
         cofactors=cofactors, withheld=withheld, warnings=warnings, weights=estimate.weights,
         resumed_at=estimate.resumed_at,
-        seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, time.perf_counter() - start),
+        seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
     )  # fmt: skip
 
 

@@ -14,10 +14,11 @@ stopped, bit by bit.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+
+from factors._preparation import working_clock
 
 S = TypeVar("S")
 
@@ -179,7 +180,7 @@ class Course(Generic[S]):
         self.carried: Carried[S] = start if isinstance(start, Carried) else Carried(start)
         self._callback, self._keep = callback, keep
         log = self.carried.log
-        self._start = time.perf_counter() - (log[-1].seconds if log else 0.0)
+        self._start = working_clock() - (log[-1].seconds if log else 0.0)
 
     def remaining(self, max_iterations: int) -> range:
         """Iterations left of this stage."""
@@ -193,7 +194,7 @@ class Course(Generic[S]):
         log = self.carried.log
         record = IterationRecord(
             len(log) + 1, 2.0 * before, 2.0 * after, 2.0 * predicted, ratio, step.length, control, accepted,
-            time.perf_counter() - self._start, self.carried.mu, getattr(step, "kappa", math.nan),
+            working_clock() - self._start, self.carried.mu, getattr(step, "kappa", math.nan),
         )  # fmt: skip
         self.carried = replace(self.carried, log=(*log, record))
         if self._callback:

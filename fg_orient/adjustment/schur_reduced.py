@@ -39,6 +39,8 @@ CONDITION_LIMIT: Final = 1e13
 #: at 2700 with 0.22 (measured, blocks of 4 x 4, 6 x 6 and 10 x 10 scenes). Where ours pays, it takes a full matrix of
 #: 108, 432, 972 and 2700 in 0.014, 0.32, 3.3 and 74 ms, LAPACK in 0.019, 0.63, 6.5 and 125: no band is too wide.
 BANDED: Final = 0.65
+#: Unknowns from which our own factorisation is taken: below, it gains less than 5 us and takes a second to compile.
+OWN_FROM: Final = 100
 #: Elements of the largest band: 0.24 GB.
 BAND_LIMIT: Final = 30_000_000
 #: Without a band, reduced unknowns up to which the full matrix is always taken, and at all. Between them GTSAM gets
@@ -130,7 +132,7 @@ class LapackReduced:
             raise Singular("an unknown of an image is in no observation")
         # scaled to a unit diagonal: pivots are judged alike, whatever the units
         self._scale = 1.0 / np.sqrt(d)
-        own = self._banded and PAYS
+        own = self._banded and PAYS and n >= OWN_FROM
         s = np.zeros((-(-n // TILE) * TILE if own else n, self._order.band + 1 + (MARGIN if own else 0)))
         fill_lower(*at, self._scale, self._banded, s, sums)
         s.ravel()[:: s.shape[1] + (0 if self._banded else 1)] = 1.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
+from factors._preparation import working_clock
 from factors.losses import losses
 from fg_orient.adjustment.allocation import calm_memory
 from fg_orient.adjustment.checkpoint import Checkpoint
@@ -227,7 +227,7 @@ class _Job:
         self.backend = chosen_backend(problem) if found is None else found[0]
         self._found = None if found is None else found[1]
         self._start, self._scale = start, A_PRIORI
-        self._marks = [time.perf_counter()]
+        self._marks = [working_clock()]
 
     def robust(self) -> Robust | None:
         """Losses of the first iteration; None for least squares."""
@@ -251,12 +251,12 @@ class _Job:
 
     def start_again(self, backend: str) -> None:
         """Begin from the start with another backend."""
-        self.backend, self._found, self._marks = backend, None, [time.perf_counter()]
+        self.backend, self._found, self._marks = backend, None, [working_clock()]
         self.__dict__.pop("_first", None)
 
     def mark(self) -> None:
         """Note the time at which a phase ends."""
-        self._marks.append(time.perf_counter())
+        self._marks.append(working_clock())
 
     def optimise(self, backend: Any, to_state: Callable[[S], State], of_state: Callable[[State], S]) -> LoopResult[S]:
         """Drive a backend; its states are translated for the checkpoint."""
@@ -337,7 +337,7 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
         if callback is not None:
             callback(log[-1])
 
-    own, begin = replace(problem, block=plain), time.perf_counter()
+    own, begin = replace(problem, block=plain), working_clock()
 
     def anew(groups: tuple[Array, ...], start: State | None, tell: Callback | None) -> Estimate:
         weighted = weighted_problem(own, weights_of(problem, groups)) if groups else own
@@ -355,7 +355,7 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
     done = end.reason if found.settled else f"the weights have not settled within {found.cycles} cycles"
     return replace(
         end, converged=end.converged and found.settled, reason=done, log=tuple(log), iterations=len(log),
-        weights=weights_of(problem, found.weights), solve_s=time.perf_counter() - begin - end.structure_s,
+        weights=weights_of(problem, found.weights), solve_s=working_clock() - begin - end.structure_s,
     )  # fmt: skip
 
 

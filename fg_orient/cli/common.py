@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.log import opened, session
+from factors._preparation import told_of_compilation
+from fg_orient.cli.log import COMPILING, COMPILING_IN_VAIN, opened, session
 from fg_orient.cli.tables import print_table
 from fg_orient.errors import FgOrientError, InputError, Problem, folded
 
@@ -125,7 +126,27 @@ def outcome(as_json: bool, debug: bool = False, quiet: bool = False, log: Path |
         With the code of the exception: 2 bad input, 3 no solution, 130 interrupted, 1 a bug.
     """
     with _explained(as_json, debug), opened(log, as_json=as_json, quiet=quiet), _explained(as_json, debug):
-        yield
+        with told_of_compilation(_CompilationNote()):
+            yield
+
+
+class _CompilationNote:
+    """Says once in a command that kernels are being compiled, and whether that will be so each time."""
+
+    def __init__(self) -> None:
+        self._said = False
+
+    def __call__(self, kernel: str) -> None:
+        if self._said:
+            return
+        self._said = True
+        from factors._compile import cache_folder
+
+        text = "note: " + (COMPILING if cache_folder() is not None else COMPILING_IN_VAIN)
+        if session().as_json:
+            session().tell("note", text=text)
+        else:
+            note(text)
 
 
 @contextlib.contextmanager

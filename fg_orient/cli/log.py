@@ -23,6 +23,12 @@ from typing import Final
 
 from fg_orient.errors import InputError
 
+#: What is said when the first kernel is compiled, where compiled kernels can be kept and where they cannot.
+COMPILING: Final = "compiling kernels, once per machine: about 15 s"
+COMPILING_IN_VAIN: Final = (
+    "compiling kernels, in this run and in each one, about 15 s: no folder for compiled code can be written; "
+    "set NUMBA_CACHE_DIR to a folder of yours"
+)
 #: Begin of every line, by which a log is known.
 MARK: Final = b'{"time_utc": "'
 

@@ -16,7 +16,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
-from fg_orient.cli.log import Session, session
+from factors._preparation import told_of_compilation
+from fg_orient.cli.log import COMPILING, Session, session
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -131,7 +132,9 @@ def _bar(first: str) -> Iterator[_Bar | None]:
 
     columns = TextColumn("{task.description}", markup=False), BarColumn(bar_width=20), TimeElapsedColumn()
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        yield _Bar(bar, bar.add_task(first, total=None))
+        task = bar.add_task(first, total=None)
+        with told_of_compilation(lambda kernel: bar.update(task, description=COMPILING)):
+            yield _Bar(bar, task)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import functools
 import hashlib
 import math
 import pickle
-import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -15,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from factors.warmup import compile_kernels
+from factors._preparation import working_clock
 from fg_orient.block import Block
 from fg_orient.comparison import selection
 from fg_orient.comparison.engines import Adjustments, Published
@@ -83,12 +82,11 @@ def compare(
         Unknown set, solver, backend or type; a target that is not positive; no control point; a block
         that cannot be adjusted at all. Adjustments that fail are rows with a ``failure``.
     """
-    start = time.perf_counter()
+    start = working_clock()
     numbers, names = selection.eop_sets(eop_sets), selection.solver_names(solvers)
     engines, kinds = selection.backend_names(backends), selection.types(types)
     _require_control(block)
     target = selection.target(ground_sampling_m(block) if target_m is None else target_m)
-    compile_kernels()
     plan = _Plan(engines, names, kinds, as_run, look_polynomial, target)
     if workers <= 1 and cluster is None and folder is None:
         run = _Run(len(numbers) * plan.per_set, plan, callback)
@@ -100,7 +98,7 @@ def compare(
         block=replace(block, options=replace(block.options, look_polynomial=degree)), rows=tuple(run.rows),
         spectra=tuple(run.spectra), directions=tuple(run.directions), curves=tuple(run.curves),
         target_m=target, eop_sets=numbers, solvers=names, backends=engines, types=kinds,
-        as_run=as_run, seconds=time.perf_counter() - start,
+        as_run=as_run, seconds=working_clock() - start,
         labels={GRAPH_SOLVER: "GTSAM"} | {name: known_solvers()[name].label for name in names},
     )  # fmt: skip
 
@@ -160,7 +158,6 @@ def _key(block: Block, plan: _Plan) -> str:
 
 def _one_set(block: Block, plan: _Plan, number: int) -> dict[str, Any]:
     """Rows and spectra of one set, as a study takes them."""
-    compile_kernels()
     run = _Run(plan.per_set, plan, None)
     run.take(block, (number,))
     parts: dict[str, list[Any]] = {

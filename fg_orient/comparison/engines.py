@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from factors._preparation import working_clock
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.block import Block
@@ -102,13 +102,13 @@ class Published:
         reason = _reason_to_leave_out(solver, order, iterated=False)
         if reason:
             return row(**make, failure=reason, left_out=True, order=order)
-        start = time.perf_counter()
+        start = working_clock()
         try:
             with np.errstate(all="ignore"):  # wild corrections overflow; the result is then reported as failed
                 bundle = self.stage.bundle(eop_set, cast(Kind, kind), solver)
         except FgOrientError as error:
             return row(**make, failure=one_line(error))
-        return row(**make, seconds=time.perf_counter() - start, **self._values(bundle, eop_set, kind))
+        return row(**make, seconds=working_clock() - start, **self._values(bundle, eop_set, kind))
 
     def _values(self, bundle: Bundle, eop_set: int, kind: int) -> dict[str, Any]:
         values: dict[str, Any] = {

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import shutil
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any, Final
 
-from factors.warmup import compile_kernels
+from factors._preparation import working_clock
 from fg_orient.comparison import plots, selection
 from fg_orient.comparison.compare import compare
 from fg_orient.comparison.model import COLUMNS, Comparison
@@ -76,12 +75,11 @@ def compare_project(
     NoSolutionError
         Not one adjustment has a solution; nothing is written.
     """
-    start = time.perf_counter()
+    start = working_clock()
     require_free(Path(out), overwrite=overwrite, contents=COMPARISON)
     selection.require(options or {})
-    compile_kernels()
     block = read_project(project)
-    read_s = time.perf_counter() - start
+    read_s = working_clock() - start
     given = dict(options or {})
     shared = given.get("workers", 0) > 1 or given.get("cluster") is not None
     kept = Path(out).absolute().with_name(f".{Path(out).name}.sets") if shared else None
@@ -90,9 +88,9 @@ def compare_project(
         raise NoSolutionError.of("compare.no_solution", file=project, count=len(found.rows), why=found.rows[0].failure)
     record = _record(found, Path(project), Path(out), command)
     with staged_folder(out, overwrite=overwrite, contents=COMPARISON) as folder:
-        mark = time.perf_counter()
+        mark = working_clock()
         drawn = plots.figures(found)
-        end = time.perf_counter()
+        end = working_clock()
         record["seconds"] = {"read": read_s, "compare": found.seconds, "figures": end - mark, "total": end - start}
         with writing(out):
             write_folder(folder, found, record, drawn)

@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
-from typing import cast
+from typing import Final, cast
 
+import numpy as np
+
+from factors._contract import NotFiniteError
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.errors import InputError
 from fg_orient.parallel.backend import PartedBackend, PartedSystem
-from fg_orient.parallel.parts import default_parts
+from fg_orient.parallel.parts import default_parts, part_of, part_problem, rows_of
 from fg_orient.parallel.pool import Execution, opened, work_folder
+
+#: Ground points whose rays make every kernel of a part run.
+REHEARSED: Final = 2
+
+
+def rehearse(problem: Problem) -> None:
+    """Eliminate a few ground points here: kernels are compiled once, before each worker would compile them."""
+    points = np.flatnonzero(problem.active)[:REHEARSED]
+    part = part_problem("rehearsal", part_of(problem, points, rows_of(problem, [points])[0]))
+    backend = SchurBackend(part, threads=1)
+    with suppress(RuntimeError, NotFiniteError):  # a few points need not make a regular system
+        system = backend.linearise(backend.initial())
+        system.partial(1.0)
+        system.substitute(np.zeros(part.n_image_unknowns))
 
 
 def solve_in_parts(
@@ -44,6 +63,8 @@ def solve_in_parts(
     if problem.ties is not None:
         raise InputError.of("frame.shared_not", place="parts", value="parts", id=", ".join(problem.ties.ids))
     judged = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
+    if execution.cluster is None and execution.workers > 1:
+        rehearse(judged)
     with opened(execution) as pool, work_folder(execution, pool) as folder:
         parts = execution.parts or default_parts(problem)
         if checkpoint is not None:

@@ -12,7 +12,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from factors.warmup import compile_kernels
+from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import EVERY_S, Checkpoint
 from fg_orient.adjustment.solve import require_possible
 from fg_orient.dem_control import adjust_with_dem
@@ -105,26 +105,25 @@ def run_project(
         stage or (lambda name, count: None),
         Checkpoint(checkpoint_path(out), every_s=checkpoint_every_s, resume=resume),
     )
-    tell("compiling", 0)
-    jit_s = compile_kernels()
     tell("reading", 0)
+    prepared, mark = preparing_seconds(), working_clock()
     block = read_project(project, **dict(options or {}))
     require_possible_options(block, project, options or {})
     if check is not None:
         check(block)
-    read_s = time.perf_counter() - start - jit_s
+    read_s = working_clock() - mark
     try:
         with staged_folder(out, overwrite=overwrite) as folder:
             how = {**(execution or {}), "stage": stage, "checkpoint": checkpoint}
             solution, control = _adjust_and_log(block, folder, callback, Path(out), how, dem_control)
-            mark = time.perf_counter()
+            mark = working_clock()
             models = corrected_models(solution)
             record = {**_record(solution, models, Path(project), Path(out), command), **control}
             record["provenance"]["repeat"] = how_to_repeat(
                 Path(project).parent, options or {}, execution or {}, dem_control, dem_vertical_crs
             )
-            phases = asdict(solution.seconds) | {"read": read_s, "jit": jit_s + solution.seconds.jit}
-            phases["record"] = time.perf_counter() - mark
+            phases = asdict(solution.seconds) | {"read": read_s, "jit": preparing_seconds() - prepared}
+            phases["record"] = working_clock() - mark
             tell("writing", len(block.observations))
             with writing(out):
                 _write(folder, solution, models, record, phases, start)

@@ -1,55 +1,204 @@
-"""Cached code is valid for the sources it was made of."""
+"""Compiled code is valid for what it was made of; a kernel is compiled when it is called, once, and anywhere."""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
+from types import FunctionType, SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
-from factors import _compile, batch_pairs, batch_pushbroom, light, pushbroom
-from factors._compile import stamp
+from factors import _compile, batch_pairs, batch_pushbroom, light, pushbroom, sight, vectors
+from factors._preparation import told_of_compilation
+from factors._sources import stamp
 
-FOLDER = Path(_compile.__file__).parent
+#: A package whose kernel calls over two modules, each imported in another way; ``{0}`` is what a test changes.
+PACKAGE = {
+    "__init__.py": "",
+    "top.py": """
+from factors._compile import compiled
+import chain.sub
+from chain.sub import second as renamed
+
+@compiled
+def kernel(x):
+    return renamed(x) + chain.sub.other.third(x)
+""",
+    "sub/__init__.py": """
+from . import other
+from .deep import second
+""",
+    "sub/deep.py": """
+from factors._compile import inlined
+if True:
+    from .leaf import first, FACTOR
+
+@inlined
+def second(x):
+    return FACTOR * first(x)
+""",
+    "sub/leaf.py": """
+from factors._compile import inlined
+FACTOR = {factor}
+
+@inlined
+def first(x):
+    return x + {leaf}
+""",
+    "sub/other.py": """
+from factors._compile import compiled
+
+@compiled
+def third(x):
+    return x * {other}
+""",
+}
+RUN = """
+import json, sys
+from factors._preparation import told_of_compilation
+told = []
+with told_of_compilation(told.append):
+    from chain.top import kernel
+    value = kernel(1.0)
+json.dump([value, told], sys.stdout)
+"""
 
 
-def test_stamp_knows_the_files_that_are_compiled_into_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    sources = {
-        "kernel": "from factors.middle import f\n",
-        "middle": "from factors import (\n    other,\n    leaf,\n)\n",
-        "leaf": "x = 1\n", "other": "", "stranger": "x = 1\n",
-    }  # fmt: skip
-    monkeypatch.setattr(_compile, "_HERE", tmp_path)
+class Chain:
+    """The package in a folder, with a cache of its own; each run is a process."""
 
-    def stamped(**changed: str) -> bytes:
-        for name, text in (sources | changed).items():
-            (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
-        _compile._digest.cache_clear()
-        _compile._imported.cache_clear()
-        return stamp(tmp_path / "kernel.py")
+    def __init__(self, folder: Path, repository: Path) -> None:
+        self.folder, self.cache = folder, folder / "cache"
+        self._environment = {**os.environ, "NUMBA_CACHE_DIR": str(self.cache),
+                             "PYTHONPATH": os.pathsep.join([str(folder), str(repository)])}  # fmt: skip
 
-    before = stamped()
-    assert stamped(leaf="x = 2\n") != before
-    assert stamped(other="y = 2\n") != before
-    assert stamped(stranger="x = 2\n") == before
-    _compile._digest.cache_clear()
-    _compile._imported.cache_clear()
+    def run(self, code: str = RUN, **values: float) -> tuple[float, list[str]]:
+        """Value of the kernel, and the kernels that were compiled for it."""
+        for name, text in PACKAGE.items():
+            path = self.folder / "chain" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text.format(**({"factor": 2.0, "leaf": 3.0, "other": 5.0} | values)), encoding="utf-8")
+        ended = subprocess.run(
+            [sys.executable, "-B", "-c", code], env=self._environment, capture_output=True, text=True, check=False
+        )
+        assert ended.returncode == 0, ended.stderr
+        value, told = json.loads(ended.stdout)
+        return value, told
 
 
-@pytest.mark.parametrize(
-    ("kernel", "callee"),
-    [(batch_pairs.pair_blocks, "vectors"), (batch_pushbroom.pushbroom_rows, "rotations"), (pushbroom.kernel, "sight")],
-)
-def test_numba_uses_the_stamp(kernel: object, callee: str) -> None:
-    """Fails when a release of numba keeps it elsewhere."""
-    file = Path(kernel.py_func.__code__.co_filename)  # type: ignore[attr-defined]
-    assert kernel._cache._cache_file._source_stamp == stamp(file)  # type: ignore[attr-defined]
-    waiting, seen = [file], {file}
-    while waiting:
-        new = _compile._imported(waiting.pop()) - seen
-        seen |= new
-        waiting += new
-    assert FOLDER / f"{callee}.py" in seen
-    assert Path(light.__file__) not in seen
+@pytest.fixture
+def chain(tmp_path: Path, repository: Path) -> Chain:
+    return Chain(tmp_path, repository)
+
+
+def test_a_change_two_imports_away_gives_the_new_result(chain: Chain) -> None:
+    assert chain.run() == (2.0 * (1.0 + 3.0) + 5.0, ["kernel"])
+    assert chain.run() == (13.0, [])  # from disk
+    assert chain.run(leaf=4.0) == (15.0, ["kernel"])
+    assert chain.run(leaf=4.0, factor=3.0) == (20.0, ["kernel"])  # a constant of the same module
+    assert chain.run(leaf=4.0, factor=3.0, other=6.0) == (21.0, ["kernel"])  # by its module's name
+    assert chain.run(leaf=4.0, factor=3.0, other=6.0) == (21.0, [])
+
+
+def test_damaged_files_are_compiled_anew(chain: Chain) -> None:
+    chain.run()
+    files = [path for path in chain.cache.rglob("*") if path.suffix in (".nbi", ".nbc")]
+    assert len(files) == 2
+    for path in files:
+        path.write_bytes(path.read_bytes()[:50])
+    assert chain.run() == (13.0, ["kernel"])
+
+
+def test_without_a_writable_place_kernels_run_all_the_same(chain: Chain) -> None:
+    nowhere = "from numba.core import caching\ncaching.FunctionCache._impl_class._locator_classes = []\n"
+    last = "from factors._compile import cache_folder\nassert cache_folder() is None\n"
+    assert chain.run(nowhere + RUN + last) == (13.0, ["kernel"])
+    assert chain.run(nowhere + RUN) == (13.0, ["kernel"])
+    assert not chain.cache.exists()
+
+
+def test_a_full_disk_stops_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    @_compile.compiled
+    def twice(x: float) -> float:
+        return 2.0 * x
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    kernel: Any = twice
+    monkeypatch.setattr(kernel.open_cache()._cache_file, "save", full)
+    assert twice(2.0) == 4.0 and twice(3) == 6
+
+
+def test_stamp_sees_what_a_function_is_bound_to() -> None:
+    def make(constant: object, callee: FunctionType, text: str = "") -> FunctionType:
+        space = {"constant": constant, "callee": callee, "np": np, "module": SimpleNamespace}
+        exec(f"def f(x):\n    {text!r}\n    return callee(x) + constant", space)
+        made = space["f"]
+        assert isinstance(made, FunctionType)
+        return made
+
+    def one(x: float) -> float:
+        return x
+
+    def two(x: float) -> float:
+        return x + x
+
+    before = stamp(make(1.0, one))
+    assert stamp(make(1.0, one)) == before
+    assert stamp(make(1.0, one, "another docstring")) == before
+    assert stamp(make(2.0, one)) != before
+    assert stamp(make(1, one)) != before  # an integer is another type
+    assert stamp(make(1.0, two)) != before
+    assert stamp(make(np.array([1.0]), one)) != stamp(make(np.array([2.0]), one))
+    assert stamp(make(1.0, one), {"fastmath": True}) != before
+
+
+def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
+    """A callee with another body gives another stamp; what a kernel does not call, does not."""
+    kernels: list[Any] = [batch_pairs.pair_blocks, batch_pushbroom.pushbroom_rows, pushbroom.kernel]
+    before = [stamp(kernel.py_func) for kernel in kernels]
+
+    def changed(owner: Any, name: str) -> list[bool]:
+        with pytest.MonkeyPatch.context() as patch:
+            code = (lambda *_: None).__code__
+            patch.setattr(getattr(owner, name).py_func if hasattr(getattr(owner, name), "py_func") else
+                          getattr(owner, name), "__code__", code)  # fmt: skip
+            from factors import _sources
+
+            _sources._read.cache_clear()
+            after = [stamp(kernel.py_func) for kernel in kernels]
+        _sources._read.cache_clear()
+        return [a != b for a, b in zip(after, before, strict=True)]
+
+    assert changed(sight, "_look") == [False, True, True]
+    assert changed(vectors, "splat") == [True, True, False]  # a function that writes instructions
+    assert changed(light, "unit") == [False, False, False]
+
+
+def test_a_kernel_is_compiled_whole_and_its_parts_are_not(tmp_path: Path) -> None:
+    told: list[str] = []
+
+    @_compile.inlined
+    def part(x: float) -> float:
+        return x + 1.0
+
+    @_compile.compiled
+    def whole(x: float) -> float:
+        return 2.0 * part(x)
+
+    for kernel in (part, whole):
+        kernel._opened = True  # type: ignore[attr-defined]  # no file: this test may have run before
+    with told_of_compilation(told.append):
+        assert whole(1.0) == 4.0
+        assert told == ["whole"]
+        assert part(1.0) == 2.0  # called from Python it becomes a kernel of its own
+    assert told == ["whole", "part"]
 
 
 def test_a_function_does_not_take_the_rounding_of_its_first_caller() -> None:

@@ -1,0 +1,120 @@
+"""Digest of everything that a kernel is compiled from: its own code, that of all it calls, and the constants they use.
+
+Names are followed by what they are bound to, in whatever way they were imported: ``import factors.x``,
+``from factors.sub import x as y``, an import inside ``if`` or ``try``. A function counts with its byte code, a module
+with those of its members that the code names, everything else with its value. Libraries end the way.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any, Final
+
+import numpy as np
+
+#: Top-level packages that are not followed: numba's own cache knows its version, numpy is not compiled into kernels.
+_LIBRARIES: Final = frozenset({"numba", "llvmlite", "numpy", "scipy", *sys.stdlib_module_names})
+
+
+def stamp(function: FunctionType, options: object = None) -> bytes:
+    """Digest of a function, of all that it calls and of the constants that they use; ``options`` counts as well."""
+    digest, seen, waiting = hashlib.sha256(_own() + repr(options).encode()), set[int](), [function]
+    while waiting:
+        current = waiting.pop()
+        if id(current) in seen:
+            continue
+        seen.add(id(current))
+        parts, callees = _read(current)
+        digest.update(parts)
+        waiting += callees
+    return digest.digest()
+
+
+@cache
+def _own() -> bytes:
+    """Digest of the modules that say how is compiled."""
+    here = Path(__file__)
+    return hashlib.sha256(b"".join(here.with_name(f"_{n}.py").read_bytes() for n in ("compile", "kernel"))).digest()
+
+
+@cache
+def _read(function: FunctionType) -> tuple[bytes, list[FunctionType]]:
+    """Digest of one function with the constants it names, and the functions that it names."""
+    digest, callees = hashlib.sha256(_code(function.__code__)), []
+    for name, value in _bound(function):
+        callee = _function_of(value)
+        if callee is None:
+            digest.update(f"{name}={_constant(value)};".encode())
+        elif _is_followed(callee):
+            options = getattr(value, "targetoptions", None)
+            digest.update(f"{name}:{callee.__module__}.{callee.__qualname__}{options};".encode())
+            callees.append(callee)
+    return digest.digest(), callees
+
+
+def _bound(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """Names of a function's code and what they are bound to: globals, members of modules, variables of a closure."""
+    names = _names(function.__code__)
+    for cell, name in zip(function.__closure__ or (), function.__code__.co_freevars, strict=True):
+        yield name, cell.cell_contents
+    yield "defaults", function.__defaults__
+    spaces, seen = [("", function.__globals__)], set[int]()
+    while spaces:
+        prefix, space = spaces.pop()
+        for name in names:
+            if name not in space:
+                continue
+            value = space[name]
+            if not isinstance(value, ModuleType):
+                yield prefix + name, value
+            elif id(value) not in seen and value.__name__.partition(".")[0] not in _LIBRARIES:
+                seen.add(id(value))
+                spaces.append((f"{value.__name__}.", vars(value)))
+
+
+def _names(code: CodeType) -> list[str]:
+    """Global names and attributes of a code, in their order, with those of the functions inside it."""
+    names = dict.fromkeys(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            names |= dict.fromkeys(_names(constant))
+    return list(names)
+
+
+def _code(code: CodeType) -> bytes:
+    """Byte code and constants, without file name, line numbers and docstring."""
+    constants = [_code(c).hex() if isinstance(c, CodeType) else repr(c) for c in code.co_consts[1:]]
+    first = code.co_consts[0] if code.co_consts else None
+    constants.append("" if isinstance(first, str) else repr(first))  # a docstring changes nothing
+    return repr((code.co_code, constants, code.co_names, code.co_varnames, code.co_freevars)).encode()
+
+
+def _function_of(value: Any) -> FunctionType | None:
+    """Python function behind a function, a kernel or an intrinsic of numba; None for anything else."""
+    for inner in (value, getattr(value, "py_func", None), getattr(value, "_defn", None)):
+        if isinstance(inner, FunctionType):
+            return inner
+    return None
+
+
+def _is_followed(function: FunctionType) -> bool:
+    return (function.__module__ or "").partition(".")[0] not in _LIBRARIES
+
+
+def _constant(value: Any) -> str:
+    """Value of a constant in words that do not change between two runs."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
+    if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.generic):
+        return repr(value)
+    if isinstance(value, tuple | list):
+        return f"({','.join(_constant(item) for item in value)})"
+    if isinstance(value, dict):
+        return f"{{{','.join(f'{key!r}:{_constant(item)}' for key, item in value.items())}}}"
+    named = value if hasattr(value, "__qualname__") else type(value)
+    return f"{named.__module__}.{named.__qualname__}"

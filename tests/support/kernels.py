@@ -1,0 +1,21 @@
+"""Adjust small blocks of each kind once, so that the kernels which most tests call are compiled and kept.
+
+``python -m tests.support.kernels`` runs before the tests: else each of their processes would compile them for itself.
+"""
+
+from __future__ import annotations
+
+import fg_orient as fg
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.rpc_block import rpc_twin
+
+
+def main() -> None:
+    """Adjust the twin with its rigorous models and with RPC, by each backend."""
+    for block in (zonguldak_block(ZonguldakOptions())[0], rpc_twin("affine").block):
+        for backend in ("schur", "graph", "dense"):
+            fg.adjust(block, backend=backend)
+
+
+if __name__ == "__main__":
+    main()
