@@ -14,6 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+from numba.core import config
+
 from factors._kernel import Kernel
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -41,11 +43,13 @@ def threaded(function: F) -> F:
 
 def cache_folder() -> Path | None:
     """Folder where compiled kernels of this package are kept, or None where no place is writable."""
-    opened = cast(Kernel, _nothing).open_cache()
+    opened = _nothing.open_cache() if isinstance(_nothing, Kernel) else None
     return None if opened is None else Path(opened.cache_path)
 
 
 def _kernel(function: F, *, fastmath: Any, forceinline: bool, nogil: bool = False) -> F:
+    if config.DISABLE_JIT:  # NUMBA_DISABLE_JIT: plain Python
+        return function
     options = {"nopython": True, "error_model": "numpy", "boundscheck": None, "fastmath": fastmath,
                "forceinline": forceinline, "nogil": nogil}  # fmt: skip
     return cast(F, Kernel(function, targetoptions=options))

@@ -61,8 +61,10 @@ class _KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
         module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager()
-        passes.run(self._final_module, builder)
+        # first all into one and simple: the loop over observations becomes vector instructions only then (measured)
+        for options in ({"opt": 1, "loop_vectorize": False, "slp_vectorize": False}, {}):
+            passes, builder = self._codegen._module_pass_manager(**options)
+            passes.run(self._final_module, builder)
 
     def finalize(self) -> None:
         libraries, waiting = dict[Any, None](), list(self._linking_libraries)

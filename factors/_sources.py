@@ -88,10 +88,20 @@ def _names(code: CodeType) -> list[str]:
 
 def _code(code: CodeType) -> bytes:
     """Byte code and constants, without file name, line numbers and docstring."""
-    constants = [_code(c).hex() if isinstance(c, CodeType) else repr(c) for c in code.co_consts[1:]]
-    first = code.co_consts[0] if code.co_consts else None
-    constants.append("" if isinstance(first, str) else repr(first))  # a docstring changes nothing
+    constants = [_literal(c) for c in code.co_consts]
+    if code.co_consts and isinstance(code.co_consts[0], str):
+        constants[0] = ""  # a docstring changes nothing
     return repr((code.co_code, constants, code.co_names, code.co_varnames, code.co_freevars)).encode()
+
+
+def _literal(constant: Any) -> str:
+    """Constant of a code in words that do not change between two runs: sets have no order."""
+    if isinstance(constant, CodeType):
+        return _code(constant).hex()
+    if isinstance(constant, tuple | frozenset):
+        parts = [_literal(item) for item in constant]
+        return f"{type(constant).__name__}{parts if isinstance(constant, tuple) else sorted(parts)}"
+    return repr(constant)
 
 
 def _function_of(value: Any) -> FunctionType | None:

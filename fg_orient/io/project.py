@@ -273,8 +273,7 @@ def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, 
     point_faults, observation_faults = Faults(str(point_path)), Faults(str(observation_path))
     points, crs_problems = None, _entry_problems(project, file)
     if not crs_problems:
-        known = [image for image in images.values() if image is not None]
-        scenes = [Scene.from_footprint(image.id, image.sensor.footprint()) for image in known]
+        scenes = _scenes(images, (point_path, observation_path))
         if project.points.format == OWN:
             points = read_points(point_path, project.points.crs or "", point_faults, scenes)
         else:
@@ -294,6 +293,13 @@ def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, 
     # both tables may name one file of another program: its faults are said once
     problems = dict.fromkeys((*crs_problems, *point_faults.problems, *observation_faults.problems))
     return _Tables(points, observations, tuple(problems))
+
+
+def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[Scene]:
+    """Where the images lie; nothing if a file is missing, which is then told before any kernel is compiled."""
+    if None in images.values() or not all(path.exists() for path in tables):
+        return []
+    return [Scene.from_footprint(image.id, image.sensor.footprint()) for image in images.values() if image is not None]
 
 
 def _foreign(project: ProjectFile, folder: Path, name: str) -> Table:

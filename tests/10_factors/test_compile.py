@@ -105,6 +105,24 @@ def test_a_change_two_imports_away_gives_the_new_result(chain: Chain) -> None:
     assert chain.run(leaf=4.0, factor=3.0, other=6.0) == (21.0, [])
 
 
+def test_stamps_do_not_depend_on_the_order_of_sets(repository: Path) -> None:
+    """Python numbers strings anew in each process, and literals such as ``{"a", "b"}`` are sets."""
+    code = """
+import factors.batch, factors.batch_band, factors.batch_cofactors, factors.batch_pairs, sys
+from factors._kernel import Kernel
+from factors._sources import stamp
+kernels = {f for name, module in list(sys.modules.items()) if name.startswith("factors")
+           for f in vars(module).values() if isinstance(f, Kernel)}
+print(sorted((f.py_func.__module__, f.py_func.__name__, stamp(f.py_func).hex()) for f in kernels))
+"""
+    runs = [
+        subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONHASHSEED": seed}, cwd=repository,
+                       capture_output=True, text=True, check=True).stdout
+        for seed in ("1", "2")
+    ]  # fmt: skip
+    assert runs[0].count("factors.batch") > 30 and runs[0] == runs[1]
+
+
 def test_damaged_files_are_compiled_anew(chain: Chain) -> None:
     chain.run()
     files = [path for path in chain.cache.rglob("*") if path.suffix in (".nbi", ".nbc")]
