@@ -37,6 +37,7 @@ from benchmarks.flat import FlatProblem
 from benchmarks.hardware import Meter
 from benchmarks.page import write_page
 from benchmarks.table import print_table
+from factors.vectors import LANES
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.io.project import read_project
 from fg_orient.simulate.block import BlockOptions, simulate_block
@@ -159,7 +160,7 @@ def machine(given: argparse.Namespace) -> dict[str, Any]:
         except importlib.metadata.PackageNotFoundError:
             versions[package] = ""
     return {
-        "processor": name, "cores": os.cpu_count(), "system": platform.platform(),
+        "processor": name, "cores": os.cpu_count(), "vector_bits": 64 * LANES, "system": platform.platform(),
         "python": platform.python_version(), "versions": versions, "load": os.getloadavg()[0],
         "date": datetime.now(UTC).isoformat(timespec="seconds"), "full": given.full, "repeats": given.repeats,
     }  # fmt: skip

@@ -16,6 +16,9 @@ from benchmarks.table import NAMES, Rows, all_tables
 
 ROOT: Final = Path(__file__).parents[1]
 RESULTS: Final = ROOT / "benchmarks" / "results" / "fast_path.json"
+#: Figures of a run on a processor without vectors of 512 bits.
+OTHER: Final = ROOT / "benchmarks" / "results" / "narrow_vectors.json"
+SECOND: Final = "A processor with vectors of 256 bits"
 PAGE: Final = ROOT / "docs" / "performance.md"
 FIGURE: Final = ROOT / "docs" / "performance.svg"
 #: Words before a table.
@@ -61,6 +64,8 @@ def page(results: dict[str, Any]) -> str:
     exponents = {name: s.exponent(name, 10_000) for name in ("schur", "schur-1", "schur-2", "graph")}
     parts = [
         "# Performance",
+        f"Measured on {m['processor']} with vectors of {m['vector_bits']} bits; a run on a processor with narrower "
+        f"ones stands beside it: [{SECOND}](#{SECOND.lower().replace(' ', '-')}).",
         "<!-- Made by `python -m benchmarks.page` from benchmarks/results/fast_path.json. Do not edit. -->",
         "One observation here is one image point, two equations. Synthetic SPOT-like blocks with 27 unknowns per "
         "image, 2 % control points; all solvers get the same whitened equations, start values and priors; BLAS has one "
@@ -75,9 +80,22 @@ def page(results: dict[str, Any]) -> str:
     found = [f"{NAMES[name]} {value:.2f}" for name, value in exponents.items() if value is not None]
     if found:
         parts.append(f"Time per iteration grows with the number of image points to the power: {'; '.join(found)}.")
-    for heading, rows in all_tables(results).items():
+    tables = all_tables(results)
+    for heading, rows in tables.items():
         parts += [f"## {heading}", TEXTS[heading], markdown(rows)]
+        if heading == "What is wished for":
+            parts += second_run([row for name in ("What must hold", heading) for row in tables[name][1:]])
     return "\n\n".join(parts) + "\n"
+
+
+def second_run(rows: Rows) -> list[str]:
+    """Section with the figures of another processor beside those of this run."""
+    other = json.loads(OTHER.read_text("utf-8"))
+    measured = {row[0]: row[1] for row in rows}
+    limits = {row[0]: row[2] for row in reversed(rows)}
+    beside = [[name, measured[name], value, limits[name]] for name, value in other["measured"].items()]
+    head = ["goal", "this run", other["short"], "limit or target"]
+    return [f"## {SECOND}", other["text"], markdown([head, *beside])]
 
 
 def digest(text: str) -> str:
