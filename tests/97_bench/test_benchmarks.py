@@ -98,8 +98,8 @@ def summary(*records: dict[str, Any]) -> Summary:
         "hardware": [rates, {k: 0.5 * v for k, v in rates.items()}], "records": list(records), "jit_s": 1.0,
         "memory": [{"size": "1e4", "threads": 2, "n_image_points": 10_000, "working_set": 2_000_000, "records": 10**6,
                     "solve_only": 10**6, "input": 10**6}],
-        "machine": {"processor": "p", "cores": 2, "vector_bits": 256, "python": "3", "versions": {}, "load": 0.0, "date": "d",
-                    "full": False, "repeats": 3},
+        "machine": {"processor": "p", "cores": 2, "vector_bits": 256, "python": "3", "versions": {}, "load": 0.0,
+                    "date": "d", "full": False, "repeats": 3},
     })  # fmt: skip
 
 
