@@ -4,5 +4,5 @@ The ground floor of fg_orient: numpy and numba only (``factors.graph`` adds GTSA
 relation per file; the calling convention is in ``factors._contract``.
 """
 
-#: Marker by which ``fg_orient`` recognises its own ``factors`` package.
-FG_ORIENT_FACTORS = True
+#: Marker by which ``fg_orient`` recognises its own ``factors`` package: the version that both have.
+FG_ORIENT_FACTORS = "0.1.0"

@@ -12,15 +12,9 @@ command line start quickly and import gtsam only when something is adjusted::
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
+from os.path import dirname, join
 from typing import TYPE_CHECKING, Any, Final
-
-import factors
-
-if not getattr(factors, "FG_ORIENT_FACTORS", False):
-    raise ImportError(
-        f"another distribution's package 'factors' hides the one of fg_orient: {getattr(factors, '__file__', None)}; "
-        "install fg-orient into an environment of its own, or remove that package"
-    )
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.models.contract import register_model
@@ -38,6 +32,30 @@ if TYPE_CHECKING:
     from fg_orient.solution import Solution
 
 __version__: Final = "0.1.0"
+
+
+def _require_own_factors() -> None:
+    """Refuse a package ``factors`` that is not the one of this version; a file found in its place is not run."""
+    spec = find_spec("factors")
+    found = None if spec is None else spec.origin
+    if found is None or dirname(found) != join(dirname(dirname(__file__)), "factors"):
+        from fg_orient.clash import clash, is_ours
+
+        if found is None or not is_ours(found):
+            raise clash(found, __version__)
+    try:
+        import factors
+
+        other = getattr(factors, "FG_ORIENT_FACTORS", None)
+    except (Exception, SystemExit):  # ours imports nothing, so that another one lies here
+        other = None
+    if other != __version__:
+        from fg_orient.clash import clash
+
+        raise clash(found, __version__, other)
+
+
+_require_own_factors()
 
 #: Public name -> module that defines it.
 _HOME: Final[dict[str, str]] = {

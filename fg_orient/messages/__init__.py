@@ -15,6 +15,7 @@ from fg_orient.messages.dense import CLASSICAL, COMPARE, LINEAR, PUBLISHED, REPR
 from fg_orient.messages.earth import EARTH
 from fg_orient.messages.files import DEM, DIMAP, GEODESY, OBSERVATIONS, POINTS, PROJECT, SENSOR, TABLE, XML
 from fg_orient.messages.frame import FRAME
+from fg_orient.messages.installation import INSTALLATION
 from fg_orient.messages.interchange import INTERCHANGE
 from fg_orient.messages.parallel import PARALLEL
 from fg_orient.messages.rectify import RECTIFY
@@ -56,6 +57,7 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **CLOSERANGE,
     **STATISTICS,
     **EARTH,
+    **INSTALLATION,
     **INTERCHANGE,
     **TIES,
 }

@@ -48,15 +48,3 @@ def test_every_public_name_loads(repository: Path) -> None:
 def test_unknown_name_is_an_attribute_error(repository: Path) -> None:
     code = "import fg_orient\ntry:\n    fg_orient.nonsense\nexcept AttributeError as e:\n    print(e)"
     assert run(code, repository).strip() == "module 'fg_orient' has no attribute 'nonsense'"
-
-
-def test_foreign_factors_package_is_refused(repository: Path, tmp_path: Path) -> None:
-    """Another distribution's ``factors`` on the path gives an ImportError that names its file."""
-    foreign = tmp_path / "factors"
-    foreign.mkdir()
-    (foreign / "__init__.py").write_text("", encoding="utf-8")
-    (tmp_path / "fg_orient").symlink_to(repository / "fg_orient", target_is_directory=True)
-    code = "import sys; sys.path.insert(0, '.')\ntry:\n    import fg_orient\nexcept ImportError as e:\n    print(e)"
-    out = run(code, tmp_path)
-    assert str(foreign / "__init__.py") in out
-    assert "environment of its own" in out
