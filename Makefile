@@ -8,8 +8,9 @@ export PYTHONNOUSERSITE := 1
 
 VENV    := .venv
 BIN     := $(VENV)/bin
+CORE    := $(VENV)/.core
 STAMP   := $(VENV)/.installed
-EXTRAS  := geo,tables,report,cluster,docs,dev
+PIP     := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
              $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null \
              && echo $$p && exit; done)
@@ -22,7 +23,8 @@ DOCS_JOBS ?= auto
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-demo: $(STAMP)  ## simulate the Zonguldak stereo twin, adjust it, write the report
+# half of what tests and documentation need, in half the time
+demo: $(if $(wildcard $(STAMP)),$(STAMP),$(CORE))  ## simulate the Zonguldak stereo twin, adjust it, write the report
 	$(BIN)/fg-orient simulate zonguldak --out demo/zonguldak --overwrite
 	$(BIN)/fg-orient adjust demo/zonguldak/project.toml --backend graph --out demo/result --overwrite
 	@echo "report: $(CURDIR)/demo/result/report.html"
@@ -59,7 +61,7 @@ docs: $(STAMP)  ## build the documentation into docs/_build/html, warnings are e
 	@echo "documentation: $(CURDIR)/docs/_build/html/index.html"
 
 bench: $(STAMP)  ## time our backends against other software (ARGS="--full": hours), factors, RPC projection
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[bench]"
+	$(PIP) --group bench
 	$(BIN)/python -m benchmarks.fast_path $(ARGS)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/graph_cost.py
 	OMP_NUM_THREADS=1 GDAL_NUM_THREADS=1 $(BIN)/python benchmarks/rpc_projection.py
@@ -68,10 +70,18 @@ clean:  ## remove the environment and everything generated
 	rm -rf $(VENV) demo docs/_build docs/api build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find factors fg_orient tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
-$(STAMP): pyproject.toml constraints.txt
+$(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "no Python 3.11, 3.12 or 3.13 found; name one: make PYTHON=/path/to/python3.12" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if (3, 11) <= v[:2] <= (3, 13) else \
 	  f"{sys.executable} is Python {v[0]}.{v[1]}; 3.11, 3.12 or 3.13 is needed: make PYTHON=/path/to/python3.12")'
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[$(EXTRAS)]"
+	$(PYTHON) -m venv $(VENV)
+
+$(CORE): pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) -e .
 	@touch $@
+
+# the pip of a new environment may be older than dependency groups (25.1)
+$(STAMP): pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) "pip>=25.1"
+	$(PIP) -e ".[all]" --group dev
+	@touch $(CORE) $@

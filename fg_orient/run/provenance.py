@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 #: Distributions whose versions decide on the digits of a result.
 COMPUTING: Final = ("gtsam", "numpy", "scipy", "numba")
 #: All that fg_orient needs.
-REQUIRED: Final = (*COMPUTING, "pyproj", "pyerfa", "lxml", "pydantic", "typer", "rich", "jinja2")
+REQUIRED: Final = (
+    *COMPUTING, "llvmlite", "pyproj", "pyerfa", "lxml", "pydantic", "typer", "rich", "jinja2", "markupsafe",
+    "threadpoolctl",
+)  # fmt: skip
+#: Those of the extras.
+OPTIONAL: Final = ("rasterio", "pyogrio", "shapely", "pandas", "matplotlib", "dask")
 
 
 def version_of(distribution: str) -> str | None:
