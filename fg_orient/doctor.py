@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import grp
 import os
+import pwd
+import stat
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from fg_orient.run.provenance import REQUIRED, versions
+from fg_orient.clash import shared_file
+from fg_orient.errors import problem
+from fg_orient.run.provenance import OPTIONAL, REQUIRED, versions
 
 
 def examine() -> dict[str, Any]:
@@ -17,24 +23,34 @@ def examine() -> dict[str, Any]:
     -------
     dict
         ``good``; ``versions`` by name (None = missing); ``checks``: list of name, good,
-        detail; ``warnings``: list of sentences.
+        detail; ``cache``: folder, owner, rights, files, bytes (None = no cache); ``warnings``: list of sentences.
     """
     found = versions(REQUIRED)
     missing = [name for name, version in found.items() if version is None]
     checks = [{"name": "dependencies", "good": not missing, "detail": ", ".join(missing) or "all installed"}]
-    for name, check in (("PROJ", _proj), ("numba cache", _numba_cache), ("self-test", _self_test)):
+    cache: dict[str, Any] = {}
+    warnings = [*_proj_warnings(), *filter(None, [shared_file()])]
+
+    def numba_cache() -> tuple[bool, str]:
+        place = _cache_folder()
+        cache.update({} if place is None else examine_cache(place))
+        warnings.extend(cache_warnings(place))
+        return True, _in_words(cache)
+
+    # the self-test compiles what it calls: the cache is looked at after it
+    for name, check in (("PROJ", _proj), ("self-test", _self_test), ("numba cache", numba_cache)):
         try:
             good, detail = check()
         except Exception as error:  # a broken installation may fail in any way; the doctor must say how
             good, detail = False, f"{type(error).__name__}: {error}"
         checks.append({"name": name, "good": good, "detail": detail})
     return {
-        "good": all(check["good"] for check in checks), "versions": found, "checks": checks, "warnings": _warnings(),
-        "optional": versions(("rasterio", "pandas", "matplotlib", "dask")),
+        "good": all(check["good"] for check in checks), "versions": found, "checks": checks, "cache": cache or None,
+        "warnings": warnings, "optional": versions(OPTIONAL),
     }  # fmt: skip
 
 
-def _warnings() -> list[str]:
+def _proj_warnings() -> list[str]:
     """Traps that stop nothing by themselves."""
     return [
         f"{name} is set to {os.environ[name]}: PROJ may read the data of another installation; unset it"
@@ -55,16 +71,96 @@ def _proj() -> tuple[bool, str]:
     return good, f"data in {data_folder()}"
 
 
-def _numba_cache() -> tuple[bool, str]:
-    """Ask numba where it keeps compiled kernels; without a writable place every start compiles anew."""
-    from factors import ellipsoid
+def _cache_folder() -> Path | None:
+    from factors._compile import cache_folder
 
-    kernel: Any = ellipsoid.geodetic_array
-    folder = Path(kernel.stats.cache_path)
+    return cache_folder()
+
+
+def examine_cache(folder: Path) -> dict[str, Any]:
+    """Place, owner, rights and size of the folder of compiled kernels; it need not exist yet."""
     there = next(p for p in (folder, *folder.parents) if p.exists())
-    if os.access(there, os.W_OK):
-        return True, f"{folder} is writable"
-    return False, f"{folder} is not writable: every start compiles anew; set NUMBA_CACHE_DIR to a folder of yours"
+    status = there.stat()
+    sizes = [file.stat().st_size for file in folder.rglob("*.nb[ic]")]
+    return {
+        "folder": str(folder), "exists": there == folder, "owner": _user(status.st_uid),
+        "rights": stat.filemode(status.st_mode)[1:], "files": len(sizes), "bytes": sum(sizes),
+    }  # fmt: skip
+
+
+def _in_words(cache: dict[str, Any]) -> str:
+    if not cache:
+        return "none"
+    owner = f"owner {cache['owner']}, rights {cache['rights']}"
+    if not cache["exists"]:
+        return f"{cache['folder']}, not made yet; above it: {owner}"
+    return f"{cache['folder']}, {owner}, {cache['files']} files, {cache['bytes'] / 1e6:.1f} MB"
+
+
+def cache_warnings(folder: Path | None) -> list[str]:
+    """Warnings of a cache that is missing, or into which another user can put code.
+
+    Root, and the owner of the program, can change the program itself and are no reason to warn.
+    """
+    if folder is None:
+        return [str(problem("installation.no_cache"))]
+    places = list(_open_places(folder))
+    if not places:
+        return []
+    path, why = places[0]
+    more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+    return [str(problem("installation.cache_open", file=f"{path}{more}", folder=folder, why=why))]
+
+
+def _open_places(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Folders above, the folder itself and what lies in it, as far as another user can write there."""
+    above = folder.resolve().parents
+    for path in (*reversed(above), folder, *sorted(folder.rglob("*"))):
+        try:
+            status = path.stat()
+        except OSError:  # not made yet, or removed meanwhile
+            continue
+        # in a sticky folder such as /tmp others can make new names only: the next one below has an owner of its own
+        sticky = path in above and bool(status.st_mode & stat.S_ISVTX)
+        if why := open_to(status, sticky):
+            yield path, why
+
+
+def open_to(status: os.stat_result, sticky: bool) -> str:
+    """Who else may change what lies there, in words; "" if nobody."""
+    import factors
+
+    if status.st_uid not in (os.getuid(), 0, Path(factors.__file__).stat().st_uid):
+        return f"it belongs to {_user(status.st_uid)}"
+    if status.st_mode & stat.S_IWOTH and not sticky:
+        return "all users can write there"
+    if status.st_mode & stat.S_IWGRP and not sticky and not _own_group(status.st_gid):
+        return f"the group {_group(status.st_gid)} can write there"
+    return ""
+
+
+def _own_group(number: int) -> bool:
+    """Whether a group has no member but the user: many systems give each user one, and rights to it."""
+    try:
+        group = grp.getgrgid(number)
+    except KeyError:
+        return False
+    user = _user(os.getuid())
+    return set(group.gr_mem) <= {user, "root"} and (number == 0 or group.gr_name == user)
+
+
+def _user(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:  # as in a container
+        return str(number)
+
+
+def _group(number: int) -> str:
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
 
 
 def _self_test() -> tuple[bool, str]:

@@ -1,4 +1,4 @@
-"""Messages about the installation: what stands in place of the package ``factors``."""
+"""Messages about the installation: what stands in place of the package ``factors``, the cache of kernels."""
 
 from __future__ import annotations
 
@@ -41,5 +41,14 @@ INSTALLATION: Final = {
     "installation.user_folder": (
         "this folder hides the package 'factors' of fg_orient in {ours}",
         "rename or remove the folder, or start Python where it is not on the search path",
+    ),
+    "installation.no_cache": (
+        "there is no place to keep compiled kernels, so that every start compiles them again",
+        "set NUMBA_CACHE_DIR to a folder of yours that can be written to",
+    ),
+    "installation.cache_open": (
+        "others can change the compiled kernels in {folder} ({why}); its files hold pickled code, which is run",
+        "remove what lies there and take the right to write from others (chmod -R go-w), "
+        "or set NUMBA_CACHE_DIR to a folder of yours",
     ),
 }

@@ -74,28 +74,6 @@ def test_validate_refuses_what_adjust_refuses(run: Any, twin: Path, entry: str, 
         assert (ended.code, found["file"], found["place"]) == (2, str(twin), f"adjustment.{place}")
 
 
-def test_doctor(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PROJ_LIB", "/elsewhere")
-    ended = run("doctor", "--json")
-    assert ended.code == 0, ended.stdout
-    assert {c["name"]: c["good"] for c in ended.json["checks"]} == {
-        "dependencies": True, "PROJ": True, "numba cache": True, "self-test": True,
-    }  # fmt: skip
-    assert ended.json["versions"]["fg_orient"] == fg_orient.__version__
-    assert any("PROJ_LIB" in text for text in ended.json["warnings"])
-
-
-def test_doctor_of_a_broken_installation(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nowhere to keep compiled kernels: told, and exit code 1, for no solution is in doubt."""
-    import fg_orient.doctor as doctor
-
-    monkeypatch.setattr(doctor.os, "access", lambda *_: False)
-    ended = run("doctor", "--json")
-    assert ended.code == 1
-    (cache,) = [c for c in ended.json["checks"] if c["name"] == "numba cache"]
-    assert not cache["good"] and "NUMBA_CACHE_DIR" in cache["detail"]
-
-
 def test_self_test_notices_a_wrong_jacobian(monkeypatch: pytest.MonkeyPatch) -> None:
     """A sensor that projects 0.01 px beside the truth must not pass."""
     from fg_orient.sensors.pushbroom import PushbroomSensor

@@ -1,0 +1,142 @@
+"""``doctor``: versions, traps, the cache of kernels and who can write to it; it ends well without one."""
+
+from __future__ import annotations
+
+import grp
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import factors._compile
+import fg_orient
+from fg_orient import doctor
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Cache of two files, which only its owner can write to."""
+    folder = tmp_path / "above" / "cache"
+    (folder / "factors_1").mkdir(parents=True)
+    for name in ("a.nbi", "a.1.nbc"):
+        (folder / "factors_1" / name).write_bytes(b"0123456789")
+    for path in (folder.parent, folder, *folder.rglob("*")):
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    monkeypatch.setattr(factors._compile, "cache_folder", lambda: folder)
+    return folder
+
+
+def test_doctor(run: Any, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PROJ_LIB", "/elsewhere")
+    ended = run("doctor", "--json")
+    assert ended.code == 0, ended.stdout
+    assert {c["name"]: c["good"] for c in ended.json["checks"]} == {
+        "dependencies": True, "PROJ": True, "numba cache": True, "self-test": True,
+    }  # fmt: skip
+    assert ended.json["versions"]["fg_orient"] == fg_orient.__version__
+    (warning,) = ended.json["warnings"]
+    assert "PROJ_LIB" in warning
+    status = cache.stat()
+    assert ended.json["cache"] == {
+        "folder": str(cache), "exists": True, "owner": cache.owner(), "rights": "rwxr-xr-x", "files": 2, "bytes": 20,
+    }  # fmt: skip
+    assert status.st_uid == os.getuid()
+    shown = " ".join(run("doctor").stdout.split())
+    assert f"owner {cache.owner()}" in shown and "rights rwxr-xr-x" in shown
+
+
+def test_doctor_of_a_broken_installation(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exit code 1, and the other checks are made all the same."""
+
+    def broken() -> Path:
+        raise RuntimeError("numba is broken")
+
+    monkeypatch.setattr(factors._compile, "cache_folder", broken)
+    monkeypatch.setattr(doctor, "versions", lambda names: dict.fromkeys(names, "1.0") | {"scipy": None})
+    ended = run("doctor", "--json")
+    assert ended.code == 1
+    checks = {c["name"]: c for c in ended.json["checks"]}
+    assert not checks["numba cache"]["good"] and "numba is broken" in checks["numba cache"]["detail"]
+    assert not checks["dependencies"]["good"] and checks["dependencies"]["detail"] == "scipy"
+    assert checks["self-test"]["good"]
+
+
+def test_no_cache_is_a_warning_with_a_remedy(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(factors._compile, "cache_folder", lambda: None)
+    ended = run("doctor", "--json")
+    assert ended.code == 0, ended.stdout
+    assert ended.json["cache"] is None
+    (warning,) = ended.json["warnings"]
+    assert "every start compiles" in warning and "NUMBA_CACHE_DIR" in warning
+    (check,) = [c for c in ended.json["checks"] if c["name"] == "numba cache"]
+    assert check["detail"] == "none"
+
+
+def test_cache_that_is_not_made_yet(cache: Path) -> None:
+    found = doctor.examine_cache(cache / "deep" / "er")
+    assert (found["exists"], found["files"], found["bytes"], found["rights"]) == (False, 0, 0, "rwxr-xr-x")
+    assert doctor.cache_warnings(cache / "deep" / "er") == []
+
+
+def test_cache_of_the_user_alone_is_no_reason_to_warn(cache: Path) -> None:
+    assert doctor.cache_warnings(cache) == []
+
+
+@pytest.mark.parametrize(
+    ("place", "mode"),
+    [
+        ("", 0o777),
+        ("", 0o1777),  # others cannot change what is there, but add what is not
+        ("..", 0o777),
+        ("factors_1", 0o777),
+        ("factors_1/a.nbi", 0o666),
+    ],
+)
+def test_cache_that_others_can_write_to(run: Any, cache: Path, place: str, mode: int) -> None:
+    path = Path(os.path.normpath(cache / place))
+    path.chmod(mode)
+    ended = run("doctor", "--json")
+    assert ended.code == 0
+    (warning,) = ended.json["warnings"]
+    assert warning.startswith(f"{path}: ") and "all users can write there" in warning
+    assert "pickled code" in warning and "NUMBA_CACHE_DIR" in warning
+    assert f"warning: {warning}" in " ".join(run("doctor").stdout.split())
+
+
+def test_all_open_places_are_counted(cache: Path) -> None:
+    for name in ("a.nbi", "a.1.nbc"):
+        (cache / "factors_1" / name).chmod(0o666)
+    (warning,) = doctor.cache_warnings(cache)
+    assert warning.startswith(f"{cache / 'factors_1' / 'a.1.nbc'} and 1 more: ")
+
+
+def test_sticky_folder_above_is_as_good_as_tmp(cache: Path) -> None:
+    cache.parent.chmod(0o1777)
+    assert doctor.cache_warnings(cache) == []
+
+
+def status(mode: int, user: int, group: int) -> os.stat_result:
+    return os.stat_result((stat.S_IFDIR | mode, 0, 0, 1, user, group, 0, 0, 0, 0))
+
+
+def test_who_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another owner, also of a sticky folder; a group with others in it; not root, not the user's own group."""
+    me, stranger = os.getuid(), 54321
+    name = doctor._user(me)
+    groups = {
+        1001: grp.struct_group((name, "x", 1001, [])),
+        1002: grp.struct_group(("staff", "x", 1002, [])),
+        1003: grp.struct_group((name, "x", 1003, ["another"])),
+    }
+    monkeypatch.setattr(doctor.grp, "getgrgid", groups.__getitem__)
+    for sticky in (False, True):
+        assert doctor.open_to(status(0o755, stranger, 1001), sticky) == "it belongs to 54321"
+        assert doctor.open_to(status(0o755, 0, 1002), sticky) == ""
+        assert doctor.open_to(status(0o755, me, 1002), sticky) == ""
+    assert doctor.open_to(status(0o775, me, 1001), False) == ""
+    assert doctor.open_to(status(0o775, me, 1002), False) == "the group staff can write there"
+    assert doctor.open_to(status(0o1775, me, 1002), True) == ""
+    assert doctor.open_to(status(0o775, me, 1003), False) == f"the group {name} can write there"
+    assert doctor.open_to(status(0o775, me, 999), False) == "the group 999 can write there"  # has no name
