@@ -13,7 +13,7 @@ from typing import Any
 
 from fg_orient.clash import shared_file
 from fg_orient.errors import problem
-from fg_orient.run.provenance import OPTIONAL, REQUIRED, versions
+from fg_orient.versions import OPTIONAL, REQUIRED, versions
 
 
 def examine() -> dict[str, Any]:
@@ -79,7 +79,7 @@ def _cache_folder() -> Path | None:
 
 def examine_cache(folder: Path) -> dict[str, Any]:
     """Place, owner, rights and size of the folder of compiled kernels; it need not exist yet."""
-    there = next(p for p in (folder, *folder.parents) if p.exists())
+    there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # those that may not be read: False
     status = there.stat()
     sizes = [file.stat().st_size for file in folder.rglob("*.nb[ic]")]
     return {

@@ -149,7 +149,7 @@ def opened(path: Path | None, *, as_json: bool, quiet: bool) -> Iterator[None]:
 def _tell_start(current: Session) -> None:
     if current.log is None:
         return
-    from fg_orient.run.provenance import versions
+    from fg_orient.versions import versions
 
     current.tell("start", command=["fg-orient", *sys.argv[1:]], folder=str(Path.cwd()), process=os.getpid(),
                  versions=versions())  # fmt: skip

@@ -39,7 +39,8 @@ from fg_orient.io.folder import Contents, require_free, staged_folder, writing
 from fg_orient.io.photos import read_photos
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.run.json import dumps
-from fg_orient.run.provenance import sha256_of, versions
+from fg_orient.run.provenance import sha256_of
+from fg_orient.versions import versions
 
 Array = npt.NDArray[np.float64]
 Record = dict[str, Any]

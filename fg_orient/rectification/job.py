@@ -34,7 +34,7 @@ from fg_orient.rectification.points import (
 )
 from fg_orient.rectification.record import record_of
 from fg_orient.rectification.study import Cell, design_study
-from fg_orient.run.provenance import versions
+from fg_orient.versions import versions
 
 Array = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from fg_orient.published.tables import require_source
 from fg_orient.reproduce.html import render
 from fg_orient.reproduce.reproduction import Callback, Reproduction, reproduce
 from fg_orient.run.json import dumps, plain
-from fg_orient.run.provenance import versions
+from fg_orient.versions import versions
 
 #: What the folder holds; result.json is its mark.
 CONTENTS: Final = Contents("result.json", ("result.json", "cells.csv", "claims.csv", "report.html"))

@@ -10,39 +10,14 @@ import hashlib
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
+
+from fg_orient.versions import versions
 
 if TYPE_CHECKING:
     from fg_orient.block import Block
     from fg_orient.sensors.correction import HeightSurface
-
-#: Distributions whose versions decide on the digits of a result.
-COMPUTING: Final = ("gtsam", "numpy", "scipy", "numba")
-#: All that fg_orient needs.
-REQUIRED: Final = (
-    *COMPUTING, "llvmlite", "pyproj", "pyerfa", "lxml", "pydantic", "typer", "rich", "jinja2", "markupsafe",
-    "threadpoolctl",
-)  # fmt: skip
-#: Those of the extras.
-OPTIONAL: Final = ("rasterio", "pyogrio", "shapely", "pandas", "matplotlib", "dask")
-
-
-def version_of(distribution: str) -> str | None:
-    """Version of an installed distribution, None if it is missing."""
-    try:
-        return metadata.version(distribution)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def versions(distributions: Sequence[str] = COMPUTING) -> dict[str, str | None]:
-    """Versions of Python, fg_orient and the given distributions."""
-    import fg_orient
-
-    found = {name: version_of(name) for name in distributions}
-    return {"python": platform.python_version(), "fg_orient": fg_orient.__version__, **found}
 
 
 def provenance(block: Block, folder: Path, command: Sequence[str]) -> dict[str, Any]:

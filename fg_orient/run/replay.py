@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.errors import InputError, Problem, problem
 from fg_orient.run import RESULT_FILE, run_project
-from fg_orient.run.provenance import relative, sha256_of, versions
+from fg_orient.run.provenance import relative, sha256_of
+from fg_orient.versions import versions
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback

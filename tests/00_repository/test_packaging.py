@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import fg_orient
-from fg_orient.run.provenance import OPTIONAL, REQUIRED
+from fg_orient.versions import OPTIONAL, REQUIRED
 
 PACKAGES = ("factors", "fg_orient")
 #: Modules that exist for type checkers only.

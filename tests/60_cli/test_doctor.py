@@ -140,3 +140,13 @@ def test_who_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
     assert doctor.open_to(status(0o1775, me, 1002), True) == ""
     assert doctor.open_to(status(0o775, me, 1003), False) == f"the group {name} can write there"
     assert doctor.open_to(status(0o775, me, 999), False) == "the group 999 can write there"  # has no name
+
+
+def test_doctor_without_numba(fresh: Any) -> None:
+    """What cannot be imported is said as well; nothing of ours may need it before."""
+    ended = fresh("doctor", before="sys.modules['numba'] = None")
+    assert (ended.code, ended.stderr) == (1, "")
+    text = " ".join(ended.stdout.split())
+    assert "dependencies yes" in text
+    for name in ("self-test", "numba cache"):
+        assert f"{name} NO ModuleNotFoundError: import of numba" in text
