@@ -7,7 +7,8 @@ import os
 import pwd
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -81,11 +82,23 @@ def examine_cache(folder: Path) -> dict[str, Any]:
     """Place, owner, rights and size of the folder of compiled kernels; it need not exist yet."""
     there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # those that may not be read: False
     status = there.stat()
-    sizes = [file.stat().st_size for file in folder.rglob("*.nb[ic]")]
+    sizes = [found.st_size for file, found in _readable(_inside(folder)) if file.suffix in (".nbi", ".nbc")]
     return {
         "folder": str(folder), "exists": there == folder, "owner": _user(status.st_uid),
         "rights": stat.filemode(status.st_mode)[1:], "files": len(sizes), "bytes": sum(sizes),
     }  # fmt: skip
+
+
+def _inside(folder: Path) -> list[Path]:
+    """Files and folders in a folder, at any depth; those that may not be read hold nothing."""
+    return sorted(Path(at, name) for at, folders, files in os.walk(folder) for name in (*folders, *files))
+
+
+def _readable(paths: Iterable[Path]) -> Iterator[tuple[Path, os.stat_result]]:
+    """Paths with their status, without those that are not made yet, were removed meanwhile or may not be read."""
+    for path in paths:
+        with suppress(OSError):
+            yield path, path.stat()
 
 
 def _in_words(cache: dict[str, Any]) -> str:
@@ -115,11 +128,7 @@ def cache_warnings(folder: Path | None) -> list[str]:
 def _open_places(folder: Path) -> Iterator[tuple[Path, str]]:
     """Folders above, the folder itself and what lies in it, as far as another user can write there."""
     above = folder.resolve().parents
-    for path in (*reversed(above), folder, *sorted(folder.rglob("*"))):
-        try:
-            status = path.stat()
-        except OSError:  # not made yet, or removed meanwhile
-            continue
+    for path, status in _readable((*reversed(above), folder, *_inside(folder))):
         # in a sticky folder such as /tmp others can make new names only: the next one below has an owner of its own
         sticky = path in above and bool(status.st_mode & stat.S_ISVTX)
         if why := open_to(status, sticky):

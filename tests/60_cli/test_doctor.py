@@ -80,6 +80,21 @@ def test_cache_that_is_not_made_yet(cache: Path) -> None:
     assert doctor.cache_warnings(cache / "deep" / "er") == []
 
 
+def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the folder of another user; root may read everything, so that the refusal is simulated."""
+    true_stat = os.stat
+
+    def refused(path: Any, *args: Any, **options: Any) -> os.stat_result:
+        if str(path).startswith(str(cache)):
+            raise PermissionError(13, "Permission denied", str(path))
+        return true_stat(path, *args, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "stat", refused)
+        found, warnings = doctor.examine_cache(cache), doctor.cache_warnings(cache)
+    assert (found["exists"], found["files"], warnings) == (False, 0, [])
+
+
 def test_cache_of_the_user_alone_is_no_reason_to_warn(cache: Path) -> None:
     assert doctor.cache_warnings(cache) == []
 
