@@ -126,7 +126,31 @@ def _ephemeris(root: XmlNode, epoch: np.datetime64) -> Ephemeris:
 
 def _look_angles(root: XmlNode, n_samples: int) -> tuple[LookAngleTable, tuple[str, ...]]:
     bands = root.every("Data_Strip/Sensor_Configuration/Instrument_Look_Angles_List/Instrument_Look_Angles")
-    rows = bands[0].every("Look_Angles_List/Look_Angles", 2)
+    detector, psi_x, psi_y = _plain_angles(bands[0], n_samples) or _checked_angles(bands[0], n_samples)
+    if detector[0] != DIMAP_FIRST_PIXEL or detector[-1] != n_samples:
+        seen = f"detectors {detector[0]:.0f} to {detector[-1]:.0f}"
+        raise bands[0].fault("dimap.detectors_cover", seen, first=DIMAP_FIRST_PIXEL, last=n_samples)
+    notes: tuple[str, ...] = ()
+    if len(bands) > 1:
+        notes = (f"look angles of the first of {len(bands)} bands are used (BAND_INDEX {_band(bands[0])})",)
+    return straight_line(detector - DIMAP_FIRST_PIXEL, psi_x, psi_y), notes
+
+
+def _plain_angles(band: XmlNode, n_samples: int) -> tuple[Array, Array, Array] | None:
+    """Detectors and their look angles, read at once; None where one has to look closer."""
+    found = band.one("Look_Angles_List").plain_numbers("Look_Angles", ("DETECTOR_ID", "PSI_X", "PSI_Y"))
+    if found is None or len(found) < 2:
+        return None
+    detector, angles = found[:, 0], found[:, 1:]
+    good = (detector >= DIMAP_FIRST_PIXEL) & (detector <= n_samples) & (detector == np.floor(detector))
+    if not good.all() or np.any(np.diff(detector) <= 0.0) or np.abs(angles).max() > checks.MAX_LOOK_ANGLE_RAD:
+        return None
+    return detector.copy(), angles[:, 0].copy(), angles[:, 1].copy()
+
+
+def _checked_angles(band: XmlNode, n_samples: int) -> tuple[Array, Array, Array]:
+    """Detectors and their look angles, each value checked for itself."""
+    rows = band.every("Look_Angles_List/Look_Angles", 2)
     limit = checks.MAX_LOOK_ANGLE_RAD
     detector = np.array([row.one("DETECTOR_ID").integer(DIMAP_FIRST_PIXEL, n_samples) for row in rows], float)
     psi_x, psi_y = (
@@ -135,13 +159,7 @@ def _look_angles(root: XmlNode, n_samples: int) -> tuple[LookAngleTable, tuple[s
     wrong = np.flatnonzero(np.diff(detector) <= 0.0)
     if len(wrong):
         raise rows[int(wrong[0]) + 1].one("DETECTOR_ID").fault("dimap.detector_order", f"{detector[wrong[0] + 1]:.0f}")
-    if detector[0] != DIMAP_FIRST_PIXEL or detector[-1] != n_samples:
-        seen = f"detectors {detector[0]:.0f} to {detector[-1]:.0f}"
-        raise bands[0].fault("dimap.detectors_cover", seen, first=DIMAP_FIRST_PIXEL, last=n_samples)
-    notes: tuple[str, ...] = ()
-    if len(bands) > 1:
-        notes = (f"look angles of the first of {len(bands)} bands are used (BAND_INDEX {_band(bands[0])})",)
-    return straight_line(detector - DIMAP_FIRST_PIXEL, psi_x, psi_y), notes
+    return detector, psi_x, psi_y
 
 
 def straight_line(sample: Array, psi_x_rad: Array, psi_y_rad: Array) -> LookAngleTable:

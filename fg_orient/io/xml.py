@@ -15,6 +15,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,27 @@ class XmlNode:
     def children(self) -> Iterator[XmlNode]:
         """Give the child elements (no comments) in file order."""
         return (XmlNode(e, self.file) for e in self.element.iterchildren("*"))
+
+    def plain_numbers(self, tag: str, names: tuple[str, ...]) -> Array | None:
+        """Numbers (n, k) of n elements ``tag``, if nothing about them is unusual; a sixth of the time of one by one.
+
+        None unless this element has no other children, each of them has just the children ``names``, in this order,
+        without attributes, and their texts are plain finite numbers. Whoever gets None reads one by one, and so finds
+        the first fault and its words.
+        """
+        text, n, k = etree.tostring(self.element, with_tail=False), len(self.element), len(names)
+        cells = r"\s*".join(rf"<{name}>\s*([^<\s]+)\s*</{name}>" for name in names)
+        found = re.findall(rf"<{tag}>\s*{cells}\s*</{tag}>".encode(), text)
+        if len(found) != n or text.count(b"<") != 2 + n * (2 + 2 * k):  # as many tags: there are no others
+            return None
+        words = found if k == 1 else list(chain.from_iterable(found))
+        if b"".join(words).strip(b"+-.0123456789eE"):  # of these characters float() takes what _NUMBER matches
+            return None
+        try:
+            values = np.array(list(map(float, words))).reshape(n, k)
+        except ValueError:
+            return None
+        return values if np.abs(values).max(initial=0.0) <= LARGEST else None
 
     # --- values ------------------------------------------------------------------------------
 

@@ -105,3 +105,32 @@ def test_line_numbers_are_right_in_long_files(tmp_path: Path) -> None:
     root = node(tmp_path, "\n" * 70_000 + "<a>\n<b>x</b>\n</a>")
     line = int(root.one("a/b").place.split(",")[0].removeprefix("line "))
     assert abs(line - 70_002) <= 1
+
+
+PLAIN = "<R><A>1</A><B> -2.5e3\n</B></R>"
+
+
+def test_plain_numbers_are_those_read_one_by_one(tmp_path: Path) -> None:
+    texts = ["0", "-.5", "5.", "+1.5E-3", "0.1000000000000000055511151231257827", "1e-400", "-0.350185030443419"]
+    rows = [f"<R>\n <A>{a}</A> <B>\t{b} </B></R>" for a in texts for b in texts]
+    root = node(tmp_path, "\n".join(rows))
+    found = root.plain_numbers("R", ("A", "B"))
+    assert found is not None
+    expected = [[row.one(name).number() for name in "AB"] for row in root.every("R")]
+    assert found.tobytes() == np.array(expected).tobytes()
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        "", PLAIN + "<!-- c -->", PLAIN + "<X/>", f"<X>{PLAIN}</X>", f"<X/>{PLAIN}", "<R><B>1</B><A>1</A></R>",
+        "<R><A>1</A><A>1</A><B>2</B></R>", "<R><A>1</A></R>", "<R><A>1</A><B>2</B><C>3</C></R>",
+        "<R><A unit='deg'>1</A><B>2</B></R>", "<R><A>1<i/></A><B>1</B></R>", "<R><A>1</A><B></B></R>",
+        "<R><A>1 2</A><B>2</B></R>", "<R><A>1_0</A><B>2</B></R>", "<R><A>1,5</A><B>1</B></R>",
+        "<R><A>nan</A><B>1</B></R>", "<R><A>1e31</A><B>1</B></R>", "<R><A>1e999</A><B>1</B></R>",
+        "<R><A>1-2</A><B>1</B></R>", "<R><A>\u0661</A><B>1</B></R>",
+    ],
+)  # fmt: skip
+def test_what_is_unusual_is_not_read_at_once(tmp_path: Path, inner: str) -> None:
+    assert node(tmp_path, PLAIN).plain_numbers("R", ("A", "B")) is not None
+    assert node(tmp_path, inner).plain_numbers("R", ("A", "B")) is None
