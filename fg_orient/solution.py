@@ -337,6 +337,8 @@ class Solution(Adjusted):
     @cached_property
     def regularisation(self) -> Regularisation | None:
         """L-curve and chosen kappas of a Tikhonov solver (``fg_orient.quality.regularisation``); None for others."""
+        if not self.solver:  # a backend that has none: the rules of kappa need not be loaded
+            return None
         from fg_orient.quality.regularisation import regularisation
 
         return regularisation(self.judged, self.solver, self.log)

@@ -16,8 +16,6 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from factors.batch_band import MARGIN, PAYS, TILE, factorise_band
 from factors.batch_matrix import fill_diagonal, fill_lower
@@ -288,6 +286,9 @@ def narrowest(pattern: Pattern, first: Bounds) -> Order:
     images = len(pattern.size)
     if len(pattern.block_row) == images * (images + 1) // 2:  # all share points: no order is better than another
         return Order(first[:-1].astype(np.int64), np.arange(first[-1]), int(first[-1]) - 1)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
     links = coo_array((np.ones(len(pattern.block_row)), (pattern.block_row, pattern.block_column)), (images, images))
     found = []
     for order in (np.arange(images), reverse_cuthill_mckee((links + links.T).tocsr(), symmetric_mode=True)):

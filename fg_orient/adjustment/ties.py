@@ -11,13 +11,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 
 from fg_orient.errors import InputError
 from fg_orient.parameters import ImageParameters
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -54,6 +57,8 @@ class Ties:
     @cached_property
     def matrix(self) -> sparse.csr_array:
         """T (w, z)."""
+        from scipy import sparse
+
         ones = np.ones(len(self.of))
         return sparse.csr_array((ones, (np.arange(len(self.of)), self.of)), shape=(len(self.of), len(self)))
 

@@ -25,7 +25,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
@@ -204,6 +203,8 @@ class GroupCofactors:
     @cached_property
     def _gains(self) -> Array:
         """``Q M_j`` (g + 1, u, u) of all groups, last of what belongs to none."""
+        from scipy import sparse
+
         normal = np.zeros((self._size, *self._q.shape))
         for part in self._all():
             n, r, c = part.design.shape

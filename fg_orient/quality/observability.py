@@ -21,7 +21,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
 
 from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem
@@ -153,7 +152,13 @@ def _by_components(direction: Array, parameters: ImageParameters) -> str:
 
 def _name_by_unknowns(directions: Array, words: tuple[str, ...]) -> tuple[str, ...]:
     """Unknown that each direction (d, k) is mostly made of, no unknown twice, in the order of the directions."""
-    return tuple(words[j] for j in linear_sum_assignment(-(directions**2))[1])
+    shares = directions**2
+    largest = shares == shares.max(axis=1, keepdims=True)
+    if largest.sum(axis=1).max(initial=0) <= 1 and largest.sum(axis=0).max(initial=0) <= 1:
+        return tuple(words[j] for j in shares.argmax(axis=1))  # the rule: no two directions ask for the same unknown
+    from scipy.optimize import linear_sum_assignment
+
+    return tuple(words[j] for j in linear_sum_assignment(-shares)[1])
 
 
 def _raw_condition(triangle: Array, model: ImageModel) -> float:

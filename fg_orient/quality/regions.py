@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
 from scipy.special import erf, ndtri
 
 from fg_orient.distributions import chi_square_limit
@@ -64,6 +63,8 @@ def radius(covariance: Array, probability: float = 0.9) -> float:
     float
         In the unit of the root of the covariance.
     """
+    from scipy.optimize import brentq
+
     sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(np.atleast_2d(covariance)), 0.0))[::-1]
     if sigma[0] == 0.0:
         return 0.0

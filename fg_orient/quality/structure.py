@@ -14,12 +14,11 @@ unimodular). That test costs a few passes over the observations.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from fg_orient.adjustment.problem import Problem
 
@@ -131,17 +130,37 @@ def _groups(problem: Problem) -> tuple[Index, Index, Index]:
 
 def _parts(problem: Problem) -> tuple[Index, Index]:
     """Parts of the block by images and unknown ground points; a fixed point links nothing."""
-    m, n_points = problem.n_images, len(problem.active)
-    row, column, sizes = _groups(problem)
-    linking = (column < m) | problem.active[np.maximum(column - m, 0)]
-    size = m + n_points + len(sizes)
-    ones = np.ones(int(linking.sum()), np.int8)
-    graph = sparse.coo_matrix((ones, (m + n_points + row[linking], column[linking])), shape=(size, size))
-    label = csgraph.connected_components(graph, directed=False)[1]
-    _, part = np.unique(label[:m], return_inverse=True)
+    m, n_points, o = problem.n_images, len(problem.active), problem.observations
+    linking = problem.active[o.point]
+    image, point = o.image[linking].astype(np.intp), o.point[linking]
+    first = np.full(n_points, -1, np.intp)
+    first[point[::-1]] = image[::-1]  # a point stands for the first image that sees it
+    pairs = np.unique(image * m + first[point])
+    links = list(zip((pairs // m).tolist(), (pairs % m).tolist(), strict=True))
+    for extra in problem.block.extra:
+        unknown = [a for a in problem.extra_arguments(extra) if a.constant is None]
+        seen = [a.index if a.is_image else int(first[a.index]) for a in unknown]
+        links += pairwise(m + a.index if k < 0 else k for a, k in zip(unknown, seen, strict=True))
+    _, part = np.unique(_joined(m, links), return_inverse=True)
     points = np.full(n_points, -1, dtype=np.intp)
     points[problem.observations.point] = part[problem.observations.image]
     return part.astype(np.intp), points
+
+
+def _joined(m: int, links: list[tuple[int, int]]) -> list[int]:
+    """Least node of the part of each node below m; nodes beyond occur in links only."""
+    above: dict[int, int] = {}
+
+    def least(node: int) -> int:
+        while (up := above.get(node, node)) != node:
+            above[node] = above.get(up, up)  # halves the way of the next one
+            node = up
+        return node
+
+    for one, other in links:
+        low, high = sorted((least(one), least(other)))
+        above[high] = low
+    return [least(node) for node in range(m)]
 
 
 def _lacking(problem: Problem, image_need: Index, point_need: Index) -> tuple[Lack, ...]:
@@ -168,6 +187,9 @@ def _lacking(problem: Problem, image_need: Index, point_need: Index) -> tuple[La
 
 def _flow(row: Index, column: Index, supply: Index, need: Index) -> tuple[Index, Index]:
     """Largest flow: along the pairs (observation, unknown), and what each unknown gets of its need."""
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
     n_rows, n = len(supply), len(supply) + len(need)
     source, sink = n, n + 1
     tail = np.concatenate([np.full(n_rows, source), row, n_rows + np.arange(len(need))])
@@ -189,6 +211,9 @@ def _under_determined(
     Those are reached from unknowns that miss something: by any observation they stand in, to the unknowns that this
     observation was given to.
     """
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
     n, start = n_rows + len(missing), n_rows + len(missing)
     given, open_ = flow > 0, np.flatnonzero(missing)
     tail = np.concatenate([np.full(len(open_), start), n_rows + column, row[given]])

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import sparse
+from scipy import optimize, sparse
 from scipy.sparse import csgraph
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import Columns
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.quality import structure
+from fg_orient.quality import observability, structure
 from fg_orient.quality.structure import analyse_structure
 from tests.support.degenerate_blocks import options, pinhole, seen_once, two_pinhole_blocks
 
@@ -134,3 +134,28 @@ def test_images_with_too_few_points_and_without_any() -> None:
     assert any(p.startswith("image 3: 3 image points are too few for 9 unknowns") for p in places)
     remedies = [p.remedy for p in caught.value.problems if p.code.endswith("too_few") and p.place.startswith("image")]
     assert len(remedies) == 2 and all("measure more points in image" in text for text in remedies)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_parts_are_the_connected_components(seed: int) -> None:
+    """Of images linked at random, sparsely: many parts, long chains."""
+    rng = np.random.default_rng(seed)
+    m, n = 40, 25
+    links = rng.integers(0, m + n, (int(rng.integers(1, 70)), 2))
+    graph = sparse.coo_matrix((np.ones(len(links)), links.T), shape=(m + n, m + n))
+    expected = csgraph.connected_components(graph, directed=False)[1][:m]
+    found = structure._joined(m, [(int(a), int(b)) for a, b in links])
+    assert all(root <= k for k, root in enumerate(found))
+    assert np.array_equal(np.equal.outer(found, found), np.equal.outer(expected, expected))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_directions_are_named_as_by_the_best_assignment(seed: int) -> None:
+    """Also where two directions would like the same unknown, and where shares are equal."""
+    rng = np.random.default_rng(seed)
+    directions = np.linalg.qr(rng.normal(size=(7, 7)))[0][:, : 3 + seed % 4].T
+    if seed % 3 == 0:
+        directions = np.round(directions, 1)
+    words = tuple("abcdefg")
+    expected = optimize.linear_sum_assignment(-(directions**2))[1]
+    assert observability._name_by_unknowns(directions, words) == tuple(words[j] for j in expected)
