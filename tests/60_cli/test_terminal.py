@@ -18,6 +18,7 @@ import pytest
 import typer
 
 from fg_orient.cli import app
+from fg_orient.cli.app import COMMANDS, declared, help_of
 from fg_orient.cli.app import app as application
 from fg_orient.cli.common import LOGGED, emit, table
 from fg_orient.cli.log import LogFile, opened, session
@@ -36,17 +37,25 @@ def events(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
 
 
-def commands(group: typer.Typer, name: str = "") -> Iterator[tuple[str, Any]]:
+def commands() -> Iterator[tuple[str, Any]]:
     """Name and function of every command."""
-    for found in group.registered_commands:
-        yield f"{name}{found.name}", found.callback
-    for sub in group.registered_groups:
-        assert sub.typer_instance is not None
-        yield from commands(sub.typer_instance, f"{name}{sub.name} ")
+    for name in COMMANDS:
+        one = declared(name)
+        if isinstance(one, typer.Typer):
+            yield from ((f"{name} {found.name}", found.callback) for found in one.registered_commands)
+        else:
+            yield name, one
+
+
+def test_the_help_shows_what_each_command_says_of_itself() -> None:
+    built: Any = typer.main.get_command(app)
+    assert list(built.commands) == built.list_commands(None) == list(COMMANDS)
+    assert {name: help_of(name) for name in COMMANDS} == {name: built.commands[name].help for name in COMMANDS}
+    assert None not in map(help_of, COMMANDS) and "nonsense" not in built.commands
 
 
 def test_every_command_has_the_shared_options() -> None:
-    found = dict(commands(application))
+    found = dict(commands())
     assert len(found) > 25
     assert {n: SHARED - set(inspect.signature(f).parameters) for n, f in found.items() if n != "completion"} == {
         n: set() for n in found if n != "completion"
