@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,12 +26,8 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import are_information, weighted_problem
 from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.block import Block, Coordinates
-from fg_orient.components import adjust_with_components
 from fg_orient.errors import InputError
 from fg_orient.names import Role, Status
-from fg_orient.outlier_search import require_possible_search, search
-from fg_orient.parallel.pool import Execution
-from fg_orient.parallel.solve import solve_in_parts
 from fg_orient.parameters import eop_set_number
 from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
@@ -49,10 +45,12 @@ from fg_orient.quality.free_network import (
     with_minimal_datum,
     without_priors,
 )
-from fg_orient.quality.mix_ups import mix_ups
 from fg_orient.quality.observability import BlockObservability, ImageObservability
 from fg_orient.quality.suspects import Kind
 from fg_orient.solution import Seconds, Solution
+
+if TYPE_CHECKING:
+    from fg_orient.parallel.pool import Execution
 
 Array = npt.NDArray[np.float64]
 #: Told of each stage of the work: its name, and the number of image points where it is known.
@@ -175,12 +173,14 @@ def adjust(
     shared = not (parts is None and workers is None and cluster is None)
     if work_dir is not None and not shared:
         raise InputError.of("parallel.no_parts", place="work_dir", value=work_dir)
-    execution = Execution(parts, workers or 1, cluster, work_dir) if shared else None
+    execution = _execution(parts, workers or 1, cluster, work_dir) if shared else None
 
     def run(block: Block, begin: State | None) -> Solution:
         return adjust_once(block, execution, callback, stage, checkpoint if begin is None else None, begin)
 
     def run_with_components(block: Block, begin: State | None) -> Solution:
+        from fg_orient.components import adjust_with_components
+
         return adjust_with_components(block, run, begin)
 
     def next_round(block: Block, begin: State, like: Problem) -> Adjusted:
@@ -191,6 +191,8 @@ def adjust(
     runner = run_with_components if block.options.variance_components else run
     if not block.options.snoop:
         return runner(block, None)
+    from fg_orient.outlier_search import require_possible_search, search
+
     require_possible_search(block, snoop_kind)
     solution = runner(block, None)
     end, found = search(block, solution, next_round, kind=snoop_kind)
@@ -230,6 +232,13 @@ def adjust_once(
     return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
 
 
+def _execution(parts: int | None, workers: int, cluster: Any, work_dir: str | Path | None) -> Execution:
+    """Where and in how many parts to adjust."""
+    from fg_orient.parallel.pool import Execution
+
+    return Execution(parts, workers, cluster, work_dir)
+
+
 def _solved(
     compiled: Problem, execution: Execution | None, callback: Callback | None, checkpoint: Checkpoint | None,
     begin: State | None,
@@ -237,6 +246,8 @@ def _solved(
     """Run the optimisation here, or in parts."""
     if execution is None:
         return solve(compiled, callback, checkpoint=checkpoint, start=begin)
+    from fg_orient.parallel.solve import solve_in_parts
+
     return solve_in_parts(compiled, execution, callback, checkpoint, begin)
 
 
@@ -304,6 +315,8 @@ def conclude(
     found = verdict.judge(compiled, estimate, withheld)
     warnings = verdict.warnings(compiled, estimate, found, observability, block_view, accuracy)
     if found.status is Status.NOT_TRUSTWORTHY:
+        from fg_orient.quality.mix_ups import mix_ups
+
         warnings = (*warnings[:1], *mix_ups(compiled.block), *warnings[1:])
     if located is not None and len(located.lost):
         names = ", ".join(compiled.block.points.ids[j] for j in located.lost[: verdict.NAMED])

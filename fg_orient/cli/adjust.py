@@ -33,9 +33,13 @@ from fg_orient.errors import InputError, Problem, folded
 from fg_orient.names import EXIT_CODE, Status
 
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
-WORKING = ("gtsam", "fg_orient.run", "fg_orient.adjustment.graph", "fg_orient.adjustment.dense",
-           "fg_orient.quality.covariance", "fg_orient.report", "fg_orient.io.schema", "fg_orient.io.dimap",
-           "fg_orient.sensors.projection", "pyproj", "jinja2")  # fmt: skip
+WORKING = ("fg_orient.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.io.schema",
+           "fg_orient.io.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
+#: The same, of one backend.
+OF_BACKEND = {
+    "graph": ("gtsam", "fg_orient.adjustment.graph", "fg_orient.quality.covariance"),
+    "dense": ("fg_orient.adjustment.dense", "fg_orient.quality.covariance"),
+}
 
 
 def adjust(
@@ -167,7 +171,7 @@ def adjust(
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     with outcome(as_json, debug, quiet, log):
         require_project(project)
-        load()
+        load(backend)
         from fg_orient.run import checkpoint_path, run_project
 
         target = out or project.parent / "result"
@@ -219,11 +223,11 @@ def _named_as_typed(options: Mapping[str, object]) -> Iterator[None]:
         ) from None  # fmt: skip
 
 
-def load() -> None:
-    """Load what an adjustment needs, before the clock starts."""
+def load(backend: str | None = None) -> None:
+    """Load what an adjustment needs, before the clock starts; of the backends only the one that was asked for."""
     from importlib import import_module
 
-    for name in WORKING:
+    for name in (*WORKING, *OF_BACKEND.get(backend or "", ())):
         import_module(name)
 
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import EVERY_S, Checkpoint
 from fg_orient.adjustment.solve import require_possible
-from fg_orient.dem_control import adjust_with_dem
 from fg_orient.errors import InputError, NoSolutionError, RankDeficientError
 from fg_orient.io.folder import RESULT, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
@@ -196,6 +195,8 @@ def _adjust_and_log(
 
         if dem_control is None:
             return adjust(block, callback=note, **how), {}
+        from fg_orient.dem_control import adjust_with_dem
+
         found = adjust_with_dem(block, *dem_control, callback=note, **{**how, "checkpoint": None})
         return found.solution, {"dem_control": found.as_dict()}
 

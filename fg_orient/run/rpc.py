@@ -6,21 +6,21 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fg_orient.io.rpc import write_rpc
-from fg_orient.rpc.corrected import Corrected, corrected
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
 if TYPE_CHECKING:
+    from fg_orient.rpc.corrected import Corrected
     from fg_orient.solution import Solution
 
 
 def corrected_models(solution: Solution) -> dict[str, Corrected]:
     """Model of every RPC image with its compensation put in, by image id."""
-    return {
-        image.id: corrected(image.sensor.model, solution.correction(image.id))
-        for image in solution.block.images
-        if isinstance(image.sensor, RpcSensor)
-    }
+    sensors = {image.id: image.sensor for image in solution.block.images if isinstance(image.sensor, RpcSensor)}
+    if not sensors:
+        return {}
+    from fg_orient.rpc.corrected import corrected
+
+    return {name: corrected(sensor.model, solution.correction(name)) for name, sensor in sensors.items()}
 
 
 def write_corrected_rpc(folder: Path, models: dict[str, Corrected]) -> None:
@@ -28,6 +28,10 @@ def write_corrected_rpc(folder: Path, models: dict[str, Corrected]) -> None:
 
     Characters of an id that a file name should not have become ``_``; names that meet are numbered.
     """
+    if not models:
+        return
+    from fg_orient.io.rpc import write_rpc
+
     used: set[str] = set()
     for name, found in models.items():
         folder.mkdir(exist_ok=True)
