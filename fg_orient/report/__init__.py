@@ -36,16 +36,20 @@ def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[P
     """
     from fg_orient.io.atomic import write_text
     from fg_orient.report.data import nothing_adjusted, read_record, read_result
-    from fg_orient.report.deficient import render_deficient
     from fg_orient.report.html import render
-    from fg_orient.report.truth import compare
 
     path = Path(folder) / REPORT_FILE
     record = read_record(Path(folder))
     if truth is None and nothing_adjusted(record):
+        from fg_orient.report.deficient import render_deficient
+
         write_text(path, render_deficient(Path(folder), record))
         return path, None
     result = read_result(Path(folder))
-    comparison = None if truth is None else compare(result, Path(truth))
+    comparison = None
+    if truth is not None:
+        from fg_orient.report.truth import compare
+
+        comparison = compare(result, Path(truth))
     write_text(path, render(result, comparison))
     return path, comparison
