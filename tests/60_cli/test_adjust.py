@@ -52,7 +52,7 @@ def test_total_is_the_time_of_the_work(fresh: Any, twin: Path) -> None:
     """From the end of the imports to the printed result: within 5 %."""
     watch = (
         "import time, fg_orient.cli.adjust as a\nload, emit = a.load, a.emit\n"
-        "def loaded():\n    load(); a.started = time.perf_counter()\n"
+        "def loaded(*backend):\n    load(*backend); a.started = time.perf_counter()\n"
         "def printed(record):\n    emit(record); print('WORK', time.perf_counter() - a.started, file=sys.stderr)\n"
         "a.load, a.emit = loaded, printed"
     )
