@@ -32,8 +32,8 @@ def inlined(function: F) -> F:
 
 
 def exact(function: F) -> F:
-    """Compile so that threads run side by side; no products and sums are fused."""
-    return _kernel(function, nogil=True, fastmath=False, forceinline=False)
+    """Compile so that threads run side by side and loops over equations become vectors; nothing is fused."""
+    return _kernel(function, nogil=True, fastmath=False, forceinline=False, vectorised=True)
 
 
 def threaded(function: F) -> F:
@@ -47,12 +47,14 @@ def cache_folder() -> Path | None:
     return None if opened is None else Path(opened.cache_path)
 
 
-def _kernel(function: F, *, fastmath: Any, forceinline: bool, nogil: bool = False) -> F:
+def _kernel(
+    function: F, *, fastmath: Any, forceinline: bool, nogil: bool = False, vectorised: bool = False
+) -> F:  # fmt: skip
     if config.DISABLE_JIT:  # NUMBA_DISABLE_JIT: plain Python
         return function
     options = {"nopython": True, "error_model": "numpy", "boundscheck": None, "fastmath": fastmath,
                "forceinline": forceinline, "nogil": nogil}  # fmt: skip
-    return cast(F, Kernel(function, targetoptions=options))
+    return cast(F, Kernel(function, vectorised, targetoptions=options))
 
 
 @compiled

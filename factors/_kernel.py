@@ -60,9 +60,13 @@ class _KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
 
+    vectorised: bool = False
+
     def _optimize_final_module(self) -> None:
-        # first all into one and simple: the loop over observations becomes vector instructions only then (measured)
-        for options in ({"opt": 1, "loop_vectorize": False, "slp_vectorize": False}, {}):
+        # a loop over observations that calls a whole equation becomes vector instructions only if all is put into one
+        # and simplified first; for other kernels that brings nothing and costs a tenth of the first run (measured)
+        first: dict[str, Any] = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
+        for options in (first, {}) if self.vectorised else ({},):
             passes, builder = self._codegen._module_pass_manager(**options)
             passes.run(self._final_module, builder)
 
@@ -100,6 +104,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self.parts: dict[tuple[Any, ...], _Part] = {}
+        self.vectorised = False
 
     def part(self, args: tuple[Any, ...]) -> _Part:
         """Function for one tuple of argument types, to be linked into others."""
@@ -121,6 +126,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
         result = self.part(tuple(args)).result
         context = result.target_context  # with the options of the part
         library = _KernelLibrary(context.codegen(), result.fndesc.qualname)
+        library.vectorised = self.vectorised
         library.enable_object_caching()
         library.add_linking_library(result.library)
         with context.push_code_library(library):
@@ -135,8 +141,8 @@ class _Cache(FunctionCache):  # type: ignore[misc]
     """Kernels on disk; what cannot be read or written is compiled, and the run goes on."""
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        try:
-            return super().load_overload(signature, context)
+        try:  # not by way of the registries of what numba can compile: code that is compiled needs none of them
+            return self._load_overload(signature, context)
         except Exception:  # a damaged file may fail in any way, and is written anew
             with suppress(OSError):
                 self.flush()
@@ -152,9 +158,10 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 class Kernel(CPUDispatcher):  # type: ignore[misc]
     """A compiled function: as a whole for Python, as a part for other kernels."""
 
-    def __init__(self, py_func: Any, **options: Any) -> None:
+    def __init__(self, py_func: Any, vectorised: bool = False, **options: Any) -> None:
         super().__init__(py_func, **options)
         self._compiler = _KernelCompiler(py_func, self.targetdescr, self.targetoptions, {}, compiler.Compiler)
+        self._compiler.vectorised = vectorised
         self._opened = False
 
     def compile(self, signature: Any) -> Any:

@@ -92,7 +92,8 @@ def gather_gradients(
 
     The other parameters are those of :func:`gather_blocks`.
     """
-    first = np.zeros(len(size) + 1, np.int64)
+    first = np.empty(len(size) + 1, np.int64)
+    first[0] = 0
     for i in range(len(size)):
         first[i + 1] = first[i] + size[i]
     for n in range(len(row)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -55,10 +56,12 @@ write_lines: Callable[..., float] = intrinsic(_write_lines)
 
 @threaded
 def fill_lower(
-    row: Index, column: Index, place: Index, size: Index, blocks: Array, scale: Array, banded: bool, out: Array,
-    sums: Array,
-) -> None:  # fmt: skip
+    row: Index, column: Index, place: Index, size: Index, blocks: Array, diagonal: float, banded: bool, out: Array,
+    scale: Array, sums: Array,
+) -> bool:  # fmt: skip
     """Write the lower triangle, scaled, column by column: element (r, c) to ``out[c, r]``, banded to ``out[c, r - c]``.
+
+    Returns False where an element of the diagonal is not positive; nothing is written then.
 
     Parameters
     ----------
@@ -66,13 +69,26 @@ def fill_lower(
         Images of each block (B, k, k); blocks of one image are symmetric.
     place, size : (M,) int arrays
         First unknown of each image in the order of the matrix, and their number.
+    diagonal : float
+        Added to each element of the diagonal before the matrix is scaled; ``out`` has it in the scale alone.
     scale : (n,) array
-        Of rows and columns.
+        Written: factors of rows and columns that make the diagonal one.
     out : (n, n) or (n, band + 1) array
         Zero where no block writes.
     sums : (n,) array
-        The absolute values of each column of the whole matrix are added to it.
+        Written: the sum of the absolute values of each column of the whole scaled matrix.
     """
+    for n in range(len(scale)):
+        scale[n] = diagonal
+    for b in range(len(row)):
+        if row[b] == column[b]:
+            for p in range(size[row[b]]):
+                scale[place[row[b]] + p] += blocks[b, p, p]
+    for n in range(len(scale)):
+        if not scale[n] > 0.0:
+            return False
+        sums[n] = diagonal / scale[n]
+        scale[n] = 1.0 / math.sqrt(scale[n])
     for b in range(len(row)):
         i, j = row[b], column[b]
         r, c = place[j], place[i]
@@ -86,6 +102,7 @@ def fill_lower(
         else:
             for q in range(size[j]):
                 _fill_column(b, q, size[i], blocks, c, r + q, scale, banded, out, sums)
+    return True
 
 
 @threaded
@@ -117,12 +134,3 @@ def _fill_column(
         sums[r + q] += abs(value)
         total += abs(value)
     sums[c] += total
-
-
-@threaded
-def fill_diagonal(row: Index, column: Index, place: Index, size: Index, blocks: Array, out: Array) -> None:
-    """Add the diagonal elements of the blocks (B, k, k) to ``out`` (n,); see :func:`fill_lower`."""
-    for b in range(len(row)):
-        if row[b] == column[b]:
-            for p in range(size[row[b]]):
-                out[place[row[b]] + p] += blocks[b, p, p]

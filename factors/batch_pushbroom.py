@@ -68,9 +68,13 @@ def pushbroom_rows(
         The first observation that is not finite, or -1.
     """
     slot, column = places(setup)
-    constants, d, place = np.empty(pushbroom.RECORD_SIZE * BLOCK), np.zeros(11 * BLOCK), np.empty(3 * BLOCK)
+    constants, d, place = np.empty(pushbroom.RECORD_SIZE * BLOCK), np.empty(11 * BLOCK), np.empty(3 * BLOCK)
+    for k in range(len(d)):
+        d[k] = 0.0
     out, bad = np.empty(STORED * BLOCK), -1
-    own, lines, space, nine = np.empty(SIDE, np.int64), SIDE * np.arange(SIDE), np.empty(SIDE**2), usual(slot)
+    own, lines, space, nine = np.empty(SIDE, np.int64), np.empty(SIDE, np.int64), np.empty(SIDE**2), usual(slot)
+    for k in range(SIDE):
+        lines[k] = SIDE * k
     for first in range(lo, hi, BLOCK):
         size = BLOCK if hi - first > BLOCK else hi - first
         small = any_small(first, size, members, records, row)

@@ -53,10 +53,10 @@ def distance_to_height(p: Array, u: Array, h: float) -> float:
     # the stable pair of roots: no cancellation between -d2 and the square root
     q = -0.5 * (d2 + math.copysign(math.sqrt(inside), d2))
     s1, s2 = q / d1, d3 / q
-    low, high = float(min(s1, s2)), float(max(s1, s2))
+    low, high = (s1, s2) if s1 < s2 else (s2, s1)
     if low > 0.0:
         return low
-    return high if high > 0.0 else math.nan
+    return float(high) if high > 0.0 else math.nan
 
 
 @compiled

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.linalg import lapack
 
 from factors.batch_band import MARGIN, PAYS, TILE, factorise_band
-from factors.batch_matrix import fill_diagonal, fill_lower
+from factors.batch_matrix import fill_lower
 
 if TYPE_CHECKING:
     import gtsam
@@ -123,18 +123,15 @@ class LapackReduced:
     ) -> None:
         self._first, self._banded, n = first, order is not None, int(first[-1])
         self._order = order or Order(first[:-1].astype(np.int64), np.arange(n), n - 1)
-        d, sums = np.full(n, diagonal), np.zeros(n)
-        at = (pattern.block_row, pattern.block_column, self._order.place, pattern.size, blocks)
-        fill_diagonal(*at, d)
-        if not (d > 0.0).all():
-            raise Singular("an unknown of an image is in no observation")
         # scaled to a unit diagonal: pivots are judged alike, whatever the units
-        self._scale = 1.0 / np.sqrt(d)
+        self._scale, sums = np.empty(n), np.empty(n)
         own = self._banded and PAYS and n >= OWN_FROM
         s = np.zeros((-(-n // TILE) * TILE if own else n, self._order.band + 1 + (MARGIN if own else 0)))
-        fill_lower(*at, self._scale, self._banded, s, sums)
+        at = (pattern.block_row, pattern.block_column, self._order.place, pattern.size, blocks)
+        if not fill_lower(*at, diagonal, self._banded, s, self._scale, sums):
+            raise Singular("an unknown of an image is in no observation")
         s.ravel()[:: s.shape[1] + (0 if self._banded else 1)] = 1.0
-        self._norm = float((sums + diagonal / d).max())
+        self._norm = float(sums.max())
         self._factor: Any = s[:n].T
         if own:
             info = factorise_band(s, self._order.band)

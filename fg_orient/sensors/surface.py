@@ -241,7 +241,8 @@ def at_height(position_m: Array, direction: Array, height_m: Array, pixels: tupl
     InputError
         A ray does not come down to its height.
     """
-    ground = ellipsoid.intersect(position_m, direction, np.ascontiguousarray(height_m))
+    # a copy: one height for all rays is an array that may not be written to, for which the kernel is compiled again
+    ground = ellipsoid.intersect(position_m, direction, np.array(height_m, float))
     bad = np.flatnonzero(~np.isfinite(ground).all(axis=1))
     if len(bad):
         line, sample = (values[bad[0]] for values in pixels)
