@@ -19,6 +19,7 @@ from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
 from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.runtime.nrt import rtsys
 
 from factors._preparation import preparing, tell
 from factors._sources import stamp
@@ -141,7 +142,8 @@ class _Cache(FunctionCache):  # type: ignore[misc]
     """Kernels on disk; what cannot be read or written is compiled, and the run goes on."""
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        try:  # not by way of the registries of what numba can compile: code that is compiled needs none of them
+        try:  # with numba's memory management, but without the registries of what it can compile: half the time
+            rtsys.initialize(context)
             return self._load_overload(signature, context)
         except Exception:  # a damaged file may fail in any way, and is written anew
             with suppress(OSError):

@@ -52,11 +52,11 @@ def distance_to_height(p: Array, u: Array, h: float) -> float:
         return math.nan
     # the stable pair of roots: no cancellation between -d2 and the square root
     q = -0.5 * (d2 + math.copysign(math.sqrt(inside), d2))
-    s1, s2 = q / d1, d3 / q
+    s1, s2 = float(q / d1), float(d3 / q)
     low, high = (s1, s2) if s1 < s2 else (s2, s1)
     if low > 0.0:
         return low
-    return float(high) if high > 0.0 else math.nan
+    return high if high > 0.0 else math.nan
 
 
 @compiled
