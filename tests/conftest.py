@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import hashlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import numpy as np
@@ -40,6 +44,59 @@ def real_data() -> Path:
 def rng() -> np.random.Generator:
     """Give a random generator with a fixed seed."""
     return np.random.default_rng(20261121)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def look_angles_read_once() -> Iterator[None]:
+    """Read and write the same look angles once in each worker.
+
+    The 12 000 detectors of a SPOT-5 file take 0.2 s, the half of most commands, and hundreds of tests read the same
+    ones. What is kept hangs on the text of the elements, as read; a fault in them is found again each time.
+    """
+    from lxml import etree
+
+    from fg_orient.io import dimap1, dimap_write
+
+    read, write = dimap1._look_angles, dimap_write._look_rows
+    known, written = dict[Any, Any](), dict[Any, list[str]]()
+
+    def read_once(root: Any, n_samples: int) -> Any:
+        text = etree.tostring(root.one("Data_Strip/Sensor_Configuration").element)
+        key = hashlib.sha256(text).digest(), n_samples
+        if key not in known:
+            known[key] = read(root, n_samples)
+        return copy.deepcopy(known[key])
+
+    def write_once(look: Any) -> list[str]:
+        key = tuple(column.tobytes() for column in (look.sample, look.psi_x_rad, look.psi_y_rad))
+        if key not in written:
+            written[key] = list(write(look))
+        return written[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dimap1, "_look_angles", read_once)
+        patch.setattr(dimap_write, "_look_rows", write_once)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def templates_compiled_once() -> Iterator[None]:
+    """Compile the templates of the pages once in each worker: 0.25 s of each report."""
+    import jinja2
+
+    class Memory(jinja2.BytecodeCache):
+        kept: dict[str, Any] = {}  # noqa: RUF012 (one for all)
+
+        def load_bytecode(self, bucket: Any) -> None:
+            bucket.code = self.kept.get(f"{bucket.key} {bucket.checksum}")
+
+        def dump_bytecode(self, bucket: Any) -> None:
+            self.kept[f"{bucket.key} {bucket.checksum}"] = bucket.code
+
+    made = jinja2.Environment
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jinja2, "Environment", lambda **given: made(**given, bytecode_cache=Memory()))
+        yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

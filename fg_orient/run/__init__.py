@@ -241,9 +241,9 @@ def _write(
     start: float,
 ) -> None:  # fmt: skip
     """Write tables, report and, last, the record with the times of all phases."""
+    mark = time.perf_counter()
     from fg_orient.report import write_report
 
-    mark = time.perf_counter()
     write_tables(folder, solution)
     write_corrected_rpc(folder / "rpc", models)
     phases["write"] = time.perf_counter() - mark

@@ -79,7 +79,7 @@ def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
         "import sys; sys.path.insert(0, '.'); from importlinter.cli import lint_imports; "
         "sys.exit(lint_imports(cache_dir=None))"
     )
-    return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=120)
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=600)
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +118,24 @@ PLANTED = [
         "def f():\n    import fg_orient.quality.observability",
         "floors of fg_orient",
         "fg_orient.quality.observability",
+    ),
+    (
+        "fg_orient/experiments/tables_spot5.py",
+        "import fg_orient.published.tables",
+        "what computes may not import what was published",
+        "fg_orient.published.tables",
+    ),
+    (
+        "fg_orient/classical/two_stage.py",
+        "def f():\n    import fg_orient.published",
+        "what computes may not import what was published",
+        "fg_orient.published",
+    ),
+    (
+        "fg_orient/cli/reproduce.py",
+        "def f():\n    from fg_orient.published.tables import load",
+        "what computes may not import what was published",
+        "fg_orient.published.tables",
     ),
 ]
 

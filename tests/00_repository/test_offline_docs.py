@@ -27,7 +27,7 @@ def built(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     chosen = (f"root_doc={PAGE}", f"include_patterns={PAGE}.md", f"extensions={EXTENSIONS}")
     words = ["-q", "-b", "html", "-d", str(out / "trees"), *(w for c in chosen for w in ("-D", c))]
     command = [sys.executable, "-m", "sphinx", *words, str(repository / "docs"), str(out / "html")]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert ended.returncode == 0, ended.stderr
     return out / "html"
 

@@ -1,9 +1,10 @@
-"""A small block, its unpartitioned solution, and one cluster of four processes for all tests."""
+"""A small block, its unpartitioned solution, and clusters of processes for all tests."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -12,8 +13,6 @@ from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.block import Block
 from fg_orient.parallel.pool import Execution, opened
 from tests.support.parallel_block import block
-
-WORKERS = 4
 
 
 @pytest.fixture(scope="session")
@@ -28,9 +27,23 @@ def problem() -> Problem:
     return compile_problem(block())
 
 
+@contextmanager
+def processes(count: int) -> Iterator[Any]:
+    """Give a client of processes on this machine."""
+    pytest.importorskip("distributed")
+    with warnings.catch_warnings(), opened(Execution(workers=count)) as pool:
+        yield pool.client
+
+
 @pytest.fixture(scope="package")
 def client() -> Iterator[Any]:
-    """Give a client of four processes on this machine."""
-    pytest.importorskip("distributed")
-    with warnings.catch_warnings(), opened(Execution(workers=WORKERS)) as pool:
-        yield pool.client
+    """Give a client of two processes; each takes 2 s to start, so that all fast tests with it are in test_workers."""
+    with processes(2) as found:
+        yield found
+
+
+@pytest.fixture(scope="package")
+def four() -> Iterator[Any]:
+    """Give a client of four processes, for the slow tests."""
+    with processes(4) as found:
+        yield found

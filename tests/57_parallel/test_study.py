@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -97,10 +95,6 @@ def assert_same_comparison(a: Comparison, b: Comparison) -> None:
 
 def without_times(rows: Any) -> list[dict[str, Any]]:
     return [{k: v for k, v in row.as_dict().items() if k != "seconds"} for row in rows]
-
-
-def test_workers_share_a_study(client: Any) -> None:
-    assert study(partial(operator.mul, 3), [5, 1, 4], cluster=client) == [15, 3, 12]
 
 
 def test_a_comparison_keeps_its_sets(small: Block, tmp_path: Path) -> None:

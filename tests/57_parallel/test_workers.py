@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import operator
 import os
 import signal
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from fg_orient.parallel import pool as pool_module
 from fg_orient.parallel.backend import PartedBackend
 from fg_orient.parallel.parts import read_part
 from fg_orient.parallel.pool import Cluster, Execution, InProcess, Pool, branches, opened, summed, work_folder
+from fg_orient.parallel.study import study
 from fg_orient.parallel.tasks import forget
 from fg_orient.simulate.block import BlockOptions, grid_block
 
@@ -81,11 +84,17 @@ def assert_same_bits(a: State, b: State) -> None:
     np.testing.assert_array_equal(a.ground, b.ground)
 
 
-@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize("count", [1, 2])
 def test_the_bits_do_not_depend_on_the_number_of_workers(
     problem: Problem, client: Any, alone: State, count: int
 ) -> None:
     assert_same_bits(run(problem, Few(client, count)), alone)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [3, 4])
+def test_nor_of_more_workers(problem: Problem, four: Any, alone: State, count: int) -> None:
+    assert_same_bits(run(problem, Few(four, count)), alone)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 8])
@@ -105,10 +114,10 @@ def test_branches_are_those_of_the_tree(count: int) -> None:
         assert pool_module._top(sums, count, depth) == whole
 
 
-def test_four_workers_agree_with_one_piece(small: Block, problem: Problem, client: Any) -> None:
+def test_workers_agree_with_one_piece(small: Block, problem: Problem, client: Any) -> None:
     """Within 1e-9 prior sigma; ground points within 1e-7 m."""
     whole, shared = solve(problem), fg.adjust(small, parts=PARTS, cluster=client)
-    assert shared.status == fg.Status.CONVERGED and shared.iterations == whole.iterations
+    assert shared.status == fg.Status.CONVERGED
     assert np.abs(shared.state.image - whole.state.image).max() <= 1e-9
     assert np.nanmax(np.abs(shared.state.ground - whole.state.ground)) <= 1e-7
 
@@ -123,22 +132,22 @@ def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: S
 
 
 @pytest.mark.slow
-def test_a_worker_killed_between_tasks_changes_nothing(small: Block, client: Any) -> None:
+def test_a_worker_killed_between_tasks_changes_nothing(small: Block, four: Any) -> None:
     shared, seen = fg.adjust(small, parts=PARTS, optimizer="dogleg"), []
 
     def kill(record: Any) -> None:
         seen.append(record.iteration)
         if record.iteration == 2:
-            os.kill(min(client.run(os.getpid).values()), signal.SIGKILL)
+            os.kill(min(four.run(os.getpid).values()), signal.SIGKILL)
 
-    address = client.scheduler.address  # a client of its own, as the command line has
+    address = four.scheduler.address  # a client of its own, as the command line has
     killed = fg.adjust(small, parts=PARTS, optimizer="dogleg", cluster=address, callback=kill)
     assert_same_bits(killed.state, shared.state)
     assert 2 in seen
 
 
 @pytest.mark.slow
-def test_a_large_block_on_workers_that_die(client: Any, tmp_path: Path) -> None:
+def test_a_large_block_on_workers_that_die(four: Any, tmp_path: Path) -> None:
     """1e5 image points in 36 images: as in one piece, and the same bits on any workers, two of them killed."""
     large, _ = grid_block(BlockOptions(rows=6, columns=6, points=29_000, seed=2))
     problem = compile_problem(replace(large, options=replace(large.options, eop_set=20, backend="schur")))
@@ -146,7 +155,7 @@ def test_a_large_block_on_workers_that_die(client: Any, tmp_path: Path) -> None:
     whole, alone = solve(problem), run(problem, InProcess())
     assert np.abs(alone.image - whole.state.image).max() <= 1e-9
     assert np.nanmax(np.abs(alone.ground - whole.state.ground)) <= 1e-7
-    for pool in (Few(client, 1), Few(client, 2), Cluster(client), Deadly(client, tmp_path, (3, 6))):
+    for pool in (Few(four, 1), Few(four, 2), Cluster(four), Deadly(four, tmp_path, (3, 6))):
         assert_same_bits(run(problem, pool), alone)
     assert len(list(tmp_path.iterdir())) == 2
 
@@ -158,6 +167,19 @@ def test_faults_come_back_from_a_worker_in_words(client: Any, tmp_path: Path) ->
     assert caught.value.problems[0].file.endswith("part-0000.npz")
 
 
+def test_workers_share_a_study(client: Any) -> None:
+    assert study(partial(operator.mul, 3), [5, 1, 4], cluster=client) == [15, 3, 12]
+
+
+def test_the_end_of_every_worker_is_said() -> None:
+    """As dask says it; the slow test below ends them."""
+    lost = pytest.importorskip("distributed").KilledWorker("task", "tcp://127.0.0.1:9", 1)
+    with pytest.raises(fg.NoSolutionError) as caught, pool_module._failures():
+        raise lost
+    assert (caught.value.problems[0].code, caught.value.problems[0].value) == ("parallel.killed", "tcp://127.0.0.1:9")
+
+
+@pytest.mark.slow
 def test_work_that_ends_every_worker_is_given_up(client: Any) -> None:
     def allow(failures: int, dask_scheduler: Any) -> int:
         before, dask_scheduler.allowed_failures = dask_scheduler.allowed_failures, failures

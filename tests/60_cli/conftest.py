@@ -26,7 +26,7 @@ def fresh(repository: Path) -> Run:
     def call(*words: object, cwd: Path | None = None, before: str = "") -> Ended:
         code = f"import sys; sys.path.insert(0, {str(repository)!r})\n{before}\nfrom fg_orient.cli import main\nmain()"
         command = [sys.executable, "-c", code, *map(str, words)]
-        done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600)
         return Ended(done.returncode, done.stdout, done.stderr)
 
     return call

@@ -13,6 +13,7 @@ import fg_orient
 from fg_orient.run.json import dumps
 from fg_orient.run.provenance import provenance, relative
 from fg_orient.selftest import self_test
+from tests.support.command import entry_point
 
 
 def test_simulate_zonguldak_passes_every_option_on(run: Any, tmp_path: Path) -> None:
@@ -92,8 +93,8 @@ def test_self_test_notices_a_wrong_jacobian(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize(
     "words", [("adjust",), ("adjust", "a", "--nonsense"), ("nonsense",), ("locate", "a", "--line", "x"), ("simulate",)]
 )
-def test_usage_error_is_one_line_and_exit_2(fresh: Any, words: tuple[str, ...]) -> None:
-    ended = fresh(*words, "--json")
+def test_usage_error_is_one_line_and_exit_2(words: tuple[str, ...]) -> None:
+    ended = entry_point(*words, "--json")
     assert ended.code == 2
     assert len(ended.stderr.splitlines()) == 1
     assert ended.stderr.startswith("error: fg-orient")

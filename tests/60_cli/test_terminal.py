@@ -10,7 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from fg_orient.cli.common import LOGGED, emit, table
 from fg_orient.cli.log import LogFile, opened, session
 from fg_orient.cli.progress import describe_steps, duration, progress_bar
 from fg_orient.errors import InputError
-from tests.support.command import Run
+from tests.support.command import Run, entry_point
 
 UTC = re.compile(r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z$")
 SHARED = {"quiet", "log", "as_json", "debug"}
@@ -284,6 +284,34 @@ def test_escapes_on_terminals_only(
 # --- completion --------------------------------------------------------------------------------------
 
 
+WORDS = ("fg-orient adjust --qui", "fg-orient rep")
+#: What the script of a shell sets to ask for the end of the last word.
+ASKED: dict[str, Callable[[str], dict[str, str]]] = {
+    "bash": lambda words: {"COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))},
+    "zsh": lambda words: {"_TYPER_COMPLETE_ARGS": words},
+    "fish": lambda words: {"_TYPER_COMPLETE_ARGS": words, "_TYPER_COMPLETE_FISH_ACTION": "get-args"},
+}
+
+
+@pytest.mark.parametrize("shell", ASKED)
+def test_the_program_answers_the_script_of_a_shell(shell: str) -> None:
+    """No shell is needed: the variables that its script sets; the slow tests below ask by the shells that there are."""
+    script = entry_point("completion", shell).stdout
+    told = []
+    for words in WORDS:
+        variables = ASKED[shell](words)
+        assert all(f"{name}=" in script for name in variables) and f"_FG_ORIENT_COMPLETE=complete_{shell}" in script
+        told.append(entry_point(**variables, _FG_ORIENT_COMPLETE=f"complete_{shell}").stdout)
+    assert "--quiet" in told[0] and "--json" not in told[0]
+    for command in ("replay", "report", "reproduce"):
+        assert command in told[1]
+    for other in ("adjust", "doctor", "--quiet"):
+        assert other not in told[1]
+    assert ("Repeat a run" in told[1]) == (shell != "bash")  # bash shows no help
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash on the path")
 def test_bash_completes_options(repository: Path, run: Any) -> None:
     script = run("completion", "bash").stdout
     program = f"fg-orient() {{ PYTHONPATH={repository} {sys.executable} -m fg_orient; }}\nexport -f fg-orient\n"
@@ -291,7 +319,7 @@ def test_bash_completes_options(repository: Path, run: Any) -> None:
         "\nfor words in 'fg-orient adjust --qui'; do COMP_WORDS=($words); "
         'COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); _fg_orient_completion fg-orient; echo "${COMPREPLY[@]}"; done'
     )
-    done = subprocess.run(["bash", "-c", program + asked], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(["bash", "-c", program + asked], capture_output=True, text=True, timeout=600)
     assert (done.stdout.split(), done.stderr) == (["--quiet"], "")
 
 
@@ -312,6 +340,7 @@ OFFERED = {
 OPTIONS = {"zsh": ("-f", "-c"), "fish": ("--no-config", "-c")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shell", sorted(OFFERED))
 def test_other_shells_complete_commands_and_options(shell: str, repository: Path, tmp_path: Path) -> None:
     found = shutil.which(shell)
@@ -323,7 +352,7 @@ def test_other_shells_complete_commands_and_options(shell: str, repository: Path
     program.chmod(0o755)
     environment = {**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}", "HOME": str(tmp_path)}
     done = subprocess.run(
-        [found, *OPTIONS[shell], OFFERED[shell]], capture_output=True, text=True, timeout=60, env=environment
+        [found, *OPTIONS[shell], OFFERED[shell]], capture_output=True, text=True, timeout=600, env=environment
     )
     assert done.returncode == 0, done.stderr
     for offered in ("--quiet", "No progress", "replay", "report", "reproduce", "Repeat a run"):

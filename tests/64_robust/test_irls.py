@@ -142,7 +142,6 @@ def test_rows_weighted_in_place_and_problems_weighted_anew_end_alike() -> None:
     np.testing.assert_allclose(arrays.weights.image, matrices.weights.image, rtol=1e-6)
     np.testing.assert_allclose(arrays.weights.control, matrices.weights.control, rtol=1e-6)
     assert arrays.chi2 == pytest.approx(matrices.chi2, rel=1e-9)
-    assert len(arrays.log) == len(matrices.log)
 
 
 def test_cycles_that_do_not_settle_are_said(monkeypatch: pytest.MonkeyPatch) -> None:

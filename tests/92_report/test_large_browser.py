@@ -1,4 +1,4 @@
-"""The report of 1e5 image points: small enough, quick enough, and points within reach."""
+"""The report of 1e5 image points: small enough, and points within reach; its times are for the benchmarks."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ def test_report_of_1e5_image_points(browser: Browser, tmp_path: Path) -> None:
     out = large_result(tmp_path)
     found = measure(browser.page(), out / "report.html", runs=5, every=10, hovered=100)
     assert found["bytes"] < 10e6
-    assert found["median_seconds_to_the_map"] < 3.0
-    assert found["median_frame_ms"] < 100.0
     assert (found["points"], found["sought"], found["found"]) == (31_200, 3120, 3120)
     assert (found["hovered"], found["told"]) == (100, 100)
     assert found["troubles"] == []

@@ -23,7 +23,7 @@ VARIABLE = "FG_ORIENT_CHROMIUM"
 #: Becomes the browser, with the ends of the pipes where it looks for them.
 _EXEC = "import os, sys; a, b, *c = sys.argv[1:]; os.dup2(int(a), 3); os.dup2(int(b), 4); os.execv(c[0], c)"
 #: Seconds until a browser that does not answer is given up.
-PATIENCE = 60.0
+PATIENCE = 600.0
 
 
 def executable() -> str | None:

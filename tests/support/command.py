@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import gc
+import io
 import json
+import os
+import signal
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+from unittest.mock import patch
 
 import typer.main
 from click.testing import CliRunner
 
-from fg_orient.cli import app
+from fg_orient.cli import app, main
 
 
 @dataclass(frozen=True)
@@ -45,3 +52,20 @@ def in_process(*words: object) -> Ended:
     """Run a command in this process."""
     result = CliRunner().invoke(command_line(), [str(word) for word in words])
     return Ended(result.exit_code, result.stdout, result.stderr)
+
+
+def entry_point(*words: object, **environment: str) -> Ended:
+    """Run the entry point of ``fg-orient`` in this process, with what it does around a command: usage errors."""
+    out, err, code = io.StringIO(), io.StringIO(), None
+    before = signal.getsignal(signal.SIGTERM)
+    with (
+        patch.object(sys, "argv", ["fg-orient", *map(str, words)]), patch.dict(os.environ, environment),
+        patch.object(gc, "freeze"), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),
+    ):  # fmt: skip
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+        finally:
+            signal.signal(signal.SIGTERM, before)
+    return Ended(code if isinstance(code, int) else int(code is not None), out.getvalue(), err.getvalue())

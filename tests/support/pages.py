@@ -5,7 +5,7 @@ A page is run from top to bottom in one folder and one Python namespace. What th
 - ``sh``: each line is a command and has to end with 0, or with N where its comment says "exit code N". The lines
   are alternatives: one may replace what another has written.
 - ``console``: lines that begin with ``$ `` are commands, the lines below them occur in the output, in
-  this order (blanks do not count); a line ``...`` stands for any number of lines.
+  this order (blanks and the number of iterations do not count); a line ``...`` stands for any number of lines.
 - ``python``: executed; names stay for the next block of the page.
 - ``toml``: read; a project file is held against its schema.
 
@@ -39,6 +39,8 @@ _FENCE = re.compile(r"^```(sh|console|python|toml)\n(.*?)^```$", re.DOTALL | re.
 _EXIT = re.compile(r"exit code (\d+)")
 _ASSIGNED = re.compile(r"[A-Z_]+=")
 _PROMPT = "$ "
+#: How many iterations an adjustment takes near the limit of rounding is decided by the BLAS and the processor.
+_ITERATIONS = re.compile(r"\b\d+ iterations?\b")
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ def check_command(command: Command, ended: Ended) -> None:
 
 
 def _plain(line: str) -> str:
-    return " ".join(line.split())
+    return _ITERATIONS.sub("# iterations", " ".join(line.split()))
 
 
 def _leaf(command: Command) -> tuple[Any, list[str]]:
