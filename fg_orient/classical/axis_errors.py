@@ -56,7 +56,9 @@ def rms(values_m: Array) -> Array:
     return np.asarray(np.sqrt(np.mean((values_m / scale) ** 2, axis=0)) * scale)
 
 
-def from_two_rays(centre_m: Array, direction: Array, image: Index, point: Index, n_points: int) -> Array:
+def from_two_rays(
+    centre_m: Array, direction: Array, image: Index, point: Index, n_points: int, *, midpoint: bool = False
+) -> Array:
     """Foot on the first image's ray of the shortest connection of two rays (T 2.49-2.52 as corrected).
 
     Parameters
@@ -65,6 +67,8 @@ def from_two_rays(centre_m: Array, direction: Array, image: Index, point: Index,
         Rays, ECEF.
     image, point : (n,) int arrays
         Image (0 or 1) and point of each ray.
+    midpoint : bool
+        The middle of the connection, as the authors' program takes it, instead of its foot on the first ray.
 
     Returns
     -------
@@ -81,4 +85,6 @@ def from_two_rays(centre_m: Array, direction: Array, image: Index, point: Index,
     b1, b2 = np.einsum("ni,ni->n", u1, base), np.einsum("ni,ni->n", u2, base)
     out = np.full((n_points, 3), np.nan)
     out[both] = p1 + ((b1 - cos * b2) / sin2)[:, None] * u1
+    if midpoint:
+        out[both] = 0.5 * (out[both] + p2 + ((cos * b1 - b2) / sin2)[:, None] * u2)
     return out

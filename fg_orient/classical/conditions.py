@@ -2,16 +2,16 @@
 
 Per image point two conditions ``F = 0`` and their derivatives ``A`` (EOP coefficients), ``G``
 (ground point) and ``B`` (look angles), Terlemezoğlu 2019, eqs. 2.66-2.67 as corrected; raw units as
-published: metre, m/s, rad, **per line** of the image line x counted from the first one. The kernel
+published: metre, m/s, rad, **per line** of the image line x. The kernel
 (``factors.pushbroom``) is the one of the graph, only its constants differ: tau is the line number, the
 whitening is the identity, prior sigmas are one.
 
-``as_run`` repeats what the authors' program does: the across-track axis ``V/|V| x Z`` is not
-renormalised (then ``Y = Z x X`` is short, too) and attitudes are small-angle matrices; both rotations
-are inverted by transposing. With ``D = diag(s, s, 1)``, s the shortening, and U the attitude matrix the
-ray is ``R D U u1`` and the conditions use ``U^T D R^T``. The kernel's constant mounting ``M = U^-1 D U``
-gives both, as ``U M = D U``. M stays at the metadata, also where corrections are unknowns: what is
-left out is the change of s itself, cos(V, Z) = 1e-3 of the effect of a change of direction.
+The switches of the authors' program (:mod:`fg_orient.classical.switches`) that concern the equations: x may be
+counted from the scene-centre line; the EOPs of the records are degree-2 polynomials or those interpolated at the
+line; the across-track axis ``V/|V| x Z`` may stay short and the attitude a small-angle matrix, both inverted by
+transposing (:mod:`fg_orient.classical.program_equations`). The length of the short axis follows the corrections or
+stays at the metadata. Its change is cos(V, Z) = 1e-3 of the effect of a change of direction, but it is the only
+effect of a velocity along the radius, so with V among the unknowns it decides ranks and solutions.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ import numpy.typing as npt
 
 from factors import look, polynomials, pushbroom, rotations
 from fg_orient.block import Image, ImagePoints
+from fg_orient.classical import program_equations
+from fg_orient.classical.program_equations import States
+from fg_orient.classical.switches import TEXT, Switches
 from fg_orient.sensors.eop import metadata_eop
 from fg_orient.sensors.kinds import require_pushbroom
 
@@ -73,12 +76,20 @@ class Conditions:
         Ground coordinates the records refer to, ECEF.
     image, point : (n,) int arrays
         Image and ground point of each row.
+    switches : Switches
+        Those that concern values and derivatives. Where the short axis follows corrections, the mounting of the
+        records (columns 9-17) is that of the sensor.
     """
 
     records: Array
     approximate_m: Array
     image: Index
     point: Index
+    switches: Switches = TEXT
+
+    @property
+    def _axis_follows(self) -> bool:
+        return self.switches.short_axis and self.switches.length_follows
 
     @property
     def look_rad(self) -> Array:
@@ -99,7 +110,14 @@ class Conditions:
 
     def take(self, rows: Index) -> Conditions:
         """Some of the rows."""
-        return Conditions(self.records[rows], self.approximate_m[rows], self.image[rows], self.point[rows])
+        return replace(
+            self, records=self.records[rows], approximate_m=self.approximate_m[rows], image=self.image[rows],
+            point=self.point[rows],
+        )  # fmt: skip
+
+    def with_orbit(self, other: Conditions) -> Conditions:
+        """The same points and look angles with the EOPs of other conditions, row by row."""
+        return other.with_look(self.look_rad).with_ground(self.approximate_m)
 
     def linearise(self, codes: tuple[int, ...], eop: Array) -> Linearised:
         """Evaluate the conditions and their derivatives.
@@ -111,14 +129,52 @@ class Conditions:
         eop : (M, k) array
             Their corrections per image: m, m/s, rad, per line and per line squared.
         """
+        with np.errstate(all="ignore"):  # wild corrections overflow: is_finite says so
+            return self._linearised(codes, eop)
+
+    def _linearised(self, codes: tuple[int, ...], eop: Array) -> Linearised:
         k, n = len(codes), len(self.records)
         setup = np.ascontiguousarray(np.stack([np.array(codes + LOOK_CODES, float), np.ones(k + 2)]))
         out, zero = np.empty((n, 2, k + 6)), np.zeros(3)
         unknowns = [np.append(x, [0.0, 0.0]) for x in eop]
+        records, states = self.records, None
+        if self._axis_follows or self.switches.look_quotients:
+            states = self._states(codes, eop)
+            records = records.copy()
+            records[:, 9:18] = states.mounting
         for i in range(n):
-            pushbroom.fill(self.records, i, setup, unknowns[self.image[i]], zero, out[i], True)
+            pushbroom.fill(records, i, setup, unknowns[self.image[i]], zero, out[i], True)
         b = np.stack([out[:, 0, k + 2], out[:, 1, k + 1]], axis=1)
-        return Linearised(out[:, :, 0].copy(), out[:, :, 1 : k + 1].copy(), out[:, :, k + 3 :].copy(), b)
+        design, ground = out[:, :, 1 : k + 1].copy(), out[:, :, k + 3 :].copy()
+        if states is not None and k:
+            design, ground = self._program_derivatives(codes, states)
+        return Linearised(out[:, :, 0].copy(), design, ground, b)
+
+    def _states(self, codes: tuple[int, ...], eop: Array) -> States:
+        """Corrected EOPs of each row."""
+        setup = np.ascontiguousarray(np.stack([np.array(codes, float), np.ones(len(codes))]))
+        d = np.array([pushbroom.corrections(r, setup, eop[i]) for r, i in zip(self.records, self.image, strict=True)])
+        given, speed = self.approximate_m - self.records[:, 31:34], self.records[:, 3:6]
+        p, angles = given + d[:, 0:3], np.ascontiguousarray(self.records[:, 6:9] + d[:, 6:9])
+        follows = self.records[:, 26] > 0.5
+        frame_p = np.ascontiguousarray(np.where(follows[:, None], p, given))
+        frame_v = np.ascontiguousarray(np.where(follows[:, None], speed + d[:, 3:6], speed))
+        held, small = self.records[:, 9:18], bool(self.records[0, 27] > 0.5)
+        if self._axis_follows:
+            held = program_equations.mounting(frame_p, frame_v, angles, held, small)
+        return States(given, p, frame_p, frame_v, angles, held, small, follows)
+
+    def _program_derivatives(self, codes: tuple[int, ...], at: States) -> tuple[Array, Array]:
+        """A (n, 2, k) and G (n, 2, 3) as the authors' program forms them."""
+        used, place = np.unique(np.array(codes) // 3, return_inverse=True)
+        look = np.tan(self.look_rad[:, ::-1]) * np.array([1.0, -1.0])
+        # a short axis that stays at the metadata is in the mounting of the records already
+        by_eop, ground = program_equations.derivatives(
+            at, self.records[:, 9:18], self.approximate_m - at.position_m, [int(k) for k in used],
+            short=self._axis_follows, tangents=look if self.switches.look_quotients else None,
+        )  # fmt: skip
+        powers = self.records[:, 18][:, None] ** (np.array(codes) % 3)
+        return np.asarray(by_eop[:, :, place] * powers[:, None, :]), ground
 
     def rays(
         self, codes: tuple[int, ...], eop: Array, *, metadata_position: bool = False, look_sign: float = -1.0
@@ -134,25 +190,20 @@ class Conditions:
         look_sign : float
             Third component of the viewing direction: -1, or the +1 of the printed equations.
         """
-        setup = np.ascontiguousarray(np.stack([np.array(codes, float), np.ones(len(codes))]))
-        d = np.array([pushbroom.corrections(r, setup, eop[i]) for r, i in zip(self.records, self.image, strict=True)])
-        given = self.approximate_m - self.records[:, 31:34]
-        p = given + d[:, 0:3]
-        v = np.ascontiguousarray(self.records[:, 3:6] + d[:, 3:6])
-        follows = self.records[:, 26] > 0.5
-        frame_p = np.ascontiguousarray(np.where(follows[:, None], p, given))
-        frame_v = np.ascontiguousarray(np.where(follows[:, None], v, self.records[:, 3:6]))
-        angles = np.ascontiguousarray(self.records[:, 6:9] + d[:, 6:9])
-        body = rotations.attitude_matrices(angles, bool(self.records[0, 27] > 0.5)) @ self.records[:, 9:18].reshape(
-            -1, 3, 3
-        )
+        at = self._states(codes, eop)
+        body = rotations.attitude_matrices(at.angles_rad, at.small) @ at.mounting.reshape(-1, 3, 3)
         u1 = look.direction(self.records[:, 19], self.records[:, 20])
         u1[:, 2] = look_sign
-        u = np.einsum("nij,nj->ni", rotations.orbital_frames(frame_p, frame_v) @ body, u1)
-        return (given if metadata_position else p), u / np.linalg.norm(u, axis=1, keepdims=True)
+        frames = rotations.orbital_frames(at.frame_position_m, at.frame_velocity_m_s)
+        u = np.einsum("nij,nj->ni", frames @ body, u1)
+        centre = at.metadata_position_m if metadata_position else at.position_m
+        return centre, u / np.linalg.norm(u, axis=1, keepdims=True)
 
 
-def build(images: tuple[Image, ...], observations: ImagePoints, ground_m: Array, *, as_run: bool = False) -> Conditions:
+def build(
+    images: tuple[Image, ...], observations: ImagePoints, ground_m: Array, *, switches: Switches = TEXT,
+    line_exact: bool = False,
+) -> Conditions:  # fmt: skip
     """Constants of the conditions of a block.
 
     Parameters
@@ -161,8 +212,10 @@ def build(images: tuple[Image, ...], observations: ImagePoints, ground_m: Array,
         Of the block.
     ground_m : (N, 3) array
         Approximate ground coordinates, ECEF.
-    as_run : bool
-        See the module docstring.
+    switches : Switches
+        Those that concern the equations, see the module docstring.
+    line_exact : bool
+        EOPs interpolated at the line instead of polynomials of it.
     """
     reference = ground_m[observations.point]
     records = np.empty((len(observations), pushbroom.RECORD_SIZE))
@@ -171,15 +224,17 @@ def build(images: tuple[Image, ...], observations: ImagePoints, ground_m: Array,
         if len(rows):
             line, sample = observations.line[rows], observations.sample[rows]
             sensor = require_pushbroom(image.sensor, image.id)
-            records[rows] = sensor.records(line, sample, reference[rows], small_angle=as_run)
-            if sensor.follows_orbit:
+            records[rows] = sensor.records(line, sample, reference[rows], small_angle=switches.small_angles)
+            if sensor.follows_orbit and not line_exact:
                 records[rows, 0:9] = _eop_polynomials(metadata_eop(sensor, line), line, sensor.n_lines)
-            records[rows, 18] = line
+            records[rows, 18] = line - (sensor.n_lines // 2 if switches.centred_lines else 0)
     records[:, 31:34] = reference - records[:, 0:3]
     records[:, 28:31] = 0.0
-    if as_run:
-        records[:, 9:18] = _as_run_mount(records)
-    return Conditions(records, reference.copy(), observations.image, observations.point)
+    if switches.short_axis and not switches.length_follows:
+        records[:, 9:18] = program_equations.mounting(
+            records[:, 0:3], records[:, 3:6], records[:, 6:9], records[:, 9:18], switches.small_angles
+        )
+    return Conditions(records, reference.copy(), observations.image, observations.point, switches)
 
 
 def _eop_polynomials(values: Array, line: Array, n_lines: int) -> Array:
@@ -187,15 +242,3 @@ def _eop_polynomials(values: Array, line: Array, n_lines: int) -> Array:
     tau = polynomials.normalised(line, n_lines)
     coefficients, _ = polynomials.fit(tau, values, min(2, len(np.unique(line)) - 1))
     return polynomials.evaluate(coefficients, tau)
-
-
-def _as_run_mount(records: Array) -> Array:
-    """``U^-1 D U M`` of each record, (n, 9): the unnormalised frame as a mounting."""
-    p, v = records[:, 0:3], records[:, 3:6]
-    shortening = np.linalg.norm(np.cross(v, p), axis=1) / (np.linalg.norm(v, axis=1) * np.linalg.norm(p, axis=1))
-    d = np.zeros((len(records), 3, 3))
-    d[:, 0, 0] = d[:, 1, 1] = shortening
-    d[:, 2, 2] = 1.0
-    u = rotations.attitude_matrices(np.ascontiguousarray(records[:, 6:9]), True)
-    mount = records[:, 9:18].reshape(-1, 3, 3)
-    return np.asarray((np.linalg.solve(u, d @ u) @ mount).reshape(-1, 9))

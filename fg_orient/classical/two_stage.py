@@ -10,13 +10,13 @@
    from the coordinates of the bundle.
 
 This is the procedure with its weaknesses (docs/ill-conditioning.md); for work, use
-:func:`fg_orient.adjust`. ``as_run`` adds what the authors' program does differently: see
-:mod:`fg_orient.classical.conditions`; step 1 ends at 0.1", step 2 may repeat, square roots of negative
-radicands are complex, control points are intersected again from the metadata positions.
+:func:`fg_orient.adjust`. ``as_run`` is the procedure of the authors' program instead of the equations of the text;
+each of its departures is a switch (:mod:`fg_orient.classical.switches`, docs/program-as-run.md).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Literal
 
@@ -28,6 +28,7 @@ from fg_orient.block import Block
 from fg_orient.classical import conditions
 from fg_orient.classical.axis_errors import AxisErrors, from_two_rays
 from fg_orient.classical.conditions import Conditions, Linearised
+from fg_orient.classical.switches import Switches, switches_of
 from fg_orient.classical.two_stage_results import Bundle, LookAngles, PreAdjustment
 from fg_orient.errors import InputError
 from fg_orient.linear.registry import attempt
@@ -44,10 +45,13 @@ Kind = Literal[1, 2]
 CLOSED = 1e-15
 CLOSED_AS_RUN = np.radians(0.1 / 3600.0)
 MAX_CYCLES = 10
-#: The program repeats step 2 while a correction exceeds 10 m (10" for attitudes).
+#: The program repeats step 2 while a correction exceeds 10 (10" for sets of attitudes), at most so often; by unknown,
+#: it would be 10 m or 10" and need no more than the second number.
 REPEAT_AS_RUN_M = 10.0
 REPEAT_AS_RUN_RAD = np.radians(10.0 / 3600.0)
-MAX_REPEATS = 10
+MAX_REPEATS, MAX_REPEATS_BY_UNKNOWN = 1000, 10
+#: First EOP code of the attitude.
+FIRST_ATTITUDE = 18
 LOOK_DEGREE = 2
 LEFT = "the corrections have left the range in which the conditions can be computed"
 
@@ -60,8 +64,8 @@ class TwoStage:
     block : Block
         Control points are held fixed at their coordinates; tie points count as check points without
         coordinates.
-    as_run : bool
-        As the authors' program works.
+    as_run : bool or Switches
+        As the authors' program works, with all its departures from the text or with these.
     look_model : "angles" or "corrections"
         What the degree-2 polynomial describes for the check points: the look angles themselves, as
         published, or their corrections (free of the cubic part of the angle, about 3e-6 rad).
@@ -73,8 +77,8 @@ class TwoStage:
         first needed: a check or tie point whose rays do not meet.
     """
 
-    def __init__(self, block: Block, *, as_run: bool = False, look_model: LookModel = "angles") -> None:
-        self.block, self.as_run, self.look_model = block, as_run, look_model
+    def __init__(self, block: Block, *, as_run: bool | Switches = False, look_model: LookModel = "angles") -> None:
+        self.block, self.switches, self.look_model = block, switches_of(as_run), look_model
         self._require_enough()
         seen = np.unique(block.observations.point)
         control = block.points.where(Role.CONTROL)
@@ -105,30 +109,47 @@ class TwoStage:
     @cached_property
     def start(self) -> Conditions:
         """Conditions at the file's look angles and metadata orientation."""
+        return self._built(line_exact=self.switches.line_exact)
+
+    @cached_property
+    def _polynomials(self) -> Conditions:
+        """:attr:`start` with the EOPs as polynomials of the line: what A and later intersections use."""
+        return self._built(line_exact=False) if self.switches.line_exact else self.start
+
+    def _built(self, *, line_exact: bool) -> Conditions:
         block = self.block
         ground = block.points.known.ecef_m.copy()
         ground[np.setdiff1d(np.arange(len(ground)), block.observations.point)] = 0.0  # no ray asks for them
         ground = initial.ground_points(block.images, block.observations, block.points.ids, ground)
-        return conditions.build(block.images, block.observations, ground, as_run=self.as_run)
+        return conditions.build(block.images, block.observations, ground, switches=self.switches, line_exact=line_exact)
+
+    def _smooth(self, at: Conditions, rows: Index | None = None) -> Conditions:
+        """These conditions (of these rows) with the EOPs as polynomials."""
+        if not self.switches.line_exact:
+            return at
+        return at.with_orbit(self._polynomials if rows is None else self._polynomials.take(rows))
 
     @cached_property
     def look(self) -> LookAngles:
         """Step 1 of all images: adjusted look angles."""
         rows, none = self._control_rows, np.zeros((len(self.block.images), 0))
         at = self.start.take(rows)
-        limit, cycles, previous = CLOSED_AS_RUN if self.as_run else CLOSED, 0, np.inf
+        coarse, after = self.switches.coarse_stop, self.switches.test_after
+        limit, cycles, previous = CLOSED_AS_RUN if coarse else CLOSED, 0, np.inf
+        lin = at.linearise((), none)
         while cycles < MAX_CYCLES:
-            lin = at.linearise((), none)
             v = -(lin.value / lin.look)[:, ::-1]  # rows are psi_y, psi_x; columns of the record psi_x, psi_y
-            at, cycles, largest = at.with_look(at.look_rad + v), cycles + 1, float(np.abs(lin.value).max())
-            if largest <= limit or (not self.as_run and largest >= previous):
+            at, cycles, before = at.with_look(at.look_rad + v), cycles + 1, lin
+            lin = at.linearise((), none)
+            largest = float(np.abs((lin if after else before).value).max())
+            if largest <= limit or (not coarse and largest >= previous):
                 break
             previous = largest
         adjusted = self.start.look_rad
         adjusted[rows] = at.look_rad
         self._predict_check_angles(adjusted)
         v = adjusted - self.start.look_rad
-        remaining = float(np.abs(at.linearise((), none).value).max())
+        remaining = float(np.abs(lin.value).max())
         return LookAngles(adjusted, v, cycles, remaining, float(np.sqrt(np.mean(v[rows] ** 2))))
 
     def _predict_check_angles(self, adjusted_rad: Array) -> None:
@@ -166,9 +187,25 @@ class TwoStage:
         ground[self._control] = self.block.points.known.ecef_m[self._control]
         return at.with_ground(ground[at.point])
 
+    def intersected(self, eop_set: int, eop: Array) -> AxisErrors:
+        """Stereo intersection of all points with corrected EOPs, at the look angles of step 1.
+
+        Parameters
+        ----------
+        eop_set : int
+            1-20.
+        eop : (M, k) array
+            Its corrections per image, as :meth:`pre_adjust` gives them.
+        """
+        at = self._smooth(self.pre_adjusted)
+        positions = self.switches.metadata_positions
+        return self._errors(self._intersect(at, _codes(eop_set), eop, metadata_position=positions))
+
     # --- step 2 ------------------------------------------------------------------------------
 
-    def pre_adjust(self, image: int, eop_set: int, solver: str) -> PreAdjustment:
+    def pre_adjust(
+        self, image: int, eop_set: int, solver: str, *, polynomial_misclosures: bool = False, once: bool = False
+    ) -> PreAdjustment:
         """Step 2 of one image: EOP corrections at the look angles of step 1, which stay.
 
         Parameters
@@ -179,6 +216,10 @@ class TwoStage:
             1-20.
         solver : str
             Name in the registry of ``fg_orient.linear``.
+        polynomial_misclosures : bool
+            Misclosures of the first iteration from the EOP polynomials, too (1e-8 rad instead of rounding).
+        once : bool
+            One iteration, whatever the switches say.
 
         Raises
         ------
@@ -187,14 +228,17 @@ class TwoStage:
         """
         codes = _codes(eop_set)
         rows = self._control_rows[self.pre_adjusted.image[self._control_rows] == image]
-        at = self.pre_adjusted.take(rows)
+        exact = self.pre_adjusted.take(rows)
+        at = self._smooth(exact, rows)
         eop, repeats = self._no_eop(len(codes)), 0
         lin = at.linearise(codes, eop)
+        if at is not exact and not polynomial_misclosures:
+            lin = replace(lin, value=exact.linearise((), self._no_eop()).value)
         while True:
             system = LinearSystem.from_design(lin.eop.reshape(-1, len(codes)), -lin.value.ravel())
-            solution, repeats = attempt(solver, system, as_run=self.as_run), repeats + 1
+            solution, repeats = attempt(solver, system, as_run=self.switches.complex_roots), repeats + 1
             eop[image] += solution.x
-            if not self._repeats(codes, solution.x, system, repeats):
+            if once or not self._repeats(codes, solution.x, system, repeats):
                 break
             lin = at.linearise(codes, eop)
             if not lin.is_finite:
@@ -207,9 +251,13 @@ class TwoStage:
 
     def _repeats(self, codes: tuple[int, ...], dp: Array, system: LinearSystem, repeats: int) -> bool:
         """Tell whether the program would go on: large corrections and a matrix of full rank."""
-        if not self.as_run or repeats >= MAX_REPEATS or not np.isfinite(dp).all():
+        most = MAX_REPEATS if self.switches.one_limit else MAX_REPEATS_BY_UNKNOWN
+        if not self.switches.repeated_step_2 or repeats >= most or not np.isfinite(dp).all():
             return False
-        limit = np.where(np.array(codes) < 18, REPEAT_AS_RUN_M, REPEAT_AS_RUN_RAD)
+        attitude = np.array(codes) >= FIRST_ATTITUDE
+        if self.switches.one_limit:
+            attitude[:] = attitude.all()
+        limit = np.where(attitude, REPEAT_AS_RUN_RAD, REPEAT_AS_RUN_M)
         design, _ = system.require_design("step 2")
         return bool((np.abs(dp) > limit).any() and np.linalg.matrix_rank(design) == len(codes))
 
@@ -247,22 +295,30 @@ class TwoStage:
         at = self.pre_adjusted
         v, system, solution = np.zeros((len(at.image), 2)), None, LinearSolution(np.zeros(0))
         if kind == 2:
-            at = self._with_check_points(at, self._intersect(at, codes, eop))
-        for _ in range(iterations):
-            lin = at.linearise(codes, eop)
+            at = self._with_check_points(at, self._intersect(self._smooth(at), codes, eop))
+        for k in range(iterations):
+            lin = self._bundle_conditions(at, codes, eop, first=k == 0)
             if not lin.is_finite:
                 return self._broken(codes, LinearSolution(np.zeros(0), failure=LEFT), system)
             at, eop, step_v, system, solution = self._iterate(at, lin, eop, solver)
             if solution.failure or not np.isfinite(eop).all() or not np.isfinite(at.approximate_m).all():
                 return self._broken(codes, solution, system)
             v = v + step_v
-        ground = self._intersect(at, codes, eop, metadata_position=self.as_run)
+        ground = self._intersect(self._smooth(at), codes, eop, metadata_position=self.switches.metadata_positions)
         ground[self._check] = self._by_point(at)[self._check]
         if not np.isfinite(ground[self._assessed]).all():
             return self._broken(codes, solution, system)
         return Bundle(
             system, solution, v[:, ::-1].ravel(), eop, _names(codes), self._errors(ground), *self._counts(codes)
         )
+
+    def _bundle_conditions(self, at: Conditions, codes: tuple[int, ...], eop: Array, *, first: bool) -> Linearised:
+        """Misclosures and derivatives of one iteration; those of the first may be of other EOPs than A."""
+        lin = self._smooth(at).linearise(codes, eop)
+        at_metadata = first and self.switches.metadata_misclosures
+        if at_metadata or (first and self.switches.line_exact):
+            lin = replace(lin, value=at.linearise(codes, 0.0 * eop if at_metadata else eop).value)
+        return lin
 
     def _iterate(
         self, at: Conditions, lin: Linearised, eop: Array, solver: str
@@ -272,7 +328,7 @@ class TwoStage:
         if system is None:
             v = -(lin.value / lin.look)
             return at.with_look(at.look_rad + v[:, ::-1]), eop, v[:, ::-1], None, LinearSolution(np.zeros(0))
-        solution = attempt(solver, system, as_run=self.as_run)
+        solution = attempt(solver, system, as_run=self.switches.complex_roots)
         design, observed = system.require_design("bundle")
         residual = (design @ solution.x - observed).reshape(-1, 2)  # B^-1 (A dP + w), B square
         v = -np.sign(lin.look) * residual
@@ -339,7 +395,7 @@ class TwoStage:
         with np.errstate(all="ignore"):  # wild corrections overflow: such points are nan
             centre, direction = at.rays(codes, eop, metadata_position=metadata_position, look_sign=look_sign)
             if len(self.block.images) == 2:
-                return from_two_rays(centre, direction, at.image, at.point, n)
+                return from_two_rays(centre, direction, at.image, at.point, n, midpoint=self.switches.midpoint)
             return initial.nearest_points(centre, direction, at.point, n)[0]
 
     @cached_property

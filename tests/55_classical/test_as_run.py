@@ -7,20 +7,23 @@ from functools import cache
 import numpy as np
 import pytest
 
+from fg_orient.classical.switches import NUMBERED, PROGRAM, Switches
 from fg_orient.classical.two_stage import TwoStage
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support import published_conditions as oracle
 
 ATTITUDE = (-1.6e-4, -7.2e-4, 9e-4)
 REAL = {"radial_velocity_m_s": 8.0, "attitude_rad": ATTITUDE}
+#: The matrices of the program, everything else as the text has it: what the second-order theory describes.
+MATRICES = PROGRAM.without(*NUMBERED)
 
 
 @cache
-def _stage(as_run: bool, options: ZonguldakOptions) -> TwoStage:
+def _stage(as_run: bool | Switches, options: ZonguldakOptions) -> TwoStage:
     return TwoStage(zonguldak_block(options)[0], as_run=as_run)
 
 
-def stage(as_run: bool, **options: object) -> TwoStage:
+def stage(as_run: bool | Switches, **options: object) -> TwoStage:
     return _stage(as_run, ZonguldakOptions(**options))
 
 
@@ -74,15 +77,15 @@ def test_the_error_does_not_depend_on_the_number_of_points(point_set: str) -> No
 
 def test_radial_velocity_alone() -> None:
     """As an independent twin: 0.54 / 0.34 / 0.56 m for 8 m/s, 0.67 / 0.18 / 0.42 m with attitude."""
-    alone = stage(True, errors="none", radial_velocity_m_s=8.0).look_only().gcp_rmse
+    alone = stage(MATRICES, errors="none", radial_velocity_m_s=8.0).look_only().gcp_rmse
     assert alone == pytest.approx([0.54, 0.34, 0.56], abs=0.02)
-    both = stage(True, errors="none", **REAL).look_only().gcp_rmse
+    both = stage(MATRICES, errors="none", **REAL).look_only().gcp_rmse
     assert both == pytest.approx([0.67, 0.18, 0.42], abs=0.05)  # other ground points, other range
 
 
 @pytest.mark.parametrize("errors", ["none", "constant"])
 def test_second_order_theory_predicts_the_error_of_every_point(errors: str) -> None:
-    run = stage(True, errors=errors, **REAL)
+    run = stage(MATRICES, errors=errors, **REAL)
     found, expected = gcp_errors(run), predicted(run)
     assert np.abs(found).max() > 0.1
     # U U^T and D^2 have no third order; their product, |a|^2 c^2 = 1.6e-12 of 9e5 m, is left out
@@ -91,7 +94,7 @@ def test_second_order_theory_predicts_the_error_of_every_point(errors: str) -> N
 
 def test_small_angles_of_the_default_twin_leave_half_a_millimetre() -> None:
     """Files with constant errors hold 20 microrad attitudes: a (a . w) of them is 4e-10 x 8e5 m."""
-    run = stage(True)
+    run = stage(MATRICES)
     attitude = oracle.all_eop(run.block)[:, 6:9]
     assert np.allclose(np.abs(attitude), 20e-6, rtol=1e-6)
     found, expected = gcp_errors(run), predicted(run)
@@ -101,10 +104,10 @@ def test_small_angles_of_the_default_twin_leave_half_a_millimetre() -> None:
 
 
 @pytest.mark.parametrize(("as_run", "options"), [
-    (True, {"errors": "none"}), (False, {"errors": "none"}), (False, {}), (False, REAL),
+    (PROGRAM.without("test_after"), {"errors": "none"}), (False, {"errors": "none"}), (False, {}), (False, REAL),
     (False, {"distortion_rad": 3e-6, **REAL}), (False, {"image_noise_px": 1.0, **REAL}),
 ])  # fmt: skip
-def test_orthonormal_matrices_leave_nothing(as_run: bool, options: dict[str, object]) -> None:
+def test_orthonormal_matrices_leave_nothing(as_run: bool | Switches, options: dict[str, object]) -> None:
     """As run the default twin is orthonormal, too: circular orbit, attitude zero."""
     run = stage(as_run, **options)
     assert np.abs(gcp_errors(run)).max() < 1e-6
@@ -112,12 +115,12 @@ def test_orthonormal_matrices_leave_nothing(as_run: bool, options: dict[str, obj
 
 def test_control_points_are_intersected_from_the_metadata_positions() -> None:
     """As run, a position correction never reaches the centre of projection: its error is not undone."""
-    for as_run in (False, True):
+    for positions, as_run in ((False, False), (True, MATRICES)):
         run = stage(as_run, errors="none")
         run.__dict__["pre_adjusted"] = run.start.with_ground(run.start.approximate_m)  # misclosures remain
         bundle = run.bundle(2, 1, "qr")
         centre, direction = run.start.with_look(run.start.look_rad + bundle.v.reshape(-1, 2)[:, ::-1]).rays(
-            (0, 3, 6), bundle.dP, metadata_position=as_run
+            (0, 3, 6), bundle.dP, metadata_position=positions
         )
         o = run.block.observations
         errors = []

@@ -12,6 +12,7 @@ import pytest
 from fg_orient.block import Block, Image, ImagePoints
 from fg_orient.classical import two_stage
 from fg_orient.classical.axis_errors import from_two_rays, rms
+from fg_orient.classical.switches import PROGRAM
 from fg_orient.classical.two_stage import TwoStage
 from fg_orient.errors import InputError
 from fg_orient.linear.system import Breakdown, LinearSolution
@@ -215,7 +216,7 @@ def test_step_two_equals_least_squares(run: TwoStage, independent: Independent, 
 
 
 def test_as_run_step_two_repeats_while_corrections_are_large(run: TwoStage, monkeypatch: pytest.MonkeyPatch) -> None:
-    """10 m or 10 seconds of arc, and A of full rank."""
+    """10 m or 10 seconds of arc, and A of full rank; one limit for a set (D7), or one for each unknown."""
     program = TwoStage(run.block, as_run=True)
     answers = iter([20.0, -11.0, 1.0, 0.0])
 
@@ -240,8 +241,18 @@ def test_as_run_step_two_repeats_while_corrections_are_large(run: TwoStage, monk
     ):  # fmt: skip
         answers = iter([first, 0.0])
         assert program.pre_adjust(0, eop_set, "any").repeats == repeats
+    by_unknown = TwoStage(run.block, as_run=PROGRAM.without("one_limit"))
+    for which, repeats in ((program, 1), (by_unknown, 2)):  # attitudes of 1.1 limits beside positions of 9 m
+        mixed = iter([np.array([9.0, 0.0, 0.0, 0.0, 0.0, 1.1 * limit]), np.zeros(6)])
+        monkeypatch.setattr(two_stage, "attempt", lambda *_, as_run, m=mixed: LinearSolution(next(m)))
+        assert which.pre_adjust(0, 16, "any").repeats == repeats
+    monkeypatch.setattr(two_stage, "attempt", lambda *_, as_run: LinearSolution(np.full(3, 11.0)))
+    assert by_unknown.pre_adjust(0, 2, "any").repeats == two_stage.MAX_REPEATS_BY_UNKNOWN
+    monkeypatch.setattr(two_stage, "MAX_REPEATS", 17)
+    assert program.pre_adjust(0, 2, "any").repeats == 17
+    assert program.pre_adjust(0, 2, "any", once=True).repeats == 1
     monkeypatch.setattr(two_stage, "attempt", lambda *_, as_run: LinearSolution(np.full(9, 100.0)))
-    assert program.pre_adjust(0, 5, "any").repeats == 1  # V: rank below 9
+    assert by_unknown.pre_adjust(0, 5, "any").repeats == 1  # V: rank below 9
     monkeypatch.setattr(two_stage, "attempt", lambda *_, as_run: LinearSolution(np.full(3, 1e200)))
     wild = program.pre_adjust(0, 2, "any")
     assert np.isnan(wild.dP).all()
