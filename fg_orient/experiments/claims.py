@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from fg_orient.classical.switches import TEXT, Switches
 from fg_orient.experiments.study import Study
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.parallel.study import study
@@ -108,6 +109,7 @@ def run_claims(
     claims: Sequence[Claim] | None = None,
     workers: int = 0,
     cluster: Any = None,
+    switches: Switches = TEXT,
 ) -> list[ClaimResult]:
     """Judge claims over seeds.
 
@@ -120,6 +122,8 @@ def run_claims(
         Default: all of them.
     workers, cluster : optional
         Processes, or a cluster, that share the seeds; see ``fg_orient.parallel.study``.
+    switches : Switches
+        Departures of the authors' program. The claims are about the equations of the text; some fail with them.
     """
     chosen = all_claims() if claims is None else tuple(claims)
 
@@ -127,14 +131,14 @@ def run_claims(
         if callback:
             callback(done, of)
 
-    found = study(partial(_judged, chosen), list(seeds), workers=workers, cluster=cluster, callback=tell)
+    found = study(partial(_judged, chosen, switches), list(seeds), workers=workers, cluster=cluster, callback=tell)
     outcomes = [[Outcome(o["holds"], tuple(o["failed"]), o["figures"]) for o in of_seed] for of_seed in found]
     return [_summary(claim, [row[k] for row in outcomes]) for k, claim in enumerate(chosen)]
 
 
-def _judged(claims: Sequence[Claim], seed: int) -> list[dict[str, Any]]:
+def _judged(claims: Sequence[Claim], switches: Switches, seed: int) -> list[dict[str, Any]]:
     """Outcome of each claim on one seed."""
-    at = Study(seed)
+    at = Study(seed, switches)
     with one_blas_thread():  # rounding noise is what some claims are about
         return [asdict(claim.judge(at)) for claim in claims]
 

@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from factors import look, rotations
 from fg_orient import initial
-from fg_orient.classical.two_stage import TwoStage
 from fg_orient.experiments.claims import Claim, Outcome, outcome
 from fg_orient.experiments.study import EXACT, Study
 from fg_orient.sensors.kinds import require_pushbroom
@@ -120,8 +119,7 @@ def c3(study: Study) -> Outcome:
 def c4(study: Study) -> Outcome:
     """Step 1 closes every condition of the control points and shows only what was put in."""
     step, errors = study.two_stage.look, study.two_stage.look_only()
-    clean = TwoStage(zonguldak_block(study.options(image_noise_px=0.0, errors="none", distortion_rad=0.0,
-                                                   ground_noise_m=(0.0, 0.0, 0.0)))[0])  # fmt: skip
+    clean = study.procedure(image_noise_px=0.0, errors="none", distortion_rad=0.0, ground_noise_m=(0.0, 0.0, 0.0))
     gcp = float(np.abs(errors.gcp_m).max())
     checks = {
         "F = 0": step.largest_misclosure <= 1e-15, "five cycles": step.cycles <= 5, "intersection": gcp < 1e-6,

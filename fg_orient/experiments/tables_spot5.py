@@ -1,7 +1,10 @@
 """Tables 4.1-4.34 of Terlemezoğlu (2019) on the twin, point set H-10.
 
 Where the source is silent: tables 4.3-4.16 are taken to belong to a bundle without EOP pre-adjustment (type 1),
-and its matrices to whitened conditions.
+and its matrices to whitened conditions. As run, the RMSE of type 1 in tables 4.25-4.34 are taken to be those of the
+procedure without bundle (:mod:`fg_orient.classical.step_two_only`): its check points diverge as the printed ones do.
+Tables 4.3-4.23 are then those of a step 1 that ends at rounding (D4 off): [Delta Delta] is printed as 1e-33, which
+misclosures of 1e-10 cannot give.
 """
 
 from __future__ import annotations
@@ -13,8 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.cells import CellKey
+from fg_orient.classical.axis_errors import AxisErrors
+from fg_orient.classical.step_two_only import step_two_only
+from fg_orient.classical.switches import TEXT, Switches
 from fg_orient.classical.two_stage import Kind, TwoStage
 from fg_orient.experiments.study import ILL_CONDITIONED
+from fg_orient.experiments.switch_effects import norm_condition
 from fg_orient.experiments.tables_counts import counts
 from fg_orient.experiments.tables_twin import (
     LEAST_SQUARES,
@@ -37,6 +44,8 @@ _SETS = (1, *ILL_CONDITIONED)
 CONDITIONS_OF = {f"4.{3 + k}": number for k, number in enumerate(_SETS)}
 CONDITIONING_OF = {f"4.{10 + k}": number for k, number in enumerate(_SETS)}
 CORRECTIONS_OF = {f"4.{17 + k}": number for k, number in enumerate(_SETS)}
+#: As run, these tables are taken to follow a step 1 that ends at rounding.
+STEP_1_CLOSED = frozenset(CONDITIONS_OF) | frozenset(CONDITIONING_OF) | frozenset(CORRECTIONS_OF)
 #: Solvers of tables 4.17-4.23.
 SOLVERS = (
     "cramer_inverse", "pivot_inverse", "gauss_inverse", "moore_penrose_inverse", "cholesky_inverse",
@@ -52,6 +61,8 @@ SOLVER_OF = {
 }  # fmt: skip
 #: Tables whose solvers choose a kappa.
 TIKHONOV_TABLES = frozenset(table for table, name in SOLVER_OF.items() if name.startswith("tikhonov"))
+#: As run, type 1 of these tables is taken to be without bundle: an inference from the printed check points.
+WITHOUT_BUNDLE = frozenset(SOLVER_OF) - {"4.24"}
 #: Table 4.24 repeats the bundles of Topan 2009, who had no set 20.
 _METHOD_OF = {"4.24": "least_squares_topan2009"}
 PRE_STAGES = ("pre-left", "pre-right")
@@ -59,8 +70,9 @@ TYPES: tuple[Kind, ...] = (1, 2)
 
 
 def compute(
-    tables: Collection[str], seeds: Sequence[int], *, as_run: bool = False, progress: Progress | None = None
-) -> dict[CellKey, Array]:
+    tables: Collection[str], seeds: Sequence[int], *, as_run: bool | Switches = False,
+    progress: Progress | None = None,
+) -> dict[CellKey, Array]:  # fmt: skip
     """Compute the cells of some tables.
 
     Parameters
@@ -69,7 +81,7 @@ def compute(
         Of "text", "eq4.1" ... "eq4.6", "4.1" ... "4.34", "s4.2.2".
     seeds : sequence of int
         One twin each.
-    as_run : bool
+    as_run : bool or Switches
         As the authors' program works, on a twin with radial velocity and attitude.
     progress : callable, optional
         Called with runs done and runs in all.
@@ -81,10 +93,12 @@ def compute(
     """
 
     def one_run(seed: int) -> Cells:
-        run = twin(seed, as_run=as_run)
+        run = closed = twin(seed, as_run=as_run)
+        if run.switches.test_after and any(table in STEP_1_CLOSED for table in tables):
+            closed = twin(seed, as_run=run.switches.without("test_after"))
         out = counts(run)
         for table in tables:
-            out |= _table(run, table)
+            out |= _table(closed if table in STEP_1_CLOSED else run, table)
         return out
 
     return collect(one_run, seeds, progress)
@@ -148,9 +162,11 @@ def _conditioning(run: TwoStage, table: str) -> Cells:
     for stage, system, _, _ in _solved(run, number, LEAST_SQUARES, (*PRE_STAGES, "bundle")):
         key = CellKey(table, str(number), stage)
         found = diagnose(system)
+        formed = math.nan if run.switches == TEXT else norm_condition(system, LEAST_SQUARES)
+        norm = found.cond_norm if math.isnan(formed) else formed
         values = {
             "matrix_order": found.order, "rank": found.rank, "det": _double(found.det_sign, found.log10_det),
-            "cond_norm": found.cond_norm, "cond_spectral": found.cond_spectral, "cond_hadamard": found.cond_hadamard,
+            "cond_norm": norm, "cond_spectral": found.cond_spectral, "cond_hadamard": found.cond_hadamard,
         }  # fmt: skip
         out |= {key._replace(quantity=name): float(value) for name, value in values.items()}
     return out
@@ -181,13 +197,21 @@ def _bundles(run: TwoStage, table: str) -> Cells:
         for kind in TYPES:
             found = run.bundle(number, kind, SOLVER_OF[table])
             key = CellKey(table, str(number), "bundle", str(kind), method=method)
-            out |= rmse_cells(key, found.accuracy.gcp_rmse, found.accuracy.icp_rmse)
+            errors = found.accuracy
+            if kind == 1 and table in WITHOUT_BUNDLE and run.switches != TEXT:
+                errors = without_bundle(run, number, SOLVER_OF[table])
+            out |= rmse_cells(key, errors.gcp_rmse, errors.icp_rmse)
             if found.solution.kappa is not None:
                 out[key._replace(quantity="kappa")] = float(found.solution.kappa)
     return out
 
 
-def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool = False) -> dict[int, LCurve]:
+def without_bundle(run: TwoStage, number: int, solver: str) -> AxisErrors:
+    """Errors of the procedure without bundle; nan where its solver broke down."""
+    return step_two_only(run, number, solver).accuracy
+
+
+def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool | Switches = False) -> dict[int, LCurve]:
     """L-curve of the bundle that the rules of tables 4.25-4.27 look at, of each ill-conditioned set.
 
     Parameters
@@ -196,7 +220,7 @@ def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool = False)
         Empty without one of these tables.
     seed : int
         Of the twin.
-    as_run : bool
+    as_run : bool or Switches
         See :func:`compute`.
 
     Returns

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.cells import CellKey
+from fg_orient.classical.switches import Switches
 from fg_orient.classical.two_stage import TwoStage
 from fg_orient.experiments.tables_twin import LEAST_SQUARES, Cells, Progress, collect, rmse_cells, twin
 from fg_orient.parameters import COMPONENTS, EOP_SETS, N_EOP
@@ -20,8 +21,9 @@ PAPER_SETS = tuple(number for number in EOP_SETS if number <= 19)
 
 
 def compute(
-    tables: Collection[str], seeds: Sequence[int], *, as_run: bool = False, progress: Progress | None = None
-) -> dict[CellKey, Array]:
+    tables: Collection[str], seeds: Sequence[int], *, as_run: bool | Switches = False,
+    progress: Progress | None = None,
+) -> dict[CellKey, Array]:  # fmt: skip
     """Compute the cells of some tables.
 
     Parameters
@@ -30,7 +32,7 @@ def compute(
         Of "text", "1", "2".
     seeds : sequence of int
         One twin each.
-    as_run : bool
+    as_run : bool or Switches
         As the authors' program works, on a twin with radial velocity and attitude.
     progress : callable, optional
         Called with runs done and runs in all.

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.cells import CellKey
+from fg_orient.classical.switches import Switches
 from fg_orient.classical.two_stage import TwoStage
-from fg_orient.experiments.study import TWIN
+from fg_orient.experiments.study import AS_RUN_TWIN, TWIN
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.parameters import eop_codes
 from fg_orient.simulate.zonguldak import zonguldak_block
@@ -26,22 +27,15 @@ Cells = dict[CellKey, float | list[float]]
 #: Told after each run: runs done, runs in all.
 Progress = Callable[[int, int], None]
 
-#: As run, the twin has the radial velocity and the attitude of real SPOT-5 scenes: on a circular orbit without
-#: attitude the matrices of the program are orthonormal and its constant residual does not show.
-AS_RUN_RADIAL_VELOCITY_M_S = 8.0
-AS_RUN_ATTITUDE_RAD = (-1.6e-4, -7.2e-4, 9e-4)
 #: Plain least squares of both sources: an inverse is formed with pivoting, then multiplied with b.
 LEAST_SQUARES = "pivot_inverse"
 AXES = ("x", "y", "z")
 _PUBLISHED_COMPONENTS = ("X", "Y", "Z", "VX", "VY", "VZ", "ar", "ap", "ay")
 
 
-def twin(seed: int, point_set: str = "H-10", *, as_run: bool = False) -> TwoStage:
-    """Start the published procedure on the twin of a seed."""
-    options = replace(TWIN, seed=seed, point_set=point_set)
-    if as_run:
-        options = replace(options, radial_velocity_m_s=AS_RUN_RADIAL_VELOCITY_M_S, attitude_rad=AS_RUN_ATTITUDE_RAD)
-    block, _ = zonguldak_block(options)
+def twin(seed: int, point_set: str = "H-10", *, as_run: bool | Switches = False) -> TwoStage:
+    """Start the published procedure on the twin of a seed; with switches it has radial velocity and attitude."""
+    block, _ = zonguldak_block(replace(AS_RUN_TWIN if as_run else TWIN, seed=seed, point_set=point_set))
     return TwoStage(block, as_run=as_run)
 
 

@@ -17,11 +17,13 @@ def explain(cell: PublishedCell) -> str:
     if key.table in {"eq4.5", "eq4.6"}:
         return "misprint of the source: its own tables use the reproduced count"
     if key.point_role == "icp" and cell.value > ICP_LIMIT_M:
-        return "check points diverge after several iterations (claim C16); one is made here"
+        return "printed as if check points were intersected after step 2, without bundle (as run), where they diverge"
     if key.eop_set == "13" and key.method in {"moore_penrose_inverse", "tikhonov_od"}:
-        return "the failure of set 13 under regularisation is not met on the twin (claim C14)"
+        return "the program ruins set 13 by the length of its across-track axis, which follows the unknowns (as run)"
     if key.eop_set == "15" and key.point_role == "gcp":
-        return "set 15 suffers from its units only; on the twin plain least squares solves it"
+        return "the program intersects control points with corrected attitudes from uncorrected positions (as run)"
+    if key.quantity == "dP" and "V" in key.parameter:
+        return "velocities are printed larger by decades; not explained"
     if key.point_role == "gcp":
         return "the size of dP is rounding noise, and with it on which side of the target a set falls"
     if key.quantity == "det":

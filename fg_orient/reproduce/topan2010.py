@@ -14,6 +14,10 @@ def explain(cell: PublishedCell) -> str:
     key = cell.key
     if key.quantity == "n_gcp_needed_unmodelled_printed":
         return "misprint of the source: 108000 / 2"
+    if key.table == "2" and key.point_role == "gcp" and key.eop_set in {"15", "16"}:
+        return "the program intersects control points with corrected attitudes from uncorrected positions (as run)"
+    if key.table == "2" and key.point_role == "gcp" and key.eop_set in {"14", "18"}:
+        return "in the program the length of the across-track axis follows the velocity (as run)"
     if key.table == "2" and key.point_role == "gcp":
         return "the size of dP is rounding noise, and with it on which side of the target a set falls"
     return ""

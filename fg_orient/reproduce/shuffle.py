@@ -1,0 +1,70 @@
+"""Verdicts of shuffled numbers: the share of a count of verdicts that needs no knowledge of the cell.
+
+The published values of a table are exchanged among the cells of one kind (control-point RMSE, condition numbers
+...), and judged against the same runs. A verdict that shuffled values get as often as the true ones says that the
+table has this size, not that the cell has this value.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.cells import CellKey
+from fg_orient.published.tables import PublishedCell, PublishedTables
+from fg_orient.reproduce.reproduction import pair
+from fg_orient.reproduce.rules import kind_of
+from fg_orient.reproduce.sources import Source
+from fg_orient.reproduce.verdict import KINDS
+
+Array = npt.NDArray[np.float64]
+
+
+def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, ...]:
+    """Exchange the printed values of cells of one table and one kind.
+
+    Parameters
+    ----------
+    cells : sequence of PublishedCell
+    seed : int
+        Of the permutations.
+    """
+    groups: dict[tuple[str, str], list[int]] = {}
+    for place, cell in enumerate(cells):
+        if cell.text:
+            groups.setdefault((cell.key.table, kind_of(cell.key)), []).append(place)
+    out, rng = list(cells), np.random.default_rng(seed)
+    for places in groups.values():
+        for to, origin in zip(places, rng.permutation(places), strict=True):
+            other = cells[int(origin)]
+            out[to] = replace(cells[to], value=other.value, text=other.text, printed=other.printed)
+    return tuple(out)
+
+
+def counts(
+    printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
+    seeds: Iterable[int] = (),
+) -> dict[str, dict[str, float]]:  # fmt: skip
+    """Verdicts by table: those of the published values, or the mean over shuffled ones.
+
+    Parameters
+    ----------
+    printed, computed, source, tables
+        As in :func:`fg_orient.reproduce.reproduction.pair`.
+    seeds : iterable of int
+        One shuffle each; none leaves the values where they are.
+
+    Returns
+    -------
+    dict
+        Table to verdict to number of cells.
+    """
+    variants = [replace(printed, cells=shuffled(printed.cells, seed)) for seed in seeds] or [printed]
+    total: Counter[tuple[str, str]] = Counter()
+    for variant in variants:
+        total.update((row.table, row.verdict) for row in pair(variant, computed, source, tables))
+    return {table: {kind: total[table, kind] / len(variants) for kind in KINDS} for table in tables}

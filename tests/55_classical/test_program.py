@@ -1,0 +1,282 @@
+"""The authors' program on the twin: its numbers, and the effect of each of its departures from the equations.
+
+The expected numbers are those of the program itself, run on the same twin. Errors that follow from the geometry are
+held to 1 %; ranks and condition numbers of singular systems to their order; where rounding decides, nothing is held.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from fg_orient.classical.axis_errors import AxisErrors, from_two_rays
+from fg_orient.classical.step_two_only import step_two_only
+from fg_orient.classical.switches import NUMBERED, PROGRAM, TEXT, Switches, label, names, source, switches_of
+from fg_orient.classical.two_stage import TwoStage
+from fg_orient.experiments.study import AS_RUN_TWIN, Study
+from fg_orient.experiments.switch_effects import MEASURES, effects, norm_condition
+from fg_orient.linear.conditioning import diagnose
+
+SOLVER = "gauss_inverse"
+#: The procedure before D1 to D8 were known: matrices, 0.1", repeats, metadata positions, complex roots.
+FORMER = PROGRAM.without(*NUMBERED)
+
+
+@cache
+def run_of(switches: Switches = PROGRAM, seed: int = 1) -> TwoStage:
+    return Study(seed, switches, AS_RUN_TWIN).two_stage
+
+
+@cache
+def bundle(
+    eop_set: int, switches: Switches = PROGRAM, seed: int = 1, kind: int = 2, solver: str = SOLVER
+) -> AxisErrors:
+    return run_of(switches, seed).bundle(eop_set, kind, solver).accuracy
+
+
+def design(eop_set: int, switches: Switches = PROGRAM, image: int = 0) -> np.ndarray:
+    return run_of(switches).pre_adjust(image, eop_set, "moore_penrose_inverse").system.require_design("A")[0]
+
+
+def near(found: np.ndarray, expected: list[float], share: float = 0.01) -> bool:
+    """Within a share, and half a unit of the last printed digit."""
+    printed = [0.5 * 10.0 ** -len(repr(e).partition(".")[2]) if "." in repr(e) else 0.5 for e in expected]
+    return bool(np.all(np.abs(found - expected) <= share * np.abs(expected) + printed))
+
+
+# --- the program's numbers -------------------------------------------------------------------
+
+
+def test_uncorrected_and_step_one_are_the_programs() -> None:
+    run = run_of()
+    assert near(run.uncorrected().gcp_rmse, [44.14, 26.17, 20.60], 0.001)
+    assert near(run.look_only().gcp_rmse, [0.664, 0.205, 0.418], 0.001)
+    assert near(run.look_only().icp_rmse, [6.441, 7.959, 7.928], 0.001)
+
+
+@pytest.mark.parametrize(("eop_set", "expected"), [
+    (1, [0.703, 0.204, 0.456]), (15, [94, 208, 166]), (16, [4.6, 72, 74]),
+])  # fmt: skip
+def test_type_2_bundles_are_the_programs(eop_set: int, expected: list[float]) -> None:
+    assert near(bundle(eop_set).gcp_rmse, expected)
+    assert near(bundle(eop_set).icp_rmse, list(bundle(eop_set, FORMER).icp_rmse.round(2)))
+
+
+@pytest.mark.parametrize(("seed", "eop_set", "expected"), [
+    (1, 14, [2.3e5]), (1, 18, [1.8e3]), (2, 14, [3130, 578, 2987]), (2, 18, [320, 65, 338]),
+])  # fmt: skip
+def test_sets_14_and_18_fail_as_the_programs(seed: int, eop_set: int, expected: list[float]) -> None:
+    """Weak directions: a machine's rounding moves them by per cent, so a factor of 1.5 is all that is held."""
+    found = bundle(eop_set, PROGRAM, seed).gcp_rmse
+    values = found if len(expected) == 3 else found.max()
+    assert np.all(np.abs(np.log10(values / np.array(expected))) < np.log10(1.5))
+
+
+def test_moore_penrose_cures_all_but_13_and_14() -> None:
+    for eop_set in (1, 5, 15, 17, 19, 20):
+        for kind in (1, 2):
+            assert bundle(eop_set, kind=kind, solver="moore_penrose_inverse").gcp_max < 1.0
+    assert 1.0 < bundle(13, solver="moore_penrose_inverse").gcp_max < 50.0
+    assert 1e3 < bundle(13, kind=1, solver="moore_penrose_inverse").gcp_max < 1e6
+    assert 1e4 < bundle(14, solver="moore_penrose_inverse").gcp_max < 1e6
+
+
+def test_ranks_and_condition_numbers_are_the_programs() -> None:
+    assert np.linalg.matrix_rank(design(5)) == 8
+    assert np.linalg.matrix_rank(design(13)) == 17
+    one, fifteen = (run_of().pre_adjust(0, k, SOLVER).system for k in (1, 15))
+    assert diagnose(one).rank == 8
+    assert 1.1e18 / 2.0 < norm_condition(one) < 1.1e18 * 2.0
+    assert 1.7e33 / 3.0 < norm_condition(fifteen) < 1.7e33 * 3.0
+
+
+@pytest.mark.parametrize("name", ["cholesky_inverse", "cholesky_elimination"])
+def test_cholesky_fails_for_the_sets_with_velocity_at_two_times(name: str) -> None:
+    """Complex roots hide the failure: they are off here. Sets whose least pivot is rounding may fail or not."""
+    run = run_of(PROGRAM.without("complex_roots"))
+    for eop_set in (5, 13, 17, 20):
+        assert run.bundle(eop_set, 2, name).failure
+    for eop_set in (1, 2, 3, 9, 10, 15, 16):
+        assert not run.bundle(eop_set, 2, name).failure
+
+
+def test_matrices_leave_the_constant_residual() -> None:
+    """Both orthonormal: 0.3 mm, what the single cycle of step 1 leaves; one of the two: 0.1 to 0.6 m."""
+    both = run_of(PROGRAM.without("short_axis", "small_angles")).look_only().gcp_rmse
+    assert np.all((both > 1e-4) & (both < 5e-4))
+    for one in ("short_axis", "small_angles"):
+        left = run_of(PROGRAM.without(one)).look_only().gcp_rmse
+        assert np.all((left > 0.1) & (left < 0.6))
+
+
+# --- each switch alone -----------------------------------------------------------------------
+
+
+def test_without_the_numbered_switches_it_is_the_former_procedure() -> None:
+    """Numbers of the program beside ours before D1 to D8."""
+    run = run_of(FORMER)
+    assert near(run.uncorrected().gcp_rmse, [39.75, 25.35, 25.23], 0.001)
+    assert near(run.look_only().gcp_rmse, [0.691, 0.200, 0.390], 0.001)
+    assert near(run.look_only().icp_rmse, [7.359, 8.014, 7.815], 0.001)
+    assert near(bundle(1, FORMER).gcp_rmse, [0.8112, 0.1784, 0.3892], 0.001)
+    assert near(bundle(15, FORMER).gcp_rmse, [383, 217, 398], 0.001)
+    assert near(bundle(16, FORMER).gcp_rmse, [109, 92, 194], 0.001)
+    assert bundle(14, FORMER).gcp_max < 5.0
+    assert bundle(18, FORMER).gcp_max < 5.0
+    assert np.linalg.matrix_rank(design(5, FORMER)) == 5
+    assert np.linalg.matrix_rank(design(13, FORMER)) == 14
+
+
+def test_d1_lines_from_the_centre_change_ranks_and_conditions_only() -> None:
+    centred, first = PROGRAM, PROGRAM.without("centred_lines")
+    systems = {s: run_of(s).pre_adjust(0, 1, SOLVER).system for s in (centred, first)}
+    assert (diagnose(systems[centred]).rank, diagnose(systems[first]).rank) == (8, 6)
+    assert 50.0 < norm_condition(systems[first]) / norm_condition(systems[centred]) < 500.0
+    assert near(bundle(15, first).gcp_rmse, list(bundle(15).gcp_rmse.round(2)), 1e-3)
+    q = [np.linalg.inv(scaled.T @ scaled) for scaled in
+         (design(1, s) / np.linalg.norm(design(1, s), axis=0) for s in (centred, first))]  # fmt: skip
+    r = [abs(m[0, 1]) / np.sqrt(m[0, 0] * m[1, 1]) for m in q]  # X0 with X1: published 0.027
+    assert r[0] < 0.2 < 0.85 < r[1]
+
+
+def test_d2_the_foot_on_the_first_ray_is_the_former_intersection() -> None:
+    foot = PROGRAM.without("midpoint")
+    assert near(run_of(foot).uncorrected().gcp_rmse, [39.75, 25.35, 25.23], 0.001)
+    assert near(run_of(foot).look_only().gcp_rmse, [0.691, 0.200, 0.390], 0.001)
+    assert near(run_of(foot).look_only().icp_rmse, [7.361, 8.014, 7.812], 0.001)
+
+
+def test_d2_d3_off_is_the_program_with_both_changed() -> None:
+    changed = PROGRAM.without("midpoint", "line_exact")
+    assert near(bundle(1, changed).gcp_rmse, [0.8115, 0.1777, 0.3893], 0.001)
+    assert near(bundle(15, changed).gcp_rmse, [387, 217, 395])
+    assert near(bundle(16, changed).gcp_rmse, [109, 93, 193])
+
+
+def test_d3_lines_interpolated_leave_polynomial_misclosures() -> None:
+    """1e-8 rad between orbit and polynomials, which the procedure without bundle takes as its right-hand side."""
+
+    def w(switches: Switches, polynomial: bool) -> float:
+        step = run_of(switches).pre_adjust(0, 1, SOLVER, polynomial_misclosures=polynomial)
+        return float(np.sqrt(np.mean(step.system.require_design("w")[1] ** 2)))
+
+    assert 5e-9 < w(PROGRAM, True) < 2e-8
+    assert w(PROGRAM, False) < 1e-9
+    smooth = PROGRAM.without("line_exact")
+    assert w(smooth, True) == w(smooth, False)
+
+
+def test_d4_the_test_after_the_correction_saves_a_cycle() -> None:
+    early, late = run_of(), run_of(PROGRAM.without("test_after"))
+    assert (early.look.cycles, late.look.cycles) == (1, 2)
+    rms = []
+    for run in (early, late):
+        step = run.pre_adjust(0, 1, SOLVER)
+        rms.append(np.sqrt(np.mean(step.system.require_design("w")[1] ** 2)))
+        assert (np.abs(step.dP).max() > 1e-5) == (run is early)
+    assert rms[0] == pytest.approx(9e-11, rel=0.1)
+    assert rms[1] < 1e-16
+
+
+def test_d5_a_length_that_follows_gives_velocity_along_the_radius_an_effect() -> None:
+    held = PROGRAM.without("length_follows")
+    assert [np.linalg.matrix_rank(design(k, held)) for k in (5, 13)] == [5, 14]
+    assert bundle(14, held).gcp_max < 5.0 < 1e4 < bundle(14).gcp_max
+    assert bundle(18, held).gcp_max < 5.0 < 1e2 < bundle(18).gcp_max
+
+
+def test_d6_misclosures_at_the_metadata_count_step_two_twice() -> None:
+    """w at the EOPs of step 2 contains what step 2 explained; at the metadata it does not: dP differs by that."""
+    at_step_2 = run_of(PROGRAM.without("metadata_misclosures")).bundle(15, 2, SOLVER)
+    at_metadata = run_of().bundle(15, 2, SOLVER)
+    steps = np.array([run_of().pre_adjust(k, 15, SOLVER).dP for k in (0, 1)])
+    twice = at_metadata.dP - at_step_2.dP
+    assert np.allclose(twice[:, [0, 3, 6]], steps[:, [0, 3, 6]], rtol=0.1, atol=1e-3)
+    assert near(bundle(15, PROGRAM.without("metadata_misclosures")).gcp_rmse, list(bundle(15).gcp_rmse.round(1)))
+
+
+def test_d7_one_limit_for_all_unknowns_ends_or_prolongs_step_two() -> None:
+    """Set 19 with misclosures of 1e-8 rad: positions beyond 10 m for more than ten iterations."""
+    iterations = [
+        run_of(switches).pre_adjust(0, 19, SOLVER, polynomial_misclosures=True).repeats
+        for switches in (PROGRAM, PROGRAM.without("one_limit"))
+    ]
+    assert iterations[0] > 10 == iterations[1]
+
+
+def test_d8_the_quotients_of_the_look_angles_are_needed_for_sets_15_and_16() -> None:
+    """Without it the bundles miss the program's numbers by 1.5 % and more: why the switch is there."""
+    without = PROGRAM.without("look_quotients")
+    assert not near(bundle(15, without).gcp_rmse, [94, 208, 166], 0.005)
+    assert not near(bundle(16, without).gcp_rmse, [4.6, 72, 74], 0.005)
+    assert bundle(14, without, 2).gcp_max < 0.2 * 3130.0
+
+
+def test_metadata_positions_ruin_set_15() -> None:
+    """From corrected positions 94/208/166 m become 0.44/0.25/0.33 m: not its units, the way it is judged."""
+    corrected = PROGRAM.without("metadata_positions")
+    assert near(bundle(15, corrected).gcp_rmse, [0.44, 0.25, 0.33], 0.01)
+    assert bundle(16, corrected).gcp_max < 1.0
+
+
+# --- without bundle --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("eop_set", "control", "check"), [
+    (15, [14, 7, 12], [19, 8, 14]), (19, [164, 167, 177], [167, 165, 180]),
+])  # fmt: skip
+def test_without_bundle_check_points_diverge_with_the_control_points(
+    eop_set: int, control: list[float], check: list[float]
+) -> None:
+    """Set 19 is nearly singular: another machine may move it, so a factor of 1.5 is held."""
+    found = step_two_only(run_of(), eop_set, "pivot_inverse")
+    assert not found.failure
+    assert [step.repeats for step in found.steps] == [1, 1]
+    share = 0.01 if eop_set == 15 else 0.5
+    assert near(found.accuracy.gcp_rmse, control, share)
+    assert near(found.accuracy.icp_rmse, check, share)
+    assert bundle(eop_set, kind=1).icp_max < 10.0  # those of the bundle stay
+
+
+def test_without_bundle_a_solver_that_breaks_down_leaves_nothing() -> None:
+    found = step_two_only(run_of(PROGRAM.without("complex_roots")), 17, "cholesky_inverse")
+    assert found.failure
+    assert np.isnan(found.accuracy.gcp_m).all()
+
+
+# --- switches --------------------------------------------------------------------------------
+
+
+def test_switches_are_named_and_have_a_source() -> None:
+    assert [label(name) for name in NUMBERED] == [f"D{k}" for k in range(1, 9)]
+    assert all(source(name) for name in names())
+    assert names(["D5", "D2"]) == ("midpoint", "length_follows")
+    assert switches_of(True) == PROGRAM and switches_of(False) == TEXT and switches_of(FORMER) == FORMER
+    assert TEXT.with_(*names()) == PROGRAM and PROGRAM.without(*names()) == TEXT
+
+
+def test_the_text_has_no_switch_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, named = TwoStage(run_of().block), TwoStage(run_of().block, as_run=TEXT)
+    for a, b in zip(plain.bundle(15, 2, SOLVER).dP.ravel(), named.bundle(15, 2, SOLVER).dP.ravel(), strict=True):
+        assert a == b
+
+
+def test_two_rays_meet_in_the_middle_of_their_shortest_connection() -> None:
+    centre = np.array([[0.0, 0.0, 0.0], [5.0, 1.0, -3.0]])
+    direction = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    image, point = np.array([0, 1]), np.array([0, 0])
+    assert np.allclose(from_two_rays(centre, direction, image, point, 1), [[5.0, 0.0, 0.0]])
+    assert np.allclose(from_two_rays(centre, direction, image, point, 1, midpoint=True), [[5.0, 0.5, 0.0]])
+
+
+def test_effects_hold_each_procedure_with_each_measure() -> None:
+    seen: list[tuple[int, int]] = []
+    found = effects(1, ["midpoint"], lambda done, of: seen.append((done, of)))
+    assert list(found) == ["text", "program", "text + midpoint", "program - midpoint"]
+    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert all(list(values) == list(MEASURES) for values in found.values())
+    expected = np.linalg.norm(run_of(PROGRAM.without("midpoint")).uncorrected().gcp_rmse)
+    assert found["program - midpoint"]["uncorrected"] == pytest.approx(expected, rel=1e-12)
+    assert found["text"]["step_1"] < 1e-6 < found["program"]["step_1"]
