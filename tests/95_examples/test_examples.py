@@ -65,6 +65,12 @@ def test_own_factor(repository: Path) -> None:
     assert after < 0.03  # its sigma is 0.01 m
 
 
+def test_program_as_run(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run(repository, "program_as_run.py", "--only", "D5", "--out", "figures")
+    assert (tmp_path / "figures" / "program-as-run.svg").stat().st_size > 10_000
+
+
 def test_ill_conditioning(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     out = run(repository, "ill_conditioning.py", "--seeds", "1", "--out", "figures")

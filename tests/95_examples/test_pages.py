@@ -61,6 +61,7 @@ SLOW: dict[tuple[str, str], float] = {
     ("docs/ill-conditioning.md", "fg-orient compare"): 40,
     ("docs/ill-conditioning.md", "fg-orient reproduce"): 60,
     ("docs/ill-conditioning.md", "ill_conditioning.py"): 30,
+    ("docs/program-as-run.md", "program_as_run.py"): 20,
     ("docs/parallel.md", "workers"): 20,
     ("docs/rectification.md", "reproduce"): 15,
     ("docs/rectification.md", "ortho"): 20,
