@@ -37,7 +37,7 @@ def processes(count: int) -> Iterator[Any]:
 
 @pytest.fixture(scope="package")
 def client() -> Iterator[Any]:
-    """Give a client of two processes; each takes 2 s to start, so that all fast tests with it are in test_workers."""
+    """Give a client of two processes; they take 2 s each to start, so all fast tests with it are in test_workers."""
     with processes(2) as found:
         yield found
 
