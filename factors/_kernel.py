@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from llvmlite import binding
 from numba.core import codegen, compiler, sigutils, typing
@@ -38,6 +38,19 @@ class _Flags(compiler.Flags):  # type: ignore[misc]
         return self
 
 
+#: Begin of the names under which a function keeps its Python constants.
+_CONSTANTS: Final = "_ZN08NumbaEnv"
+
+
+class _Result(compiler.CompileResult):  # type: ignore[misc]
+    """A compiled kernel; on disk goes what it needs itself, and nothing of its parts."""
+
+    __slots__ = ()
+
+    def _find_referenced_environments(self) -> list[Any]:
+        return []  # its own is kept apart
+
+
 class _Part(NamedTuple):
     """A function as other kernels call it."""
 
@@ -53,6 +66,15 @@ class _PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
 
     def finalize(self) -> None:
         self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        """Code to be linked; each kernel has a place for constants of its own, or a later one would find it empty."""
+        if self._shared_module is None:
+            module = super()._get_module_for_linking()
+            for variable in module.global_variables:
+                if variable.name.startswith(_CONSTANTS):
+                    variable.linkage = "internal"
+        return self._shared_module
 
 
 class _KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
@@ -135,7 +157,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
                 library, result.fndesc, result.environment, result.call_helper, release_gil=self.targetoptions["nogil"]
             )
         entry = context.get_executable(library, result.fndesc, result.environment)
-        return result._replace(library=library, entry_point=entry)
+        return _Result(*result._replace(library=library, entry_point=entry))
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]

@@ -219,6 +219,32 @@ def test_a_kernel_is_compiled_whole_and_its_parts_are_not(tmp_path: Path) -> Non
     assert told == ["whole", "part"]
 
 
+def test_a_part_that_becomes_a_kernel_gives_arrays(chain: Chain) -> None:
+    """What boxes an array stands beside the code of a kernel, not beside that of another one which has it as a part."""
+    code = """
+import json, sys
+import numpy as np
+from factors._compile import compiled
+
+@compiled
+def part(x):
+    out = np.empty(2)
+    out[0], out[1] = x, 2.0 * x
+    return out
+
+@compiled
+def whole(x):
+    return part(x)[1]
+
+value = whole(1.0) + part(3.0)[1]
+json.dump([value, []], sys.stdout)
+"""
+    script = chain.folder / "script.py"
+    script.write_text(code, encoding="utf-8")
+    for _ in range(2):  # compiled, and from disk
+        assert chain.run("import runpy, sys; runpy.run_path(r'" + str(script) + "')") == (8.0, [])
+
+
 def test_a_function_does_not_take_the_rounding_of_its_first_caller() -> None:
     """Numba hands fastmath and forceinline on to functions that say nothing and are compiled for a caller."""
     for compile_ in (_compile.compiled, _compile.inlined, _compile.exact, _compile.threaded):
