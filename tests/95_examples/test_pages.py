@@ -33,6 +33,10 @@ PAGES = {
 #: (page or pattern, part of the command or block): why it is not run. Options are read all the same.
 NOT_RUN: dict[tuple[str, str], str] = {
     ("README.md", "make "): "makes an environment of its own, minutes; docs/newcomer.sh runs make demo",
+    (
+        "README.md",
+        "env",
+    ): "makes an environment of its own, minutes; tests/00_repository/test_packaging.py holds what it installs",
     ("CONTRIBUTING.md", "make "): "the check of every change is made of these",
     ("CONTRIBUTING.md", ".ci/run"): "the check of every change itself",
     (
