@@ -33,7 +33,7 @@ demo: $(if $(wildcard $(STAMP)),$(STAMP),$(CORE))  ## simulate the Zonguldak ste
 test test-slow: export OPENBLAS_NUM_THREADS := 1
 
 test: $(STAMP) kernels  ## all tests but the slow ones (ARGS=... goes to pytest)
-	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadscope $(ARGS)
 
 test-slow: $(STAMP)  ## the full simulations
 	$(BIN)/python -m pytest -m slow $(ARGS)

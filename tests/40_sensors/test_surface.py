@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,11 @@ def rays(sensor: PushbroomSensor, n: int = 400) -> Grid:
     return sensor.rays(rng.uniform(5600.0, 6400.0, n), np.linspace(5200.0, 6800.0, n))
 
 
+@functools.cache
+def transformer(source: str, target: str) -> pyproj.Transformer:
+    return pyproj.Transformer.from_crs(source, target, always_xy=True)
+
+
 def fine_march(p: np.ndarray, u: np.ndarray, heights: np.ndarray, crs: str, corner: tuple[float, float]) -> Grid:
     """First crossing of one ray in steps of 0.5 m, and the number of crossings; nothing of the package."""
     from scipy.interpolate import RegularGridInterpolator
@@ -68,12 +74,10 @@ def fine_march(p: np.ndarray, u: np.ndarray, heights: np.ndarray, crs: str, corn
     x = corner[0] + step_x * (np.arange(SIZE) + 0.5)
     y = corner[1] - step_y * (np.arange(SIZE) + 0.5)
     surface = RegularGridInterpolator((y[::-1], x), heights[::-1])
-    to_geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
-    to_grid = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
     near = ellipsoid.distance_to_height(p, u, 2001.0)
     s = near + np.arange(0.0, 2600.0, 0.5)
-    lon, lat, h = to_geodetic.transform(*(p[:, None] + u[:, None] * s))
-    gx, gy = to_grid.transform(lon, lat)
+    lon, lat, h = transformer("EPSG:4978", "EPSG:4979").transform(*(p[:, None] + u[:, None] * s))
+    gx, gy = transformer("EPSG:4326", crs).transform(lon, lat)
     depth = surface(np.stack([gy, gx], axis=1)) - h
     below = depth >= 0.0
     changes = np.flatnonzero(below[1:] != below[:-1])

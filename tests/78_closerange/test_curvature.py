@@ -11,6 +11,7 @@ from fg_orient.closerange.curvature import BENT, bend
 from fg_orient.closerange.orientation import absolute_orientation, relative_orientation
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.resection import resect
+from tests.support.repetitions import some_slow
 
 from .conftest import Array
 
@@ -54,7 +55,7 @@ def squares(distance_m: float, runs: int) -> tuple[Array, Array, Array]:
     return np.array(whole), np.array(single), np.array(bends)
 
 
-@pytest.mark.parametrize("runs", [24, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", some_slow([12, 400]))
 def test_a_bend_tells_where_the_covariance_is_optimistic_as_a_whole(runs: int) -> None:
     """Squares of errors are 1 + 3 bend^2/6 per unknown: at 8 m about 1, at 150 m several; single sigmas hold."""
     low, high = chi2.ppf([1e-4, 1.0 - 1e-4], runs)

@@ -11,6 +11,7 @@ from fg_orient.closerange.orientation import RelativeOrientation, absolute_orien
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.rivals import likeness
 from fg_orient.errors import InputError
+from tests.support.repetitions import some_slow
 
 from .conftest import Array
 
@@ -48,7 +49,7 @@ def require_near(found: RelativeOrientation, rotation: Array, base: Array, *, m0
     assert np.linalg.norm(found.base - base) <= spread and found.m0 is not None and found.m0 <= m0
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", some_slow(range(8), 2))
 def test_points_of_a_plane_are_oriented(seed: int) -> None:
     """The essential matrix is open there; the camera may have any turn about its axis."""
     rng = np.random.default_rng(seed)
@@ -58,6 +59,7 @@ def test_points_of_a_plane_are_oriented(seed: int) -> None:
     require_near(found, rotation, base, m0=2.0)
 
 
+@pytest.mark.slow
 def test_seven_points_need_more_starts_than_the_axes() -> None:
     """Bases along the axes ended with points behind a camera here, and in 3 of 320 scenes in m0 of 9 to 300."""
     rng = np.random.default_rng(63)
@@ -66,7 +68,7 @@ def test_seven_points_need_more_starts_than_the_axes() -> None:
     require_near(found, rotation, base, m0=3.5)
 
 
-@pytest.mark.parametrize("seed", [16, 43, 48])
+@pytest.mark.parametrize("seed", some_slow([43, 16, 48]))
 def test_a_minimum_that_is_not_determined_decides_where_it_is_the_least(seed: int) -> None:
     """2 cm of base at 5 m: others were the answer, bases 0.3 to 3 rad off by 0.001, with m0 of 3 to 6."""
     rng = np.random.default_rng(seed)
@@ -75,7 +77,7 @@ def test_a_minimum_that_is_not_determined_decides_where_it_is_the_least(seed: in
         relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
 
 
-@pytest.mark.parametrize("seed", [15, 19, 36])
+@pytest.mark.parametrize("seed", some_slow([15, 19, 36]))
 def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
     """Seven points of a plane: what fits best is not the truth, which is the rival; 20 points tell them apart."""
     rng = np.random.default_rng(seed)
@@ -92,7 +94,7 @@ def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
     assert relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA).rival is None
 
 
-@pytest.mark.parametrize("n", [6, 12])
+@pytest.mark.parametrize("n", some_slow([12, 6]))
 def test_photos_of_one_place_are_called_so(n: int) -> None:
     """With a sigma and without; 2 cm of base at 5 m is none of noise, though it does not determine 12 points' pair."""
     rng = np.random.default_rng(n)
@@ -135,7 +137,7 @@ def test_eight_points_need_more_starts_than_the_linear_solution() -> None:
     require_near(found, rotation, base, m0=2.0)
 
 
-@pytest.mark.parametrize("seed", [0, 8])
+@pytest.mark.parametrize("seed", some_slow([0, 8]))
 def test_few_points_of_a_rolled_camera(seed: int) -> None:
     """Starts were without roll: three of 30 pairs of a camera turned about its view ended wrong with seven points."""
     rng = np.random.default_rng(seed)

@@ -21,7 +21,7 @@ ROWS = re.findall(
     r"^\| `([\w-]+)-result` \| `(.*?)` \| (\d+) \| (\d+) \| (\S+) \|$", PAGE.read_text("utf-8"), re.MULTILINE
 )
 #: Runs that take seconds.
-LONG = ("wsmart", "prior-eo")
+LONG = ("cam-fixed", "wsmart", "prior-eo")
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ from fg_orient.rfm.points import ControlPoints
 from fg_orient.rfm.select import fit_selected
 from fg_orient.rfm.validate import cross_validate
 from fg_orient.simulate.zonguldak import zonguldak_block
+from tests.support.repetitions import some_slow
 
 Verdicts = dict[CellKey, Verdict]
 INVERSES = ("pivot_inverse", "cholesky_inverse", "gauss_inverse")
@@ -304,7 +305,7 @@ def validated(points: ControlPoints, degree: int, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.real_data
-@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("degree", some_slow([1, 2]))
 def test_a_held_model_is_good_in_truth(points: ControlPoints, degree: int, capsys: pytest.CaptureFixture[str]) -> None:
     assert (validated(points, degree, capsys) <= 1.0).all()
 

@@ -22,6 +22,7 @@ from tests.support import page_files
 from tests.support.browser import Page
 from tests.support.command import in_process as run
 from tests.support.page import structure
+from tests.support.repetitions import some_slow
 
 from .conftest import HOSTILE
 
@@ -238,7 +239,7 @@ def test_an_unknown_camera_parameter_is_told_with_the_known_ones(made: Path) -> 
     assert "choose one of c, x0, y0, k1" in done.stderr
 
 
-@pytest.mark.parametrize("sigma", [0.001, None])
+@pytest.mark.parametrize("sigma", some_slow([0.001, None]))
 def test_a_point_off_a_surface_is_a_problem(sigma: float | None, tmp_path: Path) -> None:
     """17 mm off among 1 mm of noise: named with its distance; no other point, and none without the error."""
     page_files.surface_points(tmp_path)
