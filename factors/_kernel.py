@@ -11,44 +11,18 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import cache
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
-from llvmlite import binding
-from numba.core import codegen, compiler, sigutils, typing
+from numba.core import compiler, sigutils, typing
 from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.runtime.nrt import rtsys
 
+from factors._libraries import Flags, KernelLibrary, PartLibrary, Result
 from factors._preparation import preparing, tell
 from factors._sources import stamp
-
-
-class _Flags(compiler.Flags):  # type: ignore[misc]
-    """Options of the compiler that are equal only if they are the same; numba compares them thousands of times."""
-
-    __slots__ = ()
-    __hash__ = object.__hash__
-
-    def __eq__(self, other: object) -> bool:
-        return self is other
-
-    def copy(self) -> _Flags:
-        return self
-
-
-#: Begin of the names under which a function keeps its Python constants.
-_CONSTANTS: Final = "_ZN08NumbaEnv"
-
-
-class _Result(compiler.CompileResult):  # type: ignore[misc]
-    """A compiled kernel; on disk goes what it needs itself, and nothing of its parts."""
-
-    __slots__ = ()
-
-    def _find_referenced_environments(self) -> list[Any]:
-        return []  # its own is kept apart
 
 
 class _Part(NamedTuple):
@@ -58,62 +32,10 @@ class _Part(NamedTuple):
     result: Any
 
 
-class _PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Code that is only linked into kernels: neither optimised nor turned into machine code by itself."""
-
-    def _optimize_functions(self, module: Any) -> None:
-        module.data_layout = self._codegen._data_layout
-
-    def finalize(self) -> None:
-        self._finalized = True
-
-    def _get_module_for_linking(self) -> Any:
-        """Code to be linked; each kernel has a place for constants of its own, or a later one would find it empty."""
-        if self._shared_module is None:
-            module = super()._get_module_for_linking()
-            for variable in module.global_variables:
-                if variable.name.startswith(_CONSTANTS):
-                    variable.linkage = "internal"
-        return self._shared_module
-
-
-class _KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """A kernel with all its parts, optimised once."""
-
-    def _optimize_functions(self, module: Any) -> None:
-        module.data_layout = self._codegen._data_layout
-
-    vectorised: bool = False
-
-    def _optimize_final_module(self) -> None:
-        # a loop over observations that calls a whole equation becomes vector instructions only if all is put into one
-        # and simplified first; for other kernels that brings nothing and costs a tenth of the first run (measured)
-        first: dict[str, Any] = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
-        for options in (first, {}) if self.vectorised else ({},):
-            passes, builder = self._codegen._module_pass_manager(**options)
-            passes.run(self._final_module, builder)
-
-    def finalize(self) -> None:
-        libraries, waiting = dict[Any, None](), list(self._linking_libraries)
-        while waiting:
-            library = waiting.pop()
-            if library not in libraries:
-                libraries[library] = None
-                waiting += library._linking_libraries if isinstance(library, _PartLibrary) else ()
-        self._linking_libraries: list[Any] = list(libraries)
-        super().finalize()
-
-    def serialize_using_object_code(self) -> Any:
-        """Machine code, and of the intermediate one only that the functions are there: parts are never loaded."""
-        names = [function.name for function in self.get_defined_functions()]
-        text = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
-        return self.name, "object", (self._get_compiled_object(), binding.parse_assembly(text).as_bitcode())
-
-
 @cache
-def _flags(fastmath: str, forceinline: bool) -> _Flags:
+def _flags(fastmath: str, forceinline: bool) -> Flags:
     """Options of a part; functions with the same ones share what numba compiles for its own."""
-    flags = _Flags()
+    flags = Flags()
     options = {"nopython": True, "error_model": "numpy", "forceinline": forceinline,
                "fastmath": {fastmath} if fastmath else False}  # fmt: skip
     cpu_target.options.parse_as_flags(flags, options)
@@ -133,7 +55,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
         """Function for one tuple of argument types, to be linked into others."""
         if args not in self.parts:
             context, options = self.targetdescr.target_context, self.targetoptions
-            library = _PartLibrary(context.codegen(), self.py_func.__qualname__)
+            library = PartLibrary(context.codegen(), self.py_func.__qualname__)
             result = compiler.compile_extra(
                 self.targetdescr.typing_context, context, self.py_func, args, None,
                 _flags(*(options["fastmath"] or ("",)), options["forceinline"]), {}, library,
@@ -148,7 +70,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
         tell(self.py_func.__name__)
         result = self.part(tuple(args)).result
         context = result.target_context  # with the options of the part
-        library = _KernelLibrary(context.codegen(), result.fndesc.qualname)
+        library = KernelLibrary(context.codegen(), result.fndesc.qualname)
         library.vectorised = self.vectorised
         library.enable_object_caching()
         library.add_linking_library(result.library)
@@ -157,7 +79,7 @@ class _KernelCompiler(_FunctionCompiler):  # type: ignore[misc]
                 library, result.fndesc, result.environment, result.call_helper, release_gil=self.targetoptions["nogil"]
             )
         entry = context.get_executable(library, result.fndesc, result.environment)
-        return _Result(*result._replace(library=library, entry_point=entry))
+        return Result(*result._replace(library=library, entry_point=entry))
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]

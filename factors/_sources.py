@@ -39,7 +39,9 @@ def stamp(function: FunctionType, options: object = None) -> bytes:
 def _own() -> bytes:
     """Digest of the modules that say how is compiled."""
     here = Path(__file__)
-    return hashlib.sha256(b"".join(here.with_name(f"_{n}.py").read_bytes() for n in ("compile", "kernel"))).digest()
+    return hashlib.sha256(
+        b"".join(here.with_name(f"_{n}.py").read_bytes() for n in ("compile", "kernel", "libraries"))
+    ).digest()
 
 
 @cache

@@ -1,0 +1,89 @@
+"""What numba makes of functions, extended: options compared by identity, and libraries of code to be linked or run.
+
+See ``factors._kernel``, which makes kernels of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from llvmlite import binding
+from numba.core import codegen, compiler
+
+
+class Flags(compiler.Flags):  # type: ignore[misc]
+    """Options of the compiler that are equal only if they are the same; numba compares them thousands of times."""
+
+    __slots__ = ()
+    __hash__ = object.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def copy(self) -> Flags:
+        return self
+
+
+#: Begin of the names under which a function keeps its Python constants.
+_CONSTANTS: Final = "_ZN08NumbaEnv"
+
+
+class Result(compiler.CompileResult):  # type: ignore[misc]
+    """A compiled kernel; on disk goes what it needs itself, and nothing of its parts."""
+
+    __slots__ = ()
+
+    def _find_referenced_environments(self) -> list[Any]:
+        return []  # its own is kept apart
+
+
+class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
+    """Code that is only linked into kernels: neither optimised nor turned into machine code by itself."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+
+    def finalize(self) -> None:
+        self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        """Code to be linked; each kernel has a place for constants of its own, or a later one would find it empty."""
+        if self._shared_module is None:
+            module = super()._get_module_for_linking()
+            for variable in module.global_variables:
+                if variable.name.startswith(_CONSTANTS):
+                    variable.linkage = "internal"
+        return self._shared_module
+
+
+class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
+    """A kernel with all its parts, optimised once."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+
+    vectorised: bool = False
+
+    def _optimize_final_module(self) -> None:
+        # a loop over observations that calls a whole equation becomes vector instructions only if all is put into one
+        # and simplified first; for other kernels that brings nothing and costs a tenth of the first run (measured)
+        first: dict[str, Any] = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
+        for options in (first, {}) if self.vectorised else ({},):
+            passes, builder = self._codegen._module_pass_manager(**options)
+            passes.run(self._final_module, builder)
+
+    def finalize(self) -> None:
+        libraries, waiting = dict[Any, None](), list(self._linking_libraries)
+        while waiting:
+            library = waiting.pop()
+            if library not in libraries:
+                libraries[library] = None
+                waiting += library._linking_libraries if isinstance(library, PartLibrary) else ()
+        self._linking_libraries: list[Any] = list(libraries)
+        super().finalize()
+
+    def serialize_using_object_code(self) -> Any:
+        """Machine code, and of the intermediate one only that the functions are there: parts are never loaded."""
+        names = [function.name for function in self.get_defined_functions()]
+        text = "".join(f'define void @"{name}"() {{ ret void }}\n' for name in names)
+        return self.name, "object", (self._get_compiled_object(), binding.parse_assembly(text).as_bitcode())
