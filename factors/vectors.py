@@ -14,14 +14,23 @@ from typing import Any, Final
 import numpy as np
 from llvmlite import binding, ir
 from numba import types
+from numba.core import config
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
 from factors._compile import threaded
 from factors._contract import Array
 
+
+def _has(feature: str) -> bool:
+    """Whether kernels are compiled for a processor with a feature: NUMBA_CPU_FEATURES says so, or the processor."""
+    if config.CPU_FEATURES is not None:
+        return f"+{feature}" in config.CPU_FEATURES.split(",")
+    return bool(binding.get_host_cpu_features().get(feature))
+
+
 #: Numbers of one vector; a sum has the same bits with any.
-LANES: Final = 8 if binding.get_host_cpu_features().get("avx512f") else 4
+LANES: Final = 8 if _has("avx512f") else 4
 #: Numbers that are read beyond nine: vectors are whole.
 SLACK: Final = -9 % LANES
 _INT: Final = ir.IntType(64)
