@@ -12,7 +12,7 @@ from factors._contract import Array
 
 MAX_SAMPLES = 8
 #: Times that are interpolated together: what is read and written stays near the processor.
-AT_ONCE = 2048
+AT_ONCE = 1024
 
 
 def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
@@ -25,12 +25,13 @@ def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
     for lo in range(0, len(time_s), AT_ONCE):
         t = time_s[lo : lo + AT_ONCE]
         first = np.clip(np.searchsorted(sample_time_s, t) - use // 2, 0, len(sample_time_s) - use)
-        times = [sample_time_s[first + e] for e in range(use)]
-        after = [t - sample for sample in times]
-        for e in range(use):
-            weight = np.ones(len(t))
-            for d in range(use):
-                if d != e:
-                    weight *= after[d] / (times[e] - times[d])
-            out[lo : lo + AT_ONCE] += weight[:, None] * samples[first + e]
+        near = first + np.arange(use)[:, None]
+        times = sample_time_s[near]  # (use, N)
+        apart = times[None, :, :] - times[:, None, :]  # of sample e (axis 1) from sample d (axis 0)
+        own = np.arange(use)
+        apart[own, own] = 1.0
+        share = (t - times)[:, None, :] / apart
+        share[own, own] = 1.0
+        weight = np.multiply.reduce(share, axis=0)
+        np.add.reduce(weight[:, :, None] * samples[near], axis=0, out=out[lo : lo + AT_ONCE])
     return out

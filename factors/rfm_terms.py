@@ -48,5 +48,5 @@ def degree_mask(degree: int) -> npt.NDArray[np.bool_]:
 
 def terms(ground: Array) -> Array:
     """Monomials of N normalised ground points in RPC00B order: (N, 3) -> (N, 20)."""
-    power = np.asarray(ground, float)[:, None, :] ** np.array(EXPONENTS["RPC00B"])[None, :, :]
-    return np.asarray(power.prod(axis=2))
+    power = np.asarray(ground, float)[:, :, None] ** np.arange(4)  # (N, 3, 4): each power once
+    return np.ascontiguousarray(power[:, np.arange(3), np.array(EXPONENTS["RPC00B"])].prod(axis=2))

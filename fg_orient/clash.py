@@ -97,6 +97,8 @@ def _owner(file: Path) -> metadata.Distribution | None:
         tree = _direct_url(distribution)
         if tree.get("dir_info", {}).get("editable") and place.is_relative_to(_local(tree).resolve()):
             return distribution
+        if "factors" not in (distribution.read_text("RECORD") or "factors"):
+            continue  # to take the list apart is slow
         listed = (f for f in distribution.files or () if f.name == file.name and "factors" in (f.parent.name, f.stem))
         if any(Path(str(distribution.locate_file(f))).resolve() == place for f in listed):
             return distribution

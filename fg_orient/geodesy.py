@@ -150,7 +150,12 @@ def to_ecef_with_operation(
 
 def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> Array:
     """Transform WGS84 longitude, latitude (degrees), ellipsoidal height (m) of N points to (N, 3) ECEF m."""
-    return to_ecef("EPSG:4979", lon_deg, lat_deg, height_m)
+    given = np.stack([np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg, height_m)], axis=1)
+    require_finite("EPSG:4979", given, given, None)
+    # one operation wherever the points lie: it need not be searched for each time
+    xyz = np.stack(_transformer("EPSG:4979", ECEF).transform(*given.T), axis=1)
+    require_finite("EPSG:4979", xyz, given, None)
+    return np.ascontiguousarray(xyz)
 
 
 def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
@@ -353,10 +358,16 @@ def spatial_crs(crs: str) -> CRS:
     text = str(crs).strip()
     if not _CODE.fullmatch(text):
         raise InputError.of("geodesy.not_epsg", place="crs", value=crs)
-    found = _known(text.upper())
+    return _spatial(text.upper())
+
+
+@cache
+def _spatial(crs: str) -> CRS:
+    found = _known(crs)
     return found if found.is_compound or found.is_geocentric or found.is_vertical else found.to_3d()
 
 
+@cache
 def _known(crs: str) -> CRS:
     proj = offline_pyproj()
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 import hashlib
 import os
 from collections.abc import Iterator
@@ -59,10 +60,19 @@ def look_angles_read_once() -> Iterator[None]:
 
     read, write = dimap1._look_angles, dimap_write._look_rows
     known, written = dict[Any, Any](), dict[Any, list[str]]()
+    sections = dict[Any, bytes]()
+
+    def section(root: Any) -> bytes:
+        """Digest of the elements; those of a tree that is kept are not written out again."""
+        if root.element not in sections:
+            if len(sections) > 50:
+                sections.clear()
+            text = etree.tostring(root.one("Data_Strip/Sensor_Configuration").element)
+            sections[root.element] = hashlib.sha256(text).digest()
+        return sections[root.element]
 
     def read_once(root: Any, n_samples: int) -> Any:
-        text = etree.tostring(root.one("Data_Strip/Sensor_Configuration").element)
-        key = hashlib.sha256(text).digest(), n_samples
+        key = section(root), n_samples
         if key not in known:
             known[key] = read(root, n_samples)
         return copy.deepcopy(known[key])
@@ -76,6 +86,33 @@ def look_angles_read_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dimap1, "_look_angles", read_once)
         patch.setattr(dimap_write, "_look_rows", write_once)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def trees_parsed_once() -> Iterator[None]:
+    """Parse the same large metadata file once in each worker while it is in use; nothing changes a tree."""
+    from lxml import etree
+
+    from fg_orient.io import xml
+
+    class Parser:
+        def __getattr__(self, name: str) -> Any:
+            return getattr(etree, name)
+
+        def fromstring(self, data: bytes, parser: Any) -> Any:
+            if data not in kept:
+                tree = etree.fromstring(data, parser)
+                if len(data) < 100_000:
+                    return tree
+                if len(kept) == 20:
+                    kept.clear()
+                kept[data] = tree
+            return kept[data]
+
+    kept = dict[bytes, Any]()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(xml, "etree", Parser())
         yield
 
 
@@ -111,6 +148,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return nodeid.partition("::")[0].rpartition("/")[0]
 
     return Folders(config, log)
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was imported and collected out of every later search for garbage: a tenth of the run."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

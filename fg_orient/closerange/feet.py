@@ -95,16 +95,17 @@ def _multiplier(d: Array, w: Array, c: Array) -> Array:
         low = np.fmax.reduce(np.where(poles < 0.0, poles, -np.inf), axis=1)
         high = np.fmin.reduce(np.where(poles > 0.0, poles, np.inf), axis=1)
         low, high = np.where(c > 0.0, 0.0, low), np.where(c > 0.0, high, 0.0)
-        t, scale = np.zeros(len(c)), np.abs(c)
+        t, scale, square = np.zeros(len(c)), np.abs(c), w**2
         for _ in range(_STEPS):
-            below = 1.0 + t[:, None] * d
-            terms = w**2 * t[:, None] * (2.0 + t[:, None] * d) / below**2
+            run = t[:, None] * d
+            below = 1.0 + run
+            terms = square * t[:, None] * (2.0 + run) / below**2
             left = c - terms.sum(axis=1)
             done = np.abs(left) <= _ROUNDING * (scale + np.abs(terms).sum(axis=1))
             if done.all():
                 break
             low, high = np.where(left > 0.0, t, low), np.where(left > 0.0, high, t)
-            newton = t + left / (2.0 * (w**2 / below**3).sum(axis=1))
+            newton = t + left / (2.0 * (square / below**3).sum(axis=1))
             inside = (newton > low) & (newton < high)
             middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 2.0 * t + np.sign(c))
             t = np.where(done, t, np.where(inside, newton, middle))

@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 MAX_STEPS = 30
 STEP_PX = 1e-9
 ROUNDING_PX = 1e-6
+#: Points whose four neighbours are evaluated together; more would cost memory and gain nothing.
+AT_ONCE = 4096
 
 
 def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
@@ -44,14 +46,14 @@ def conditions(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, 
 
 def pixel_derivative(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:
     """Local derivative J = dF/d(line, sample) of the conditions: (N, 2, 2), rad per pixel."""
-    columns = []
-    limits = ((sensor.first_line, sensor.last_line), (sensor.first_sample, sensor.last_sample))
-    for axis, (values, (first, last)) in enumerate(zip((line, sample), limits, strict=True)):
-        low, high = (np.clip(values + step, first - 0.5, last + 0.5) for step in (-0.5, 0.5))
-        pair = [(v, sample) if axis == 0 else (line, v) for v in (low, high)]
-        f_low, f_high = (conditions(sensor, a, b, ground_m, correction) for a, b in pair)
-        columns.append((f_high - f_low) / (high - low)[:, None])
-    return np.stack(columns, axis=2)
+    if len(line) > AT_ONCE:
+        parts = [slice(lo, lo + AT_ONCE) for lo in range(0, len(line), AT_ONCE)]
+        return np.concatenate([pixel_derivative(sensor, line[k], sample[k], ground_m[k], correction) for k in parts])
+    line_low, line_high = (np.clip(line + s, sensor.first_line - 0.5, sensor.last_line + 0.5) for s in (-0.5, 0.5))
+    low, high = (np.clip(sample + s, sensor.first_sample - 0.5, sensor.last_sample + 0.5) for s in (-0.5, 0.5))
+    lines, samples = np.concatenate([line_low, line_high, line, line]), np.concatenate([sample, sample, low, high])
+    f = conditions(sensor, lines, samples, np.tile(ground_m, (4, 1)), correction).reshape(4, -1, 2)
+    return np.stack([(f[1] - f[0]) / (line_high - line_low)[:, None], (f[3] - f[2]) / (high - low)[:, None]], axis=2)
 
 
 def project(sensor: PixelModel, ground_m: Array, correction: Correction) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ import pytest
 
 from fg_orient.errors import FgOrientError, InputError, problem
 from fg_orient.messages import CATALOGUE
+from tests.support.syntax import nodes
 
 ALWAYS = {"file", "place", "value"}
 DOMAINS = {code.split(".")[0] for code in CATALOGUE}
@@ -23,7 +24,7 @@ CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$")
 def sources(repository: Path) -> dict[str, list[ast.AST]]:
     """Every node of the modules of fg_orient but the catalogue itself: name of the module, its nodes."""
     return {
-        path.relative_to(repository).as_posix(): list(ast.walk(ast.parse(path.read_text("utf-8"))))
+        path.relative_to(repository).as_posix(): nodes(path)
         for path in sorted((repository / "fg_orient").rglob("*.py"))
         if path.parent.name != "messages"
     }
@@ -42,8 +43,8 @@ def literal_codes(expression: ast.expr) -> list[str]:
 def calls(repository: Path) -> list[tuple[str, str, set[str] | None]]:
     """Every ``problem("code", ...)`` and ``SomeError.of("code", ...)``: place, code, keywords (None = ``**``)."""
     found = []
-    for module, nodes in sources(repository).items():
-        for node in nodes:
+    for module, own in sources(repository).items():
+        for node in own:
             if not (isinstance(node, ast.Call) and node.args):
                 continue
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
@@ -64,14 +65,14 @@ def fields(code: str) -> set[str]:
 def literals(repository: Path) -> set[str]:
     """Every string literal of the sources but places: codes also travel as variables."""
     found = set()
-    for nodes in sources(repository).values():
+    for own in sources(repository).values():
         places = {
             id(node)
-            for keyword in nodes
+            for keyword in own
             if isinstance(keyword, ast.keyword) and keyword.arg == "place"
             for node in ast.walk(keyword.value)
         }
-        constants = [node for node in nodes if isinstance(node, ast.Constant) and id(node) not in places]
+        constants = [node for node in own if isinstance(node, ast.Constant) and id(node) not in places]
         found |= {node.value for node in constants if isinstance(node.value, str)}
     return found
 

@@ -16,6 +16,7 @@ import pytest
 
 import fg_orient
 from fg_orient.versions import OPTIONAL, REQUIRED
+from tests.support.syntax import nodes
 
 PACKAGES = ("factors", "fg_orient")
 #: Modules that exist for type checkers only.
@@ -60,7 +61,7 @@ def imports(repository: Path, *folders: str) -> dict[str, str]:
         for file in sorted((repository / folder).rglob("*.py")):
             if {"_build", "api"} & set(file.relative_to(repository).parts):
                 continue
-            for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            for node in nodes(file):
                 if isinstance(node, ast.Import):
                     modules = [alias.name for alias in node.names]
                 elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:

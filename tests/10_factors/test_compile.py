@@ -69,6 +69,26 @@ json.dump([value, told], sys.stdout)
 """
 
 
+VALUES = {"factor": 2.0, "leaf": 3.0, "other": 5.0}
+#: The same with values that change between two imports of the package.
+CHANGES = """
+import importlib, json, pathlib, sys
+from factors._preparation import told_of_compilation
+folder, texts, values = sys.argv[1], *map(json.loads, sys.argv[2:4])
+found = []
+for changed in values:
+    for name, text in texts.items():
+        (pathlib.Path(folder) / name).write_text(text.format(**changed), encoding="utf-8")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "chain"]:
+        del sys.modules[name]
+    importlib.invalidate_caches()
+    told = []
+    with told_of_compilation(told.append):
+        found.append([importlib.import_module("chain.top").kernel(1.0), told])
+json.dump(found, sys.stdout)
+"""
+
+
 class Chain:
     """The package in a folder, with a cache of its own; each run is a process."""
 
@@ -82,13 +102,21 @@ class Chain:
         for name, text in PACKAGE.items():
             path = self.folder / "chain" / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text.format(**({"factor": 2.0, "leaf": 3.0, "other": 5.0} | values)), encoding="utf-8")
-        ended = subprocess.run(
-            [sys.executable, "-B", "-c", code], env=self._environment, capture_output=True, text=True, check=False
-        )
-        assert ended.returncode == 0, ended.stderr
-        value, told = json.loads(ended.stdout)
+            path.write_text(text.format(**(VALUES | values)), encoding="utf-8")
+        value, told = json.loads(self._output(code))
         return value, told
+
+    def run_each(self, *values: dict[str, float]) -> list[tuple[float, list[str]]]:
+        """Do :meth:`run` for each of the values in a single process."""
+        given = json.dumps([VALUES | changed for changed in values])
+        found = json.loads(self._output(CHANGES, str(self.folder / "chain"), json.dumps(PACKAGE), given))
+        return [(value, told) for value, told in found]
+
+    def _output(self, code: str, *arguments: str) -> str:
+        ended = subprocess.run([sys.executable, "-B", "-c", code, *arguments], env=self._environment,
+                               capture_output=True, text=True, check=False)  # fmt: skip
+        assert ended.returncode == 0, ended.stderr
+        return ended.stdout
 
 
 @pytest.fixture
@@ -99,10 +127,13 @@ def chain(tmp_path: Path, repository: Path) -> Chain:
 def test_a_change_two_imports_away_gives_the_new_result(chain: Chain) -> None:
     assert chain.run() == (2.0 * (1.0 + 3.0) + 5.0, ["kernel"])
     assert chain.run() == (13.0, [])  # from disk
-    assert chain.run(leaf=4.0) == (15.0, ["kernel"])
-    assert chain.run(leaf=4.0, factor=3.0) == (20.0, ["kernel"])  # a constant of the same module
-    assert chain.run(leaf=4.0, factor=3.0, other=6.0) == (21.0, ["kernel"])  # by its module's name
-    assert chain.run(leaf=4.0, factor=3.0, other=6.0) == (21.0, [])
+    found = chain.run_each(
+        {"leaf": 4.0},
+        {"leaf": 4.0, "factor": 3.0},  # a constant of the same module
+        {"leaf": 4.0, "factor": 3.0, "other": 6.0},  # by its module's name
+        {"leaf": 4.0, "factor": 3.0, "other": 6.0},
+    )
+    assert found == [(15.0, ["kernel"]), (20.0, ["kernel"]), (21.0, ["kernel"]), (21.0, [])]
 
 
 def test_stamps_do_not_depend_on_the_order_of_sets(repository: Path) -> None:

@@ -1,0 +1,13 @@
+"""The syntax trees of the modules, each read once in a run."""
+
+from __future__ import annotations
+
+import ast
+import functools
+from pathlib import Path
+
+
+@functools.cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Every node of a module."""
+    return list(ast.walk(ast.parse(path.read_text("utf-8"))))
