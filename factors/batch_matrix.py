@@ -92,13 +92,12 @@ def fill_lower(
     for b in range(len(row)):
         i, j = row[b], column[b]
         r, c = place[j], place[i]
-        if r == c:
+        if r >= c:
             for p in range(size[i]):
-                _fill_row(b, p, p, size[j], blocks, r, c + p, scale, banded, out, sums)
-                sums[c + p] -= abs(blocks[b, p, p]) * scale[c + p] * scale[c + p]  # it was added twice
-        elif r > c:
-            for p in range(size[i]):
-                _fill_row(b, p, 0, size[j], blocks, r, c + p, scale, banded, out, sums)
+                lo = p if r == c else 0
+                _fill_row(b, p, lo, size[j], blocks, r, c + p, scale, banded, out, sums)
+                if r == c:
+                    sums[c + p] -= abs(blocks[b, p, p]) * scale[c + p] * scale[c + p]  # it was added twice
         else:
             for q in range(size[j]):
                 _fill_column(b, q, size[i], blocks, c, r + q, scale, banded, out, sums)

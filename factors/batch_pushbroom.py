@@ -72,7 +72,7 @@ def pushbroom_rows(
     for k in range(len(d)):
         d[k] = 0.0
     out, bad = np.empty(STORED * BLOCK), -1
-    own, lines, space, nine = np.empty(SIDE, np.int64), np.empty(SIDE, np.int64), np.empty(SIDE**2), usual(slot)
+    own, lines, space, nine = np.empty(SIDE, np.int64), np.empty(SIDE, np.int64), np.empty(SIDE * SIDE), usual(slot)
     for k in range(SIDE):
         lines[k] = SIDE * k
     for first in range(lo, hi, BLOCK):
