@@ -15,6 +15,7 @@ PYTHON  ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
              $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null \
              && echo $$p && exit; done)
 ARGS    ?=
+DEMO    ?= demo
 DOCS_JOBS ?= auto
 
 .PHONY: help demo test test-slow check lint kernels format bench docs clean
@@ -24,10 +25,10 @@ help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 # half of what tests and documentation need, in half the time
-demo: $(if $(wildcard $(STAMP)),$(STAMP),$(CORE))  ## simulate the Zonguldak stereo twin, adjust it, write the report
-	$(BIN)/fg-orient simulate zonguldak --out demo/zonguldak --overwrite
-	$(BIN)/fg-orient adjust demo/zonguldak/project.toml --backend graph --out demo/result --overwrite
-	@echo "report: $(CURDIR)/demo/result/report.html"
+demo: $(if $(wildcard $(STAMP)),$(STAMP),$(CORE))  ## simulate the Zonguldak stereo twin, adjust it, write the report (DEMO=folder)
+	$(BIN)/fg-orient simulate zonguldak --out $(DEMO)/zonguldak --overwrite
+	$(BIN)/fg-orient adjust $(DEMO)/zonguldak/project.toml --backend graph --out $(DEMO)/result --overwrite
+	@echo "report: $(abspath $(DEMO))/result/report.html"
 
 # small matrices: two BLAS threads cost more than one, and every core has a worker already
 test test-slow: export OPENBLAS_NUM_THREADS := 1
