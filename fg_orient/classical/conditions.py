@@ -147,7 +147,7 @@ class Conditions:
         b = np.stack([out[:, 0, k + 2], out[:, 1, k + 1]], axis=1)
         design, ground = out[:, :, 1 : k + 1].copy(), out[:, :, k + 3 :].copy()
         if states is not None and k:
-            design, ground = self._program_derivatives(codes, states)
+            design = self._program_derivatives(codes, states)
         return Linearised(out[:, :, 0].copy(), design, ground, b)
 
     def _states(self, codes: tuple[int, ...], eop: Array) -> States:
@@ -164,17 +164,17 @@ class Conditions:
             held = program_equations.mounting(frame_p, frame_v, angles, held, small)
         return States(given, p, frame_p, frame_v, angles, held, small, follows)
 
-    def _program_derivatives(self, codes: tuple[int, ...], at: States) -> tuple[Array, Array]:
-        """A (n, 2, k) and G (n, 2, 3) as the authors' program forms them."""
+    def _program_derivatives(self, codes: tuple[int, ...], at: States) -> Array:
+        """A (n, 2, k) as the authors' program forms it."""
         used, place = np.unique(np.array(codes) // 3, return_inverse=True)
         look = np.tan(self.look_rad[:, ::-1]) * np.array([1.0, -1.0])
         # a short axis that stays at the metadata is in the mounting of the records already
-        by_eop, ground = program_equations.derivatives(
+        by_eop = program_equations.derivatives(
             at, self.records[:, 9:18], self.approximate_m - at.position_m, [int(k) for k in used],
             short=self._axis_follows, tangents=look if self.switches.look_quotients else None,
         )  # fmt: skip
         powers = self.records[:, 18][:, None] ** (np.array(codes) % 3)
-        return np.asarray(by_eop[:, :, place] * powers[:, None, :]), ground
+        return np.asarray(by_eop[:, :, place] * powers[:, None, :])
 
     def rays(
         self, codes: tuple[int, ...], eop: Array, *, metadata_position: bool = False, look_sign: float = -1.0

@@ -92,8 +92,8 @@ def _rotated(p: Any, v: Any, angles: Any, to_ground: Any, base: Array, small: bo
 def derivatives(
     at: States, base: Array, to_ground: Array, components: Sequence[int], *, short: bool,
     tangents: Array | None,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Derivatives of both conditions by EOPs and by the ground point.
+) -> Array:  # fmt: skip
+    """Derivatives of both conditions by EOPs.
 
     Parameters
     ----------
@@ -111,22 +111,19 @@ def derivatives(
 
     Returns
     -------
-    (n, 2, k) array, (n, 2, 3) array
+    (n, 2, k) array
     """
     n, k = len(to_ground), len(components)
     given = np.hstack([at.frame_position_m, at.frame_velocity_m_s, at.angles_rad, to_ground])
-    moved = np.tile(given.astype(complex), (k + 3, 1, 1))  # one copy of all points for each step
+    moved = np.tile(given.astype(complex), (k, 1, 1))  # one copy of all points for each step
     follows = at.follows.astype(float)
     for step, component in enumerate(components):
         moved[step, :, component] += 1j * _STEP * (follows if component < 6 else 1.0)
         if component < 3:
             moved[step, :, 9 + component] -= 1j * _STEP
-    for axis in range(3):
-        moved[k + axis, :, 9 + axis] += 1j * _STEP
     p, v, angles, w = (np.ascontiguousarray(moved[:, :, 3 * c : 3 * c + 3].reshape(-1, 3)) for c in range(4))
     s = axis_length(p, v) if short else np.ones((len(p), 1))
-    steps = _rotated(p, v, angles, w, np.tile(base, (k + 3, 1)), at.small, s).reshape(k + 3, n, 3)
+    steps = _rotated(p, v, angles, w, np.tile(base, (k, 1)), at.small, s).reshape(k, n, 3)
     f, df = steps[-1].real, np.moveaxis(steps.imag / _STEP, 0, 2)
     q = f[:, :2] / f[:, 2:] if tangents is None else tangents
-    out = (df[:, :2] - q[:, :, None] * df[:, 2:]) / f[:, 2:, None]
-    return out[:, :, :k], out[:, :, k:]
+    return np.asarray((df[:, :2] - q[:, :, None] * df[:, 2:]) / f[:, 2:, None])

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.cells import CellKey
-from fg_orient.classical.axis_errors import AxisErrors
 from fg_orient.classical.step_two_only import step_two_only
 from fg_orient.classical.switches import TEXT, Switches
 from fg_orient.classical.two_stage import Kind, TwoStage
@@ -199,16 +198,11 @@ def _bundles(run: TwoStage, table: str) -> Cells:
             key = CellKey(table, str(number), "bundle", str(kind), method=method)
             errors = found.accuracy
             if kind == 1 and table in WITHOUT_BUNDLE and run.switches != TEXT:
-                errors = without_bundle(run, number, SOLVER_OF[table])
+                errors = step_two_only(run, number, SOLVER_OF[table]).accuracy
             out |= rmse_cells(key, errors.gcp_rmse, errors.icp_rmse)
             if found.solution.kappa is not None:
                 out[key._replace(quantity="kappa")] = float(found.solution.kappa)
     return out
-
-
-def without_bundle(run: TwoStage, number: int, solver: str) -> AxisErrors:
-    """Errors of the procedure without bundle; nan where its solver broke down."""
-    return step_two_only(run, number, solver).accuracy
 
 
 def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool | Switches = False) -> dict[int, LCurve]:

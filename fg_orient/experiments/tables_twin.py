@@ -7,18 +7,16 @@ of the metadata, noise of image and ground (Terlemezoğlu 2019, sect. 4.2; Topan
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.cells import CellKey
-from fg_orient.classical.switches import Switches
+from fg_orient.classical.switches import Switches, switches_of
 from fg_orient.classical.two_stage import TwoStage
-from fg_orient.experiments.study import AS_RUN_TWIN, TWIN
+from fg_orient.experiments.study import Study
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.parameters import eop_codes
-from fg_orient.simulate.zonguldak import zonguldak_block
 
 Array = npt.NDArray[np.float64]
 # Cells of one run; several values where the source leaves open which of several computations it shows.
@@ -35,8 +33,7 @@ _PUBLISHED_COMPONENTS = ("X", "Y", "Z", "VX", "VY", "VZ", "ar", "ap", "ay")
 
 def twin(seed: int, point_set: str = "H-10", *, as_run: bool | Switches = False) -> TwoStage:
     """Start the published procedure on the twin of a seed; with switches it has radial velocity and attitude."""
-    block, _ = zonguldak_block(replace(AS_RUN_TWIN if as_run else TWIN, seed=seed, point_set=point_set))
-    return TwoStage(block, as_run=as_run)
+    return Study(seed, switches_of(as_run)).procedure(point_set=point_set)
 
 
 def labels(eop_set: int) -> tuple[str, ...]:

@@ -71,7 +71,7 @@ SOURCE: Final = Source(
     "Ayhan (1996), surfaces of revolution by close-range photogrammetry",
     None,
     (),
-    lambda cell: "",
+    lambda *_: "",
     verdicts,
     TABLES,
     "Recomputed in double precision from the measurements that the thesis prints: comparator and refined image "

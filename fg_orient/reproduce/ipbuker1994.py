@@ -60,7 +60,7 @@ SOURCE: Final = Source(
     "İpbüker (1994), geometric accuracy of images at map scale from satellite data",
     None,
     (),
-    lambda cell: "",
+    lambda *_: "",
     verdicts,
     TABLES,
     "The thesis prints no control points, residuals, coefficients or outlines: its rectifications cannot be repeated. "

@@ -162,7 +162,7 @@ def reproduce(
     if source.compute is not None and set(chosen) & set(source.real_tables):
         options["permutations"] = permutations
     titles = {table: printed.titles[table] for table in chosen}
-    rows = pair(printed, computed, source, chosen, on_points)
+    rows = pair(printed, computed, source, chosen, on_points, as_run=as_run)
     keys = {(cell.key.table, str(cell.key)): cell.key for cell in printed.cells if cell.key.table in chosen}
     curves = source.curves(on_twin, seeds[0], as_run=as_run) if source.curves else {}
     return Reproduction(source, titles, rows, tuple(judged), options, printed.sha256, keys, curves)
@@ -192,7 +192,7 @@ def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
 
 def pair(
     printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
-    judged: Mapping[CellKey, Verdict] | None = None,
+    judged: Mapping[CellKey, Verdict] | None = None, *, as_run: bool = False,
 ) -> tuple[Row, ...]:  # fmt: skip
     """Put each published cell of some tables beside its runs, or beside a verdict that is there already."""
     rows = []
@@ -204,7 +204,7 @@ def pair(
         found = (judged or {}).get(key) or judge(
             cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0])
         )
-        known = source.explain(cell) if found.kind == "differs" and key not in (judged or {}) else ""
+        known = source.explain(cell, as_run) if found.kind == "differs" and key not in (judged or {}) else ""
         reason = f"{found.reason}; {known}" if known else found.reason
         rows.append(
             Row(key.table, str(key), cell.value, found.reproduced, found.low, found.high, found.kind, reason,

@@ -1,8 +1,8 @@
 """Verdicts of shuffled numbers: the share of a count of verdicts that needs no knowledge of the cell.
 
-The published values of a table are exchanged among the cells of one kind (control-point RMSE, condition numbers
-...), and judged against the same runs. A verdict that shuffled values get as often as the true ones says that the
-table has this size, not that the cell has this value.
+The published values of a table are exchanged among its EOP sets, images and solvers; quantity, coefficient, axis,
+role and type of a value stay. They are judged against the same runs. A verdict that shuffled values get as often as
+the true ones says that the quantity has this size in the table, not that the cell has this value.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy.typing as npt
 from fg_orient.cells import CellKey
 from fg_orient.published.tables import PublishedCell, PublishedTables
 from fg_orient.reproduce.reproduction import pair
-from fg_orient.reproduce.rules import kind_of
 from fg_orient.reproduce.sources import Source
 from fg_orient.reproduce.verdict import KINDS
 
@@ -25,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 
 def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, ...]:
-    """Exchange the printed values of cells of one table and one kind.
+    """Exchange the printed values of cells that differ by EOP set, image and solver alone.
 
     Parameters
     ----------
@@ -33,10 +32,10 @@ def shuffled(cells: Sequence[PublishedCell], seed: int) -> tuple[PublishedCell, 
     seed : int
         Of the permutations.
     """
-    groups: dict[tuple[str, str], list[int]] = {}
+    groups: dict[CellKey, list[int]] = {}
     for place, cell in enumerate(cells):
         if cell.text:
-            groups.setdefault((cell.key.table, kind_of(cell.key)), []).append(place)
+            groups.setdefault(cell.key._replace(eop_set="", stage="", method=""), []).append(place)
     out, rng = list(cells), np.random.default_rng(seed)
     for places in groups.values():
         for to, origin in zip(places, rng.permutation(places), strict=True):

@@ -67,7 +67,7 @@ class Source:
     claims : tuple of str
         Ids of the claims about it.
     explain : callable
-        Gives a sentence on a known misfit of a cell, or "".
+        Gives a sentence on a known misfit of a cell, as published or as run, or "".
     real : callable, optional
         See :class:`RealVerdicts`.
     real_tables : tuple of str
@@ -88,7 +88,7 @@ class Source:
     title: str
     compute: Compute | None
     claims: tuple[str, ...]
-    explain: Callable[[PublishedCell], str]
+    explain: Callable[[PublishedCell, bool], str]
     real: RealVerdicts | None = None
     real_tables: tuple[str, ...] = ()
     about: str = ON_TWIN

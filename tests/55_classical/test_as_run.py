@@ -15,7 +15,7 @@ from tests.support import published_conditions as oracle
 ATTITUDE = (-1.6e-4, -7.2e-4, 9e-4)
 REAL = {"radial_velocity_m_s": 8.0, "attitude_rad": ATTITUDE}
 #: The matrices of the program, everything else as the text has it: what the second-order theory describes.
-MATRICES = PROGRAM.without(*NUMBERED)
+WITHOUT_NUMBERED = PROGRAM.without(*NUMBERED)
 
 
 @cache
@@ -77,15 +77,15 @@ def test_the_error_does_not_depend_on_the_number_of_points(point_set: str) -> No
 
 def test_radial_velocity_alone() -> None:
     """As an independent twin: 0.54 / 0.34 / 0.56 m for 8 m/s, 0.67 / 0.18 / 0.42 m with attitude."""
-    alone = stage(MATRICES, errors="none", radial_velocity_m_s=8.0).look_only().gcp_rmse
+    alone = stage(WITHOUT_NUMBERED, errors="none", radial_velocity_m_s=8.0).look_only().gcp_rmse
     assert alone == pytest.approx([0.54, 0.34, 0.56], abs=0.02)
-    both = stage(MATRICES, errors="none", **REAL).look_only().gcp_rmse
+    both = stage(WITHOUT_NUMBERED, errors="none", **REAL).look_only().gcp_rmse
     assert both == pytest.approx([0.67, 0.18, 0.42], abs=0.05)  # other ground points, other range
 
 
 @pytest.mark.parametrize("errors", ["none", "constant"])
 def test_second_order_theory_predicts_the_error_of_every_point(errors: str) -> None:
-    run = stage(MATRICES, errors=errors, **REAL)
+    run = stage(WITHOUT_NUMBERED, errors=errors, **REAL)
     found, expected = gcp_errors(run), predicted(run)
     assert np.abs(found).max() > 0.1
     # U U^T and D^2 have no third order; their product, |a|^2 c^2 = 1.6e-12 of 9e5 m, is left out
@@ -94,7 +94,7 @@ def test_second_order_theory_predicts_the_error_of_every_point(errors: str) -> N
 
 def test_small_angles_of_the_default_twin_leave_half_a_millimetre() -> None:
     """Files with constant errors hold 20 microrad attitudes: a (a . w) of them is 4e-10 x 8e5 m."""
-    run = stage(MATRICES)
+    run = stage(WITHOUT_NUMBERED)
     attitude = oracle.all_eop(run.block)[:, 6:9]
     assert np.allclose(np.abs(attitude), 20e-6, rtol=1e-6)
     found, expected = gcp_errors(run), predicted(run)
@@ -115,7 +115,7 @@ def test_orthonormal_matrices_leave_nothing(as_run: bool | Switches, options: di
 
 def test_control_points_are_intersected_from_the_metadata_positions() -> None:
     """As run, a position correction never reaches the centre of projection: its error is not undone."""
-    for positions, as_run in ((False, False), (True, MATRICES)):
+    for positions, as_run in ((False, False), (True, WITHOUT_NUMBERED)):
         run = stage(as_run, errors="none")
         run.__dict__["pre_adjusted"] = run.start.with_ground(run.start.approximate_m)  # misclosures remain
         bundle = run.bundle(2, 1, "qr")

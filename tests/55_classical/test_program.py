@@ -21,7 +21,7 @@ from fg_orient.linear.conditioning import diagnose
 
 SOLVER = "gauss_inverse"
 #: The procedure before D1 to D8 were known: matrices, 0.1", repeats, metadata positions, complex roots.
-FORMER = PROGRAM.without(*NUMBERED)
+WITHOUT_NUMBERED = PROGRAM.without(*NUMBERED)
 
 
 @cache
@@ -61,7 +61,7 @@ def test_uncorrected_and_step_one_are_the_programs() -> None:
 ])  # fmt: skip
 def test_type_2_bundles_are_the_programs(eop_set: int, expected: list[float]) -> None:
     assert near(bundle(eop_set).gcp_rmse, expected)
-    assert near(bundle(eop_set).icp_rmse, list(bundle(eop_set, FORMER).icp_rmse.round(2)))
+    assert near(bundle(eop_set).icp_rmse, list(bundle(eop_set, WITHOUT_NUMBERED).icp_rmse.round(2)))
 
 
 @pytest.mark.parametrize(("seed", "eop_set", "expected"), [
@@ -88,8 +88,8 @@ def test_ranks_and_condition_numbers_are_the_programs() -> None:
     assert np.linalg.matrix_rank(design(13)) == 17
     one, fifteen = (run_of().pre_adjust(0, k, SOLVER).system for k in (1, 15))
     assert diagnose(one).rank == 8
-    assert 1.1e18 / 2.0 < norm_condition(one) < 1.1e18 * 2.0
-    assert 1.7e33 / 3.0 < norm_condition(fifteen) < 1.7e33 * 3.0
+    assert 1.1e18 / 2.0 < norm_condition(one) < 1.1e18 * 2.0  # here 1.13e18; another machine rounds otherwise
+    assert 1.7e33 / 3.0 < norm_condition(fifteen) < 1.7e33 * 3.0  # here 1.70e33
 
 
 @pytest.mark.parametrize("name", ["cholesky_inverse", "cholesky_elimination"])
@@ -116,17 +116,17 @@ def test_matrices_leave_the_constant_residual() -> None:
 
 def test_without_the_numbered_switches_it_is_the_former_procedure() -> None:
     """Numbers of the program beside ours before D1 to D8."""
-    run = run_of(FORMER)
+    run = run_of(WITHOUT_NUMBERED)
     assert near(run.uncorrected().gcp_rmse, [39.75, 25.35, 25.23], 0.001)
     assert near(run.look_only().gcp_rmse, [0.691, 0.200, 0.390], 0.001)
     assert near(run.look_only().icp_rmse, [7.359, 8.014, 7.815], 0.001)
-    assert near(bundle(1, FORMER).gcp_rmse, [0.8112, 0.1784, 0.3892], 0.001)
-    assert near(bundle(15, FORMER).gcp_rmse, [383, 217, 398], 0.001)
-    assert near(bundle(16, FORMER).gcp_rmse, [109, 92, 194], 0.001)
-    assert bundle(14, FORMER).gcp_max < 5.0
-    assert bundle(18, FORMER).gcp_max < 5.0
-    assert np.linalg.matrix_rank(design(5, FORMER)) == 5
-    assert np.linalg.matrix_rank(design(13, FORMER)) == 14
+    assert near(bundle(1, WITHOUT_NUMBERED).gcp_rmse, [0.8112, 0.1784, 0.3892], 0.001)
+    assert near(bundle(15, WITHOUT_NUMBERED).gcp_rmse, [383, 217, 398], 0.001)
+    assert near(bundle(16, WITHOUT_NUMBERED).gcp_rmse, [109, 92, 194], 0.001)
+    assert bundle(14, WITHOUT_NUMBERED).gcp_max < 5.0
+    assert bundle(18, WITHOUT_NUMBERED).gcp_max < 5.0
+    assert np.linalg.matrix_rank(design(5, WITHOUT_NUMBERED)) == 5
+    assert np.linalg.matrix_rank(design(13, WITHOUT_NUMBERED)) == 14
 
 
 def test_d1_lines_from_the_centre_change_ranks_and_conditions_only() -> None:
@@ -253,7 +253,11 @@ def test_switches_are_named_and_have_a_source() -> None:
     assert [label(name) for name in NUMBERED] == [f"D{k}" for k in range(1, 9)]
     assert all(source(name) for name in names())
     assert names(["D5", "D2"]) == ("midpoint", "length_follows")
-    assert switches_of(True) == PROGRAM and switches_of(False) == TEXT and switches_of(FORMER) == FORMER
+    assert (
+        switches_of(True) == PROGRAM
+        and switches_of(False) == TEXT
+        and switches_of(WITHOUT_NUMBERED) == WITHOUT_NUMBERED
+    )
     assert TEXT.with_(*names()) == PROGRAM and PROGRAM.without(*names()) == TEXT
 
 
