@@ -35,14 +35,14 @@ def processes(count: int) -> Iterator[Any]:
         yield pool.client
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
     """Give a client of two processes; they take 2 s each to start, so all fast tests with it are in test_workers."""
     with processes(2) as found:
         yield found
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def four() -> Iterator[Any]:
     """Give a client of four processes, for the slow tests."""
     with processes(4) as found:
