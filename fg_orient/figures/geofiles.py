@@ -15,6 +15,7 @@ from fg_orient.errors import InputError
 from fg_orient.figures.layers import Layer, read_layers
 from fg_orient.interchange.geopackage import GPKG_OPTIONS
 from fg_orient.io.atomic import staged_file, write_text
+from fg_orient.io.letter_case import plain_case
 
 CRS: Final = "EPSG:4326"
 SUFFIXES: Final = (".gpkg", ".geojson")
@@ -110,9 +111,10 @@ def write_geopackage(path: Path, layers: tuple[Layer, ...], made: str) -> None:
     made : str
         Date and time (ISO 8601, UTC) to stand in the file, so that it repeats.
     """
-    import pyogrio
+    with plain_case():
+        import pyogrio
 
-    with staged_file(path, place="--export", suffix=".gpkg") as temporary:
+    with staged_file(path, place="--export", suffix=".gpkg") as temporary, plain_case():
         before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": f"{made[:19]}.000Z"})
         try:

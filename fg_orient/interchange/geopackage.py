@@ -17,6 +17,7 @@ from fg_orient.interchange.ground import decided_crs
 from fg_orient.interchange.registry import Format, Holds, Settings, register
 from fg_orient.interchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.io.atomic import staged_file
+from fg_orient.io.letter_case import plain_case
 from fg_orient.io.observations import COLUMNS
 from fg_orient.io.points import SIGMA_COLUMNS
 from fg_orient.io.tables import Faults
@@ -31,7 +32,8 @@ GPKG_OPTIONS: Final = {"VERSION": "1.2"}
 def _libraries(file: Path) -> tuple[Any, Any]:
     """Pyogrio and shapely, imported on demand."""
     try:
-        import pyogrio
+        with plain_case():
+            import pyogrio
         import shapely
     except ImportError as error:
         raise InputError.of("interchange.no_pyogrio", file=file) from error
@@ -51,9 +53,10 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     if not path.is_file():
         raise InputError.of("table.missing_file", file=path)
     try:
-        layers = [str(name) for name, _ in pyogrio.list_layers(path)]
-        ground = _layer(pyogrio, path, GROUND) if GROUND in layers else None
-        image = _layer(pyogrio, path, IMAGE) if IMAGE in layers else None
+        with plain_case():
+            layers = [str(name) for name, _ in pyogrio.list_layers(path)]
+            ground = _layer(pyogrio, path, GROUND) if GROUND in layers else None
+            image = _layer(pyogrio, path, IMAGE) if IMAGE in layers else None
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
         raise InputError.of("interchange.gpkg", file=path, value=str(error).split(";")[0]) from None
     if ground is None or "id" not in ground[2]:
@@ -106,7 +109,7 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     geometry[flat] = shapely.to_wkb(shapely.points(survey.coordinates[flat, :2]))
     roles = [str(role) for role in survey.roles]
     text = [np.array(survey.ids, object), np.array(roles, object)]
-    with staged_file(paths[0], suffix=".gpkg") as temporary:
+    with staged_file(paths[0], suffix=".gpkg") as temporary, plain_case():
         pyogrio.raw.write(
             temporary, geometry, [*text, *survey.sigma_enu_m.T, survey.fixed], ["id", "role", *SIGMA_COLUMNS, "fixed"],
             layer=GROUND, driver="GPKG", geometry_type="Point Z", crs=survey.crs, dataset_options=GPKG_OPTIONS,
