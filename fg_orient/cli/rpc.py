@@ -80,7 +80,7 @@ def check(
 ) -> None:
     """Judge an RPC: the file, denominators, its two directions, points, another model.
 
-    Residuals are observed minus projected, pixels. Ends with 4 if something is wrong.
+    Residuals are projected minus observed, pixels. Ends with 4 if something is wrong.
     """
     with outcome(as_json, debug, quiet, log):
         if heights is not None and dem is not None:

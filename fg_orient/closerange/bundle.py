@@ -159,7 +159,7 @@ class Bundle:
         ``sigma_m`` is None without redundancy, 0 of a held point.
     figures : tuple of Adjustment
     residuals : (m, 2) array
-        Ideal minus computed image coordinates, in the order of the observations, in their unit (times metres for
+        Computed minus ideal image coordinates, in the order of the observations, in their unit (times metres for
         residuals of conditions).
     state : (u,) array
     labels : tuple of str
@@ -382,7 +382,7 @@ def _result(built: Built, engine: Any, found: LoopResult[Array], which: Index, o
         tuple(interiors), tuple(rotations), tuple(centres), built.ids, points,
         None if m0 is None else m0 * np.sqrt(spread),
         tuple(of_variables(network.variables[k].name, [k]) for k in built.figure_variables),
-        rows.residual[: 2 * len(of)].reshape(-1, 2) * sigma, state, tuple(network.labels), cofactors, m0,
+        -rows.residual[: 2 * len(of)].reshape(-1, 2) * sigma, state, tuple(network.labels), cofactors, m0,
         network.redundancy, len(found.log), engine.name,
         quality_of(built, state, rows, whole, rotations, found.log),
     )  # fmt: skip

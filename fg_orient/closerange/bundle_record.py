@@ -138,7 +138,7 @@ def _points(found: Bundle, known: Known, of: Index, check: Mapping[str, Array]) 
 
 
 def _residuals(found: Bundle, table: Observed, sigma: Array, unit: float) -> list[Record]:
-    """Image points: residuals (measured, corrected, minus computed), redundancy numbers, w and detectable errors."""
+    """Image points: residuals (computed minus measured, corrected), redundancy numbers, w and detectable errors."""
     own, detectable = _tested(found.residuals, sigma * unit, found.quality.redundancy)
     columns = {"": table.image, "residual_": found.residuals, "sigma_": sigma,
                "redundancy_": found.quality.redundancy, "w_": own, "mdb_": detectable}  # fmt: skip

@@ -151,7 +151,7 @@ def _residuals(record: dict[str, Any]) -> Drawn | None:
     for axes in grid[len(photos) :]:
         axes.set_visible(False)
     words = f"nine of ten are shorter than {long:.2g} image units."
-    return figure, f"image residuals, measured minus computed, all at one scale: {words}"
+    return figure, f"image residuals, computed minus measured, all at one scale: {words}"
 
 
 def _numbers(rows: list[dict[str, Any]]) -> Array:

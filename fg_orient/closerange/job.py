@@ -189,7 +189,7 @@ def run_intersect(
          "misfit": float(rms[k] / np.sqrt(of.count(k)))}
         for k, name in enumerate(ids)
     ]  # fmt: skip
-    seen = zip(table.photos, table.ids, table.image.tolist(), (-found.residuals).tolist(), strict=True)
+    seen = zip(table.photos, table.ids, table.image.tolist(), found.residuals.tolist(), strict=True)
     given = _given_sigmas(table, sigma) or [{}] * len(table)
     residuals = [{"photo": p, "id": i, "x": x, "y": y, "residual_x": vx, "residual_y": vy, **s}
                  for (p, i, (x, y), (vx, vy)), s in zip(seen, given, strict=True)]  # fmt: skip
@@ -348,9 +348,9 @@ def exterior_record(rotation: Array, centre: Array, turns: Sequence[Any], sigma:
 
 
 def _photo_points(table: Observed, rows: Array, photo: Photo, sigma: float | None) -> Record:
-    """Residuals of all points of a photo, measured minus computed, and their RMS by role."""
+    """Residuals of all points of a photo, computed minus measured, and their RMS by role."""
     index = np.asarray(rows, np.intp)
-    residual = table.image[index] - photo.project(table.ground[index])
+    residual = photo.project(table.ground[index]) - table.image[index]
     given = _given_sigmas(table, sigma)
     check = table.check[index]
     points = [

@@ -103,10 +103,10 @@ class RfmFit:
         )  # fmt: skip
 
     def residuals_px(self, points: ControlPoints | None = None) -> Array:
-        """True image residuals, observed minus projected: (n, 2) line and sample; default of the fitted points."""
+        """True image residuals, projected minus observed: (n, 2) line and sample; default of the fitted points."""
         chosen = points or self.points
         line, sample = self.project(chosen.ground)
-        return np.column_stack([chosen.line - line, chosen.sample - sample])
+        return np.column_stack([line - chosen.line, sample - chosen.sample])
 
     @property
     def rms_px(self) -> Array:

@@ -25,7 +25,7 @@ class CrossValidation:
     Parameters
     ----------
     residuals_px : (n, 2) array
-        True image residuals, observed minus projected, line and sample; inf where a fold has no solution.
+        True image residuals, projected minus observed, line and sample; inf where a fold has no solution.
     fits : tuple of RfmFit or None
         One per fold.
     failures : dict

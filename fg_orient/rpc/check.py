@@ -1,6 +1,6 @@
 """Judging an RPC: denominators, its two models against each other, extrapolation, points, another model.
 
-Everything is looked at over the pixels of the image and a range of heights. Residuals are observed minus projected.
+Everything is looked at over the pixels of the image and a range of heights. Residuals are projected minus observed.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from factors import ellipsoid, rfm
 from fg_orient.errors import InputError
 from fg_orient.io.rpc_dimap import AGREEMENT_PX
 from fg_orient.io.sensor import read_sensor
+from fg_orient.rpc.compensate import residuals
 from fg_orient.rpc.files import RpcFile, describe
 from fg_orient.rpc.points import MeasuredPoints, statistics
 from fg_orient.sensors.rpc import COORDINATES, RpcModel, span
@@ -118,7 +119,7 @@ def image_to_ground(model: RpcModel, heights_m: Range) -> dict[str, Any] | None:
         return None
     line, sample, height = image_grid(model, heights_m)
     back = np.stack(model.project(*model.locate_directly(line, sample, height), height), axis=1)
-    return statistics(np.column_stack([line, sample]) - back)
+    return statistics(back - np.column_stack([line, sample]))
 
 
 def extrapolation(model: RpcModel, heights_m: Range) -> dict[str, float]:
@@ -135,7 +136,7 @@ def extrapolation(model: RpcModel, heights_m: Range) -> dict[str, float]:
 def point_residuals(model: RpcModel, measured: MeasuredPoints) -> dict[str, Any]:
     """Residuals of points with their statistics; ``outside`` names those beyond the validity range."""
     lon, lat, height = measured.ground.T
-    v = measured.image - np.stack(model.project(lon, lat, height), axis=1)
+    v = residuals(model, measured)
     inside = model.inside(lon, lat, height)
     return {
         "statistics": statistics(v),
@@ -148,7 +149,7 @@ def point_residuals(model: RpcModel, measured: MeasuredPoints) -> dict[str, Any]
 
 
 def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any]:
-    """Pixels of another model minus ours at the ground points that the other one locates.
+    """Our pixels minus those of another model at the ground points that the other one locates.
 
     Raises
     ------
@@ -167,7 +168,7 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
     line, sample, height = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
     ground = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height)))
     here = np.stack(model.project(np.degrees(ground[:, 0]), np.degrees(ground[:, 1]), ground[:, 2]), axis=1)
-    d = np.column_stack([line, sample]) - here
+    d = here - np.column_stack([line, sample])
     worst = int(np.nanargmax(np.abs(d).max(axis=1))) if np.isfinite(d).any() else 0
     return {
         "file": str(other), "model": type(sensor).__name__, "statistics": statistics(d),

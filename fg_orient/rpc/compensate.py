@@ -78,7 +78,7 @@ class Compensation:
         Root of the variance of unit weight: pixels if no sigmas were given; nan without redundancy.
     redundancy : int
     residuals_px : (n, 2) array
-        Observed minus compensated, line and sample, of the points that took part.
+        Adjusted minus observed, line and sample, of the points that took part.
     left_out_px : (n, 2) array
         The same with the compensation of the other points; nan where they do not determine it.
     suspects : tuple of Suspect
@@ -152,10 +152,15 @@ def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *,
         left = left.take(np.array([name != worst.id for name in left.ids]))
 
 
-def misclosures(model: RpcModel, measured: MeasuredPoints, values: Array | None = None) -> Array:
-    """Observed minus projected pixels, line and sample: (n, 2)."""
+def misclosures(model: RpcModel, measured: MeasuredPoints) -> Array:
+    """Right-hand side of the adjustment, observed minus projected pixels, line and sample: (n, 2)."""
+    return -residuals(model, measured)
+
+
+def residuals(model: RpcModel, measured: MeasuredPoints, values: Array | None = None) -> Array:
+    """Projected minus observed pixels, line and sample: (n, 2); ``values`` (6,) compensate the model."""
     lon, lat, height = measured.ground.T
-    return measured.image - np.stack(model.project(lon, lat, height, values), axis=1)
+    return np.stack(model.project(lon, lat, height, values), axis=1) - measured.image
 
 
 def design(model: RpcModel, measured: MeasuredPoints, kind: str) -> Array:
@@ -181,7 +186,7 @@ def _adjusted(
         values[codes], cofactors[np.ix_(codes, codes)], free[:, axis] = _least_squares(
             a, l[:, axis], measured.sigma_px[:, axis], kind
         )
-    v = l - a @ values[: 2 * k].reshape(k, 2)
+    v = a @ values[: 2 * k].reshape(k, 2) - l
     redundancy = 2 * (n - k)
     square = float(np.sum((v / measured.sigma_px) ** 2))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -191,7 +196,7 @@ def _adjusted(
         "sigma0": float(np.sqrt(square / redundancy)) if redundancy else float("nan"), "left_out_px": left_out,
         "used": measured.ids,
     }  # fmt: skip
-    return fields, _worst(measured, left_out, free, square, redundancy, level)
+    return fields, _worst(measured, -left_out, free, square, redundancy, level)
 
 
 def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, Array, Array]:  # noqa: E741

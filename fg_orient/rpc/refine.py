@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.special import fdtri
 
 from fg_orient.errors import InputError
-from fg_orient.rpc.compensate import LEVEL, RANK, Compensation, compensate, design, misclosures
+from fg_orient.rpc.compensate import LEVEL, RANK, Compensation, compensate, design, misclosures, residuals
 from fg_orient.rpc.points import MeasuredPoints, statistics
 from fg_orient.sensors.rpc import RpcModel, span
 
@@ -89,8 +89,8 @@ def _both(model: RpcModel, points: MeasuredPoints, found: Compensation) -> dict[
     if not len(points):
         return None
     return {
-        "before": statistics(misclosures(model, points)),
-        "after": statistics(misclosures(model, points, found.values)),
+        "before": statistics(residuals(model, points)),
+        "after": statistics(residuals(model, points, found.values)),
     }
 
 
@@ -99,7 +99,7 @@ def _suspicious(model: RpcModel, used: MeasuredPoints, check: MeasuredPoints, fo
     if not len(check) or found.redundancy == 0:
         return []
     a = design(model, check, found.kind)
-    v = misclosures(model, check, found.values)
+    v = residuals(model, check, found.values)
     t = np.zeros(len(check))
     for axis in (0, 1):
         codes = np.arange(axis, 2 * a.shape[1], 2)
@@ -111,7 +111,7 @@ def _suspicious(model: RpcModel, used: MeasuredPoints, check: MeasuredPoints, fo
 
 def _residuals(model: RpcModel, measured: MeasuredPoints, found: Compensation) -> list[dict[str, Any]]:
     """One record per point: role, whether it took part, residuals before and after."""
-    before, after = misclosures(model, measured), misclosures(model, measured, found.values)
+    before, after = residuals(model, measured), residuals(model, measured, found.values)
     used = set(found.used)
     return [
         {"id": name, "role": "check" if check else "control", "used": name in used,

@@ -72,7 +72,7 @@ def test_weighted_form_ends_where_its_weights_stay(make: Make) -> None:
         a, v = a / below[:, None], (a @ weighted.x - observed) / below
         assert np.abs(a.T @ v).max() < 1e-8 * np.linalg.norm(v) * np.linalg.norm(a, axis=0).max()
         sample, line = v.reshape(2, -1) * weighted.scaling.scales[1::-1, None]
-        np.testing.assert_allclose(-np.column_stack([line, sample]), weighted.residuals_px(), atol=1e-8)
+        np.testing.assert_allclose(np.column_stack([line, sample]), weighted.residuals_px(), atol=1e-8)
         assert true.m0_px * (1.0 - 1e-9) <= weighted.m0_px <= true.m0_px * (1.0 + share)
 
 

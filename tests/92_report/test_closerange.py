@@ -206,7 +206,7 @@ def test_w_is_the_residual_over_its_own_sigma(record: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("command", ["dlt", "resect", "intersect", "bundle"])
 def test_a_gross_error_is_named_and_its_residual_has_its_sign(command: str, made: Path, tmp_path: Path) -> None:
-    """Measured minus computed in all kinds: a coordinate too large by 0.05 leaves a residual above zero.
+    """Computed minus measured in all kinds: a coordinate too large by 0.05 leaves a residual below zero.
 
     It is y of an intersection, since two rays do not check x along their base. Eleven unknowns of a DLT take too much
     of the error for a ratio without redundancy numbers: there m0 alone tells of it.
@@ -226,7 +226,7 @@ def test_a_gross_error_is_named_and_its_residual_has_its_sign(command: str, made
     record = bundle(folder) if command == "bundle" else run(*words_, "--sigma", "0.001", "--json").json
     rows = record.get("residuals") or [{"photo": p["photo"]} | r for p in record["photos"] for r in p["points"]]
     (row,) = (r for r in rows if (r["photo"], r["id"]) == (photo, point))
-    assert row[f"residual_{axis}"] > 0.005
+    assert row[f"residual_{axis}"] < -0.005
     told = " ".join(words.doubts({"warnings": [], "photos": []} | record))
     named = {"dlt": "times as large as", "intersect": f"look at point {point}: the misfit of its rays"}
     assert named.get(command, f"{axis} of point {point} in photo {photo}") in told

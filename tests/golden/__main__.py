@@ -24,7 +24,11 @@ def main() -> int:
     held.add_argument("before", type=Path)
     held.add_argument("after", type=Path)
     held.add_argument("--within", type=float, default=0.0, help="relative to the largest value of a column; default 0")
-    held.add_argument("--signs", type=Path, help="lines of case, file and column (patterns) whose sign turns")
+    held.add_argument(
+        "--signs",
+        type=Path,
+        help="lines of case, file, column (patterns) and what changes on purpose: turns, amount, redrawn",
+    )
     held.add_argument("--shown", type=int, default=40, help="differences that are printed")
     given = parser.parse_args()
     if given.action == "keep":

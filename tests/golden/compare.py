@@ -29,20 +29,26 @@ Value = float | str
 
 @dataclass
 class Signs:
-    """Columns whose sign turns on purpose: patterns of case, file and column."""
+    """What changes on purpose: patterns of case, file and column, and how.
 
-    rows: list[tuple[str, str, str]] = field(default_factory=list)
+    ``turns``: the sign; ``amount``: signs of some of the numbers; ``redrawn``: anything.
+    """
+
+    rows: list[tuple[str, str, str, str]] = field(default_factory=list)
 
     @classmethod
     def read(cls, file: Path | None) -> Signs:
-        """Read lines of three patterns; ``#`` begins a comment."""
+        """Read lines of three patterns and the kind of change; ``#`` begins a comment."""
         lines = file.read_text("utf-8").splitlines() if file else []
         kept = [line.split("#")[0].split() for line in lines]
-        return cls([(a, b, c) for a, b, c in filter(None, kept)])
+        return cls([(a, b, c, kind) for a, b, c, kind in filter(None, kept)])
 
-    def turned(self, case: str, file: str, column: str) -> bool:
-        """Whether the values of a column turn."""
-        return any(fnmatchcase(case, a) and fnmatchcase(file, b) and fnmatchcase(column, c) for a, b, c in self.rows)
+    def change(self, case: str, file: str, column: str) -> str:
+        """How the values of a column change on purpose; "" where they do not."""
+        return next((
+            kind for a, b, c, kind in self.rows
+            if fnmatchcase(case, a) and fnmatchcase(file, b) and fnmatchcase(column, c)
+        ), "")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -83,12 +89,15 @@ def _different(case: str, file: str, one: Path, other: Path, within: float, sign
         if len(values[0]) != len(values[1]):
             yield Difference(case, file, column, f"{len(values[0])} values", f"{len(values[1])} values")
             continue
-        turn = -1.0 if signs.turned(case, file, column) else 1.0
+        change = signs.change(case, file, column)
+        if change == "redrawn":
+            continue
         numbers = [abs(v) for v in values[0] if isinstance(v, float) and np.isfinite(v)]
         scale = max(numbers, default=0.0) or 1.0
         for k, (a, b) in enumerate(zip(*values, strict=True)):
             if isinstance(a, float) and isinstance(b, float):
-                size = 0.0 if turn * a == b or (a != a and b != b) else abs(turn * a - b) / scale
+                was, now = (abs(a), abs(b)) if change == "amount" else (-a if change == "turns" else a, b)
+                size = 0.0 if was == now or (a != a and b != b) else abs(was - now) / scale
                 if not size <= within:
                     yield Difference(case, file, f"{column}[{k}]", a, b, size)
             elif a != b:
