@@ -20,7 +20,7 @@ OTHER_EACH_TIME = re.compile(
 )
 #: Lines of pages and texts that hold such values.
 OTHER_LINES = re.compile(
-    r"(?i)seconds|duration|\d\d:\d\d:\d\d|gnss time|generated|class=.id|fg_orient \d|memory|µs|us per"
+    r"(?i)seconds|duration|\d\d:\d\d|gnss time|generated|class=.id|fg_orient \d|memory|µs|us per"
 )
 PICTURES = {".png", ".pdf", ".gpkg", ".tif"}
 
