@@ -21,11 +21,11 @@ from typing import Final, Generic, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammainc
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import CONTROL, FLOOR, IMAGE, Weights, control_squares, inlier_limit
 from fg_orient.adjustment.rows import residuals
+from fg_orient.distributions import chi_square_probability
 
 Array = npt.NDArray[np.float64]
 S = TypeVar("S")
@@ -55,7 +55,7 @@ class Rule(Protocol):
 
 def danish_limit(dimension: int) -> float:
     """Norm that a good observation exceeds as seldom as one number exceeds 2.5 sigmas."""
-    return inlier_limit(float(gammainc(0.5, 0.5 * DANISH_LIMIT**2)), dimension)
+    return inlier_limit(float(chi_square_probability(1.0, DANISH_LIMIT**2)), dimension)
 
 
 def danish_original(last: Array, norm: Array, cycle: int, dimension: int, sigma0: float) -> Array:

@@ -21,8 +21,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri, stdtrit
 
+from fg_orient.distributions import normal_quantile, t_quantile
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -42,8 +42,8 @@ def limits(redundancy: int, *, known: bool) -> tuple[float, float]:
     known : bool
         Whether sigmas have a known size.
     """
-    normal = float(-ndtri(LEVEL))
-    noise = normal if known else min(float(stdtrit(redundancy, 1.0 - LEVEL)), ALLOWED)
+    normal = float(-normal_quantile(LEVEL))
+    noise = normal if known else min(float(t_quantile(redundancy, 1.0 - LEVEL)), ALLOWED)
     return noise, noise * ALLOWED / (ALLOWED - normal)
 
 

@@ -11,11 +11,10 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtri
 
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.closerange.fitting import MAX_ITERATIONS, UNDETERMINED, Backend, Rows
-from fg_orient.distributions import chi_square_limit
+from fg_orient.distributions import chi_square_limit, f_quantile
 from fg_orient.errors import NoSolutionError
 
 Array = npt.NDArray[np.float64]
@@ -58,7 +57,7 @@ def reach(sigma: float, squares: float, redundancy: int, *, known: bool) -> tupl
     if known:
         scale, limit = max(OPTIMISTIC**2, own), float(chi_square_limit(1.0, LEVEL))
     elif redundancy > 0:
-        scale, limit = own, float(fdtri(1, redundancy, 1.0 - LEVEL))
+        scale, limit = own, float(f_quantile(1, redundancy, 1.0 - LEVEL))
     else:
         return None
     return UNDETERMINED * sigma * float(np.sqrt(scale * limit)), scale * limit

@@ -7,9 +7,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtri
 
-from fg_orient.distributions import chi_square_limit
+from fg_orient.distributions import chi_square_limit, f_quantile
 from fg_orient.errors import InputError
 from fg_orient.rectification.transformation import Scaling
 
@@ -111,7 +110,7 @@ def require_base(points: Array, sigma: Array, squares: float, *, known: bool) ->
     freedom = 2 * n - 3
     limit = float(chi_square_limit(freedom, NO_BASE))
     if not known:
-        limit = freedom * squares / (n - 5) * float(fdtri(freedom, n - 5, 1.0 - NO_BASE))
+        limit = freedom * squares / (n - 5) * float(f_quantile(freedom, n - 5, 1.0 - NO_BASE))
     if turned_only <= limit:
         raise InputError.of("closerange.no_base", place="relative orientation",
                             value=f"weighted squares {turned_only:.3g}, {limit:.3g} may be noise")  # fmt: skip

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from scipy.special import fdtri
-
-from fg_orient.distributions import chi_square_limit
+from fg_orient.distributions import chi_square_limit, f_quantile
 
 #: Level of the test that tells two minima apart.
 LEVEL: Final = 0.05
@@ -16,7 +14,7 @@ SAME: Final = 1e-5
 
 def ratio_limit(redundancy: int) -> float:
     """Ratio of weighted squares from which an F test of equal redundancies tells two minima apart at ``LEVEL``."""
-    return float(fdtri(redundancy, redundancy, 1.0 - LEVEL))
+    return float(f_quantile(redundancy, redundancy, 1.0 - LEVEL))
 
 
 def told_apart(own: float, redundancy: int, *, known: bool = False) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.distributions import beta_quantile, normal_quantile
 from fg_orient.figures import style
 from fg_orient.figures.data import LINE_SAMPLE, Folder
 from fg_orient.report.scale import round_down
@@ -167,10 +168,8 @@ def normal_band(n: int) -> tuple[Array, Array, Array]:
     The k-th of n ordered uniform values is Beta(k, n + 1 - k) (David and Nagaraja 2003, 2.1). Each value lies inside
     with 95 %; all of them together less often, and residuals are correlated.
     """
-    from scipy.special import betaincinv, ndtri
-
     k = np.arange(1, n + 1)
-    low, middle, high = (np.asarray(ndtri(betaincinv(k, n + 1.0 - k, p)), float) for p in (0.025, 0.5, 0.975))
+    low, middle, high = (normal_quantile(beta_quantile(k, n + 1.0 - k, p)) for p in (0.025, 0.5, 0.975))
     return middle, low, high
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaincc
 
+from fg_orient.distributions import chi_square_tail
 from fg_orient.errors import InputError
 from fg_orient.linear.conditioning import numerical_rank
 from fg_orient.linear.system import Array, LinearSystem
@@ -112,4 +112,4 @@ def _explained(residual: float, noise: float, freedom: int, rounding: float) -> 
         return True
     if noise == 0.0:
         return False
-    return bool(gammaincc(0.5 * freedom, 0.5 * (residual / noise) ** 2) >= SIGNIFICANCE)
+    return bool(chi_square_tail(freedom, (residual / noise) ** 2) >= SIGNIFICANCE)

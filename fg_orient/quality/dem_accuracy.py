@@ -15,10 +15,10 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import stdtrit
 
 from factors import ellipsoid
 from fg_orient.block import Block
+from fg_orient.distributions import t_quantile
 from fg_orient.errors import InputError
 from fg_orient.geodesy import enu_from_ecef
 from fg_orient.sensors.correction import HeightSurface
@@ -224,5 +224,5 @@ def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, str]:
     rest = d[kept] - a[kept] @ step
     sigma = np.sqrt(rest @ rest / (n - 3) * np.linalg.inv(a[kept].T @ a[kept]).diagonal())
     before = _differences(ground, dem)[kept]
-    return Shift(shift, sigma, n, float(stdtrit(n - 3, 0.5 + CONFIDENCE / 2.0)),
+    return Shift(shift, sigma, n, float(t_quantile(n - 3, 0.5 + CONFIDENCE / 2.0)),
                  float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(rest**2)))), ""  # fmt: skip

@@ -19,9 +19,18 @@ from typing import Final, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import betainc, betainccinv, betaincinv, chdtr, chdtrc
 
-from fg_orient.distributions import chi_square_interval, chi_square_limit, holm, sidak
+from fg_orient.distributions import (
+    beta_limit,
+    beta_probability,
+    beta_quantile,
+    chi_square_interval,
+    chi_square_limit,
+    chi_square_probability,
+    chi_square_tail,
+    holm,
+    sidak,
+)
 from fg_orient.errors import InputError
 from fg_orient.options import MultipleTesting, OutlierTest
 
@@ -96,10 +105,10 @@ def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Arra
 def probabilities(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Array, test: str) -> Array:
     """Probability of a larger statistic without a gross error; arguments as of :func:`statistics`."""
     if test == "baarda":
-        return np.asarray(chdtrc(d, t))
+        return chi_square_tail(d, t)
     chi2 = np.asarray(chi2, dtype=np.float64)
     rest = np.clip((chi2 - t) / np.maximum(chi2, _TINY), 0.0, 1.0)
-    return np.asarray(betainc(0.5 * (redundancy - d), 0.5 * d, rest))
+    return beta_probability(0.5 * (redundancy - d), 0.5 * d, rest)
 
 
 def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str) -> Array:
@@ -110,8 +119,8 @@ def limits(level: npt.ArrayLike, d: Index, redundancy: float | Array, test: str)
     if test == "baarda":
         value: Array = chi_square_limit(d, level)
     else:
-        share = np.asarray(betainccinv(0.5 * d, 0.5 * (redundancy - d), np.asarray(level)))
-        rest = np.asarray(betaincinv(0.5 * (redundancy - d), 0.5 * d, np.asarray(level)))  # 1 - share, with its digits
+        share = beta_limit(0.5 * d, 0.5 * (redundancy - d), level)
+        rest = beta_quantile(0.5 * (redundancy - d), 0.5 * d, level)  # 1 - share, with its digits
         ratio = redundancy * share if test == "pope" else share / rest * (redundancy - d) / d
         value = np.asarray(ratio, dtype=np.float64)
     return np.where(np.asarray(d) == 1, np.sqrt(value), value)
@@ -204,6 +213,6 @@ def global_test(chi2: float, redundancy: int, level: float = 0.001) -> GlobalTes
     require_names("baarda", "none", level)
     if redundancy <= 0:
         return None
-    tail = float(min(chdtr(redundancy, chi2), chdtrc(redundancy, chi2)))
+    tail = float(min(chi_square_probability(redundancy, chi2), chi_square_tail(redundancy, chi2)))
     limits = chi_square_interval(redundancy, level)
     return GlobalTest(float(chi2), redundancy, level, limits, min(1.0, 2.0 * tail))

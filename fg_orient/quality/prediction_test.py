@@ -14,10 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr, stdtrit
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.distributions import chi_square_interval, sidak
+from fg_orient.distributions import chi_square_interval, normal_probability, sidak, t_quantile
 from fg_orient.errors import NoSolutionError
 from fg_orient.quality.accuracy import AXES, PointDifferences
 from fg_orient.quality.covariance import Cofactors
@@ -81,7 +80,7 @@ class PredictionTest:
         names = ("within_1_sigma", "within_2_sigma", "within_3_sigma")
         counts = {axis: dict(zip(names, row.tolist(), strict=True))
                   for axis, row in zip(AXES[:3], self.within, strict=True)}  # fmt: skip
-        expected = dict(zip(names, (2.0 * ndtr([1.0, 2.0, 3.0]) - 1.0).tolist(), strict=True))
+        expected = dict(zip(names, (2.0 * normal_probability([1.0, 2.0, 3.0]) - 1.0).tolist(), strict=True))
         return {
             "n": self.n, "n_joint": self.n_joint, **counts, "expected_share": expected, "nees": self.statistic,
             "degrees_of_freedom": self.degrees, "interval_95": list(self.interval), "factor": self.factor,
@@ -133,7 +132,7 @@ def bias_test(points: PointDifferences) -> dict[str, dict[str, float | bool]]:
     n = len(points)
     if n < 2:
         return out
-    limit = float(stdtrit(n - 1, 1.0 - 0.5 * sidak(1.0 - CONFIDENCE, 3)))
+    limit = float(t_quantile(n - 1, 1.0 - 0.5 * sidak(1.0 - CONFIDENCE, 3)))
     for axis, d in zip(AXES[:3], points.enu_m.T, strict=False):
         sd = float(d.std(ddof=1))
         if sd > 0.0:

@@ -11,9 +11,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import erf, ndtri
 
-from fg_orient.distributions import chi_square_limit
+from fg_orient.distributions import chi_square_limit, normal_quantile, normal_within
 
 Array = npt.NDArray[np.float64]
 
@@ -68,7 +67,7 @@ def radius(covariance: Array, probability: float = 0.9) -> float:
     sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(np.atleast_2d(covariance)), 0.0))[::-1]
     if sigma[0] == 0.0:
         return 0.0
-    low = float(ndtri(0.5 * (1.0 + probability)))  # all of it along one axis; the upper end: along all axes
+    low = float(normal_quantile(0.5 * (1.0 + probability)))  # all of it along one axis; the upper end: along all axes
     if len(sigma) == 1 or sigma[1] == 0.0:
         return float(low * sigma[0])
     high = float(np.sqrt(chi_square_limit(len(sigma), 1.0 - probability)))
@@ -87,7 +86,7 @@ def _inside(sigma: Array, r: Array) -> Array:
     if sigma[0] == 0.0:
         return np.ones_like(r)
     if len(sigma) == 1:
-        return np.asarray(erf(r / (np.sqrt(2.0) * sigma[0])))
+        return normal_within(r, float(sigma[0]))
     x = r[:, None] / sigma[0]
     end = np.arcsin(np.minimum(FAR / np.maximum(x, FAR), 1.0))
     angle = 0.5 * end * (_NODE + 1.0)

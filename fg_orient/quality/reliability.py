@@ -19,11 +19,10 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chndtrinc
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import residuals
-from fg_orient.distributions import chi_square_limit
+from fg_orient.distributions import chi_square_limit, chi_square_noncentrality
 from fg_orient.errors import InputError
 from fg_orient.quality.residuals import ResidualCofactors
 
@@ -53,7 +52,7 @@ def noncentrality(alpha: float = ALPHA, power: float = POWER, dimension: int = 1
     dimension : int
         Coordinates that are tested together.
     """
-    return float(chndtrinc(chi_square_limit(dimension, alpha), dimension, 1.0 - power))
+    return chi_square_noncentrality(dimension, chi_square_limit(dimension, alpha), power)
 
 
 @dataclass(frozen=True)

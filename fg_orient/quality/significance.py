@@ -20,10 +20,9 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtrc, stdtr
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.distributions import holm
+from fg_orient.distributions import f_tail, holm, t_two_sided
 from fg_orient.errors import NoSolutionError
 from fg_orient.parameters import term_of
 from fg_orient.quality.covariance import Cofactors
@@ -157,7 +156,7 @@ def significance(
     q = np.concatenate([np.diag(cofactors.image(k)) for k in range(problem.n_images)])
     m0, nu = (sigma0, np.full(len(x), float(f))) if freedom is None else (1.0, freedom.each())
     t = np.abs(x) / (m0 * np.sqrt(q))
-    p = 2.0 * stdtr(nu, -t)
+    p = t_two_sided(nu, t)
     adjusted, scale = holm(p), np.concatenate([parameters.sigma for parameters in problem.parameters])
     priors = problem.block.options.priors
     images = np.repeat(np.arange(problem.n_images), [len(parameters) for parameters in problem.parameters])
@@ -191,7 +190,7 @@ def group_test(
     # scaled to correlations: unknowns of very different size are tested together
     length = np.sqrt(np.diag(q))
     statistic = float((x / length) @ np.linalg.solve(q / np.outer(length, length), x / length)) / (d * m0**2)
-    return GroupTest(name, d, statistic, float(fdtrc(d, f, statistic)), f)
+    return GroupTest(name, d, statistic, float(f_tail(d, f, statistic)), f)
 
 
 def places_of(problem: Problem, wanted: Callable[[str], bool]) -> Index:

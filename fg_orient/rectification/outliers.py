@@ -15,8 +15,8 @@ from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtrc, fdtri
 
+from fg_orient.distributions import f_quantile, f_tail
 from fg_orient.errors import NoSolutionError
 from fg_orient.rectification.arguments import positive
 from fg_orient.rectification.fit import CHECKED, Fit, Observations, fit
@@ -75,8 +75,8 @@ def point_tests(found: Fit, *, level: float = LEVEL) -> PointTests:
     rest = np.maximum(found.weighted_squares - t, np.finfo(float).tiny)
     with np.errstate(divide="ignore", invalid="ignore"):
         statistic = np.where(usable, t / d / (rest / free), np.nan)
-        critical = np.where(usable, fdtri(d, free, 1.0 - level), np.nan)
-        probability = np.where(usable, fdtrc(d, free, statistic), np.nan)
+        critical = np.where(usable, f_quantile(d, free, 1.0 - level), np.nan)
+        probability = np.where(usable, f_tail(d, free, statistic), np.nan)
     error[~usable] = np.nan
     return PointTests(np.where(usable, d, 0), statistic, critical, probability, error)
 
@@ -102,8 +102,8 @@ def check_tests(found: Fit, check: Observations, residuals: Array, *, level: flo
     squares = np.einsum("ni,ni->n", residuals, np.linalg.solve(cofactors, residuals[:, :, None])[:, :, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
         statistic = squares / (2.0 * found.m0**2)
-    critical = np.full(n, float(fdtri(2, f, 1.0 - level)))
-    return PointTests(np.full(n, 2), statistic, critical, fdtrc(2, f, statistic), -residuals)
+    critical = np.full(n, float(f_quantile(2, f, 1.0 - level)))
+    return PointTests(np.full(n, 2), statistic, critical, f_tail(2, f, statistic), -residuals)
 
 
 @dataclass(frozen=True)

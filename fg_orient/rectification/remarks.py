@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtrc
 
+from fg_orient.distributions import f_tail
 from fg_orient.geodesy import area_of_use, to_geographic
 from fg_orient.rectification.outliers import PointTests, Pruning
 from fg_orient.rectification.points import DIRECTIONS, PointFit
@@ -128,7 +128,7 @@ def _worse(found: PointFit) -> list[str]:
     variance = (fit.m0 * check.sigma) ** 2 + fit.prediction_sigma(check.source[:, : fit.model.dimension]) ** 2
     n = 2 * len(check)
     statistic = float(np.sum(found.check_residuals**2 / variance)) / n
-    if fdtrc(n, fit.redundancy, statistic) >= WORSE:
+    if f_tail(n, fit.redundancy, statistic) >= WORSE:
         return []
     ratio = np.sqrt(statistic)
     return [f"check points are {ratio:.1f} times worse than control points predict: too high a degree, or gross errors"]

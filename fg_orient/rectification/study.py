@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtrc
 
+from fg_orient.distributions import f_tail
 from fg_orient.errors import InputError
 from fg_orient.rectification.arguments import finite, positive, whole
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
@@ -186,4 +186,4 @@ def improvement_test(
         return np.nan, np.nan
     added = f_low - f_high
     statistic = (squares_low - squares_high) / added / m0_high**2
-    return float(statistic), float(fdtrc(added, f_high, statistic))
+    return float(statistic), float(f_tail(added, f_high, statistic))

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
-from scipy.special import ndtr, ndtri
 
+from fg_orient.distributions import normal_probability, normal_quantile
 from fg_orient.report.data import Result
 from fg_orient.report.panel import Panel, ticks
 from fg_orient.report.scale import round_down
@@ -80,7 +80,7 @@ def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
     rows = [{"image": table.words["image"][k], "id": table.words["id"][k], **dict(zip(names, row, strict=True))}
             for k, row in zip(order.tolist(), values, strict=True)]  # fmt: skip
     n = int(np.isfinite(ratio).sum())
-    expected = 2.0 * n * float(ndtr(-3.0))
+    expected = 2.0 * n * float(normal_probability(-3.0))
     return {"rows": rows, "n": n, "beyond": int((size > 3.0).sum()),
             "expected": f"{expected:.1f}" if expected < 10.0 else f"{expected:.0f}"}  # fmt: skip
 
@@ -158,7 +158,7 @@ def quantiles(ratio: Array, name: str, tested: bool, axes: tuple[str, str] = ("l
         if not n:
             continue
         rank = np.unique(np.round(_spread_ranks(n)).astype(np.intp))
-        expected = ndtri((rank + 0.5) / n)
+        expected = normal_quantile((rank + 0.5) / n)
         found = np.clip(values[rank], -ENDS, ENDS)
         draw(zip(expected.tolist(), found.tolist(), strict=True), ("line-dot", "sample-dot")[k])
     y = panel.top + 14
@@ -173,6 +173,6 @@ def _spread_ranks(n: int) -> Array:
     """Ranks at even distances of the normal quantile, the extremes among them."""
     if n <= MAX_QUANTILES:
         return np.arange(n, dtype=float)
-    end = float(ndtri(0.5 / n))
-    share: Array = ndtr(np.linspace(end, -end, MAX_QUANTILES))
+    end = float(normal_quantile(0.5 / n))
+    share: Array = normal_probability(np.linspace(end, -end, MAX_QUANTILES))
     return np.asarray(np.clip(share * n - 0.5, 0, n - 1), float)

@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtri, stdtrit
 
 from factors._contract import compiled
+from fg_orient.distributions import f_quantile, t_quantile
 from fg_orient.errors import InputError
 from fg_orient.linear.kappa import choose_kappa
 from fg_orient.rfm.estimate import fit_true
@@ -283,7 +283,7 @@ def uss(reduced: Reduced) -> Selection:
     while len(chosen):
         t = _t_values(reduced, chosen)
         weakest = int(t.argmin())
-        if t[weakest] >= stdtrit(reduced.freedom - len(chosen), 1.0 - 0.5 * SIGNIFICANCE):
+        if t[weakest] >= t_quantile(reduced.freedom - len(chosen), 1.0 - 0.5 * SIGNIFICANCE):
             break
         chosen = np.delete(chosen, weakest)
     return Selection(chosen)
@@ -338,13 +338,12 @@ def _entering(table: Array, inside: npt.NDArray[np.bool_], freedom: int) -> int:
         gain = np.where(usable, table[:-1, -1] ** 2 / np.where(usable, diagonal, 1.0), -1.0)
     best = int(gain.argmax())
     left = table[-1, -1] - gain[best]
-    return best if gain[best] * freedom > fdtri(1, freedom, 1.0 - SIGNIFICANCE) * left else -1
+    return best if gain[best] * freedom > f_quantile(1, freedom, 1.0 - SIGNIFICANCE) * left else -1
 
 
 def _leaving(table: Array, inside: npt.NDArray[np.bool_], freedom: int) -> int:
     """Column inside that explains least, if the F test fails; else -1."""
     loss = np.where(inside, table[:-1, -1] ** 2 / np.where(inside, np.abs(table.diagonal()[:-1]), 1.0), np.inf)
     least = int(loss.argmin())
-    return (
-        least if inside.any() and loss[least] * freedom < fdtri(1, freedom, 1.0 - SIGNIFICANCE) * table[-1, -1] else -1
-    )
+    limit = f_quantile(1, freedom, 1.0 - SIGNIFICANCE) * table[-1, -1]
+    return least if inside.any() and loss[least] * freedom < limit else -1

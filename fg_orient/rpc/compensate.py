@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtri
 
 from factors import rfm
 from factors.rfm_equation import COMPENSATIONS, N_COMPENSATION
+from fg_orient.distributions import f_quantile
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.rpc.points import MeasuredPoints
 from fg_orient.sensors.rpc import RpcModel
@@ -222,7 +222,7 @@ def _worst(
     t = np.sum((error / measured.sigma_px) ** 2 * free, axis=1)
     i = int(t.argmax())
     statistic = float(t[i]) / 2.0 / max((square - float(t[i])) / (redundancy - 2), np.finfo(float).tiny)
-    limit = float(fdtri(2, redundancy - 2, 1.0 - level))
+    limit = float(f_quantile(2, redundancy - 2, 1.0 - level))
     if statistic <= limit:
         return None
     return Suspect(measured.ids[i], statistic, limit, (float(error[i, 0]), float(error[i, 1])))

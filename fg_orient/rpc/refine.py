@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtri
 
+from fg_orient.distributions import f_quantile
 from fg_orient.errors import InputError
 from fg_orient.rpc.compensate import LEVEL, RANK, Compensation, compensate, design, misclosures, residuals
 from fg_orient.rpc.points import MeasuredPoints, statistics
@@ -105,7 +105,7 @@ def _suspicious(model: RpcModel, used: MeasuredPoints, check: MeasuredPoints, fo
         codes = np.arange(axis, 2 * a.shape[1], 2)
         q = check.sigma_px[:, axis] ** 2 + np.einsum("ni,ij,nj->n", a, found.cofactors[np.ix_(codes, codes)], a)
         t += v[:, axis] ** 2 / q
-    limit = 2.0 * float(fdtri(2, found.redundancy, 1.0 - LEVEL)) * found.sigma0**2
+    limit = 2.0 * float(f_quantile(2, found.redundancy, 1.0 - LEVEL)) * found.sigma0**2
     return [name for name, bad in zip(check.ids, t > limit, strict=True) if bad]
 
 
@@ -156,7 +156,7 @@ def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] |
         slopes.append(float(fits[1][-1]))
     free = 2 * (n - k)
     statistic = (squares[0] - squares[1]) / 2.0 / max(squares[1] / free, np.finfo(float).tiny)
-    if statistic <= float(fdtri(2, free, 1.0 - LEVEL)):
+    if statistic <= float(f_quantile(2, free, 1.0 - LEVEL)):
         return None
     return {"line_px_per_km": slopes[0], "sample_px_per_km": slopes[1], "statistic": float(statistic)}
 

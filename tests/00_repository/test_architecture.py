@@ -160,3 +160,14 @@ def test_planted_violation_is_caught(planted: str, module: str, line: str, contr
     said = planted[planted.index("Broken contracts") :]
     importer = module.removesuffix(".py").replace("/", ".")
     assert re.search(rf"{re.escape(importer)} -> {re.escape(imported)}\b", said), planted
+
+
+def test_one_module_knows_the_distributions(repository: Path) -> None:
+    """Quantiles and tails have names and a stated order of arguments: nothing else calls scipy for them."""
+    found = [
+        str(path.relative_to(repository))
+        for path in modules(repository, "factors", "fg_orient")
+        if re.search(r"^\s*(from scipy\.(special|stats)|from scipy import .*\b(special|stats)\b|import scipy\.s)",
+                     path.read_text("utf-8"), re.MULTILINE)
+    ]  # fmt: skip
+    assert found == ["fg_orient/distributions.py"]

@@ -19,9 +19,7 @@ OTHER_EACH_TIME = re.compile(
     r"(^|/)(seconds|provenance|memory|us_per_observation_iteration|ended|out|time|started|elapsed_s|date)(/|$|_)"
 )
 #: Lines of pages and texts that hold such values.
-OTHER_LINES = re.compile(
-    r"(?i)seconds|duration|\d\d:\d\d|gnss time|generated|class=.id|fg_orient \d|memory|µs|us per"
-)
+OTHER_LINES = re.compile(r"(?i)seconds|duration|\d\d:\d\d|gnss time|generated|class=.id|fg_orient \d|memory|µs|us per")
 PICTURES = {".png", ".pdf", ".gpkg", ".tif"}
 
 Value = float | str

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.special import chdtri, fdtri
 
-from fg_orient.distributions import sidak
+from fg_orient.distributions import chi_square_limit, f_quantile, sidak
 from fg_orient.report.words import number
 
 #: What is smaller is rounding: a point of exact data stands out by it, in metres or image units.
@@ -58,7 +57,7 @@ def outlying(group: Group, level: float) -> list[tuple[float, str]]:
     for (size, w, n, what), scatter, left in zip(group.residuals, others.tolist(), f.tolist(), strict=True):
         given = group.absolute and scatter <= 1.0
         found = w if given else w / scatter if scatter > 0.0 else math.inf
-        limit = chdtri(n, chance) / n if given else fdtri(n, max(left, 1.0), 1.0 - chance)
+        limit = chi_square_limit(n, chance) / n if given else f_quantile(n, max(left, 1.0), 1.0 - chance)
         if left >= 1.0 and size > ROUNDING and found**2 > float(limit):
             over = "its standard deviation" if given else "the standard deviation that the others show"
             out.append((found, f"look at {what} is {number(found, 1)} times {over}"))

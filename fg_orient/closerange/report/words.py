@@ -6,10 +6,9 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from scipy.special import ndtri
 
 from fg_orient.closerange.report.outlying import Group, outlying
-from fg_orient.distributions import chi_square_interval, sidak
+from fg_orient.distributions import chi_square_interval, normal_quantile, sidak
 from fg_orient.report.words import number
 
 #: Level of the test of m0, and of the search for the worst residual among all.
@@ -144,7 +143,7 @@ def suspects(record: dict[str, Any]) -> list[tuple[float, str]]:
     if not rows:
         return []
     common = max(record["m0"] or 1.0, 1.0) if record["weights"] == "absolute" else 1.0
-    limit = float(-ndtri(0.5 * sidak(LEVEL, len(rows))))
+    limit = float(-normal_quantile(0.5 * sidak(LEVEL, len(rows))))
     return sorted(((w / common, words) for w, words in rows if w / common > limit), key=lambda row: -row[0])
 
 
