@@ -102,13 +102,12 @@ def chi_square_noncentrality(freedom: float, limit: npt.ArrayLike, power: float)
 
 def chi_square_quantile(freedom: npt.ArrayLike, probability: npt.ArrayLike) -> Array:
     """Value that chi-square does not exceed with this probability, accurate for small ones."""
-    half, p = 0.5 * np.asarray(freedom, np.float64), np.asarray(probability, np.float64)
-    return np.asarray(2.0 * gammaincinv(half, p), np.float64)
+    return _real(2.0 * gammaincinv(0.5 * _real(freedom), _real(probability)))
 
 
 def chi_square_limit(freedom: npt.ArrayLike, level: npt.ArrayLike) -> Array:
     """Value that chi-square exceeds with this probability, accurate for small ones."""
-    return np.asarray(chdtri(np.asarray(freedom, np.float64), np.asarray(level, np.float64)), np.float64)
+    return _real(chdtri(_real(freedom), _real(level)))
 
 
 def chi_square_interval(freedom: float, level: float) -> tuple[float, float]:

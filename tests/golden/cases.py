@@ -134,7 +134,7 @@ CASES = (
                             "--sigma-image 0.3 0.3 --to csv --out points.csv"),
     Case("convert-model", "convert ../inputs/exchange/sparse/0 --from colmap-text --to bundler --out bundle.out"),
     Case("convert-points", "convert ../inputs/twin/points.csv --from csv --to geojson --out points.geojson"),
-    *(Case(f"reproduce-{study}", f"reproduce {study} --out out --json")
+    *(Case(f"reproduce-{study.replace(' --', '-')}", f"reproduce {study} --out out --json")
       for study in ("terlemezoglu2019", "terlemezoglu2019 --as-run", "topan2010 --as-run", "ayhan1996", "ipbuker1994")),
     *(Case(f"real-frame-{Path(file).stem}", f"locate {{real}}/{file} --frame --json") for file in _REAL_MODELS),
     *(Case(f"real-footprint-{Path(file).stem}", f"footprint {{real}}/{file} --height 300 --json")

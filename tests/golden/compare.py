@@ -19,7 +19,7 @@ OTHER_EACH_TIME = re.compile(
     r"(^|/)(seconds|provenance|memory|us_per_observation_iteration|ended|out|time|started|elapsed_s|date)(/|$|_)"
 )
 #: Lines of pages and texts that hold such values.
-OTHER_LINES = re.compile(r"(?i)seconds|duration|\d\d:\d\d|gnss time|generated|class=.id|fg_orient \d|memory|µs|us per")
+OTHER_LINES = re.compile(r"(?i)seconds|duration|\d\d:\d\d|generated|class=.id|fg_orient \d|memory|µs|us per")
 PICTURES = {".png", ".pdf", ".gpkg", ".tif"}
 
 Value = float | str
@@ -29,7 +29,7 @@ Value = float | str
 class Signs:
     """What changes on purpose: patterns of case, file and column, and how.
 
-    ``turns``: the sign; ``amount``: signs of some of the numbers; ``redrawn``: anything.
+    ``turns``: the sign; ``redrawn``: anything.
     """
 
     rows: list[tuple[str, str, str, str]] = field(default_factory=list)
@@ -94,8 +94,8 @@ def _different(case: str, file: str, one: Path, other: Path, within: float, sign
         scale = max(numbers, default=0.0) or 1.0
         for k, (a, b) in enumerate(zip(*values, strict=True)):
             if isinstance(a, float) and isinstance(b, float):
-                was, now = (abs(a), abs(b)) if change == "amount" else (-a if change == "turns" else a, b)
-                size = 0.0 if was == now or (a != a and b != b) else abs(was - now) / scale
+                was = -a if change == "turns" else a
+                size = 0.0 if was == b or (a != a and b != b) else abs(was - b) / scale
                 if not size <= within:
                     yield Difference(case, file, f"{column}[{k}]", a, b, size)
             elif a != b:

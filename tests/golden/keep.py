@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +27,7 @@ def keep(folder: Path, chosen: Callable[[str], bool], told: Callable[[str], None
     cases = [case for case in CASES if chosen(case.name) and (real_data() or not case.needs_real_data)]
     for case in cases:
         told(case.name)
-        place = folder / case.name.replace(" ", "")
+        place = folder / case.name
         place.mkdir()
         _run(case, place, folder)
     return len(cases)
@@ -41,7 +40,7 @@ def _run(case: Case, place: Path, folder: Path) -> None:
         ended = in_process(*words)
     texts = {"exit": f"{ended.code}\n", "stdout": ended.stdout, "stderr": ended.stderr}
     for name, text in texts.items():
-        (place / f"{case.name.replace(' ', '')}.{name}").write_text(text.replace(str(folder), "<folder>"), "utf-8")
+        (place / f"{case.name}.{name}").write_text(text.replace(str(folder), "<folder>"), "utf-8")
 
 
 def fresh(folder: Path, overwrite: bool) -> None:
@@ -50,4 +49,3 @@ def fresh(folder: Path, overwrite: bool) -> None:
         raise SystemExit(f"{folder} exists; remove it, or say --overwrite")
     if folder.exists():
         shutil.rmtree(folder)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
