@@ -20,7 +20,7 @@ from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.runtime.nrt import rtsys
 
-from factors._libraries import Flags, KernelLibrary, PartLibrary, Result
+from factors._libraries import Flags, KernelLibrary, PartLibrary, Result, Steps, signatures_kept
 from factors._preparation import preparing, tell
 from factors._sources import stamp
 
@@ -106,13 +106,13 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
     def __init__(self, py_func: Any, vectorised: bool = False, **options: Any) -> None:
         super().__init__(py_func, **options)
-        self._compiler = _KernelCompiler(py_func, self.targetdescr, self.targetoptions, {}, compiler.Compiler)
+        self._compiler = _KernelCompiler(py_func, self.targetdescr, self.targetoptions, {}, Steps)
         self._compiler.vectorised = vectorised
         self._opened = False
 
     def compile(self, signature: Any) -> Any:
         """Machine code for one signature, from disk or compiled."""
-        with global_compiler_lock, preparing():
+        with global_compiler_lock, preparing(), signatures_kept(self.targetdescr.typing_context):
             self.open_cache()
             return super().compile(signature)
 

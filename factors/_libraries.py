@@ -1,14 +1,16 @@
-"""What numba makes of functions, extended: options compared by identity, and libraries of code to be linked or run.
+"""numba's compiler, extended: options compared by identity, types kept, and libraries of code to be linked or run.
 
 See ``factors._kernel``, which makes kernels of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Final
 
 from llvmlite import binding
-from numba.core import codegen, compiler
+from numba.core import codegen, compiler, typed_passes, types, untyped_passes
 
 
 class Flags(compiler.Flags):  # type: ignore[misc]
@@ -22,6 +24,54 @@ class Flags(compiler.Flags):  # type: ignore[misc]
 
     def copy(self) -> Flags:
         return self
+
+
+#: Signatures of operations on numbers, by the identity of operation and types, with these.
+_SIGNATURES: Final[dict[tuple[int, ...], tuple[Any, ...]]] = {}
+
+
+@contextmanager
+def signatures_kept(context: Any) -> Iterator[None]:
+    """Keep the types of operations on numbers: numba tries all its templates for each product of two floats again."""
+    if "resolve_function_type" in vars(context):
+        yield
+        return
+    resolve = context.resolve_function_type
+
+    def resolved(function: Any, arguments: Any, keywords: Any) -> Any:
+        numbers = not keywords and all(isinstance(a, types.Number) for a in arguments)
+        if not numbers or isinstance(function, types.Dispatcher):
+            return resolve(function, arguments, keywords)
+        key = (id(function), *map(id, arguments))
+        if key not in _SIGNATURES:
+            _SIGNATURES[key] = resolve(function, arguments, keywords), function, arguments
+        return _SIGNATURES[key][0]
+
+    context.resolve_function_type = resolved
+    try:
+        yield
+    finally:
+        del context.resolve_function_type
+
+
+#: Steps of the compiler for what no function of this package holds: closures, ``with``, expressions of whole arrays,
+#: loops over tuples of several types. Each walks over the whole function, and most count the uses of all variables.
+_NOT_NEEDED: Final = frozenset({
+    typed_passes.InlineOverloads, typed_passes.NopythonRewrites, untyped_passes.FindLiterallyCalls,
+    untyped_passes.InlineClosureLikes, untyped_passes.InlineInlinables, untyped_passes.LiteralUnroll,
+    untyped_passes.LiteralPropagationSubPipelinePass, untyped_passes.MakeFunctionToJitFunction,
+    untyped_passes.RewriteDynamicRaises, untyped_passes.WithLifting,
+})  # fmt: skip
+
+
+class Steps(compiler.Compiler):  # type: ignore[misc]
+    """numba's compiler without the steps that are not needed."""
+
+    def define_pipelines(self) -> list[Any]:
+        managers: list[Any] = super().define_pipelines()
+        for manager in managers:
+            manager.passes = [step for step in manager.passes if step[0] not in _NOT_NEEDED]
+        return managers
 
 
 #: Begin of the names under which a function keeps its Python constants.

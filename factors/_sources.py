@@ -61,7 +61,7 @@ def _read(function: FunctionType) -> tuple[bytes, list[FunctionType]]:
 
 def _bound(function: FunctionType) -> Iterator[tuple[str, Any]]:
     """Names of a function's code and what they are bound to: globals, members of modules, variables of a closure."""
-    names = _names(function.__code__)
+    names = names_of(function.__code__)
     for cell, name in zip(function.__closure__ or (), function.__code__.co_freevars, strict=True):
         yield name, cell.cell_contents
     yield "defaults", function.__defaults__
@@ -79,12 +79,12 @@ def _bound(function: FunctionType) -> Iterator[tuple[str, Any]]:
                 spaces.append((f"{value.__name__}.", vars(value)))
 
 
-def _names(code: CodeType) -> list[str]:
+def names_of(code: CodeType) -> list[str]:
     """Global names and attributes of a code, in their order, with those of the functions inside it."""
     names = dict.fromkeys(code.co_names)
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            names |= dict.fromkeys(_names(constant))
+            names |= dict.fromkeys(names_of(constant))
     return list(names)
 
 

@@ -21,8 +21,9 @@ import numpy as np
 
 from factors import frame, frame_measured, pushbroom, rfm_equation
 from factors._contract import Array, Equation
+from factors.batch_blocks import any_small_angle
 from factors.batch_frame import frame_rows, measured_frame_rows
-from factors.batch_pushbroom import pushbroom_rows
+from factors.batch_pushbroom import pushbroom_rows, small_angle_rows
 from factors.batch_rows import Index, rational_rows
 
 #: A basis value of the look polynomial has its degree plus this as its number, a curve its own plus that.
@@ -111,9 +112,10 @@ def has_batch(equation: Equation) -> bool:
     return equation.name in _BATCHES
 
 
-def batch(equation: Equation, setup: Array) -> tuple[Callable[..., int], Columns]:
-    """Row kernel (see :func:`factors.batch_pushbroom.pushbroom_rows`) and columns of an equation that has a batch."""
-    return _batch(equation.name, setup.tobytes(), setup.shape)
+def batch(equation: Equation, setup: Array, records: Array) -> tuple[Callable[..., int], Columns]:
+    """Row kernel (see :func:`factors.batch_pushbroom.rows_of_form`) and columns of an equation, for these records."""
+    rows, columns = _batch(equation.name, setup.tobytes(), setup.shape)
+    return (small_angle_rows if rows is pushbroom_rows and any_small_angle(records) else rows), columns
 
 
 @lru_cache(maxsize=256)

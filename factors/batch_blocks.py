@@ -40,6 +40,11 @@ def places(setup: Array) -> tuple[Index, Index]:
     return slot, column
 
 
+def any_small_angle(records: Array) -> bool:
+    """Whether an observation has the small-angle form."""
+    return bool(records[:, SMALL].any())
+
+
 @exact
 def any_small(first: int, size: int, members: Index, records: Array, row: Index) -> bool:
     """Whether an observation of a block has the small-angle form.

@@ -20,7 +20,7 @@ def frame_rows(
     lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
-    """Frame collinearity of members lo to hi; see :func:`factors.batch_pushbroom.pushbroom_rows`."""
+    """Frame collinearity of members lo to hi; see :func:`factors.batch_pushbroom.rows_of_form`."""
     c, bad = setup.shape[1], -1
     table, known = np.empty((len(wide), CAMERA_SIZE)), np.zeros(len(wide), np.bool_)
     column, sigma, d = frame.columns_of(setup), setup[1].copy(), np.zeros((2, frame.N_COLUMNS))

@@ -7,6 +7,8 @@ a factor and in a batch, whatever its place in a block.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from factors import pushbroom
@@ -19,10 +21,10 @@ from factors.sight import STORED, derivatives, sight, store
 
 
 @exact
-def _evaluate(constants: Array, d: Array, place: Array, size: int, small: bool, want: bool, out: Array) -> None:
-    """Evaluate a block; the loops that matter are those of the full rotation."""
+def _evaluate(constants: Array, d: Array, place: Array, size: int, small: Any, want: bool, out: Array) -> None:
+    """Evaluate a block; ``small`` None: it is the full rotation, and the branch is not compiled."""
     n, full = np.int64(BLOCK), np.bool_(False)  # typed, so that numba makes no variant for each literal
-    if small:
+    if small is not None:
         for i in range(size):
             value, seen = sight(constants, d, place, i, n, constants[i + SMALL * n] > 0.5)
             store(out, i, n, value, derivatives(constants, i, n, seen))
@@ -38,14 +40,16 @@ def _evaluate(constants: Array, d: Array, place: Array, size: int, small: bool, 
 
 
 @exact
-def pushbroom_rows(
-    lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
+def rows_of_form(
+    small: Any, lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
     """Look-angle collinearity of members lo to hi.
 
     Parameters
     ----------
+    small : None or True
+        True where observations may have the small-angle form; None compiles the full rotation alone.
     members : (m,) int array
         Observations of the group, by their place in the sorted arrays.
     records : (n, d) array
@@ -77,10 +81,22 @@ def pushbroom_rows(
         lines[k] = SIDE * k
     for first in range(lo, hi, BLOCK):
         size = BLOCK if hi - first > BLOCK else hi - first
-        small = any_small(first, size, members, records, row)
+        other = any_small(first, size, members, records, row)
         gather(first, size, members, records, row, point, ground, constants, place, own)
         correct(first, size, members, image, slot, n_basis, basis, wide, d, nine, lines, space)
         _evaluate(constants, d, place, size, small, want, out)
         found = scatter(first, size, members, column, out, value, d_image, d_ground, want, nine, own)
+        if other and small is None:
+            found = first  # not a number
         bad = found if bad < 0 else bad
     return bad
+
+
+def pushbroom_rows(*arguments: Any) -> int:
+    """See :func:`rows_of_form`: the full rotation."""
+    return rows_of_form(None, *arguments)
+
+
+def small_angle_rows(*arguments: Any) -> int:
+    """See :func:`rows_of_form`: small-angle forms among them."""
+    return rows_of_form(True, *arguments)

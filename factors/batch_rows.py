@@ -58,7 +58,7 @@ def rational_rows(
     lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
-    """Rational function of members lo to hi; see :func:`factors.batch_pushbroom.pushbroom_rows`."""
+    """Rational function of members lo to hi; see :func:`factors.batch_pushbroom.rows_of_form`."""
     x, out, bad = np.empty(setup.shape[1]), np.empty((2, setup.shape[1] + 4)), -1
     record, place = np.empty((1, records.shape[1])), np.empty(3)
     for m in range(lo, hi):

@@ -8,12 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from factors._compile import threaded
+from factors._plain import few_in_python
 from factors.batch_rows import Flags, Index, Small
 
 #: Multiplier of a hash over a sequence (Knuth 1998, 6.4): 2^64 over the golden ratio, odd.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
+@few_in_python
 @threaded
 def sort_by(key: Index, order: Small, counts: Index, out: Small) -> None:
     """Stable sort of ``order`` by ``key`` of its rows; ``counts`` (largest key + 2,) is overwritten."""
@@ -28,6 +30,7 @@ def sort_by(key: Index, order: Small, counts: Index, out: Small) -> None:
         counts[i] += 1
 
 
+@few_in_python
 @threaded
 def signatures(order: Small, point: Index, image: Index, constant: Flags, n_images: int, key: Index, code: Index,
                start: Small) -> int:  # fmt: skip
@@ -52,6 +55,7 @@ def signatures(order: Small, point: Index, image: Index, constant: Flags, n_imag
     return total
 
 
+@few_in_python
 @threaded
 def arrange(
     points: Index, start: Small, order: Small, image_of: Index, point_of: Index, row: Small, image: Small,
@@ -67,6 +71,7 @@ def arrange(
     first[len(points)] = n
 
 
+@few_in_python
 @threaded
 def cut_pieces(first: Small, image: Small, free: Flags, limit: int, pieces: Index, chunks: Index) -> tuple[int, int]:
     """Write the pieces (P, 5) and the first piece of each chunk (P + 1,); how many of each there are.
@@ -95,6 +100,7 @@ def cut_pieces(first: Small, image: Small, free: Flags, limit: int, pieces: Inde
     return n_pieces, n_chunks
 
 
+@few_in_python
 @threaded
 def list_entries(
     pieces: Index, chunks: Index, image: Small, free: Flags, n_images: int, block: Index, kind: Index

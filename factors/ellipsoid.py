@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from factors._contract import Array, compiled
+from factors._plain import few_in_python
 
 A_M = 6378137.0
 B_M = A_M * (1.0 - 1.0 / 298.257223563)
@@ -23,7 +24,7 @@ E2 = 1.0 - (B_M / A_M) ** 2
 @compiled
 def geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
     """ECEF (m) to longitude, latitude (rad) and ellipsoidal height (m), by fixed-point iteration."""
-    p = math.hypot(x, y)
+    p = math.sqrt(x * x + y * y)
     latitude = math.atan2(z, p * (1.0 - E2))
     for _ in range(12):
         sine = math.sin(latitude)
@@ -59,6 +60,7 @@ def distance_to_height(p: Array, u: Array, h: float) -> float:
     return high if high > 0.0 else math.nan
 
 
+@few_in_python
 @compiled
 def intersect(position_m: Array, direction: Array, height_m: Array) -> Array:
     """Nearest point of N rays at ellipsoidal heights: (N, 3), (N, 3), (N,) -> (N, 3) ECEF m.
@@ -81,6 +83,7 @@ def intersect(position_m: Array, direction: Array, height_m: Array) -> Array:
     return out
 
 
+@few_in_python
 @compiled
 def geodetic_array(xyz_m: Array) -> Array:
     """Longitude, latitude (rad), height (m) of N points: (N, 3) -> (N, 3)."""

@@ -26,6 +26,7 @@ import numpy as np
 
 from factors import rotations
 from factors._contract import Argument, Array, Equation, Example, compiled, inlined, register
+from factors._plain import FEW_ARRAYS, plain
 from factors.sight import STORED, derivatives, sight, store
 
 #: Record: P 0:3 m, V 3:6 m/s, angles 6:9 rad, M 9:18 row-major, tau 18, psi_x 19, psi_y 20, s 21,
@@ -42,7 +43,7 @@ CURVE, CURVES = 64, 32
 @compiled
 def corrections(record: Any, setup: Any, x: Any) -> Any:
     """Corrections of the 9 EOP and of psi_x, psi_y at the observation: (11,) physical units."""
-    d = np.zeros(11, x.dtype)
+    d = np.zeros((11, *record.shape[1:]), x.dtype)
     for j in range(setup.shape[1]):
         code = int(setup[0, j])
         d[_slot(code)] += x[j] * setup[1, j] * _basis(record, code)
@@ -75,9 +76,20 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     return np.array(sight(record, corrections(record, setup, x), ground, i, n, record[27] > 0.5)[0])
 
 
-@compiled
 def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
     """Residuals of N observations of one image at N ground points: (N, 34), (N, 3) -> (N, 2)."""
+    if len(records) > FEW_ARRAYS:
+        return _conditions(records, setup, x, ground)
+    record = np.ascontiguousarray(records.T)  # entries of all observations at once
+    with np.errstate(all="ignore"):  # as compiled code does
+        d = plain(corrections)(record, setup, x)
+        value, _ = plain(sight)(record, d, np.ascontiguousarray(ground.T), 0, 1, record[27].any())
+    return np.stack(value, axis=1)
+
+
+@compiled
+def _conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
+    """The same, compiled."""
     out = np.empty((len(records), 2))
     for i in range(len(records)):
         value = residual(records[i], setup, x, ground[i])

@@ -10,11 +10,17 @@ rows; X = V x Z); quaternions: eq. 2.36.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Array, compiled, inlined
+from factors._contract import Array, inlined
+from factors._plain import plain
+from factors.sines import sine_cosine
+
+#: Rows that fit into the second cache with all that is computed of them.
+AT_ONCE: Final = 1024
 
 Matrix = Any  # a tuple of 9 scalars, real or complex
 Vector = Any  # a tuple of 3 scalars
@@ -62,10 +68,11 @@ def from_sines(sr: Any, cr: Any, sp: Any, cp: Any, sy: Any, cy: Any) -> Matrix:
     )  # fmt: skip
 
 
-@compiled
+@inlined
 def orbital_from_body(roll: Any, pitch: Any, yaw: Any) -> Matrix:
     """Attitude from roll, pitch, yaw (rad)."""
-    return from_sines(np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch), np.sin(yaw), np.cos(yaw))
+    r, p, y = sine_cosine(roll), sine_cosine(pitch), sine_cosine(yaw)
+    return from_sines(r[0], 1.0 + r[1], p[0], 1.0 + p[1], y[0], 1.0 + y[1])
 
 
 @inlined
@@ -75,7 +82,7 @@ def orbital_from_body_small(roll: Any, pitch: Any, yaw: Any) -> Matrix:
     return (one, -yaw, roll, yaw, one, -pitch, -roll, pitch, one)
 
 
-@compiled
+@inlined
 def matrix_from_quaternion(q0: Any, q1: Any, q2: Any, q3: Any) -> Matrix:
     """Rotation of a quaternion, scalar part first; normalised here (T 2.36)."""
     n = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
@@ -96,37 +103,27 @@ def turned(a: Matrix, d: Matrix) -> Matrix:
     return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
 
 
-@compiled
 def orbital_frames(position_m: Array, velocity_m_s: Array) -> Array:
     """Orbital frames of N states: (N, 3), (N, 3) -> (N, 3, 3), ecef_from_orbital."""
-    out = np.empty((len(position_m), 3, 3))
-    for i in range(len(position_m)):
-        p, v = position_m[i], velocity_m_s[i]
-        m = ecef_from_orbital(p[0], p[1], p[2], v[0], v[1], v[2])
-        for k in range(9):
-            out[i, k // 3, k % 3] = m[k]
-    return out
+    return _matrices(ecef_from_orbital, position_m, velocity_m_s)
 
 
-@compiled
 def attitude_matrices(angles_rad: Array, small: bool) -> Array:
     """Attitudes of N angle triples roll, pitch, yaw: (N, 3) -> (N, 3, 3), orbital_from_body."""
-    out = np.empty((len(angles_rad), 3, 3))
-    for i in range(len(angles_rad)):
-        a = angles_rad[i]
-        m = orbital_from_body_small(a[0], a[1], a[2]) if small else orbital_from_body(a[0], a[1], a[2])
-        for k in range(9):
-            out[i, k // 3, k % 3] = m[k]
-    return out
+    return _matrices(orbital_from_body_small if small else orbital_from_body, angles_rad)
 
 
-@compiled
 def quaternion_matrices(quaternion: Array) -> Array:
     """Rotations of N quaternions: (N, 4) -> (N, 3, 3)."""
-    out = np.empty((len(quaternion), 3, 3))
-    for i in range(len(quaternion)):
-        q = quaternion[i]
-        m = matrix_from_quaternion(q[0], q[1], q[2], q[3])
-        for k in range(9):
-            out[i, k // 3, k % 3] = m[k]
-    return out
+    return _matrices(matrix_from_quaternion, quaternion)
+
+
+def _matrices(rotation: Callable[..., Matrix], *arguments: Array) -> Array:
+    """One of the maps above on columns of N rows: (N, 3, 3)."""
+    out = np.empty((len(arguments[0]), 9))
+    with np.errstate(all="ignore"):  # as compiled code does
+        for lo in range(0, len(out), AT_ONCE):
+            part = slice(lo, lo + AT_ONCE)
+            for k, entry in enumerate(plain(rotation)(*(column for a in arguments for column in a[part].T))):
+                out[part, k] = entry
+    return out.reshape(-1, 3, 3)

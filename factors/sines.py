@@ -12,12 +12,20 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import inlined
+from factors._plain import on_arrays
 
 #: pi/2 to 33 bits, so that its multiples up to 2^20 are exact, and the rest of it.
 _HIGH: Final = int(0.5 * math.pi * 2.0**32) / 2.0**32
 _LOW: Final = (0.5 * math.pi - _HIGH) + 6.123233995736766e-17
 _S3, _S5, _S7, _S9, _S11, _S13, _S15, _S17 = ((-1) ** k / math.factorial(2 * k + 1) for k in range(1, 9))
 _C2, _C4, _C6, _C8, _C10, _C12, _C14, _C16 = ((-1) ** k / math.factorial(2 * k) for k in range(1, 9))
+
+
+@on_arrays(np.where)
+@inlined
+def _chosen(condition: Any, one: Any, other: Any) -> Any:
+    """The one where the condition holds."""
+    return one if condition else other
 
 
 @inlined
@@ -35,4 +43,4 @@ def sine_cosine(x: Any) -> Any:
     c = z * (_C2 + z * (_C4 + z * (_C6 + z * (_C8 + z * (_C10 + z * (_C12 + z * (_C14 + z * _C16)))))))
     odd = k - 2.0 * half > 0.5
     first, second = 1.0 + c, -1.0 - s
-    return sign * (first if odd else s), sign * (second if odd else c) + (sign - 1.0)
+    return sign * _chosen(odd, first, s), sign * _chosen(odd, second, c) + (sign - 1.0)

@@ -49,7 +49,7 @@ def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian:
         )
         d_x, d_point = (np.array(b).reshape(n, 2, -1 if jacobian and n else 0) for b in blocks)
         return found.reshape(n, 2), d_x, d_point
-    kernel, columns = batch(model.equation, model.parameters.setup)
+    kernel, columns = batch(model.equation, model.parameters.setup, records)
     basis, own = columns.values(records), np.arange(n, dtype=np.int32)
     wide = np.zeros((1, basis.shape[1] * columns.n_components))
     wide[0, columns.wide] = x * columns.scale

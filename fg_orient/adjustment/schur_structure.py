@@ -219,7 +219,7 @@ def _groups(problem: Problem, image: Small) -> tuple[Group, ...]:
     out, found = [], groups(problem.models)
     for images in found:
         model = problem.models[images[0]]
-        rows, columns = batch(model.equation, model.parameters.setup)
+        rows, columns = batch(model.equation, model.parameters.setup, problem.records)
         members = None
         if len(found) > 1:
             inside = np.zeros(problem.n_images, dtype=bool)

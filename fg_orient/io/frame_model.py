@@ -205,8 +205,8 @@ def in_pixels(
     ground_m : (n, 3) array
     """
     codes = np.array([UNKNOWNS.index(name) for name in unknowns], dtype=float)
-    rows, columns = batch(FRAME_BROWN_IDEAL_TO_MEASURED, np.stack([codes, np.ones(len(codes))]))
     records = FrameSensor(camera, 1, 1, georeferenced=False).records(line, sample)
+    rows, columns = batch(FRAME_BROWN_IDEAL_TO_MEASURED, np.stack([codes, np.ones(len(codes))]), records)
     n, ground = len(line), np.ascontiguousarray(ground_m)
     order, derivatives = np.arange(n, dtype=np.int32), np.zeros((n, 2, len(codes)))
     rows(

@@ -25,7 +25,7 @@ class Case:
         records[:, 27] = {"none": 0.0, "all": 1.0}.get(small, records[:, 27])
         setup = np.stack([np.array(codes, float), np.ones(len(codes))])
         self.records, self.setup = records, setup
-        self.rows, self.columns = batch(pushbroom.LOOK_ANGLE_COLLINEARITY, setup)
+        self.rows, self.columns = batch(pushbroom.LOOK_ANGLE_COLLINEARITY, setup, records)
         self.c = self.columns.n_components
         self.row, self.image, self.point = rng.permutation(N), rng.integers(0, N_IMAGES, N), rng.integers(0, 9, N)
         self.members = np.arange(N)

@@ -210,7 +210,7 @@ def test_stamp_sees_what_a_function_is_bound_to() -> None:
 
 def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
     """A callee with another body gives another stamp; what a kernel does not call, does not."""
-    kernels: list[Any] = [batch_pairs.pair_blocks, batch_pushbroom.pushbroom_rows, pushbroom.kernel]
+    kernels: list[Any] = [batch_pairs.pair_blocks, batch_pushbroom.rows_of_form, pushbroom.kernel]
     before = [stamp(kernel.py_func) for kernel in kernels]
 
     def changed(owner: Any, name: str) -> list[bool]:

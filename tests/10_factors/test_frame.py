@@ -84,7 +84,7 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
     wide = rng.normal(size=(3, k))
     if spoil:
         ground[4] = np.nan
-    rows, columns = batch(frame.FRAME_BROWN_IDEAL_TO_MEASURED, e.setup)
+    rows, columns = batch(frame.FRAME_BROWN_IDEAL_TO_MEASURED, e.setup, records)
     value, d_image, d_ground = np.full((n, 2), 7.0), np.full((n, 2, k), 7.0), np.full((n, 2, 3), 7.0)
     order, found = np.arange(n), []
     scaled = wide * columns.scale

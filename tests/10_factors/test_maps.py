@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factors import attitude, differences, ellipsoid, ephemeris, look, orbital, polynomials, rotations
+from factors import attitude, differences, ellipsoid, ephemeris, light, look, orbital, polynomials, pushbroom, rotations
 from factors.sines import sine_cosine
 
 
@@ -218,3 +220,27 @@ def test_pair_rotation_sums_to_the_plain_product(rng: np.random.Generator) -> No
             z[k] += 1e-30j
             numeric = (np.array(form(*z)).reshape(3, 3).T @ (w + dw)).imag / 1e-30
             assert np.abs(np.array(d_f[3 * k : 3 * k + 3]) - numeric).max() < 2e-15
+
+
+def test_few_rows_give_the_bits_of_many(rng: np.random.Generator) -> None:
+    """Few rows run in Python, many are compiled: a result does not depend on how many are asked for at once."""
+
+    def require_equal(function: Callable[..., np.ndarray], arrays: tuple[np.ndarray, ...], times: int) -> np.ndarray:
+        few = function(*arrays)
+        many = function(*(np.tile(a, (times, *[1] * (a.ndim - 1))) for a in arrays))
+        assert np.array_equal(np.tile(few, (times, 1)), many, equal_nan=True)
+        return few
+
+    for small in (0.0, 1.0):
+        cases = [pushbroom.example(rng) for _ in range(40)]
+        setup, (x, _) = cases[0].setup, cases[0].unknowns
+        records, ground = np.stack([c.record for c in cases]), np.stack([c.unknowns[1] for c in cases])
+        records[:, 27] = small
+        few = require_equal(lambda r, g: pushbroom.conditions(r, setup, x, g), (records, ground), 30)  # noqa: B023
+        assert np.array_equal(few[7], pushbroom.residual(records[7], setup, x, ground[7]))
+    p = 7.2e6 * light.unit(rng.normal(size=(40, 3)))
+    u = light.unit(1e5 * rng.normal(size=(40, 3)) - p)
+    u[3], p[4] = -u[3], np.nan  # a ray that looks up, a position that is not there
+    met = require_equal(ellipsoid.intersect, (p, u, rng.normal(scale=100.0, size=40)), 5)
+    assert np.isnan(met[3:5]).all() and np.isfinite(np.delete(met, [3, 4], axis=0)).all()
+    require_equal(ellipsoid.geodetic_array, (met,), 5)
