@@ -47,7 +47,6 @@ ADJUST: Final = {
         "machine with more memory, or raise --memory-limit-gb",
     ),
     "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
-    "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
     "adjust.no_model": (
         "images of this sensor cannot be adjusted",
         "known sensors: {known}; a further one is registered by a file of its own (docs/extending)",
