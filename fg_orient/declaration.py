@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import cache
 from types import NoneType
-from typing import Any, Final, Literal, TypeVar, get_args, get_origin
+from typing import Any, Final, Literal, TypeVar, cast, get_args, get_origin
 
 from fg_orient.errors import InputError, problem
 
-#: Prior standard deviations of the constant, linear and quadratic coefficient of tau.
 Three = tuple[float, float, float]
 Names = tuple[str, ...]
 Record = TypeVar("Record")
@@ -27,10 +26,11 @@ _METAVAR_LENGTH: Final = 26
 
 @dataclass(frozen=True)
 class Group:
-    """Heading of related options in the help and in the reference; ``table`` is their table of the project file."""
+    """Heading of related options, their table of the project file, if any, and the page that explains them."""
 
     title: str
-    table: Literal["orientation", "adjustment"]
+    table: str = ""
+    page: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Option:
 
     Parameters
     ----------
-    name : str
+    name, unit : str
     kind : type
         bool, int, float, str, ``Three``, ``Names`` or a Literal of words.
     optional : bool
@@ -48,21 +48,18 @@ class Option:
     group : Group
     help : str
         The first sentence is the help of the command line; the reference page has all sentences.
-    unit : str
     within : (float, float) or None
         Smallest and largest value. A float without it must be above zero.
     below : float
         Exclusive upper bound.
-    zero : str
-        Meaning of 0, if 0 is allowed below ``within``.
+    zero, left_out : str
+        Meaning of 0, if 0 is allowed below ``within``; meaning of None or of no names.
     such : str or tuple of str
         Example; of a number: name that is accepted in its place by all but ``Options``.
-    left_out : str
-        Meaning of None, or of no names.
     usual : tuple of str
         Names for which the command line has a flag; other names are given by ``--...-of``.
     spelled : str
-        Name on the command line if it differs.
+        Name on the command line if it is not the name without its unit.
     """
 
     name: str
@@ -93,7 +90,8 @@ class Option:
     @property
     def flag(self) -> str:
         """Option of the command line."""
-        return "--" + (self.spelled or self.name.replace("_", "-"))
+        suffix = f"_{self.unit.lower().replace('/', '_')}"
+        return "--" + (self.spelled or self.name.removesuffix(suffix).replace("_", "-"))
 
     @property
     def metavar(self) -> str:
@@ -101,7 +99,7 @@ class Option:
         if words := "|".join(self.words):
             return words if len(words) <= _METAVAR_LENGTH else "NAME"
         if self.kind in (float, Three) and self.unit:
-            return " ".join([self.unit.upper()] * (3 if self.kind is Three else 1))
+            return ",".join([self.unit.upper()] * (3 if self.kind is Three else 1))
         return {int: "N|NAME" if self.named else "N", float: "P", str: "NAME", Names: "NAME,NAME"}.get(self.kind, "")
 
     @property
@@ -122,19 +120,14 @@ class Option:
         """Allowed values in words, for messages and the reference."""
         within, such, unit = self.within, self.such or self.usual, f" in {self.unit}" if self.unit else ""
         example = f", such as {toml(such)}" if such else ""
-        text = " or ".join(f'"{word}"' for word in self.words)
-        if self.kind is bool:
-            text = "true or false"
-        elif self.kind is Three:
-            text = f"three numbers above zero{unit}: the sigmas of c0, c1, c2"
-        elif self.kind is Names:
-            text = f"names in brackets, each once{example}"
-        elif self.kind is str:
-            text = f"a name in quotes{example}"
-        elif within is not None:
-            text = f"a {'whole ' if self.kind is int else ''}number from {within[0]:g} to {within[1]:g}{unit}"
-        elif not text:
-            text = f"a number above zero{unit}" + (f" and below {self.below:g}" if self.below < math.inf else "")
+        bounds = "above zero" + (f" and below {self.below:g}" if self.below < math.inf else "")
+        if within is not None:
+            bounds = f"from {within[0]:g} to {within[1]:g}" if within[1] < math.inf else f"from {within[0]:g}"
+        text = " or ".join(f'"{word}"' for word in self.words) or {
+            bool: "true or false", int: f"a whole number {bounds}{unit}", float: f"a number {bounds}{unit}",
+            Three: f"three numbers {bounds}{unit}", Names: f"names in brackets, each once{example}",
+            str: f"a name in quotes{example}",
+        }[self.kind]  # fmt: skip
         text += f", or 0 for {self.zero}" if self.zero else ""
         return text + (f"; leave it out for {self.left_out}" if self.left_out else "")
 
@@ -158,13 +151,12 @@ class Option:
         return self._in_range(value)
 
     def _in_range(self, value: Any) -> bool:
-        kind = numbers.Integral if self.kind is int else numbers.Real
-        if isinstance(value, bool) or not isinstance(value, kind):
+        if isinstance(value, bool) or not isinstance(value, numbers.Integral if self.kind is int else numbers.Real):
             return False
-        number = float(value)
+        value = cast(Any, value)
         if self.within is None:
-            return 0.0 < number < self.below
-        return self.within[0] <= number <= self.within[1] or bool(self.zero and number == 0.0)
+            return bool(0.0 < value < self.below)
+        return bool(self.within[0] <= value <= self.within[1] or (self.zero and value == 0))
 
 
 def option(default: Any, group: Group, help: str, **more: Any) -> Any:
@@ -172,20 +164,19 @@ def option(default: Any, group: Group, help: str, **more: Any) -> Any:
     return field(default=default, metadata={"group": group, "help": help, **more})
 
 
+def declared(*records: type) -> Mapping[str, Option]:
+    """Options of dataclasses by name, in the order of their declaration."""
+    return _declared(records)
+
+
 @cache
-def _options_of(record: type) -> dict[str, Option]:
+def _declared(records: tuple[type, ...]) -> Mapping[str, Option]:
     found = {}
-    for f in fields(record):
-        kinds: Any = [kind for kind in get_args(f.type) if kind is not NoneType]
+    for f in (f for record in records for f in fields(record)):
         optional = NoneType in get_args(f.type)
-        kind = kinds[0] if optional else f.type
+        kind = get_args(f.type)[0] if optional else f.type
         found[f.name] = Option(name=f.name, kind=kind, optional=optional, default=f.default, **f.metadata)
     return found
-
-
-def declared(*records: type) -> dict[str, Option]:
-    """Options of dataclasses by name, in the order of their declaration."""
-    return {name: one for record in records for name, one in _options_of(record).items()}
 
 
 def require_allowed(record: Any) -> None:
@@ -196,14 +187,12 @@ def require_allowed(record: Any) -> None:
     InputError
         One problem per value that is not allowed.
     """
-    values = [(one, getattr(record, name)) for name, one in declared(type(record)).items()]
-    problems = [
-        problem("options.value", place=one.name, value=repr(value), expected=one.expected)
-        for one, value in values
-        if not one.allows(value)
-    ]
-    if problems:
-        raise InputError(*problems)
+    wrong = [one for name, one in declared(type(record)).items() if not one.allows(getattr(record, name))]
+    if wrong:
+        raise InputError(
+            *(problem("options.value", place=one.name, value=repr(getattr(record, one.name)), expected=one.expected)
+              for one in wrong)
+        )  # fmt: skip
 
 
 def require_declared(names: Iterable[str], caller: str, *records: type) -> None:

@@ -26,11 +26,11 @@ MAX_EXTRAPOLATION_S: Final = 5.0
 #: Groups of observations whose standard deviations are estimated if no others are named.
 USUAL_GROUPS: Final = ("image", "position", "height")
 
-UNKNOWNS: Final = Group("Unknowns of the images", "orientation")
+UNKNOWNS: Final = Group("Unknowns of the images", "orientation", "concepts.md")
 PRIORS: Final = Group("Prior standard deviations", "orientation")
 ADJUSTMENT: Final = Group("Adjustment", "adjustment")
-ROBUST: Final = Group("Robust adjustment", "adjustment")
-TESTS: Final = Group("Gross errors and statistics", "adjustment")
+ROBUST: Final = Group("Robust adjustment", "adjustment", "robust.md")
+TESTS: Final = Group("Gross errors and statistics", "adjustment", "outliers.md")
 
 
 @documented
@@ -45,17 +45,16 @@ class Options:
         within=(0, 5), left_out="no look-angle unknowns",
     )
     priors: bool = option(
-        True, UNKNOWNS,
-        "Observe the orientation unknowns. Their prior standard deviations are the options named sigma.",
+        True, UNKNOWNS, "Observe the orientation unknowns. Their prior standard deviations are the options named sigma."
     )
     position_sigma_m: Three = option(
-        (10.0, 1.0, 0.1), PRIORS, "Position: constant, linear and quadratic coefficient of tau.", unit="m"
+        (10.0, 1.0, 0.1), PRIORS, "Prior sigmas of the position: constant, linear, quadratic coefficient.", unit="m"
     )
-    velocity_sigma_m_s: Three = option((1e-2, 1e-3, 1e-4), PRIORS, "Velocity: the same coefficients.", unit="m/s")
+    velocity_sigma_m_s: Three = option((1e-2, 1e-3, 1e-4), PRIORS, "Prior sigmas of the velocity.", unit="m/s")
     attitude_sigma_rad: Three = option(
-        (50e-6, 10e-6, 2e-6), PRIORS, "Roll, pitch and yaw: the same coefficients.", unit="rad"
+        (50e-6, 10e-6, 2e-6), PRIORS, "Prior sigmas of roll, pitch and yaw.", unit="rad"
     )
-    look_sigma_rad: float = option(1e-4, PRIORS, "Each coefficient of the look-angle correction.", unit="rad")
+    look_sigma_rad: float = option(1e-4, PRIORS, "Prior sigma of each look-angle coefficient.", unit="rad")
     look_shared: bool = option(
         False, UNKNOWNS,
         "Self-calibration: one look-angle correction for all images of the same mission and instrument. Its constants "
@@ -68,23 +67,21 @@ class Options:
         within=(2, 32), zero="no curves",
     )
     curve_position_sigma_m: float = option(
-        1.0, PRIORS, "Position curve: root mean square over the image.", unit="m"
+        1.0, PRIORS, "Prior sigma of a position curve, root mean square over the image.", unit="m"
     )
-    curve_attitude_sigma_rad: float = option(
-        5e-6, PRIORS, "Attitude curve: root mean square over the image.", unit="rad"
-    )
+    curve_attitude_sigma_rad: float = option(5e-6, PRIORS, "Prior sigma of an attitude curve, alike.", unit="rad")
     rpc_compensation: RpcCompensation = option(
         "shift", UNKNOWNS,
         "Unknowns of an RPC image: shift; with terms linear in line; with terms linear in line and sample.",
     )
     rpc_shift_sigma_px: float = option(
         100.0, PRIORS,
-        "Shift of an RPC image. Vendor RPC of metre-resolution images are wrong by some ten pixels of shift.",
+        "Prior sigma of the shift of an RPC image. Vendor RPC of metre-resolution images are wrong by some ten pixels.",
         unit="px",
     )
     rpc_linear_sigma_px: float = option(
         10.0, PRIORS,
-        "Other terms of an RPC image, at its ends. There the normalised line or sample of the model is -1 or 1.",
+        "Prior sigma of the other terms of an RPC image, at its ends. The normalised line or sample is -1 or 1 there.",
         unit="px",
     )
     image_unknowns: Names = option(
@@ -148,9 +145,7 @@ class Options:
         "Test of single observations; baarda: standard deviations a priori. pope: tau test; t: scale without the "
         "tested observation. Reports use the same test.",
     )
-    outlier_level: float = option(
-        0.05, TESTS, "Probability of any false alarm (see --multiple-testing).", below=1.0
-    )
+    outlier_level: float = option(0.05, TESTS, "Probability of any false alarm (see --multiple-testing).", below=1.0)
     multiple_testing: MultipleTesting = option(
         "sidak", TESTS,
         "Control of the false alarms of many tests. none: `outlier_level` of each test; bonferroni, sidak, holm: of "
@@ -182,7 +177,7 @@ class Options:
     memory_limit_gb: float | None = option(
         None, ADJUSTMENT,
         "Refuse a run that needs more memory. The need is estimated before the run; 1 GB is 1e9 bytes.",
-        unit="GB", left_out="80 % of the available memory",
+        unit="GB", spelled="memory-limit-gb", left_out="80 % of the available memory",
     )
     # fmt: on
 
@@ -199,7 +194,7 @@ class Reading:
     extrapolate_attitude_s: float = option(
         0.0, UNKNOWNS,
         "Hold the last rate where attitudes do not cover the image. 0: these lines are refused one by one.",
-        within=(0.0, MAX_EXTRAPOLATION_S), unit="seconds", spelled="extrapolate-attitude",
+        within=(0.0, MAX_EXTRAPOLATION_S), unit="s",
     )
     points_seen_once: Literal["error", "drop"] = option(
         "error", ADJUSTMENT, "Refuse check and tie points with a single image point, or drop them."

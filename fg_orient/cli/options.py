@@ -32,15 +32,16 @@ def with_options(*records: type, only: Collection[str] = ()) -> Callable[[Callab
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(command, eval_str=True)
-        first, *others = (p for name, p in signature.parameters.items() if name != GIVEN)
 
         @functools.wraps(command)
         def run(**values: Any) -> None:
             given = {one.name: _value(one, values) for one in options}
             command(**values, **{GIVEN: {name: value for name, value in given.items() if value is not None}})
 
-        made = [parameter for one in options for parameter in _parameters(one)]
-        run.__signature__ = signature.replace(parameters=[first, *made, *others])  # type: ignore[attr-defined]
+        made: list[inspect.Parameter] = []
+        for name, own in signature.parameters.items():
+            made += [p for one in options for p in _parameters(one)] if name == GIVEN else [own]
+        run.__signature__ = signature.replace(parameters=made)  # type: ignore[attr-defined]
         return run
 
     return decorate
@@ -48,7 +49,7 @@ def with_options(*records: type, only: Collection[str] = ()) -> Callable[[Callab
 
 def _parameters(option: Option) -> Iterator[inspect.Parameter]:
     """Parameters of a command for an option; None: not given."""
-    kind: Any = str if option.words or option.named or option.kind is Names else option.kind
+    kind: Any = option.kind if option.kind in (int, float) and not option.named else str
     name, flag = option.name, option.flag
     if option.kind is bool:
         yield _parameter(option, name, bool, f"{flag}/--no-{flag[2:]}")
@@ -72,7 +73,7 @@ def _parameter(option: Option, name: str, kind: Any, flag: str, help: str = "") 
 
 def _help(option: Option) -> str:
     """First sentence of the help, and the default as it is typed."""
-    default = " ".join(map(str, option.default)) if option.kind is Three else option.default_text
+    default = ",".join(map(str, option.default)) if option.kind is Three else option.default_text
     if option.kind is bool:
         default = option.flag if option.default else ""
     return f"{option.short_help[:-1]}; default: {default}." if default else option.short_help
@@ -86,9 +87,15 @@ def _usual(option: Option) -> str:
 def _value(option: Option, values: dict[str, Any]) -> Any:
     """Take the value of an option out of the arguments of a command; None: not given."""
     value, usual = values.pop(option.name), values.pop(_usual(option), None)
-    if option.kind is Names and value is not None:
-        return tuple(name.strip() for name in value.split(",") if name.strip())
-    return option.usual if usual else value
+    if value is None:
+        return option.usual if usual else None
+    if option.kind not in (Names, Three):
+        return value
+    parts = tuple(part.strip() for part in value.split(",") if part.strip())
+    try:
+        return parts if option.kind is Names else tuple(map(float, parts))
+    except ValueError:
+        return parts  # no numbers: refused with all other values
 
 
 @contextlib.contextmanager
