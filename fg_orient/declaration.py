@@ -7,13 +7,12 @@ The check of values, the project file's schema, the command line, the keyword ar
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import cache
 from types import NoneType
-from typing import Any, Final, Literal, TypeVar, cast, get_args, get_origin
+from typing import Any, Final, Literal, TypeVar, get_args, get_origin
 
 from fg_orient.errors import InputError, problem
 
@@ -151,9 +150,11 @@ class Option:
         return self._in_range(value)
 
     def _in_range(self, value: Any) -> bool:
-        if isinstance(value, bool) or not isinstance(value, numbers.Integral if self.kind is int else numbers.Real):
+        import numpy as np  # not above, as in allows
+
+        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not whole and (self.kind is int or not isinstance(value, float | np.floating)):
             return False
-        value = cast(Any, value)
         if self.within is None:
             return bool(0.0 < value < self.below)
         return bool(self.within[0] <= value <= self.within[1] or (self.zero and value == 0))
