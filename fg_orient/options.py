@@ -17,6 +17,7 @@ Optimizer = Literal[
 ]
 RobustStart = Literal["none", "huber", "lms", "lts"]
 RobustScale = Literal["prior", "mad"]
+SnoopKind = Literal["groups", "points"]
 OutlierTest = Literal["baarda", "pope", "t"]
 StatisticsChoice = Literal["auto", "full", "basic"]
 MultipleTesting = Literal["none", "bonferroni", "sidak", "holm", "benjamini_hochberg"]
@@ -139,6 +140,11 @@ class Options:
     snoop: bool = option(
         False, TESTS,
         "Search for gross errors: adjust, leave out the worst observation, adjust again. See fg_orient.outlier_search.",
+    )
+    snoop_kind: SnoopKind = option(
+        "groups", TESTS,
+        "Left out in a round of the search: one observation, or all of its point. groups: an image point or the "
+        "coordinates of a control point; points: all observations of a point.",
     )
     outlier_test: OutlierTest = option(
         "t", TESTS,

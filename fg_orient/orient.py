@@ -47,7 +47,6 @@ from fg_orient.quality.free_network import (
     without_priors,
 )
 from fg_orient.quality.observability import BlockObservability, ImageObservability
-from fg_orient.quality.suspects import Kind
 from fg_orient.solution import Seconds, Solution
 
 if TYPE_CHECKING:
@@ -69,7 +68,6 @@ def adjust(
     snoop: bool | None = None,
     variance_components: Sequence[str] | None = None,
     options: Options | None = None,
-    snoop_kind: Kind = "groups",
     parts: int | None = None,
     workers: int | None = None,
     cluster: Any = None,
@@ -90,9 +88,6 @@ def adjust(
         Options that are used most, see :class:`fg_orient.Options`. None keeps the block's.
     options : Options, optional
         Options in place of the block's.
-    snoop_kind : str
-        What the search leaves out: "groups", image points and coordinates of control points, or "points", all
-        observations of a point.
     parts : int, optional
         Adjust in so many parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``:
         by the size of the block. The numbers are the same for any workers.
@@ -153,9 +148,9 @@ def adjust(
         return runner(block, None)
     from fg_orient.outlier_search import require_possible_search, search
 
-    require_possible_search(block, snoop_kind)
+    require_possible_search(block)
     solution = runner(block, None)
-    end, found = search(block, solution, next_round, kind=snoop_kind)
+    end, found = search(block, solution, next_round)
     whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
     assert isinstance(whole, Solution)
     return replace(
