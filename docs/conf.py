@@ -68,7 +68,8 @@ _IMPORTED = """
     fg_orient/adjustment/models fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py
     fg_orient/comparison/compare.py fg_orient/comparison/model.py fg_orient/experiments/study.py
     fg_orient/parallel/solve.py fg_orient/parallel/study.py
-    fg_orient/simulate/block.py fg_orient/simulate/simulation.py fg_orient/simulate/zonguldak.py
+    fg_orient/simulate/block.py fg_orient/simulate/options.py fg_orient/simulate/simulation.py
+    fg_orient/simulate/zonguldak.py
 """.split()
 
 

@@ -17,7 +17,8 @@ from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Status
-from fg_orient.quality.observation_groups import DEFAULT_GROUPS, Groups, groups_of, require_groups, scaled
+from fg_orient.options import USUAL_GROUPS
+from fg_orient.quality.observation_groups import Groups, groups_of, require_groups, scaled
 from fg_orient.quality.variance_components import (
     Method,
     Residuals,
@@ -80,7 +81,7 @@ def adjust_with_components(
     require_method(method)
     if block.options.loss != NONE:
         raise InputError.of("statistics.components_loss", place="loss", value=block.options.loss)
-    groups = block.options.variance_components or DEFAULT_GROUPS
+    groups = block.options.variance_components or USUAL_GROUPS
     require_groups(groups)
     block = replace(block, options=replace(block.options, variance_components=()))
     state: _Rounds | None = None

@@ -28,7 +28,8 @@ from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.block import Block, Coordinates
 from fg_orient.errors import InputError
 from fg_orient.names import Role, Status
-from fg_orient.parameters import eop_set_number
+from fg_orient.options import Backend, Datum, Options
+from fg_orient.parameters import with_options
 from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
 from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
@@ -46,7 +47,6 @@ from fg_orient.quality.free_network import (
     without_priors,
 )
 from fg_orient.quality.observability import BlockObservability, ImageObservability
-from fg_orient.quality.suspects import Kind
 from fg_orient.solution import Seconds, Solution
 
 if TYPE_CHECKING:
@@ -61,29 +61,13 @@ def adjust(
     block: Block,
     *,
     eop_set: int | str | None = None,
-    look_polynomial: int | None = None,
     priors: bool | None = None,
-    backend: str | None = None,
-    solver: str | None = None,
-    optimizer: str | None = None,
-    max_iterations: int | None = None,
-    check_points: str | None = None,
-    rpc_compensation: str | None = None,
-    datum: str | None = None,
-    statistics: str | None = None,
-    memory_limit_gb: float | None = None,
+    datum: Datum | None = None,
+    backend: Backend | None = None,
     loss: str | None = None,
-    gnc: bool | None = None,
-    inlier_probability: float | None = None,
     snoop: bool | None = None,
-    snoop_kind: Kind = "groups",
-    outlier_test: str | None = None,
-    outlier_level: float | None = None,
-    multiple_testing: str | None = None,
-    robust_start: str | None = None,
-    robust_scale: str | None = None,
-    image_unknowns: Sequence[str] | None = None,
     variance_components: Sequence[str] | None = None,
+    options: Options | None = None,
     parts: int | None = None,
     workers: int | None = None,
     cluster: Any = None,
@@ -91,6 +75,7 @@ def adjust(
     callback: Callback | None = None,
     stage: Stage | None = None,
     checkpoint: Checkpoint | None = None,
+    **more: Any,
 ) -> Solution:
     """Adjust a block; arguments override the options of its project file.
 
@@ -99,22 +84,10 @@ def adjust(
     block : Block
     eop_set : int or str, optional
         Number 1-20 or name ("PUA").
-    look_polynomial : int, optional
-        Degree of the look-angle correction polynomial.
-    priors : bool, optional
-        False leaves the image unknowns without prior observations.
-    backend, solver, optimizer, max_iterations, check_points : optional
-        See :class:`fg_orient.block.Options`; ``backend="dense", solver="cholesky_elimination"`` solves the
-        same equations as full matrices with a linear solver of the registry.
-    rpc_compensation : str, optional
-        Unknowns of RPC images: "shift", "shift_drift" or "affine".
-    datum : str, optional
-        "priors" adjusts a block without control points, relatively; "inner" as a free network, without priors;
-        "free" so, too, without a covariance.
-    statistics : str, optional
-        Of the results of a run, see :class:`fg_orient.block.Options`; the methods of the solution always give them.
-    memory_limit_gb : float, optional
-        Refuse a run that needs more memory; default: 80 % of what is available.
+    priors, datum, backend, loss, snoop, variance_components : optional
+        Options that are used most, see :class:`fg_orient.Options`. None keeps the block's.
+    options : Options, optional
+        Options in place of the block's.
     parts : int, optional
         Adjust in so many parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``:
         by the size of the block. The numbers are the same for any workers.
@@ -125,25 +98,14 @@ def adjust(
     work_dir : path, optional
         Folder for the files of the parts, seen by all workers.
     callback : callable, optional
-        Called with an ``IterationRecord`` after each iteration.
-    loss, gnc, inlier_probability, robust_start, robust_scale : optional
-        Robust adjustment, see :class:`fg_orient.block.Options`; docs/robust.md.
-    image_unknowns : sequence of str, optional
-        Names of single unknowns of an image instead of a set ("x_0", "roll_1", "line_l1"), see
-        :class:`fg_orient.block.Options`.
-    variance_components : sequence of str, optional
-        Groups of observations whose sigmas are estimated, such as ("image", "position", "height"): adjusts until
-        they stand, without a checkpoint; docs/variance-components.md.
-    snoop, outlier_test, outlier_level, multiple_testing : optional
-        Search for gross errors and the tests of single observations, see :class:`fg_orient.block.Options`;
-        docs/outliers.md. ``callback`` and ``stage`` are called in every round, ``checkpoint`` keeps the first.
-    snoop_kind : str
-        What the search leaves out: "groups", image points and coordinates of control points, or "points", all
-        observations of a point.
+        Called with an ``IterationRecord`` after each iteration, in every round of a search.
     stage : callable, optional
         Called with the name of each stage of the work as it begins, and the number of image points.
     checkpoint : Checkpoint, optional
-        Keeps the run in a file, or is what it goes on from; to be removed by the caller in the end.
+        Keeps the run in a file, or is what it goes on from; to be removed by the caller in the end. A search keeps its
+        first round, an estimation of variance components nothing.
+    **more
+        Any other option of :class:`fg_orient.Options`; docs/options.md.
 
     Returns
     -------
@@ -155,20 +117,13 @@ def adjust(
         The block cannot be adjusted (exit code 2).
     RankDeficientError
         Without priors some directions are not observable; one problem per direction (exit code 3).
+    TypeError
+        An argument is not an option.
     """
-    given: dict[str, Any] = {
-        "eop_set": None if eop_set is None else eop_set_number(eop_set),
-        "look_polynomial": look_polynomial, "priors": priors, "backend": backend, "solver": solver,
-        "optimizer": optimizer, "max_iterations": max_iterations, "check_points": check_points,
-        "rpc_compensation": rpc_compensation, "datum": datum, "memory_limit_gb": memory_limit_gb,
-        "statistics": statistics, "snoop": snoop, "outlier_test": outlier_test, "outlier_level": outlier_level,
-        "multiple_testing": multiple_testing,
-        "loss": loss, "gnc": gnc, "inlier_probability": inlier_probability,
-        "robust_start": robust_start, "robust_scale": robust_scale,
-        "image_unknowns": None if image_unknowns is None else tuple(image_unknowns),
-        "variance_components": None if variance_components is None else tuple(variance_components),
-    }  # fmt: skip
-    block = replace(block, options=replace(block.options, **{k: v for k, v in given.items() if v is not None}))
+    block = with_options(
+        block if options is None else replace(block, options=options), "adjust", eop_set=eop_set, priors=priors,
+        datum=datum, backend=backend, loss=loss, snoop=snoop, variance_components=variance_components, **more,
+    )  # fmt: skip
     require_possible(block.options)
     shared = not (parts is None and workers is None and cluster is None)
     if work_dir is not None and not shared:
@@ -193,9 +148,9 @@ def adjust(
         return runner(block, None)
     from fg_orient.outlier_search import require_possible_search, search
 
-    require_possible_search(block, snoop_kind)
+    require_possible_search(block)
     solution = runner(block, None)
-    end, found = search(block, solution, next_round, kind=snoop_kind)
+    end, found = search(block, solution, next_round)
     whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
     assert isinstance(whole, Solution)
     return replace(

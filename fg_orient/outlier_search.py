@@ -30,7 +30,6 @@ from fg_orient.quality.observation_groups import groups_of, scaled
 from fg_orient.quality.outliers import OutlierTests
 from fg_orient.quality.prediction import Suspect, prediction
 from fg_orient.quality.search import Found, Round, Search
-from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import VarianceComponents
 
 Index = npt.NDArray[np.intp]
@@ -41,20 +40,18 @@ Run = Callable[[Block, State, Problem], Adjusted]
 MOST: Final = 0.25
 
 
-def search(block: Block, first: Adjusted, run: Run, *, kind: Kind = "groups") -> tuple[Adjusted, Search]:
+def search(block: Block, first: Adjusted, run: Run) -> tuple[Adjusted, Search]:
     """Search for gross errors among image points and control points.
 
     Parameters
     ----------
     block : Block
-        Its options say how to test. Points to be judged with their coordinates must have the role control:
-        coordinates of check points stay sealed.
+        Its options name the test and what is left out. Points to be judged with their coordinates must have the role
+        control: coordinates of check points stay sealed.
     first : Adjusted
         The adjustment of the whole block.
     run : callable
         Makes those of the rounds.
-    kind : str
-        What is left out: "groups", image points and coordinates of control points, or "points", all of a point.
 
     Returns
     -------
@@ -65,12 +62,12 @@ def search(block: Block, first: Adjusted, run: Run, *, kind: Kind = "groups") ->
     Raises
     ------
     InputError
-        A loss; another kind (:func:`require_possible_search`).
+        A loss (:func:`require_possible_search`).
     NoSolutionError
         The covariance, on which the test rests, cannot be computed.
     """
     last, rounds = first, _Rounds(block, first.problem)
-    while rounds.change(last, last.outlier_tests(kind=kind)):
+    while rounds.change(last, last.outlier_tests(kind=block.options.snoop_kind)):
         try:
             last = run(rounds.block(), rounds.state(last.state), last.problem)
         except (InputError, NoSolutionError) as error:
@@ -79,18 +76,16 @@ def search(block: Block, first: Adjusted, run: Run, *, kind: Kind = "groups") ->
     return last, rounds.concluded()
 
 
-def require_possible_search(block: Block, kind: Kind) -> None:
+def require_possible_search(block: Block) -> None:
     """Refuse what cannot be searched, before anything is adjusted.
 
     Raises
     ------
     InputError
-        A loss; another kind.
+        A loss.
     """
     if block.options.loss != NONE:
         raise InputError.of("statistics.snoop_loss", place="snoop", value=block.options.loss)
-    if kind not in ("groups", "points"):
-        raise InputError.of("options.value", place="kind", value=repr(kind), expected='"groups" or "points"')
 
 
 @dataclass(frozen=True)

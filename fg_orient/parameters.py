@@ -10,15 +10,16 @@ Source of the sets: Terlemezoğlu 2019, Table 4.2 (sets 1-19: Topan & Maktav 201
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Options
+from fg_orient.block import Block, Options
+from fg_orient.declaration import require_declared
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -72,6 +73,27 @@ def eop_set_number(name: int | str) -> int:
             return number
     names = ", ".join(f"{n} {entry[0]}" for n, entry in EOP_SETS.items())
     raise InputError.of("parameters.eop_set", place="eop_set", value=name, names=names)
+
+
+def with_options(block: Block, caller: str, **given: Any) -> Block:
+    """Block with options replaced; None keeps the block's.
+
+    Raises
+    ------
+    InputError
+        A value is not allowed.
+    TypeError
+        A name is not an option; the message names the ``caller``.
+    """
+    require_declared(given, caller, type(block.options))
+    values: dict[str, Any] = {
+        name: tuple(v) if isinstance(v, Sequence) and not isinstance(v, str) else v
+        for name, v in given.items()
+        if v is not None
+    }
+    if "eop_set" in values:
+        values["eop_set"] = eop_set_number(values["eop_set"])
+    return replace(block, options=replace(block.options, **values))
 
 
 def eop_codes(number: int) -> tuple[int, ...]:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from fg_orient.block import Block
+from fg_orient.options import SnoopKind
 from fg_orient.orient import adjust
 from fg_orient.quality.outliers import GroupTest
 from fg_orient.quality.search import Search
-from fg_orient.quality.suspects import Kind
 from fg_orient.solution import Solution
 
 
@@ -46,7 +46,7 @@ class Snooping:
 
 def snoop(
     block: Block, *, level: float | None = None, test: str | None = None, control: str | None = None,
-    kind: Kind = "groups", **options: Any,
+    kind: SnoopKind | None = None, **options: Any,
 ) -> Snooping:  # fmt: skip
     """Find gross errors among image points and control-point coordinates.
 
@@ -55,10 +55,9 @@ def snoop(
     block : Block
         Points to be judged with their coordinates must have the role control: coordinates of check points
         stay sealed.
-    level, test, control : optional
-        Options ``outlier_level``, ``outlier_test`` and ``multiple_testing``; those of the block if not given.
-    kind : str
-        What is left out: "groups", image points and coordinates of control points, or "points", all of a point.
+    level, test, control, kind : optional
+        Options ``outlier_level``, ``outlier_test``, ``multiple_testing`` and ``snoop_kind``; those of the block if not
+        given.
     **options
         Of :func:`fg_orient.adjust`.
 

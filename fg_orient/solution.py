@@ -18,12 +18,12 @@ from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.memory import Need
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Role
+from fg_orient.options import USUAL_GROUPS
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.covariance import NamedMatrix
 from fg_orient.quality.freedom import UnknownFreedom
 from fg_orient.quality.hypotheses import GlobalTest, global_test
 from fg_orient.quality.observability import BlockObservability, ImageObservability
-from fg_orient.quality.observation_groups import DEFAULT_GROUPS
 from fg_orient.quality.outliers import GroupTest
 from fg_orient.quality.reliability import ALPHA, POWER, BlockReliability, reliability
 from fg_orient.quality.search import Search
@@ -278,7 +278,7 @@ class Solution(Adjusted):
         return global_test(self.chi2, self.redundancy, level)
 
     def variance_components(
-        self, *, groups: tuple[str, ...] = DEFAULT_GROUPS, method: Method = "helmert"
+        self, *, groups: tuple[str, ...] = USUAL_GROUPS, method: Method = "helmert"
     ) -> VarianceComponents:
         """By how much the sigmas of each group of observations are wrong, from this one solution.
 

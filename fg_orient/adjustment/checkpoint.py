@@ -30,8 +30,8 @@ FORMAT: Final = 3
 EVERY_S: Final = 60.0
 #: Options that do not change what an iteration does.
 _FREE: Final = (
-    "max_iterations", "memory_limit_gb", "statistics", "snoop", "variance_components", "outlier_test",
-    "outlier_level", "multiple_testing",
+    "max_iterations", "memory_limit_gb", "statistics", "snoop", "snoop_kind", "variance_components",
+    "outlier_test", "outlier_level", "multiple_testing",
 )  # fmt: skip
 _NUMBERS: Final = ("control", "growth", "previous", "rejected", "rising", "begun_at", "mu", "image_scale",
                    "control_scale")  # fmt: skip

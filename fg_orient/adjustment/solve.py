@@ -38,6 +38,7 @@ from fg_orient.adjustment.stages import FROM_RESECTIONS, plan_of, run_stages
 from fg_orient.block import Block, Options
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.linear.threads import one_blas_thread
+from fg_orient.options import Backend
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.dense import DenseSystem
@@ -49,12 +50,8 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 S = TypeVar("S")
 
-#: Names of ``--optimizer``; the native ones are GTSAM's own, for equality tests on small blocks.
+#: GTSAM's own optimisers, for equality tests on small blocks.
 NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
-OPTIMIZER_NAMES = (*OPTIMIZERS, *NATIVE)
-#: "auto" is the Schur complement for blocks it can take (:func:`chosen_backend`), else the graph; dense
-#: matrices are for comparison and are asked for by name.
-BACKENDS = ("auto", "graph", "schur", "dense")
 #: Image points up to which "auto" goes over to the graph where the Schur complement gives up: it takes 13 kB for each.
 GRAPH_FALLBACK = 100_000
 
@@ -146,12 +143,12 @@ def solve(
         raise NoSolutionError.of("adjust.broken_down", place=problem.block.name, why=first_sentence(error)) from error
 
 
-def chosen_backend(problem: Problem) -> str:
+def chosen_backend(problem: Problem) -> Backend:
     """See :func:`suitable_backend`."""
     return suitable_backend(problem.block, problem.models)
 
 
-def suitable_backend(block: Block, models: Sequence[ImageModel]) -> str:
+def suitable_backend(block: Block, models: Sequence[ImageModel]) -> Backend:
     """Backend of the options; for "auto" the Schur complement if it can take the block, else the graph.
 
     Without priors the graph is taken: its QR does not square the condition.
@@ -167,21 +164,16 @@ def suitable_backend(block: Block, models: Sequence[ImageModel]) -> str:
 
 
 def require_possible(options: Options) -> None:
-    """Refuse names that do not exist and choices that do not go together.
+    """Refuse losses that do not exist and choices that do not go together.
 
     Raises
     ------
     InputError
         See :func:`solve`.
     """
-    if options.backend not in BACKENDS:
-        raise InputError.of("adjust.backend", place="backend", value=options.backend, known=", ".join(BACKENDS))
-    own = options.backend in ("dense", "schur")
-    names = tuple(OPTIMIZERS) if own else OPTIMIZER_NAMES
-    if options.optimizer in NATIVE and own:
-        raise InputError.of("adjust.native_dense", place="optimizer", value=options.optimizer, known=", ".join(names))
-    if options.optimizer not in names:
-        raise InputError.of("adjust.optimizer", place="optimizer", value=options.optimizer, known=", ".join(names))
+    if options.optimizer in NATIVE and options.backend in ("dense", "schur"):
+        known = ", ".join(OPTIMIZERS)
+        raise InputError.of("adjust.native_dense", place="optimizer", value=options.optimizer, known=known)
     _require_robust(options)
     if options.gnc and options.loss not in SCHEDULES:
         raise InputError.of("adjust.gnc", place="gnc", value=options.loss, known=", ".join(SCHEDULES))

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
+from fg_orient.declaration import declared
 from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.options import EXPECTED, ITERATION_RANGE
+from fg_orient.options import Options
 
 Array = npt.NDArray[np.float64]
 
@@ -233,5 +234,6 @@ def require_iterations(count: int) -> None:
     InputError
         It is outside the range that options of adjustments have.
     """
-    if not ITERATION_RANGE[0] <= count <= ITERATION_RANGE[1]:
-        raise InputError.of("options.value", place="max_iterations", value=count, expected=EXPECTED["max_iterations"])
+    option = declared(Options)["max_iterations"]
+    if not option.allows(count):
+        raise InputError.of("options.value", place=option.name, value=count, expected=option.expected)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +11,6 @@ import typer
 
 from fg_orient.cli.common import (
     Debug,
-    Extrapolate,
     Json,
     Log,
     Overwrite,
@@ -28,9 +25,11 @@ from fg_orient.cli.common import (
     say,
     table,
 )
+from fg_orient.cli.options import flags, named_as_typed, with_options
 from fg_orient.cli.progress import progress
 from fg_orient.errors import InputError, Problem, folded
 from fg_orient.names import EXIT_CODE, Status
+from fg_orient.options import Options, Reading
 
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
 WORKING = ("fg_orient.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.io.schema",
@@ -42,75 +41,10 @@ OF_BACKEND = {
 }
 
 
+@with_options(Options, Reading)
 def adjust(
     project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
-    backend: Annotated[
-        str | None, typer.Option(help="auto, graph, schur (on arrays) or dense (full matrices).")
-    ] = None,
-    solver: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Linear solver of the dense backend, such as qr or cramer_inverse."),
-    ] = None,
-    eop_set: Annotated[str | None, typer.Option(metavar="N|NAME", help="EOP set, 1-20 or a name such as PUA.")] = None,
-    look_polynomial: Annotated[
-        int | None, typer.Option(metavar="DEGREE", help="Degree of the look-angle correction polynomial, 0-5.")
-    ] = None,
-    no_priors: Annotated[bool, typer.Option("--no-priors", help="Orientation unknowns without prior sigmas.")] = False,
-    optimizer: Annotated[
-        str | None, typer.Option(help="gauss-newton, levenberg-marquardt, dogleg or native (GTSAM's own).")
-    ] = None,
-    loss: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Robust loss, such as huber, hampel, tukey or tls; none: least squares."),
-    ] = None,
-    gnc: Annotated[
-        bool, typer.Option("--gnc", help="Graduated non-convexity: reach the loss tls or geman_mcclure in stages.")
-    ] = False,
-    inlier_probability: Annotated[
-        float | None, typer.Option(metavar="P", help="Of GNC: share of good observations within its limit; 0.99.")
-    ] = None,
-    robust_start: Annotated[
-        str | None,
-        typer.Option(
-            metavar="huber|lms|lts|none", help="Start of a redescending loss; lms, lts: resections by control."
-        ),
-    ] = None,
-    robust_scale: Annotated[
-        str | None, typer.Option(metavar="prior|mad", help="Unit of a loss: the sigmas, or the scale of the residuals.")
-    ] = None,
-    variance_components: Annotated[
-        bool,
-        typer.Option(
-            "--variance-components", help="Estimate the sigmas of image points, positions and heights with the block."
-        ),
-    ] = False,
-    snoop: Annotated[
-        bool, typer.Option("--snoop", help="Search for gross errors: leave out the worst observation, adjust, again.")
-    ] = False,
-    outlier_test: Annotated[
-        str | None, typer.Option(metavar="t|pope|baarda", help="Test of single observations; baarda: sigmas a priori.")
-    ] = None,
-    outlier_level: Annotated[
-        float | None,
-        typer.Option(metavar="P", help="Probability of any false alarm (see --multiple-testing); 0.05."),
-    ] = None,
-    multiple_testing: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="sidak, bonferroni, holm, benjamini_hochberg, or none: the level of each test."
-        ),
-    ] = None,
-    max_iterations: Annotated[int | None, typer.Option(help="Give up after so many iterations.")] = None,
-    check_points: Annotated[
-        str | None, typer.Option(metavar="use|exclude", help="Let the rays of check points take part, or not.")
-    ] = None,
-    rpc_compensation: Annotated[
-        str | None, typer.Option(metavar="KIND", help="Of RPC images: shift, shift_drift or affine.")
-    ] = None,
-    datum: Annotated[
-        str | None,
-        typer.Option(metavar="control|priors|inner|free", help="All but control: relative, no control point needed."),
-    ] = None,
+    options: Mapping[str, Any],
     parts: Annotated[int | None, typer.Option(metavar="N", help="Adjust in so many parts; default: by size.")] = None,
     workers: Annotated[
         int | None, typer.Option(metavar="N", help="Processes that work on the parts; the result is the same for any.")
@@ -121,15 +55,6 @@ def adjust(
     work_dir: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the parts, seen by all workers of the cluster.")
     ] = None,
-    statistics: Annotated[
-        str | None,
-        typer.Option(metavar="auto|full|basic", help="Reliability of every observation; auto: up to 200 000 points."),
-    ] = None,
-    memory_limit_gb: Annotated[
-        float | None,
-        typer.Option(metavar="GB", help="Refuse a run that needs more memory; default: 80 % of what is available."),
-    ] = None,
-    extrapolate_attitude: Extrapolate = 0.0,
     dem_control: Annotated[
         Path | None, typer.Option(metavar="DEM", help="Observe heights of the tie points from this elevation model.")
     ] = None,
@@ -156,29 +81,18 @@ def adjust(
 
     Options replace those of the project file.
     """
-    options = {
-        "backend": backend, "solver": solver, "eop_set": eop_set, "look_polynomial": look_polynomial,
-        "priors": False if no_priors else None, "optimizer": optimizer, "max_iterations": max_iterations,
-        "check_points": check_points, "rpc_compensation": rpc_compensation, "datum": datum,
-        "memory_limit_gb": memory_limit_gb, "statistics": statistics,
-        "loss": loss, "gnc": gnc or None, "inlier_probability": inlier_probability,
-        "snoop": snoop or None, "outlier_test": outlier_test, "outlier_level": outlier_level,
-        "multiple_testing": multiple_testing,
-        "extrapolate_attitude_s": extrapolate_attitude or None,
-        "robust_start": robust_start, "robust_scale": robust_scale,
-        "variance_components": ("image", "position", "height") if variance_components else None,
-    }  # fmt: skip
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     with outcome(as_json, debug, quiet, log):
         require_project(project)
-        load(backend)
+        load(options.get("backend"))
         from fg_orient.run import checkpoint_path, run_project
 
         target = out or project.parent / "result"
         if resume and not checkpoint_path(target).exists():
             note(f"no checkpoint {checkpoint_path(target).name} to resume: starting from the beginning")
-        named = {**options, **execution, "scheduler": scheduler, "checkpoint_every": checkpoint_every}
-        with _named_as_typed(named), progress() as watch:
+        others = ("parts", "workers", "work_dir", "scheduler", "checkpoint_every")
+        typed = flags(Options, Reading) | {name: f"--{name.replace('_', '-')}" for name in others}
+        with named_as_typed(typed), progress() as watch:
             record = run_project(
                 project, target, overwrite=overwrite, options=options, callback=watch.iteration,
                 command=["fg-orient", *sys.argv[1:]], execution=execution, stage=watch.stage,
@@ -208,19 +122,6 @@ def _dem_control(path: Path | None, sigma_m: float | None, vertical_crs: str) ->
         raise InputError.of("dem_control.both", place="--dem-control, --dem-sigma")
     surface = read_dem(path, vertical_crs)
     return surface, sigma_m
-
-
-@contextlib.contextmanager
-def _named_as_typed(options: Mapping[str, object]) -> Iterator[None]:
-    """Name a wrong option as it is written on the command line."""
-    try:
-        yield
-    except InputError as error:
-        names = {name for name, value in options.items() if value is not None}
-        raise InputError(
-            *(replace(p, place=f"--{p.place.replace('_', '-')}") if not p.file and p.place in names else p
-              for p in error.problems)
-        ) from None  # fmt: skip
 
 
 def load(backend: str | None = None) -> None:

@@ -14,7 +14,9 @@ import typer
 from factors._preparation import told_of_compilation
 from fg_orient.cli.log import COMPILING, COMPILING_IN_VAIN, opened, session
 from fg_orient.cli.tables import print_table
+from fg_orient.declaration import declared
 from fg_orient.errors import FgOrientError, InputError, Problem, folded
+from fg_orient.options import MAX_EXTRAPOLATION_S, Reading
 
 if TYPE_CHECKING:
     from fg_orient.sensors.surface import RasterDem
@@ -24,6 +26,8 @@ INTERRUPTED = 130
 PLUGINS = ("plugin.failed", "sensor.own_reader")
 #: Words before a colon that make a line one of the log.
 LOGGED = ("error", "warning", "note", "remark", "lost")
+
+EXTRAPOLATE = declared(Reading)["extrapolate_attitude_s"]
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else.")]
 Quiet = Annotated[
@@ -50,11 +54,7 @@ VerticalCrs = Annotated[
 Extrapolate = Annotated[
     float,
     typer.Option(
-        "--extrapolate-attitude",
-        metavar="SECONDS",
-        min=0.0,
-        max=5.0,
-        help="Hold the last rate where attitudes do not cover the image.",
+        EXTRAPOLATE.flag, metavar=EXTRAPOLATE.metavar, min=0.0, max=MAX_EXTRAPOLATION_S, help=EXTRAPOLATE.short_help
     ),
 ]
 Overwrite = Annotated[

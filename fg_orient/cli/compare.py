@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import sys
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, require_project, say, table
+from fg_orient.cli.options import flags, named_as_typed, with_options
 from fg_orient.cli.progress import progress_bar
-from fg_orient.errors import InputError
+from fg_orient.options import Options
 
 #: Places of the library in the words of the command line.
 _TYPED = {
-    "eop_set": "--eop-sets", "eop_sets": "--eop-sets", "solvers": "--solvers", "backends": "--backends",
-    "types": "--types", "workers": "--workers", "scheduler": "--scheduler",
-    "cluster": "--scheduler", "target": "--target", "look_polynomial": "--look-polynomial",
+    **flags(Options), "eop_set": "--eop-sets", "eop_sets": "--eop-sets", "cluster": "--scheduler",
+    **{name: f"--{name}" for name in ("solvers", "backends", "types", "workers", "scheduler", "target")},
 }  # fmt: skip
 
 
+@with_options(Options, only=("look_polynomial",))
 def compare(
     project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    options: Mapping[str, Any],
     eop_sets: Annotated[
         str, typer.Option(metavar="SETS", help="EOP sets: 1-20, or numbers and names such as 5,13,PUA.")
     ] = "1-20",
@@ -41,9 +41,6 @@ def compare(
     as_run: Annotated[
         bool, typer.Option("--as-run", help="The published procedure as the authors' program works.")
     ] = False,
-    look_polynomial: Annotated[
-        int | None, typer.Option(metavar="DEGREE", help="Look-angle polynomial of dense and graph, 0-5.")
-    ] = None,
     target: Annotated[
         float | None, typer.Option(metavar="M", help="RMSE to reach, m; default: the distance of the pixels.")
     ] = None,
@@ -65,15 +62,15 @@ def compare(
     With workers, sets that are done are kept beside the folder until it is written: the same command goes on with them.
     Without matplotlib (extra "report") the tables come without figures.
     """
-    options: dict[str, Any] = {
+    options = {
         "eop_sets": eop_sets, "solvers": solvers, "backends": backends, "types": types, "as_run": as_run,
-        "look_polynomial": look_polynomial, "target_m": target, "workers": workers, "cluster": scheduler,
+        "target_m": target, "workers": workers, "cluster": scheduler, **options,
     }  # fmt: skip
     with outcome(as_json, debug, quiet, log):
         require_project(project)
         from fg_orient.comparison.folder import compare_project
 
-        with _named_as_typed(), progress_bar("reading the project") as callback:
+        with named_as_typed(_TYPED), progress_bar("reading the project") as callback:
             record = compare_project(
                 project, out or project.parent / "comparison", overwrite=overwrite, options=options,
                 callback=callback, command=["fg-orient", *sys.argv[1:]],
@@ -82,17 +79,6 @@ def compare(
             emit(record)
         else:
             show(record)
-
-
-@contextlib.contextmanager
-def _named_as_typed() -> Iterator[None]:
-    """Name a wrong option as it is written on the command line."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(
-            *(p if p.file or p.place not in _TYPED else replace(p, place=_TYPED[p.place]) for p in error.problems)
-        ) from None
 
 
 def show(record: dict[str, Any]) -> None:

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, number, outcome, require_project, say, table
+from fg_orient.cli.options import flags, named_as_typed, with_options
 from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
+from fg_orient.options import Options
 
 if TYPE_CHECKING:
     from fg_orient.reduction import Reduction
 
 
+@with_options(Options, only=("eop_set", "look_polynomial", "priors", "rpc_compensation"))
 def reduce(
     project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    options: Mapping[str, Any],
     direction: Annotated[
         str, typer.Option(metavar="backward|forward", help="Drop from the whole set, or add to the best coefficient.")
     ] = "backward",
@@ -27,53 +30,32 @@ def reduce(
         str | None,
         typer.Option(metavar="loo|K", help="Predict control points left out: one at a time, or in K parts."),
     ] = None,
-    eop_set: Annotated[
-        str | None, typer.Option(metavar="N|NAME", help="EOP set to begin with, 1-20 or a name such as PUA.")
-    ] = None,
-    look_polynomial: Annotated[
-        int | None, typer.Option(metavar="DEGREE", help="Degree of the look-angle correction polynomial, 0-5.")
-    ] = None,
-    no_priors: Annotated[bool, typer.Option("--no-priors", help="Orientation unknowns without prior sigmas.")] = False,
-    rpc_compensation: Annotated[
-        str | None, typer.Option(metavar="KIND", help="Of RPC images: shift, shift_drift or affine.")
-    ] = None,
     quiet: Quiet = False,
     log: Log = None,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
     """Reduce the unknowns of the images one at a time by F tests; AIC, AICc, BIC and prediction errors beside it."""
-    options: dict[str, Any] = {
-        "eop_set": eop_set, "look_polynomial": look_polynomial, "priors": False if no_priors else None,
-        "rpc_compensation": rpc_compensation,
-    }  # fmt: skip
     with outcome(as_json, debug, quiet, log):
         folds = _folds(cross_validation)
         require_project(project)
         from fg_orient.io.project import read_project
         from fg_orient.reduction import reduce_unknowns
 
-        block = read_project(project, **options)
+        with named_as_typed(flags(Options)):
+            block = read_project(project, **options)
         if direction not in ("backward", "forward"):
             raise InputError.of("options.value", place="--direction", value=direction, expected="backward or forward")
         with progress_bar("adjusting") as callback:
-            found = _named_as_typed(
-                reduce_unknowns, block, direction="backward" if direction == "backward" else "forward", level=level,
-                folds=folds, progress=callback,
-            )  # fmt: skip
+            with named_as_typed({"folds": "--cross-validation", "level": "--level"}):
+                found = reduce_unknowns(
+                    block, direction="backward" if direction == "backward" else "forward", level=level, folds=folds,
+                    progress=callback,
+                )  # fmt: skip
         if as_json:
             emit({"name": block.name, **found.as_dict()})
         else:
             show(found)
-
-
-def _named_as_typed(run: Callable[..., Reduction], *given: Any, **options: Any) -> Reduction:
-    """Run, and name wrong parts as they are written on the command line."""
-    try:
-        return run(*given, **options)
-    except InputError as error:
-        places = {"folds": "--cross-validation", "level": "--level"}
-        raise InputError(*(replace(p, place=places.get(p.place, p.place)) for p in error.problems)) from None
 
 
 def _folds(text: str | None) -> int | None:

@@ -7,14 +7,13 @@ whole or not at all (:mod:`fg_orient.io.atomic`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import Options
+from fg_orient.declaration import declared, toml
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind
 from fg_orient.io.atomic import write_text
 from fg_orient.io.observations import COLUMNS
@@ -22,11 +21,6 @@ from fg_orient.io.points import FIXED, SIGMA_COLUMNS
 from fg_orient.names import Role
 
 Array = npt.NDArray[np.float64]
-
-_ADJUSTMENT: Final = ("backend", "solver", "optimizer", "loss", "gnc", "inlier_probability",
-                      "robust_start", "robust_scale", "snoop",
-                      "outlier_test", "outlier_level", "multiple_testing", "variance_components", "max_iterations",
-                      "check_points", "datum", "statistics", "memory_limit_gb")  # fmt: skip
 
 
 def write_points(
@@ -155,16 +149,14 @@ def write_project(
     InputError
         The file cannot be written.
     """
-    chosen = options or Options()
-    values = {f.name: getattr(chosen, f.name) for f in fields(Options)}
-    lines = [*_comments(comments), "schema = 1", f"name = {_toml(name)}"]
+    lines = [*_comments(comments), "schema = 1", f"name = {toml(name)}"]
     for image, metadata in images:
-        lines += ["", "[[images]]", f"id = {_toml(image)}", f"metadata = {_toml(metadata)}"]
-    lines += ["", "[points]", f"file = {_toml(points)}", f"crs = {_toml(crs)}"]
-    lines += ["", "[observations]", f"file = {_toml(observations)}", "", "[orientation]"]
-    lines += [f"{k} = {_toml(v)}" for k, v in values.items() if k not in _ADJUSTMENT and v is not None]
-    lines += ["", "[adjustment]", *(f"{k} = {_toml(values[k])}" for k in _ADJUSTMENT if values[k] is not None)]
-    lines += [f"points_seen_once = {_toml(points_seen_once)}", ""]
+        lines += ["", "[[images]]", f"id = {toml(image)}", f"metadata = {toml(metadata)}"]
+    lines += ["", "[points]", f"file = {toml(points)}", f"crs = {toml(crs)}"]
+    lines += ["", "[observations]", f"file = {toml(observations)}", "", "[orientation]"]
+    lines += [*_entries(options or Options(), "orientation"), "", "[adjustment]"]
+    lines += _entries(options or Options(), "adjustment")
+    lines += [f"points_seen_once = {toml(points_seen_once)}", ""]
     write_text(path, "\n".join(lines))
 
 
@@ -195,13 +187,7 @@ def _numbers(values: Iterable[float]) -> list[str]:
     return [""] * len(row) if np.isnan(row).all() else [repr(v) for v in row]
 
 
-def _toml(value: object) -> str:
-    """TOML text of a str, bool, int, float or tuple of floats."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, tuple):
-        return f"[{', '.join(_toml(v) for v in value)}]"
-    if not isinstance(value, str):
-        return repr(value)
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}" for c in escaped) + '"'
+def _entries(options: Options, table: str) -> list[str]:
+    """Lines of a table of the project file; an option that is None is left out."""
+    values = [(name, getattr(options, name)) for name, one in declared(Options).items() if one.group.table == table]
+    return [f"{name} = {toml(value)}" for name, value in values if value is not None]

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.block import Block, Image, Options, Source
+from fg_orient.declaration import declared, require_declared
 from fg_orient.errors import FgOrientError, InputError, Problem, problem
 from fg_orient.geodesy import crs_kind
 from fg_orient.interchange.registry import format_named
@@ -25,6 +26,7 @@ from fg_orient.io.observations import ObservationFile, read_observations
 from fg_orient.io.points import LOSES_IDS, PointFile, read_points
 from fg_orient.io.scenes import Scene
 from fg_orient.io.tables import Faults
+from fg_orient.options import Reading
 from fg_orient.parameters import eop_set_number
 
 if TYPE_CHECKING:
@@ -34,22 +36,6 @@ if TYPE_CHECKING:
 OWN: Final = "csv"
 #: A remark of ``validate`` only: the adjustment warns of the same, about the points it could use.
 FEW_CHECK_CODE: Final = "remark.few_check"
-#: Where an option of :func:`read_project` stands in the project file.
-_TABLE_OF = {
-    "eop_set": "orientation", "look_polynomial": "orientation", "priors": "orientation",
-    "position_sigma_m": "orientation", "velocity_sigma_m_s": "orientation", "attitude_sigma_rad": "orientation",
-    "look_sigma_rad": "orientation", "small_angle": "orientation", "rpc_compensation": "orientation",
-    "rpc_shift_sigma_px": "orientation", "rpc_linear_sigma_px": "orientation", "datum": "adjustment",
-    "look_shared": "orientation", "curve_intervals": "orientation", "curve_position_sigma_m": "orientation",
-    "curve_attitude_sigma_rad": "orientation", "image_unknowns": "orientation", "variance_components": "adjustment",
-    "backend": "adjustment", "solver": "adjustment",
-    "optimizer": "adjustment", "max_iterations": "adjustment", "check_points": "adjustment",
-    "loss": "adjustment", "gnc": "adjustment", "inlier_probability": "adjustment",
-    "robust_start": "adjustment", "robust_scale": "adjustment",
-    "snoop": "adjustment", "outlier_test": "adjustment", "outlier_level": "adjustment",
-    "multiple_testing": "adjustment", "points_seen_once": "adjustment", "memory_limit_gb": "adjustment",
-    "statistics": "adjustment", "extrapolate_attitude_s": "orientation",
-}  # fmt: skip
 
 
 def read_project(path: str | Path, **overrides: object) -> Block:
@@ -60,13 +46,7 @@ def read_project(path: str | Path, **overrides: object) -> Block:
     path : str or Path
         The TOML file.
     **overrides
-        Options that replace those of the file: ``eop_set``, ``look_polynomial``,
-        ``priors``, ``backend``, ``solver``, ``optimizer``, ``max_iterations``,
-        ``check_points``, ``points_seen_once``, ``small_angle``, ``image_unknowns``,
-        ``curve_intervals``, ``variance_components``, ``rpc_compensation``, ``datum``, ``memory_limit_gb``,
-        ``loss``, ``gnc``, ``inlier_probability``, ``robust_start``, ``robust_scale``, ``snoop``,
-        ``outlier_test``, ``outlier_level``, ``multiple_testing``, ``statistics``,
-        ``extrapolate_attitude_s`` and the prior sigmas.
+        Options that replace those of the file (docs/options.md).
         None keeps the file's.
 
     Returns
@@ -104,7 +84,7 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
         raise InputError(*problems)
     points, observations = tables.points, tables.observations
     known = tuple(image for image in images.values() if image is not None)
-    drop = project.adjustment.points_seen_once == "drop"
+    drop = project.values_of(Reading)["points_seen_once"] == "drop"
     ready = assemble(
         [image.id for image in known], points, observations, drop=drop, relative=options.datum != "control"
     )
@@ -154,13 +134,11 @@ def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> B
 def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
     from fg_orient.io.schema import validate
 
-    unknown = sorted(set(overrides) - set(_TABLE_OF))
-    if unknown:
-        raise TypeError(f"read_project() has no option {unknown[0]!r}; known: {', '.join(_TABLE_OF)}")
+    require_declared(overrides, "read_project", Options, Reading)
     content = parse_toml(path)
     for name, value in overrides.items():
         if value is not None:
-            table = content.setdefault(_TABLE_OF[name], {})
+            table = content.setdefault(_table_of(name), {})
             if isinstance(table, dict):
                 table[name] = value
     found = validate(content, str(path))
@@ -169,12 +147,17 @@ def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
     return found
 
 
+def _table_of(name: str) -> str:
+    """Table of the project file that holds an option."""
+    return declared(Options, Reading)[name].group.table
+
+
 def _blame(found: Problem, overrides: Mapping[str, object]) -> Problem:
     """Put a fault of an overriding option on the option: the file is not to blame."""
     for name, value in overrides.items():
-        place = f"{_TABLE_OF[name]}.{name}"
+        place = f"{_table_of(name)}.{name}"
         if value is not None and (found.place == place or found.place.startswith(f"{place}[")):
-            found = dataclasses.replace(found, file="", place=found.place.removeprefix(f"{_TABLE_OF[name]}."))
+            found = dataclasses.replace(found, file="", place=found.place.removeprefix(f"{_table_of(name)}."))
     return found
 
 
@@ -214,11 +197,9 @@ def parse_toml(path: Path) -> dict[str, Any]:
 def _options(project: ProjectFile, file: str) -> tuple[Options, list[Problem]]:
     """Options of the block; problems that the schema cannot see."""
     problems: list[Problem] = []
-    values = {**dict(project.orientation), **dict(project.adjustment)}
-    for of_reading in ("points_seen_once", "extrapolate_attitude_s"):
-        values.pop(of_reading)
+    values = project.values_of(Options)
     try:
-        values["eop_set"] = eop_set_number(project.orientation.eop_set)
+        values["eop_set"] = eop_set_number(values["eop_set"])
     except InputError as error:
         values["eop_set"] = Options.eop_set
         problems += [dataclasses.replace(p, file=file, place="orientation.eop_set") for p in error.problems]
@@ -251,7 +232,7 @@ def _images(
             )
             continue
         try:
-            seconds = project.orientation.extrapolate_attitude_s
+            seconds = project.values_of(Reading)["extrapolate_attitude_s"]
             sensor = sensor_reader.read_sensor(metadata, extrapolate_attitude_s=seconds)
             images[entry.id] = Image(entry.id, sensor)
             sources.append(_source(metadata))

@@ -1,37 +1,24 @@
 """The project file's content as pydantic models: the border where TOML becomes options.
 
 Unknown keys, wrong types, nan and infinity are refused, all at once. ``description`` of a
-field is what an error message tells the user to give. Bounds and defaults of options are
-those of :class:`fg_orient.block.Options`.
+field is what an error message tells the user to give. Entries of options are made from their
+declaration (``fg_orient.options``).
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
+from fg_orient import declaration as option_types
+from fg_orient.declaration import Option, declared, toml
 from fg_orient.errors import Problem, problem
 from fg_orient.io.tables import did_you_mean
-from fg_orient.options import (
-    CURVE_RANGE,
-    EXPECTED,
-    ITERATION_RANGE,
-    LOOK_DEGREE_RANGE,
-    CheckPoints,
-    Datum,
-    MultipleTesting,
-    Options,
-    OutlierTest,
-    RobustScale,
-    RobustStart,
-    RpcCompensation,
-    StatisticsChoice,
-)
+from fg_orient.options import Options, Reading
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation
-from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
@@ -39,13 +26,6 @@ Three = tuple[Positive, Positive, Positive]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Row = tuple[Number, Number, Number]
 Switch = Annotated[bool, Field(strict=True)]
-
-
-def _intervals(value: int) -> int:
-    """Refuse fewer intervals than a curve needs."""
-    if 0 < value < CURVE_RANGE[0]:
-        raise ValueError
-    return value
 
 
 class _Table(BaseModel):
@@ -111,80 +91,38 @@ class NavigationEntry(_Table):
     boresight_sigma_deg: Three | None = Field(default=None, description="three numbers above zero, degrees")
 
 
-class Orientation(_Table):
-    """The ``[orientation]`` table: which unknowns an image has and their prior sigmas."""
-
-    eop_set: Annotated[int, Field(strict=True)] | Text = Field(
-        default=Options.eop_set, description=EXPECTED["eop_set"] + ' or a name such as "PUA"'
-    )
-    look_polynomial: Annotated[int, Field(strict=True, ge=LOOK_DEGREE_RANGE[0], le=LOOK_DEGREE_RANGE[1])] | None = (
-        Field(default=Options.look_polynomial, description=EXPECTED["look_polynomial"])
-    )
-    priors: Switch = Field(default=Options.priors, description=EXPECTED["priors"])
-    position_sigma_m: Three = Field(default=Options.position_sigma_m, description=EXPECTED["position_sigma_m"])
-    velocity_sigma_m_s: Three = Field(default=Options.velocity_sigma_m_s, description=EXPECTED["velocity_sigma_m_s"])
-    attitude_sigma_rad: Three = Field(default=Options.attitude_sigma_rad, description=EXPECTED["attitude_sigma_rad"])
-    look_sigma_rad: Positive = Field(default=Options.look_sigma_rad, description=EXPECTED["look_sigma_rad"])
-    look_shared: Switch = Field(default=Options.look_shared, description=EXPECTED["look_shared"])
-    curve_intervals: Annotated[int, Field(strict=True, ge=0, le=CURVE_RANGE[1]), AfterValidator(_intervals)] = Field(
-        default=Options.curve_intervals, description=EXPECTED["curve_intervals"]
-    )
-    curve_position_sigma_m: Positive = Field(
-        default=Options.curve_position_sigma_m, description=EXPECTED["curve_position_sigma_m"]
-    )
-    curve_attitude_sigma_rad: Positive = Field(
-        default=Options.curve_attitude_sigma_rad, description=EXPECTED["curve_attitude_sigma_rad"]
-    )
-    rpc_compensation: RpcCompensation = Field(
-        default=Options.rpc_compensation, description=EXPECTED["rpc_compensation"]
-    )
-    rpc_shift_sigma_px: Positive = Field(default=Options.rpc_shift_sigma_px, description=EXPECTED["rpc_shift_sigma_px"])
-    rpc_linear_sigma_px: Positive = Field(
-        default=Options.rpc_linear_sigma_px, description=EXPECTED["rpc_linear_sigma_px"]
-    )
-    image_unknowns: tuple[Text, ...] = Field(default=Options.image_unknowns, description=EXPECTED["image_unknowns"])
-    extrapolate_attitude_s: Annotated[
-        float, Field(strict=True, ge=0.0, le=MAX_EXTRAPOLATION_S, allow_inf_nan=False)
-    ] = Field(default=0.0, description=f"seconds, 0 to {MAX_EXTRAPOLATION_S:g}")
-    small_angle: Switch = Field(default=Options.small_angle, description=EXPECTED["small_angle"])
+#: Types of options in a project file.
+_TYPES: Final[dict[Any, Any]] = {
+    bool: Switch, int: Annotated[int, Field(strict=True)], float: Number, str: Text, option_types.Three: Three,
+    option_types.Names: tuple[Text, ...],
+}  # fmt: skip
 
 
-class Adjustment(_Table):
-    """The ``[adjustment]`` table: how the block is solved."""
+def _entry(option: Option) -> Any:
+    """Type and default of an option in a project file; its declaration judges the value."""
 
-    backend: Literal["auto", "graph", "schur", "dense"] = Field(
-        default="auto", description='"auto", "graph", "schur" or "dense"'
-    )
-    solver: Text | None = Field(default=Options.solver, description=EXPECTED["solver"])
-    optimizer: Literal["gauss-newton", "levenberg-marquardt", "dogleg", "native"] = Field(
-        default="gauss-newton", description='"gauss-newton", "levenberg-marquardt", "dogleg" or "native"'
-    )
-    loss: Text = Field(default=Options.loss, description=EXPECTED["loss"])
-    gnc: Switch = Field(default=Options.gnc, description=EXPECTED["gnc"])
-    inlier_probability: Annotated[Positive, Field(lt=1.0)] = Field(
-        default=Options.inlier_probability, description=EXPECTED["inlier_probability"]
-    )
-    robust_start: RobustStart = Field(default=Options.robust_start, description=EXPECTED["robust_start"])
-    robust_scale: RobustScale = Field(default=Options.robust_scale, description=EXPECTED["robust_scale"])
-    snoop: Switch = Field(default=Options.snoop, description=EXPECTED["snoop"])
-    outlier_test: OutlierTest = Field(default=Options.outlier_test, description=EXPECTED["outlier_test"])
-    outlier_level: Annotated[Positive, Field(lt=1.0)] = Field(
-        default=Options.outlier_level, description=EXPECTED["outlier_level"]
-    )
-    multiple_testing: MultipleTesting = Field(
-        default=Options.multiple_testing, description=EXPECTED["multiple_testing"]
-    )
-    variance_components: tuple[Text, ...] = Field(
-        default=Options.variance_components, description=EXPECTED["variance_components"]
-    )
-    max_iterations: Annotated[int, Field(strict=True, ge=ITERATION_RANGE[0], le=ITERATION_RANGE[1])] = Field(
-        default=Options.max_iterations, description=EXPECTED["max_iterations"]
-    )
-    check_points: CheckPoints = Field(default=Options.check_points, description=EXPECTED["check_points"])
-    datum: Datum = Field(default=Options.datum, description=EXPECTED["datum"])
-    statistics: StatisticsChoice = Field(default=Options.statistics, description=EXPECTED["statistics"])
-    memory_limit_gb: Positive | None = Field(default=Options.memory_limit_gb, description=EXPECTED["memory_limit_gb"])
-    points_seen_once: Literal["error", "drop"] = Field(default="error", description='"error" or "drop"')
+    def judge(value: Any) -> Any:
+        if not option.allows(value):
+            raise ValueError
+        return value
+
+    kind = _TYPES.get(option.kind, option.kind)
+    kind = kind | Text if option.named else Annotated[kind, AfterValidator(judge)]
+    name = f" or a name such as {toml(option.such)}" if option.named else ""
+    return kind | None if option.optional else kind, Field(default=option.default, description=option.expected + name)
+
+
+def options_table(table: str, *records: type) -> type[_Table]:
+    """Model of a table of the project file that holds the declared options of its groups."""
+    entries = {name: _entry(one) for name, one in declared(*records).items() if one.group.table == table}
+    return create_model(table.title(), __base__=_Table, **entries)
+
+
+if TYPE_CHECKING:
+    Orientation = _Table
+    Adjustment = _Table
+else:
+    Orientation, Adjustment = (options_table(table, Options, Reading) for table in ("orientation", "adjustment"))
 
 
 class ProjectFile(_Table):
@@ -200,6 +138,11 @@ class ProjectFile(_Table):
     navigation: NavigationEntry | None = Field(default=None, description="a table [navigation] with file and crs")
     orientation: Orientation = Field(default_factory=Orientation, description="a table [orientation]")
     adjustment: Adjustment = Field(default_factory=Adjustment, description="a table [adjustment]")
+
+    def values_of(self, record: type) -> dict[str, Any]:
+        """Values of the options that a dataclass declares."""
+        values = {**dict(self.orientation), **dict(self.adjustment)}
+        return {name: values[name] for name in declared(record)}
 
 
 def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Problem, ...]:

@@ -23,7 +23,7 @@ from fg_orient.messages.rfm import RFM
 from fg_orient.messages.rpc import RPC
 from fg_orient.messages.statistics import STATISTICS
 from fg_orient.messages.ties import TIES
-from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPLAY, REPORT, SIMULATE
+from fg_orient.messages.work import ADJUST, CLI, OPTIONS, OUTPUT, PARAMETERS, REMARKS, REPLAY, REPORT
 
 CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **XML,
@@ -43,7 +43,6 @@ CATALOGUE: Final[dict[str, tuple[str, str]]] = {
     **REPLAY,
     **CLI,
     **REPORT,
-    **SIMULATE,
     **LINEAR,
     **PUBLISHED,
     **REPRODUCE,

@@ -47,7 +47,6 @@ ADJUST: Final = {
         "machine with more memory, or raise --memory-limit-gb",
     ),
     "adjust.backend": ("this backend does not exist in this version", "choose one of {known}"),
-    "adjust.optimizer": ("there is no such optimiser", "choose one of {known}"),
     "adjust.no_model": (
         "images of this sensor cannot be adjusted",
         "known sensors: {known}; a further one is registered by a file of its own (docs/extending)",
@@ -260,10 +259,6 @@ CLI: Final = {
         "check one after the other; for several files of points add --format NAME",
     ),
     "cli.no_frame": ("the file states no frame points of its own", "locate a pixel with --line and --sample"),
-    "cli.three_numbers": (
-        "these are not three numbers",
-        "write roll,pitch,yaw in rad: --attitude=-1.6e-4,-7.2e-4,9e-4",
-    ),
     "log.foreign": (
         "the file is no log of fg-orient, so nothing is added to it",
         "give --log the name of a new file, or of a log that fg-orient wrote",
@@ -288,8 +283,4 @@ REPORT: Final = {
     "report.export_suffix": ("this file is neither GeoPackage nor GeoJSON", "end its name with .gpkg or .geojson"),
     "report.no_truth": ("the folder holds no truth of a simulation", "give the folder truth of fg-orient simulate"),
     "report.other_truth": ("the truth belongs to another project", "give the truth of these images and points"),
-}
-
-SIMULATE: Final = {
-    "simulate.option": ("the value of this option is not possible", "give {expected}"),
 }

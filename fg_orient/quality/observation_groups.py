@@ -15,6 +15,7 @@ from fg_orient.adjustment.problem import Problem
 from fg_orient.block import Block, Coordinates
 from fg_orient.errors import InputError
 from fg_orient.names import Role
+from fg_orient.options import USUAL_GROUPS
 from fg_orient.parameters import N_EOP, parameter_name
 
 Array = npt.NDArray[np.float64]
@@ -23,7 +24,6 @@ Index = npt.NDArray[np.intp]
 #: How image points may be grouped, one of these; control points: all axes together, or position and height apart.
 IMAGE_GROUPINGS: Final = ("image", "image_by_role", "image_by_image", "image_by_sensor")
 GROUPINGS: Final = (*IMAGE_GROUPINGS, "control", "position", "height", "priors")
-DEFAULT_GROUPS: Final = ("image", "position", "height")
 #: Options that hold the prior sigmas of each kind.
 _PRIOR_OPTIONS: Final = {
     "prior position": "position_sigma_m", "prior velocity": "velocity_sigma_m_s",
@@ -74,7 +74,7 @@ def require_groups(groups: tuple[str, ...]) -> None:
             raise InputError.of("statistics.groups_overlap", place="variance_components", value=", ".join(several))
 
 
-def groups_of(problem: Problem, groups: tuple[str, ...] = DEFAULT_GROUPS) -> Groups:
+def groups_of(problem: Problem, groups: tuple[str, ...] = USUAL_GROUPS) -> Groups:
     """Group the observations of a problem.
 
     Raises

@@ -31,9 +31,10 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.distributions import chi_square_median
 from fg_orient.errors import InputError
 from fg_orient.names import Role
+from fg_orient.options import USUAL_GROUPS
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.group_cofactors import LARGEST, GroupCofactors, cost
-from fg_orient.quality.observation_groups import DEFAULT_GROUPS, Groups, groups_of
+from fg_orient.quality.observation_groups import Groups, groups_of
 from fg_orient.quality.residuals import ResidualCofactors, residual_cofactors
 from fg_orient.quality.suspects import Suspects
 
@@ -352,7 +353,7 @@ def components_of(
 
 
 def variance_components(
-    problem: Problem, state: State, cofactors: Cofactors, *, groups: tuple[str, ...] = DEFAULT_GROUPS,
+    problem: Problem, state: State, cofactors: Cofactors, *, groups: tuple[str, ...] = USUAL_GROUPS,
     method: Method = "helmert", known: ResidualCofactors | None = None,
 ) -> VarianceComponents:  # fmt: skip
     """Components from one solution, not iterated.

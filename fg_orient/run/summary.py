@@ -192,18 +192,10 @@ def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]
 
 def _choices(options: Options) -> dict[str, Any]:
     """Options that decide on the result."""
+    names = ("optimizer", "loss", "gnc", "robust_start", "robust_scale", "eop_set", "look_polynomial", "priors",
+             "check_points", "rpc_compensation", "datum")  # fmt: skip
     return {
-        "optimizer": options.optimizer,
-        "loss": options.loss,
-        "gnc": options.gnc,
-        "robust_start": options.robust_start,
-        "robust_scale": options.robust_scale,
-        "eop_set": options.eop_set,
+        **{name: getattr(options, name) for name in names},
         "eop_set_name": EOP_SETS[options.eop_set][0],
-        "look_polynomial": options.look_polynomial,
         "image_unknowns": list(options.image_unknowns) or None,
-        "priors": options.priors,
-        "check_points": options.check_points,
-        "rpc_compensation": options.rpc_compensation,
-        "datum": options.datum,
     }

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from factors import attitude, ellipsoid, ephemeris, look, polynomials, pushbroom, rotations
 from fg_orient.errors import InputError, OutOfTimeRange, problem
+from fg_orient.options import MAX_EXTRAPOLATION_S
 from fg_orient.sensors import projection
 from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.metadata import (
@@ -31,8 +32,6 @@ from fg_orient.sensors.surface import landed
 
 Array = npt.NDArray[np.float64]
 
-#: Attitudes may be extrapolated for so long: with a rate that is wrong by 1e-6 rad/s they are off by 5 m then.
-MAX_EXTRAPOLATION_S = 5.0
 #: The samples of an image cannot all look the same way; the narrowest known field is 0.015 rad.
 MIN_FIELD_RAD = 1e-4
 #: Rounding of printed times: lists of SPOT 6 start and end with the image.

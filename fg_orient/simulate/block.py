@@ -11,7 +11,7 @@ ground point. Geometry on the real ellipsoid.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -23,18 +23,18 @@ from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.names import Progress, Role
 from fg_orient.sensors.correction import Correction
 from fg_orient.simulate.files import DIMAP, images_of, simulate_to
+from fg_orient.simulate.options import LEAST_CONTROL
+from fg_orient.simulate.options import BlockOptions as BlockOptions
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
-    ERRORS,
     Simulation,
     Truth,
     draw_errors,
     ground_points,
     observe,
     random_streams,
-    require,
 )
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
 
@@ -49,70 +49,6 @@ MARGIN_PX = 200.0
 DOUBT_PX = 1.0
 #: The box of points reaches this far beyond the outer ground centres.
 BORDER_M = 25e3
-LEAST_CONTROL = 6
-
-
-@dataclass(frozen=True)
-class BlockOptions:
-    """Options of a synthetic block.
-
-    Parameters
-    ----------
-    rows, columns : int
-        Grid of ground centres; the block has ``rows * columns`` images, at least 2.
-    points : int
-        Number of ground points, each seen by two images or more.
-    seed : int
-        Seed of all random numbers.
-    spacing_m : float
-        Distance of neighbouring ground centres, 1000 to 40000 m.
-    roll_deg : float
-        Mirror angle, alternately positive and negative, 1 to 27 degrees.
-    control_share, check_share : float
-        Shares of control and check points; at least 6 are control points, the rest tie points.
-    image_noise_px : float
-        Sigma of the noise in line and in sample.
-    errors : str
-        Errors of the metadata: "prior", "constant" or "none" (see ``ZonguldakOptions``).
-    ground_noise_m : (east, north, up)
-        Sigmas of the noise of control and check coordinates.
-    max_height_m : float
-        Heights are uniform from 0 to this.
-
-    Raises
-    ------
-    InputError
-        A value is out of range.
-    """
-
-    rows: int = 2
-    columns: int = 2
-    points: int = 400
-    seed: int = 1
-    spacing_m: float = 28e3
-    roll_deg: float = 12.0
-    control_share: float = 0.02
-    check_share: float = 0.1
-    image_noise_px: float = 0.3
-    errors: str = "prior"
-    ground_noise_m: tuple[float, float, float] = (0.5, 0.5, 0.5)
-    max_height_m: float = 500.0
-
-    def __post_init__(self) -> None:
-        require(1 <= self.rows <= 20 and 1 <= self.columns <= 20, "rows, columns", (self.rows, self.columns), "1 to 20")
-        require(self.rows * self.columns >= 2, "rows, columns", (self.rows, self.columns), "two images or more")
-        require(LEAST_CONTROL <= self.points <= 10**6, "points", self.points, f"{LEAST_CONTROL} to 1000000")
-        require(self.seed >= 0, "seed", self.seed, "a whole number from 0")
-        require(1e3 <= self.spacing_m <= 40e3, "spacing_m", self.spacing_m, "1000 to 40000 m")
-        require(1.0 <= self.roll_deg <= 27.0, "roll_deg", self.roll_deg, "1 to 27 degrees")
-        shares = (self.control_share, self.check_share)
-        require(min(shares) >= 0.0 and sum(shares) <= 1.0, "control_share, check_share", shares, "shares of 1 together")
-        require(0.0 <= self.image_noise_px <= 30.0, "image_noise_px", self.image_noise_px, "0 to 30 px")
-        require(self.errors in ERRORS, "errors", self.errors, f"one of {', '.join(ERRORS)}")
-        noise = self.ground_noise_m
-        good = len(noise) == 3 and all(0.0 <= v <= 100.0 for v in noise)
-        require(good, "ground_noise_m", noise, "three numbers from 0 to 100")
-        require(0.0 <= self.max_height_m <= 8000.0, "max_height_m", self.max_height_m, "0 to 8000 m")
 
 
 def simulate_block(

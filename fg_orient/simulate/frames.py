@@ -19,7 +19,7 @@ from factors import frame_camera
 from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.names import Role
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
-from fg_orient.simulate.simulation import require
+from fg_orient.simulate.options import require
 
 Array = npt.NDArray[np.float64]
 

@@ -28,6 +28,7 @@ from fg_orient.sensors.metadata import AngleAttitude, Ephemeris, LineTiming, Loo
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
+from fg_orient.simulate.options import MixedOptions as MixedOptions
 from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.scene import Scene, as_read
 from fg_orient.simulate.simulation import (
@@ -38,7 +39,6 @@ from fg_orient.simulate.simulation import (
     ground_points,
     points_of,
     random_streams,
-    require,
 )
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
 
@@ -79,55 +79,6 @@ MARGIN_PX: Final = 50.0
 OPTIONS: Final = Options(
     rpc_compensation="shift_drift", rpc_shift_sigma_px=RPC_SHIFT_SIGMA_PX, rpc_linear_sigma_px=RPC_LINEAR_SIGMA_PX
 )
-
-
-@dataclass(frozen=True)
-class MixedOptions:
-    """Options of a mixed block.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all random numbers.
-    points : int
-        Ground points in all.
-    control, check : int
-        Of them control and check points; the rest are tie points.
-    spot_noise_px, rpc_noise_px, frame_noise_px : float
-        Sigma of the noise in line and in sample; the adjustment is given the same sigma, or 0.3 px if it is 0.
-    errors : str
-        Errors of the orientation: "prior" (drawn from the prior sigmas) or "none".
-    ground_noise_m : (east, north, up)
-        Sigmas of the noise of control and check coordinates.
-
-    Raises
-    ------
-    InputError
-        A value is out of range.
-    """
-
-    seed: int = 1
-    points: int = 90
-    control: int = 8
-    check: int = 12
-    spot_noise_px: float = 0.4
-    rpc_noise_px: float = 0.3
-    frame_noise_px: float = 0.5
-    errors: str = "prior"
-    ground_noise_m: tuple[float, float, float] = (0.05, 0.05, 0.08)
-
-    def __post_init__(self) -> None:
-        require(self.seed >= 0, "seed", self.seed, "a whole number from 0")
-        require(10 <= self.points <= 100_000, "points", self.points, "10 to 100000")
-        require(self.control >= 3, "control", self.control, "3 points or more")
-        named = self.control + self.check
-        require(self.check >= 0 and named <= self.points, "control, check", named, f"at most {self.points} points")
-        for name in ("spot_noise_px", "rpc_noise_px", "frame_noise_px"):
-            require(0.0 <= getattr(self, name) <= 10.0, name, getattr(self, name), "0 to 10 px")
-        require(self.errors in ("prior", "none"), "errors", self.errors, "prior or none")
-        noise = self.ground_noise_m
-        good = len(noise) == 3 and all(0.0 <= v <= 100.0 for v in noise)
-        require(good, "ground_noise_m", noise, "three numbers from 0 to 100")
 
 
 @dataclass(frozen=True)

@@ -15,21 +15,23 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.names import Role
+from fg_orient.simulate.options import PointSet
 
 Array = npt.NDArray[np.float64]
 
 N_POINTS: Final = 47
 #: Number of check points of each set.
-CHECK_COUNT: Final = {"H-0": 0, "H-10": 10, "H-20": 20, "H-30": 30, "H-40": 40, "G-A": 24, "G-B": 23, "G-C": 30}
+CHECK_COUNT: Final[dict[PointSet, int]] = {
+    "H-0": 0, "H-10": 10, "H-20": 20, "H-30": 30, "H-40": 40, "G-A": 24, "G-B": 23, "G-C": 30
+}  # fmt: skip
 
 
-def roles_of(point_set: str, pixels: Array, rng: np.random.Generator) -> tuple[Role, ...]:
+def roles_of(point_set: PointSet, pixels: Array, rng: np.random.Generator) -> tuple[Role, ...]:
     """Role of each point.
 
     Parameters
     ----------
     point_set : str
-        One of ``CHECK_COUNT``.
     pixels : (n, 2) array
         Line and sample in the first image; only the grouped sets look at them.
     rng : np.random.Generator

@@ -21,8 +21,9 @@ from fg_orient.io.rasters import rasterio_of
 from fg_orient.names import Progress
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.pushbroom import PushbroomSensor
+from fg_orient.simulate.options import require
 from fg_orient.simulate.scene import as_read
-from fg_orient.simulate.simulation import Simulation, require
+from fg_orient.simulate.simulation import Simulation
 from fg_orient.simulate.terrain import STEP_M, Terrain, terrain_through, write_terrain
 
 Array = npt.NDArray[np.float64]

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Index, Options, WithheldCoordinates
-from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.names import Progress, Role
 from fg_orient.sensors.correction import Correction
@@ -34,7 +33,6 @@ NOMINAL_GROUND_SIGMA_M = (0.06, 0.06, 1.0)
 
 #: Independent random streams of a simulation; the order is part of the definition of a seed.
 STREAMS = ("points", "roles", "orientation", "image_noise", "ground_noise")
-ERRORS = ("constant", "prior", "none")
 CONSTANT_POSITION_M = 5.0
 CONSTANT_ATTITUDE_RAD = 20e-6
 
@@ -43,18 +41,6 @@ def random_streams(seed: int) -> dict[str, np.random.Generator]:
     """Independent generators by name: drawing more from one changes nothing in the others."""
     children = np.random.SeedSequence(seed).spawn(len(STREAMS))
     return {name: np.random.default_rng(child) for name, child in zip(STREAMS, children, strict=True)}
-
-
-def require(holds: bool, option: str, value: object, expected: str) -> None:
-    """Refuse the value of an option.
-
-    Raises
-    ------
-    InputError
-        ``holds`` is false.
-    """
-    if not holds:
-        raise InputError.of("simulate.option", place=option, value=value, expected=expected)
 
 
 def draw_errors(kind: str, rng: np.random.Generator, n_images: int) -> Array:

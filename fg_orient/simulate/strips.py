@@ -20,7 +20,8 @@ from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.names import Role
 from fg_orient.sensors.frame import NAVIGATION, UNKNOWNS, FrameCamera, FrameSensor
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude, with_navigation
-from fg_orient.simulate.simulation import ground_points, points_of, random_streams, require
+from fg_orient.simulate.options import require
+from fg_orient.simulate.simulation import ground_points, points_of, random_streams
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
 
 Array = npt.NDArray[np.float64]

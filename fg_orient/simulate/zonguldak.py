@@ -10,7 +10,6 @@ specified in docs/file-formats.md and in its options. Truth is a model truth, se
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -21,19 +20,18 @@ from fg_orient.block import Block
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.names import Progress
 from fg_orient.simulate.files import simulate_to
+from fg_orient.simulate.options import ZonguldakOptions as ZonguldakOptions
 from fg_orient.simulate.orbit import find_pass
-from fg_orient.simulate.point_sets import CHECK_COUNT, N_POINTS, roles_of
+from fg_orient.simulate.point_sets import N_POINTS, roles_of
 from fg_orient.simulate.render import RasterOptions, write_rasters
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import (
-    ERRORS,
     Simulation,
     Truth,
     draw_errors,
     ground_points,
     observe,
     random_streams,
-    require,
 )
 
 Array = npt.NDArray[np.float64]
@@ -46,64 +44,6 @@ HEIGHT_RANGE_M = (0.0, 1800.0)
 MARGIN_PX = 300.0
 #: Box of the overlap in which points are drawn, degrees around the centre.
 _BOX_DEG = (0.55, 0.40)
-
-
-@dataclass(frozen=True)
-class ZonguldakOptions:
-    """Options of the twin.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all random numbers. Points, roles, errors of the metadata, image noise and
-        ground noise come from independent streams of it.
-    point_set : str
-        H-0, H-10, H-20, H-30, H-40, G-A, G-B or G-C.
-    image_noise_px : float
-        Sigma of the noise in line and in sample. The adjustment is given the same sigma, or
-        0.3 px if the noise is 0.
-    errors : str
-        Errors of the metadata: "constant" (5 m per ECEF axis, 20 microrad per angle, signs
-        drawn per image), "prior" (all 27 coefficients from the prior sigmas) or "none".
-    distortion_rad : float
-        True look angles psi_x and psi_y exceed those of the files by this times s^2, s = -1
-        at the first and +1 at the last sample.
-    radial_velocity_m_s : float
-        Rate of the distance from the geocentre (real SPOT 5: 7 to 9 m/s).
-    attitude_rad : (roll, pitch, yaw)
-        True attitude of both images, constant.
-    ground_noise_m : (east, north, up)
-        Sigmas of the noise of control and check coordinates.
-
-    Raises
-    ------
-    InputError
-        A value is out of range.
-    """
-
-    seed: int = 1
-    point_set: str = "H-10"
-    image_noise_px: float = 0.3
-    errors: str = "constant"
-    distortion_rad: float = 0.0
-    radial_velocity_m_s: float = 0.0
-    attitude_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    ground_noise_m: tuple[float, float, float] = (0.06, 0.06, 1.0)
-
-    def __post_init__(self) -> None:
-        sets = ", ".join(CHECK_COUNT)
-        require(self.seed >= 0, "seed", self.seed, "a whole number from 0")
-        require(self.point_set in CHECK_COUNT, "point_set", self.point_set, f"one of {sets}")
-        require(0.0 <= self.image_noise_px <= 30.0, "image_noise_px", self.image_noise_px, "0 to 30 px")
-        require(self.errors in ERRORS, "errors", self.errors, f"one of {', '.join(ERRORS)}")
-        require(abs(self.distortion_rad) <= 1e-4, "distortion_rad", self.distortion_rad, "-1e-4 to 1e-4 rad")
-        speed = self.radial_velocity_m_s
-        require(abs(speed) <= 100.0, "radial_velocity_m_s", speed, "-100 to 100 m/s")
-        for name, limit in (("attitude_rad", 1e-2), ("ground_noise_m", 100.0)):
-            values = getattr(self, name)
-            low = 0.0 if name == "ground_noise_m" else -limit
-            good = len(values) == 3 and all(low <= v <= limit for v in values)
-            require(good, name, values, f"three numbers from {low:g} to {limit:g}")
 
 
 def simulate_zonguldak(

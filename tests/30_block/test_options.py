@@ -9,9 +9,10 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.block import Coordinates
+from fg_orient.declaration import declared
 from fg_orient.errors import InputError, Problem
 from fg_orient.io.schema import Adjustment, Orientation, validate
-from fg_orient.options import EXPECTED
+from fg_orient.options import Options
 
 BAD = [
     ("eop_set", 0), ("eop_set", 21), ("eop_set", "PUA"), ("eop_set", 15.0), ("eop_set", True),
@@ -30,7 +31,7 @@ def test_a_wrong_option_is_refused_by_name(name: str, value: object) -> None:
         fg.Options(**{name: value})
     (found,) = caught.value.problems
     assert (found.code, found.place, found.value) == ("options.value", name, repr(value))
-    assert EXPECTED[name] in found.remedy
+    assert declared(Options)[name].expected in found.remedy
     with pytest.raises(InputError):
         dataclasses.replace(fg.Options(), **{name: value})
 
@@ -63,7 +64,7 @@ def test_the_project_file_has_the_same_bounds(name: str, value: object) -> None:
     }  # fmt: skip
     found = validate(content, "project.toml")
     assert isinstance(found, tuple)
-    assert [(p.place, EXPECTED[name] in p.remedy) for p in found] == [(f"{table}.{name}", True)]
+    assert [(p.place, declared(Options)[name].expected in p.remedy) for p in found] == [(f"{table}.{name}", True)]
     assert isinstance(found[0], Problem)
 
 

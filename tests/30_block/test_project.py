@@ -85,7 +85,6 @@ def test_sources_carry_the_digests_of_all_files(folder):
 
 
 def test_defaults_of_the_file_are_those_of_the_options():
-    """Two places state the defaults: they may not drift apart."""
     options = Options()
     stated = {**dict(Orientation()), **dict(Adjustment())}
     assert (stated.pop("points_seen_once"), stated.pop("extrapolate_attitude_s")) == ("error", 0.0)

@@ -23,7 +23,7 @@ from fg_orient.simulate.zonguldak import ZonguldakOptions
         (ZonguldakOptions, {"attitude_rad": (0.0, 0.0)}, "attitude_rad"),
         (ZonguldakOptions, {"ground_noise_m": (0.1, -0.1, 1.0)}, "ground_noise_m"),
         (BlockOptions, {"rows": 1, "columns": 1}, "rows, columns"),
-        (BlockOptions, {"rows": 0}, "rows, columns"),
+        (BlockOptions, {"rows": 0}, "rows"),
         (BlockOptions, {"points": 5}, "points"),
         (BlockOptions, {"seed": -1}, "seed"),
         (BlockOptions, {"spacing_m": 60e3}, "spacing_m"),
@@ -39,4 +39,4 @@ def test_impossible_options(options: type, change: dict[str, object], name: str)
     with pytest.raises(InputError) as caught:
         options(**change)
     (problem,) = caught.value.problems
-    assert problem.code == "simulate.option" and problem.place == name and problem.remedy.startswith("give ")
+    assert problem.code == "options.value" and problem.place == name and problem.remedy.startswith("give ")

@@ -279,7 +279,7 @@ def test_knots_come_closer_until_the_bound_is_kept(twin: Twin) -> None:
 
 def test_rasters_of_the_twin_that_cannot_be() -> None:
     for options in ({"window_px": -1}, {"window_px": 12001}, {"dem_step_m": 1.0}, {"dem_step_m": 500.0}):
-        assert refused(RasterOptions, **options) == "simulate.option"
+        assert refused(RasterOptions, **options) == "options.value"
 
 
 def test_progress_ends_at_the_number_of_windows(picture: Path) -> None:
