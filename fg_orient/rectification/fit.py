@@ -28,8 +28,6 @@ MAX_ITERATIONS: Final = 100
 #: Smallest singular value of the design (columns of unit length) by its largest, below which points do not
 #: determine a transformation. Coordinates rounded to 1 mm on 10 km of straight line reach 1e-7.
 RANK_LIMIT: Final = 1e-6
-#: Directions of a residual below this share of a free one are not checked by the other points.
-CHECKED: Final = 1e-6
 #: Ratio of sigmas from which on weights are beyond what a double carries through an adjustment.
 SIGMA_SPAN: Final = 1e8
 
