@@ -25,6 +25,7 @@ import numpy as np
 from fg_orient.adjustment.allocation import calm_memory
 from fg_orient.adjustment.graph import GraphBackend, image_key, point_key
 from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.rows import linearised
 from fg_orient.block import Block
 from fg_orient.simulate.block import BlockOptions, grid_block
 
@@ -42,7 +43,7 @@ def block_of(image_points: int) -> Block:
 
 def empty_graph(problem: Problem, backend: GraphBackend) -> gtsam.NonlinearFactorGraph:
     """The same graph with constant Jacobians: callbacks that compute nothing."""
-    _, j_image, j_ground = problem.image_residuals(problem.start, jacobian=True)
+    _, j_image, j_ground = linearised(problem, problem.start)
     graph, unit, zero = gtsam.NonlinearFactorGraph(), gtsam.noiseModel.Unit.Create(2), np.zeros(2)
     j_image_mean, j_ground_mean = np.mean(j_image, axis=0), np.mean(j_ground, axis=0)
 

@@ -72,16 +72,6 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
 
 
 @compiled
-def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
-    """Residuals of N observations of one image at N ground points: (N, 24), (N, 3) -> (N, 2)."""
-    out = np.empty((len(records), 2))
-    for i in range(len(records)):
-        value = residual(records[i], setup, x, ground[i])
-        out[i, 0], out[i, 1] = value[0], value[1]
-    return out
-
-
-@compiled
 def sight_row(c: Any, own: float, direction: Any, u: float, v: float, weight: float, out: Array, row: int) -> float:
     """Write the derivatives of one pixel coordinate; 0 if they are finite.
 

@@ -65,16 +65,6 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
 
 
 @compiled
-def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
-    """Residuals of N observations of one image at N ground points: (N, 104), (N, 3) -> (N, 2)."""
-    out = np.empty((len(records), 2))
-    for i in range(len(records)):
-        value = residual(records[i], setup, x, ground[i])
-        out[i, 0], out[i, 1] = value[0], value[1]
-    return out
-
-
-@compiled
 def _derivatives(record: Array, setup: Array, b: Array, point: Any, image: Any, out: Array) -> None:
     """Write the Jacobians into columns 1.. of ``out`` (2, 1 + k + 3); ``point`` is that of :func:`_normalised`."""
     k, (l, s) = setup.shape[1], image  # noqa: E741

@@ -140,6 +140,12 @@ class GroundPoints:
         """Indices of the points with this role."""
         return np.flatnonzero([r is role for r in self.roles])
 
+    def without_coordinates(self, gone: npt.NDArray[np.bool_], role: Role) -> GroundPoints:
+        """Give up the coordinates of the points ``gone`` (n,), which get this role."""
+        known, roles = self.known, tuple(role if away else r for away, r in zip(gone, self.roles, strict=True))
+        ecef_m, sigma_m = (np.where(gone[:, None], np.nan, values) for values in (known.ecef_m, known.sigma_enu_m))
+        return GroundPoints(self.ids, roles, Coordinates(ecef_m, sigma_m, known.fixed & ~gone))
+
 
 @dataclass(frozen=True)
 class WithheldCoordinates:

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Block, Coordinates, GroundPoints, WithheldCoordinates
+from fg_orient.block import Block, Coordinates, WithheldCoordinates
 from fg_orient.errors import InputError
 from fg_orient.names import Role
 from fg_orient.orient import adjust
@@ -131,14 +131,11 @@ def left_out(block: Block, fold: Sequence[int]) -> Block:
     """Make these control points check points; rays of those in a single image go, as nothing intersects there."""
     points, o, known, chosen = block.points, block.observations, block.points.known, np.array(fold, np.intp)
     gone = np.isin(np.arange(len(points.ids)), chosen)
-    roles = tuple(Role.CHECK if away else role for away, role in zip(gone, points.roles, strict=True))
     sealed = Coordinates(known.ecef_m[chosen], known.sigma_enu_m[chosen], known.fixed[chosen])
-    ecef_m, sigma_m = (np.where(gone[:, None], np.nan, values) for values in (known.ecef_m, known.sigma_enu_m))
-    kept = Coordinates(ecef_m, sigma_m, known.fixed & ~gone)
     single = gone & (np.bincount(o.point, minlength=len(gone)) < 2)
     ids = tuple(points.ids[j] for j in chosen)
     return replace(
-        block, points=GroundPoints(points.ids, roles, kept), observations=o.take(~single[o.point]),
+        block, points=points.without_coordinates(gone, Role.CHECK), observations=o.take(~single[o.point]),
         withheld=WithheldCoordinates(ids, lambda: sealed),
     )  # fmt: skip
 

@@ -1,9 +1,7 @@
-"""Data snooping: adjust, test, leave out the worst observation, look who may come back, again.
+"""Data snooping in a block: observations of an adjustment for the loop of ``fg_orient.quality.rejection``.
 
-One observation per round (Baarda 1968): a gross error raises the statistics of its neighbours, too. After each
-adjustment every observation left out is predicted from the rest with its covariance and put back if it fits at the
-level at which it was left out: an early choice among suspects need not be right. Each may come back once. So every
-round but the last takes one of at most three changes from an observation (out, back, out again), and the search ends.
+After each adjustment every observation left out is predicted from the others with its covariance and put back if it
+fits at the level at which it was left out.
 
 Nothing is deleted: the block that is adjusted loses observations, the given one stays as it is, and each is named with
 its test.
@@ -11,9 +9,8 @@ its test.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,22 +19,20 @@ from fg_orient import initial
 from fg_orient.adjusted import Adjusted
 from fg_orient.adjustment.problem import Problem, State, compile_problem, participates
 from fg_orient.adjustment.robust import NONE
-from fg_orient.block import Block, Coordinates, GroundPoints
+from fg_orient.block import Block
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.names import Role, Status
 from fg_orient.quality.freedom import least_freedom, with_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
-from fg_orient.quality.outliers import OutlierTests
-from fg_orient.quality.prediction import Suspect, prediction
+from fg_orient.quality.outliers import GroupTest, OutlierTests
+from fg_orient.quality.prediction import Fit, Suspect, prediction
+from fg_orient.quality.rejection import MOST, Rejection, reject
 from fg_orient.quality.search import Found, Round, Search
 from fg_orient.quality.variance_components import VarianceComponents
 
 Index = npt.NDArray[np.intp]
 #: Adjusts a block from a state; the problem is that of the round before, which differs in some observations.
 Run = Callable[[Block, State, Problem], Adjusted]
-
-#: More than this share of the image points cannot be gross errors: then it is the model that is wrong.
-MOST: Final = 0.25
 
 
 def search(block: Block, first: Adjusted, run: Run) -> tuple[Adjusted, Search]:
@@ -66,14 +61,13 @@ def search(block: Block, first: Adjusted, run: Run) -> tuple[Adjusted, Search]:
     NoSolutionError
         The covariance, on which the test rests, cannot be computed.
     """
-    last, rounds = first, _Rounds(block, first.problem)
-    while rounds.change(last, last.outlier_tests(kind=block.options.snoop_kind)):
-        try:
-            last = run(rounds.block(), rounds.state(last.state), last.problem)
-        except (InputError, NoSolutionError) as error:
-            rounds.undo(error)
-            break
-    return last, rounds.concluded()
+    rounds = _Rounds(block, first)
+    end = reject(
+        first, lambda out, last: run(rounds.block(out), rounds.state(out, last.state), last.problem), rounds.worst,
+        max(1, int(MOST * len(first.problem.observations))), returning=rounds.returning,
+        impossible=(InputError, NoSolutionError),
+    )  # fmt: skip
+    return end.fit, rounds.concluded(end)
 
 
 def require_possible_search(block: Block) -> None:
@@ -88,172 +82,167 @@ def require_possible_search(block: Block) -> None:
         raise InputError.of("statistics.snoop_loss", place="snoop", value=block.options.loss)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Removal:
-    """What is left out together: rows of the given block's image points, and the coordinates of the point."""
+    """What is left out together: rows of the given block's image points, and the coordinates of the point.
+
+    ``test``, ``with_it`` and ``fit`` are those of :class:`Found`.
+    """
 
     point: int
     rows: tuple[int, ...]
     control: bool
+    test: GroupTest = field(compare=False)
+    with_it: tuple[str, ...] = field(default=(), compare=False)
+    fit: Fit | None = field(default=None, compare=False)
 
 
 class _Rounds:
-    """What is left out, and what was done in each round."""
+    """Observations of a block for :func:`reject`; figures of each round."""
 
-    def __init__(self, block: Block, full: Problem) -> None:
-        self._block, self._full = block, full
-        self._most = max(1, int(MOST * len(full.observations)))
+    def __init__(self, block: Block, first: Adjusted) -> None:
+        self._block, self._full = block, first.problem
         self._place = np.cumsum(participates(block)) - 1  # rows of the block among those of the full problem
         self._rows: list[list[int]] = [[] for _ in block.points.ids]
         for row, j in enumerate(block.observations.point.tolist()):
             self._rows[j].append(row)
-        self._out: list[tuple[_Removal, int]] = []  # with the place in _found
-        self._been_back: set[_Removal] = set()
-        self._found: list[Found] = []
         self._rounds: list[Round] = []
-        self._given_up = ""
 
-    def change(self, solution: Adjusted, tests: OutlierTests) -> bool:
-        """Put the observation back that fits best, or else leave the worst one out; False if nothing is to change."""
-        suspicious, number = tests.n_suspicious, len(self._rounds) + 1
+    def returning(self, solution: Adjusted, out: Sequence[_Removal]) -> list[float]:
+        """Test an adjustment; give the probability of each observation left out, 0 where it does not fit."""
+        self._tests = tests = solution.outlier_tests(kind=self._block.options.snoop_kind)
         self._rounds.append(Round(
-            number, solution.sigma0, solution.redundancy, tests.n_tested, suspicious,
+            len(self._rounds) + 1, solution.sigma0, solution.redundancy, tests.n_tested, tests.n_suspicious,
         ))  # fmt: skip
         if solution.status is Status.NOT_CONVERGED:
-            self._given_up = "the adjustment does not converge"
-            return False
-        self._predict(solution)
-        back = self._fitting()
-        if back is not None:
-            removal, place = self._out.pop(back)
-            self._been_back.add(removal)
-            self._found[place] = replace(self._found[place], readmitted=number)
-            self._rounds[-1] = replace(self._rounds[-1], put_back=self._found[place].test.name)
-            return True
-        if suspicious and len(self._out) >= self._most:
-            share = f"{100.0 * MOST:.0f} % of the image points"
-            self._given_up = f"{share} are out and more is suspicious: the model or the sigmas are wrong, not they"
-        if not suspicious or self._given_up:
-            return False
-        self._leave_out(tests, number)
-        return True
+            return [0.0] * len(out)
+        self._predict(solution, out)
+        probabilities = [0.0 if r.fit is None else r.fit.probability or 0.0 for r in out]
+        return [p if p > r.test.level else 0.0 for p, r in zip(probabilities, out, strict=True)]
 
-    def undo(self, error: InputError | NoSolutionError) -> None:
-        """Take the last observation back in: without it the block cannot be adjusted."""
-        if not self._rounds[-1].left_out:
-            raise error
-        self._out.pop()
-        last, self._rounds[-1] = self._found.pop(), replace(self._rounds[-1], left_out="")
-        why = error.problems[0].message
-        self._given_up = f"without {last.test.name}, the most suspicious, the block cannot be adjusted: {why}"
+    def worst(self, solution: Adjusted, out: Sequence[_Removal]) -> _Removal | None:
+        """Give the worst observation of the adjustment tested last."""
+        if solution.status is Status.NOT_CONVERGED or not self._tests.n_suspicious:
+            return None
+        return self._removal(self._tests, out)
 
-    def _leave_out(self, tests: OutlierTests, number: int) -> None:
-        """Leave the worst observation out."""
-        kept, before = self._kept()
+    def _removal(self, tests: OutlierTests, out: Sequence[_Removal]) -> _Removal:
+        """Collect what is left out with the first of the tests."""
+        kept, before = self._kept(out)
         point, row = int(tests.point[0]), int(tests.row[0])
         taking_part = kept[participates(before)]
         rows = taking_part[[row]] if row >= 0 else taking_part[:0]
         if tests.parts[tests.part[0]] == "point":
             rows = kept[before.observations.point == point]
         control = row < 0 and before.points.roles[point] is Role.CONTROL
-        removal = _Removal(point, tuple(rows.tolist()), control)
-        self._out.append((removal, len(self._found)))
-        after, _ = self._kept()
+        removal = _Removal(point, tuple(rows.tolist()), control, tests[0])
+        after, _ = self._kept([*out, removal])
         gone = np.setdiff1d(kept, np.concatenate([after, rows]))
-        test, with_it = tests[0], tuple(self._name(r) for r in gone.tolist())
-        self._found.append(Found(test, number, with_it))
-        self._rounds[-1] = replace(self._rounds[-1], left_out=test.name)
+        return replace(removal, with_it=tuple(self._name(r) for r in gone.tolist()))
 
     def _name(self, row: int) -> str:
         """Name an image point of the given block."""
         o = self._block.observations
         return f"point {self._block.points.ids[o.point[row]]} in image {self._block.images[o.image[row]].id}"
 
-    def _predict(self, solution: Adjusted) -> None:
+    def _predict(self, solution: Adjusted, out: Sequence[_Removal]) -> None:
         """Judge everything left out by the rest."""
-        if solution.cofactors is None or not self._out:
+        if solution.cofactors is None or not out:
             return
         components, full = solution.components, self._full
         if components is not None:  # what is out gets the sigmas that its group has now
             full = compile_problem(rescaled(self._block, self._full, components))
-        for removal, place in self._out:
+        for removal in out:
             j = removal.point
-            others = [r for r, _ in self._out if r is not removal and r.point == j]
+            others = [r for r in out if r is not removal and r.point == j]
             stay = self._staying(j, [removal, *others])
             back = [row for row in self._staying(j, others) if row not in stay]
             known = self._is_control(j, others) and self._full.observed[j]
             fit = prediction(
                 full, solution.problem, solution.state, solution.cofactors, solution.chi2,
                 self._block.options.outlier_test, j, self._place[back].tolist(),
-                bool(known and not solution.problem.observed[j]), self._suspect(removal, place),
+                bool(known and not solution.problem.observed[j]), self._suspect(removal),
             )  # fmt: skip
             if components is not None:
                 fit = with_freedom(fit, least_freedom(components), self._block.options.outlier_test)
-            self._found[place] = replace(self._found[place], fit=fit)
+            removal.fit = fit
 
-    def _suspect(self, removal: _Removal, place: int) -> Suspect:
+    def _suspect(self, removal: _Removal) -> Suspect:
         """Where in what is left out the error is suspected."""
-        part = self._found[place].test.part
+        part = removal.test.part
         return Suspect(part, int(self._place[removal.rows[0]]) if part == "image" else -1)
 
-    def _fitting(self) -> int | None:
-        """Position in ``_out`` of the observation that fits best, of those that have not been back."""
-        best, highest = None, 0.0
-        for n, (removal, place) in enumerate(self._out):
-            fit, level = self._found[place].fit, self._found[place].test.level
-            p = 0.0 if fit is None or fit.probability is None else fit.probability
-            if removal not in self._been_back and p > max(level, highest):
-                best, highest = n, p
-        return best
-
-    def _is_control(self, j: int, removals: list[_Removal]) -> bool:
+    def _is_control(self, j: int, removals: Sequence[_Removal]) -> bool:
         """Whether a point keeps its coordinates without these of its observations."""
         return self._block.points.roles[j] is Role.CONTROL and not any(r.control for r in removals)
 
-    def _staying(self, j: int, removals: list[_Removal]) -> list[int]:
+    def _staying(self, j: int, removals: Sequence[_Removal]) -> list[int]:
         """Rows of the given block's image points of a point that stay without these of its observations."""
         gone = {row for removal in removals for row in removal.rows}
         rows = [row for row in self._rows[j] if row not in gone]
         alone = len(rows) == 1 and not self._is_control(j, removals)
         return [] if alone else rows  # a single ray determines no point
 
-    def _kept(self) -> tuple[Index, Block]:
+    def _kept(self, removals: Sequence[_Removal]) -> tuple[Index, Block]:
         """Rows of the given block's image points that stay, and the block of them."""
-        removals = [removal for removal, _ in self._out]
         o, points = self._block.observations, self._block.points
         keep = np.ones(len(o), bool)
         without = [removal.point for removal in removals if removal.control]
-        points = _as_tie(points, without) if without else points
+        if without:
+            points = points.without_coordinates(np.isin(np.arange(len(points.ids)), without), Role.TIE)
         for j in {removal.point for removal in removals}:
             keep[self._rows[j]] = False
             keep[self._staying(j, [r for r in removals if r.point == j])] = True
         return np.flatnonzero(keep), replace(self._block, points=points, observations=o.take(keep))
 
-    def block(self) -> Block:
+    def block(self, out: Sequence[_Removal]) -> Block:
         """Give the block without what is left out."""
-        return self._kept()[1]
+        return self._kept(out)[1]
 
-    def state(self, last: State) -> State:
+    def state(self, out: Sequence[_Removal], last: State) -> State:
         """Where the next adjustment begins: the last one's end, the first start for points that were not in it.
 
         Points that are not in it either stay without coordinates.
         """
         ground = np.where(initial.missing_rows(last.ground)[:, None], self._full.start.ground, last.ground)
-        block = self.block()
+        block = self.block(out)
         part = np.isin(np.arange(len(ground)), block.observations.point[participates(block)])
         return State(last.image, np.where(part[:, None], ground, np.nan))
 
-    def concluded(self) -> Search:
-        """Give what was found."""
-        kept, block = self._kept()
+    def concluded(self, end: Rejection[Adjusted, _Removal]) -> Search:
+        """Give the record of the search."""
+        kept, block = self._kept(end.out)
         o, points = self._block.observations, self._block.points
-        out = np.concatenate([kept, *(np.array(removal.rows, np.intp) for removal, _ in self._out)])
+        out = np.concatenate([kept, *(np.array(removal.rows, np.intp) for removal in end.out)])
         single = np.setdiff1d(np.arange(len(o)), out)
         lost = [j for j in points.where(Role.CHECK) if j in o.point and j not in block.observations.point]
+        changes = list(zip(self._rounds, end.changes, strict=True))
+        readmitted = {id(change.put_back): r.number for r, change in changes if change.put_back is not None}
         return Search(
-            tuple(self._rounds), tuple(self._found), self._given_up, tuple(self._name(r) for r in single.tolist()),
-            tuple(points.ids[j] for j in lost),
+            tuple(
+                replace(r, left_out=c.left_out.test.name if c.left_out else "",
+                        put_back=c.put_back.test.name if c.put_back else "")
+                for r, c in changes
+            ),
+            tuple(
+                Found(one.test, r.number, one.with_it, one.fit, readmitted.get(id(one)))
+                for r, change in changes if (one := change.left_out) is not None
+            ),
+            _given_up(end), tuple(self._name(r) for r in single.tolist()), tuple(points.ids[j] for j in lost),
         )  # fmt: skip
+
+
+def _given_up(end: Rejection[Adjusted, _Removal]) -> str:
+    """Say why the search ended although something is suspicious; "" if it came to its end."""
+    if end.fit.status is Status.NOT_CONVERGED:
+        return "the adjustment does not converge"
+    if end.worst is None:
+        return ""
+    if isinstance(end.error, (InputError, NoSolutionError)):
+        why = end.error.problems[0].message
+        return f"without {end.worst.test.name}, the most suspicious, the block cannot be adjusted: {why}"
+    share = f"{100.0 * MOST:.0f} % of the image points"
+    return f"{share} are out and more is suspicious: the model or the sigmas are wrong, not they"
 
 
 def rescaled(block: Block, full: Problem, components: VarianceComponents) -> Block:
@@ -261,13 +250,3 @@ def rescaled(block: Block, full: Problem, components: VarianceComponents) -> Blo
     groups = groups_of(full, full.block.options.variance_components)
     known = {c.group: c.factor for c in components.components}
     return scaled(block, groups, np.array([known.get(name, 1.0) for name in groups.names]))
-
-
-def _as_tie(points: GroundPoints, without: list[int]) -> GroundPoints:
-    """Give up the coordinates of control points."""
-    gone = np.isin(np.arange(len(points.ids)), without)
-    roles = tuple(Role.TIE if away else role for away, role in zip(gone, points.roles, strict=True))
-    known, keep = points.known, ~gone[:, None]
-    return GroundPoints(points.ids, roles, Coordinates(
-        np.where(keep, known.ecef_m, np.nan), np.where(keep, known.sigma_enu_m, np.nan), known.fixed & ~gone,
-    ))  # fmt: skip

@@ -11,15 +11,17 @@ with the square and cube of the unknowns: more than :data:`MAX_UNKNOWNS` are ref
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import NotFiniteError, check_blocks
+from factors._contract import Equation, NotFiniteError, check_blocks, evaluate
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import ExtraArgument, Problem, State
-from fg_orient.adjustment.robust import Robust, control_squares
+from fg_orient.adjustment.robust import Robust, control_squares, squares
+from fg_orient.adjustment.rows import linearised, residuals, rows_by_image
 from fg_orient.block import ExtraObservation
 from fg_orient.errors import InputError
 from fg_orient.linear.registry import solve
@@ -30,6 +32,8 @@ Array = npt.NDArray[np.float64]
 
 #: Orthogonal, on J itself: its error grows with cond(J), that of methods on J^T J with the square.
 DEFAULT_SOLVER = "qr"
+#: The same with columns of unit length, for unknowns whose units differ in size.
+SCALED_SOLVER = "qr_scaled"
 
 
 @dataclass(frozen=True)
@@ -106,17 +110,17 @@ def assemble(problem: Problem, state: State, *, jacobian: bool = True) -> tuple[
 
 def _image_rows(problem: Problem, state: State, columns: Columns, jacobian: bool) -> tuple[Array, Array]:
     """Two rows per image point."""
-    residual, j_image, j_ground = problem.image_residuals(state, jacobian=jacobian)
-    n, o = len(residual), problem.observations
-    _require_finite(problem, residual)
     if not jacobian:
+        residual = residuals(problem, state)
+        _require_finite(problem, residual)
         return residual.ravel(), np.zeros((0, len(columns)))
-    d_ground = np.array(j_ground)
-    _require_finite(problem, np.array([j.sum() for j in j_image]))
-    _require_finite(problem, d_ground)
+    residual, d_image, d_ground = linearised(problem, state)
+    for values in (residual, d_image, d_ground):
+        _require_finite(problem, values)
+    n, o, size = len(residual), problem.observations, np.diff(problem.first)
     out = np.zeros((n, 2, len(columns)))
-    for r, k in enumerate(o.image):
-        out[r, :, columns.image(int(k))] = j_image[r]
+    for k, rows in enumerate(rows_by_image(problem)):
+        out[rows, :, columns.image(k)] = d_image[rows, :, : size[k]]
     free = np.flatnonzero(problem.active[o.point])
     at = columns.first[o.point[free], None] + np.arange(3)
     out[free[:, None, None], np.arange(2)[None, :, None], at[:, None, :]] = d_ground[free]
@@ -253,6 +257,59 @@ class DenseSystem:
         return DenseStep(x, float(np.abs(x).max()), self._excess + 0.5 * float(after @ after), kappa)
 
 
+#: Whitened residuals (n,) and their derivatives (n, u) at a state; without derivatives (0, u).
+DenseRows = Callable[[Array, bool], tuple[Array, Array]]
+
+
+def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Sequence[Array] = ()) -> DenseRows:
+    """Rows of a registered equation whose first unknown all observations share.
+
+    Parameters
+    ----------
+    equation : Equation
+    records : (n, d) array
+    setup : (2, k) array
+    fixed : sequence of (n, k_i) arrays
+        Values of its other arguments.
+    """
+    n = len(records)
+
+    def rows(x: Array, want: bool) -> tuple[Array, Array]:
+        values, blocks = evaluate(equation, records, [setup] * n, [x] * n, *fixed, jacobian=want)
+        return values.ravel(), np.concatenate(blocks[0]) if want else np.zeros((0, len(x)))
+
+    return rows
+
+
+class RowsBackend:
+    """Rows of a small problem for ``fg_orient.adjustment.loop``.
+
+    Parameters
+    ----------
+    rows : callable
+        See :data:`DenseRows`.
+    moved : callable
+        State after a step.
+    """
+
+    def __init__(self, rows: DenseRows, moved: Callable[[Array, Array], Array] = np.add) -> None:
+        self.rows, self._moved = rows, moved
+
+    def linearise(self, state: Array) -> DenseSystem:
+        """Linearise at a state."""
+        return DenseSystem(*self.rows(state, True), SCALED_SOLVER)
+
+    def error(self, state: Array) -> float:
+        """Half the weighted sum of squares."""
+        with np.errstate(all="ignore"):  # a trial step may leave the model: an error that is not finite is rejected
+            residual, _ = self.rows(state, False)
+            return 0.5 * float(residual @ residual)
+
+    def retract(self, state: Array, step: DenseStep) -> Array:
+        """State after a step."""
+        return self._moved(state, step.data)
+
+
 class DenseBackend:
     """The problem as full matrices, driven by ``fg_orient.adjustment.loop``.
 
@@ -301,8 +358,7 @@ class DenseBackend:
 
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``."""
-        residual, _, _ = self.problem.image_residuals(state)
-        return np.sum(residual**2, axis=1), control_squares(self.problem, state)
+        return squares(self.problem, state)
 
     def _weights(self, robust: Robust, residual: Array, state: State) -> tuple[Array, float]:
         """Roots of the weights of all rows (n,); excess of the cost over half the weighted squares."""

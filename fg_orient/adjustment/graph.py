@@ -23,7 +23,7 @@ from factors.split import Split
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.models.contract import groups
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import Robust, ScaledLoss, control_squares
+from fg_orient.adjustment.robust import Robust, ScaledLoss, squares
 from fg_orient.block import ExtraObservation
 from fg_orient.errors import InputError
 
@@ -293,9 +293,7 @@ class GraphBackend:
 
     def squares(self, state: gtsam.Values) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``."""
-        arrays = self.state(state)
-        residual, _, _ = self.problem.image_residuals(arrays)
-        return np.sum(residual**2, axis=1), control_squares(self.problem, arrays)
+        return squares(self.problem, self.state(state))
 
     def retract(self, state: gtsam.Values, step: Any) -> gtsam.Values:
         """State after a step."""

@@ -240,19 +240,11 @@ class NetworkSystem:
         return NetworkStep(x, float(np.abs(x).max()), 0.5 * float(after @ after), self._merit.correlates)
 
 
-class DenseNetwork:
-    """Normal equations bordered by the conditions, with correlates; see the module docstring."""
-
-    name = "dense"
+class NetworkBackend:
+    """A network driven by ``fg_orient.adjustment.loop``; the state is the vector (u,)."""
 
     def __init__(self, network: Network) -> None:
         self.network, self.merit = network, Merit(network)
-
-    def linearise(self, state: Array) -> NetworkSystem:
-        """Linearise at a state."""
-        rows = self.network.rows(state)
-        self.merit.weigh(rows)
-        return NetworkSystem(self.merit, rows, lambda damping: bordered_step(rows, damping))
 
     def error(self, state: Array) -> float:
         """See :class:`Merit`."""
@@ -261,6 +253,18 @@ class DenseNetwork:
     def retract(self, state: Array, step: NetworkStep) -> Array:
         """State after a step."""
         return np.asarray(state + step.data)
+
+
+class DenseNetwork(NetworkBackend):
+    """Normal equations bordered by the conditions, with correlates; see the module docstring."""
+
+    name = "dense"
+
+    def linearise(self, state: Array) -> NetworkSystem:
+        """Linearise at a state."""
+        rows = self.network.rows(state)
+        self.merit.weigh(rows)
+        return NetworkSystem(self.merit, rows, lambda damping: bordered_step(rows, damping))
 
     def cofactors(self, state: Array) -> list[Array]:
         """Cofactors (k, k) of each variable."""

@@ -12,18 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.graph import factor
-from fg_orient.adjustment.network import Merit, Network, NetworkStep, NetworkSystem
+from fg_orient.adjustment.network import Network, NetworkBackend, NetworkSystem
 
 Array = npt.NDArray[np.float64]
 
 
-class GraphNetwork:
-    """A network as a GTSAM graph, driven by ``fg_orient.adjustment.loop``; the state is the vector (u,)."""
+class GraphNetwork(NetworkBackend):
+    """A network as a GTSAM graph."""
 
     name = "graph"
 
     def __init__(self, network: Network) -> None:
-        self.network, self.merit = network, Merit(network)
+        super().__init__(network)
         self.graph = gtsam.NonlinearFactorGraph()
         for o in network.observations:
             sizes = [len(u) if isinstance(u, np.ndarray) else len(network.variables[u].start) for u in o.unknowns]
@@ -68,14 +68,6 @@ class GraphNetwork:
         if not np.isfinite(step).all():
             raise RuntimeError("singular normal equations")
         return step
-
-    def error(self, state: Array) -> float:
-        """See :class:`fg_orient.adjustment.network.Merit`."""
-        return self.merit.at(state)
-
-    def retract(self, state: Array, step: NetworkStep) -> Array:
-        """State after a step."""
-        return np.asarray(state + step.data)
 
     def cofactors(self, state: Array) -> list[Array]:
         """Cofactors (k, k) of each variable."""

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from factors import batch_cofactors, batch_effects
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import image_rows
+from fg_orient.adjustment.rows import linearised
 from fg_orient.options import Options
 
 Array = npt.NDArray[np.float64]
@@ -179,12 +179,7 @@ def _parts(problem: Problem, state: State, points: Index, order: Index) -> Itera
 
 def _part(problem: Problem, state: State, places: slice, points: Index, first: Index, rows: Index) -> _Part:
     """Jacobians and H^-1 of some points."""
-    size = np.diff(problem.first)
-    image = problem.observations.image[rows]
-    d_image, d_ground = np.zeros((len(rows), 2, int(size.max()))), np.empty((len(rows), 2, 3))
-    for k in np.unique(image):
-        own = np.flatnonzero(image == k)
-        _, d_image[own, :, : size[k]], d_ground[own] = image_rows(problem, state, int(k), rows[own], jacobian=True)
+    image, (_, d_image, d_ground) = problem.observations.image[rows], linearised(problem, state, rows)
     normal = np.add.reduceat(np.einsum("nri,nrj->nij", d_ground, d_ground), first[:-1])
     known = np.flatnonzero(problem.observed[points])
     w = problem.control_weights(points[known])

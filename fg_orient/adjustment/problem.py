@@ -17,9 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid
-from factors._contract import evaluate
 from fg_orient import geodesy, initial
-from fg_orient.adjustment.models.contract import ImageModel, groups, image_models
+from fg_orient.adjustment.models.contract import ImageModel, image_models
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.adjustment.unchanged import comparable, unchanged_rows
@@ -161,6 +160,12 @@ class Problem:
         size = np.diff(self.first)
         return np.asarray(np.arange(size.max()) < size[:, None])
 
+    @cached_property
+    def columns(self) -> npt.NDArray[np.intp]:
+        """Place (M, k) of each element of ``State.image`` among the unknowns of all images; their number if not one."""
+        wide = self.first[:-1, None] + np.arange(self._exists.shape[1])
+        return np.where(self._exists, wide, self.n_image_unknowns)
+
     def control_weights(self, points: Points) -> Array:
         """Square roots W of the weights of control points (3, 3), or (m, 3, 3): W^T W inverts their covariance."""
         records = self.control_records[points]
@@ -276,24 +281,6 @@ class Problem:
     def corrections(self, state: State) -> list[Any]:
         """Corrections of all images as their sensors take them: ``Correction``, or RPC compensation (6,) px."""
         return [model.correction(self.unknowns(state, k)) for k, model in enumerate(self.models)]
-
-    def image_residuals(self, state: State, *, jacobian: bool = False) -> tuple[Array, list[Array], list[Array]]:
-        """Whitened residuals (n, 2) of the image points and, if asked, Jacobians (2, k), (2, 3) each."""
-        o, ground = self.observations, np.ascontiguousarray(state.ground[self.observations.point])
-        x = [self.unknowns(state, k) for k in range(self.n_images)]
-        values = np.empty((len(o), 2))
-        blocks: tuple[list[Array], list[Array]] = ([np.empty(0)] * len(o), [np.empty(0)] * len(o))
-        for images in groups(self.models):
-            rows = np.flatnonzero(np.isin(o.image, images))
-            model = self.models[images[0]]
-            found, parts = evaluate(
-                model.equation, self.records[rows], [model.parameters.setup] * len(rows),
-                [x[k] for k in o.image[rows]], ground[rows], jacobian=jacobian,
-            )  # fmt: skip
-            values[rows] = found.reshape(-1, 2)
-            for i, r in enumerate(rows):
-                blocks[0][r], blocks[1][r] = parts[0][i], parts[1][i]
-        return values, blocks[0], blocks[1]
 
     def pixel_residuals(self, state: State) -> Array:
         """Residuals v = adjusted - observed (n, 2): line, sample in pixels."""

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
-from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.adjustment.rows import image_rows, linearised, rows_by_image
 from fg_orient.distributions import chi_square_median
 from fg_orient.errors import InputError, problem
 
@@ -171,9 +171,7 @@ class _Pass:
         """Coordinates (N, 3), local m, where most of the usable rays (and measured coordinates) agree; cofactors."""
         compiled, o = self.compiled, self.compiled.observations
         scale = max(1.0, float(np.median([r.scale for r in self.resections.values()])))
-        v, c = np.empty((len(o), 2)), np.empty((len(o), 2, 3))
-        for k, rows in enumerate(self.rows):
-            v[rows], _, c[rows] = image_rows(compiled, self.state, k, rows, jacobian=True)
+        v, _, c = linearised(compiled, self.state)
         mine = np.flatnonzero(usable & wanted[o.point])
         order, count = mine[np.argsort(o.point[mine], kind="stable")], np.bincount(o.point[mine], minlength=len(wanted))
         first, ground, cofactors = np.cumsum(count) - count, self.ground.copy(), np.zeros_like(self.cofactors)

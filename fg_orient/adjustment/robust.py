@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from factors.losses import ALIASES, Curve, Loss, find, losses
 from fg_orient.adjustment.problem import Problem, State, whitened_records
+from fg_orient.adjustment.rows import residuals
 from fg_orient.block import ImagePoints, Options
 from fg_orient.distributions import chi_square_quantile
 from fg_orient.errors import InputError
@@ -169,10 +170,14 @@ def control_squares(problem: Problem, state: State) -> Array:
     return np.asarray(np.sum(problem.control_residuals(state, np.flatnonzero(problem.observed)) ** 2, axis=1))
 
 
+def squares(problem: Problem, state: State) -> tuple[Array, Array]:
+    """Squared whitened norms of the image points (n,) and of the observed control points (m,), in their order."""
+    return np.sum(residuals(problem, state) ** 2, axis=1), control_squares(problem, state)
+
+
 def weights_at(problem: Problem, state: State, robust: Robust) -> tuple[Weights, float]:
     """Weights at a state, in the order of the problem; excess of the cost over half the weighted squares."""
-    residual, _, _ = problem.image_residuals(state)
-    image_squares, observed_squares = np.sum(residual**2, axis=1), control_squares(problem, state)
+    image_squares, observed_squares = squares(problem, state)
     image, observed, cost = robust.weigh(image_squares, observed_squares)
     control = np.ones(len(problem.observed))
     control[problem.observed] = observed

@@ -1,12 +1,12 @@
-"""Whitened residuals and Jacobians of whole images, through the batches of ``factors.batch``.
+"""Whitened residuals and Jacobians of image points, through the batches of ``factors.batch``.
 
-For what looks at a block once, before or after the solver: no Python call per image point, and no more memory than
-one image takes. An equation without a batch is evaluated row by row.
+The only evaluation of image points outside the solvers' own loops: there is no Python call per image point. An equation
+without a batch is evaluated row by row.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,23 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+
+
+class Rows(NamedTuple):
+    """Whitened image points at a state.
+
+    Parameters
+    ----------
+    residual : (n, 2) array
+    image : (n, 2, k) array
+        Derivatives with respect to the unknowns of the point's image, prior sigmas; zeros beyond their number.
+    ground : (n, 2, 3) array
+        Derivatives with respect to its ground point, m, also where that is not an unknown.
+    """
+
+    residual: Array
+    image: Array
+    ground: Array
 
 
 def rows_by_image(problem: Problem) -> list[Index]:
@@ -69,3 +86,34 @@ def residuals(problem: Problem, state: State) -> Array:
     for k, rows in enumerate(rows_by_image(problem)):
         out[rows] = image_rows(problem, state, k, rows, jacobian=False)[0]
     return out
+
+
+def linearised(problem: Problem, state: State, rows: Index | None = None) -> Rows:
+    """Evaluate image points of any images: ``rows`` (n,) of ``problem.observations``, all of them if not given."""
+    rows = np.arange(len(problem.observations)) if rows is None else rows
+    image, n, size = problem.observations.image[rows], len(rows), np.diff(problem.first)
+    out = Rows(np.empty((n, 2)), np.zeros((n, 2, int(size.max()))), np.empty((n, 2, 3)))
+    order = np.argsort(image, kind="stable")
+    images, first = np.unique(image[order], return_index=True)
+    for k, own in zip(images.tolist(), np.split(order, first[1:]), strict=False):  # no image points: one empty part
+        out.residual[own], out.image[own, :, : size[k]], out.ground[own] = image_rows(
+            problem, state, k, rows[own], jacobian=True
+        )
+    return out
+
+
+def side_by_side(problem: Problem, image: Index, d_image: Array) -> tuple[Array, Index, tuple[int, ...]]:
+    """Jacobian (2n, u) of image points to the unknowns of all their images, one image after the other.
+
+    ``image`` (n,) are the images of the points, ``d_image`` their Jacobians as in :class:`Rows`. The columns come with
+    their places (u,) among the unknowns of all images, and with the images in the order in which they occur.
+    """
+    images = tuple(dict.fromkeys(image.tolist()))
+    parts = [np.arange(problem.first[k], problem.first[k + 1]) for k in images]
+    columns = np.concatenate([np.zeros(0, np.intp), *parts])
+    out, begin = np.zeros((len(image), 2, len(columns))), 0
+    for k, part in zip(images, parts, strict=True):
+        own, end = image == k, begin + len(part)
+        out[own, :, begin:end] = d_image[own, :, : len(part)]
+        begin = end
+    return out.reshape(2 * len(image), len(columns)), columns, images

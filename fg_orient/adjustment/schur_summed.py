@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import evaluate
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.schur_cofactors import Gain, ReducedCofactors
 from fg_orient.adjustment.schur_reduced import Reduced
 
@@ -63,17 +63,10 @@ class SummedCofactors(ReducedCofactors):
         if problem.observed[j]:
             w = problem.control_weights(j)
             normal += w.T @ w
-        for r in rows[np.argsort(problem.observations.image[rows], kind="stable")].tolist():
-            k = int(problem.observations.image[r])
-            model, x = problem.models[k], problem.unknowns(self._state, k)
-            _, (j_image, j_ground) = evaluate(
-                model.equation,
-                problem.records[r : r + 1],
-                [model.parameters.setup],
-                [x],
-                self._state.ground[j : j + 1],
-            )
-            normal += j_ground[0].T @ j_ground[0]
-            sums[k] = sums.get(k, 0.0) + j_ground[0].T @ j_image[0]
+        rows = rows[np.argsort(problem.observations.image[rows], kind="stable")]
+        _, d_image, d_ground = linearised(problem, self._state, rows)
+        for k, by_image, by_point in zip(problem.observations.image[rows].tolist(), d_image, d_ground, strict=True):
+            normal += by_point.T @ by_point
+            sums[k] = sums.get(k, 0.0) + by_point.T @ by_image[:, : len(problem.parameters[k])]
         inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
         return tuple(sums), inverse, inverse @ np.hstack(list(sums.values()))

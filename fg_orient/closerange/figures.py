@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,7 +15,7 @@ from fg_orient.closerange.report.maps import AXES, VIEWS, Scene, scene_of
 from fg_orient.closerange.report.plots import band_factor, by_photo, y_down
 from fg_orient.errors import InputError
 from fg_orient.figures import style
-from fg_orient.figures.write import FIGURES, FOLDER, FORMATS, write_files
+from fg_orient.figures.write import FIGURES, FOLDER, FORMATS, draw_figures, write_files
 from fg_orient.io.folder import require_free
 from fg_orient.names import Progress
 from fg_orient.report.scale import thousands
@@ -65,19 +66,8 @@ def write_figures(
     record = read_record(Path(folder))
     target = Path(folder) / FOLDER if out is None else Path(out)
     require_free(target, overwrite=overwrite, contents=FIGURES)
-    files: dict[str, bytes] = {}
-    captions = ["# Figures", ""]
-    import matplotlib
-
-    with matplotlib.rc_context(style.STYLE):
-        for done, (name, draw) in enumerate(PLOTS.items(), start=1):
-            found = draw(record)
-            if found is not None:
-                figure, words = found
-                files |= {f"{name}.{kind}": style.file_of(figure, kind) for kind in FORMATS}
-                captions += [f"- `{name}`: {words}"]
-            if progress is not None:
-                progress(done, len(PLOTS), "figures")
+    files, told = draw_figures({name: partial(draw, record) for name, draw in PLOTS.items()}, FORMATS, progress)
+    captions = ["# Figures", "", *(f"- `{name}`: {words}" for name, words in told.items())]
     return target, write_files(target, files, "\n".join(captions) + "\n", overwrite=overwrite)
 
 

@@ -5,24 +5,22 @@ Unknowns should be of size 1: the loop judges a step by its largest element.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Equation, evaluate
-from fg_orient.adjustment.dense import DenseStep, DenseSystem
+from fg_orient.adjustment.dense import DenseRows, RowsBackend
+from fg_orient.adjustment.dense import equation_rows as equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.io.photos import LARGEST, SMALLEST
 
 Array = npt.NDArray[np.float64]
-#: Whitened residuals (n,) and their derivatives (n, u) at a state; without derivatives (0, u).
-Rows = Callable[[Array, bool], tuple[Array, Array]]
+Rows = DenseRows
 
-SOLVER: Final = "qr_scaled"
 MAX_ITERATIONS: Final = 100
 #: Smallest by largest singular value of a design with columns of unit length, below which there is no covariance.
 RANK_LIMIT: Final = 1e-12
@@ -85,45 +83,19 @@ class Deviations:
         return None if self.m0 is None else np.asarray(self.m0 * np.sqrt(np.diag(self.cofactors)))
 
 
-class Backend:
-    """What the loop needs; see ``adjustment.loop.Backend``."""
+def finite_rows(rows: Rows, what: str = "") -> Rows:
+    """The same rows, which refuse derivatives that are not finite: the centre of a sphere has no nearest point on it.
 
-    def __init__(self, rows: Rows, moved: Callable[[Array, Array], Array] = np.add, what: str = "") -> None:
-        self._rows, self._moved, self._what = rows, moved, what
-
-    def linearise(self, state: Array) -> DenseSystem:
-        """Rows and their derivatives at a state.
-
-        Raises
-        ------
-        NoSolutionError
-            They are not finite: the centre of a sphere has no nearest point on it.
-        """
-        return DenseSystem(*finite_rows(self._rows, state, self._what), SOLVER)
-
-    def error(self, state: Array) -> float:
-        """Half the sum of squares."""
-        with np.errstate(all="ignore"):  # a trial step may leave the model: an error that is not finite is rejected
-            residual, _ = self._rows(state, False)
-            return 0.5 * float(residual @ residual)
-
-    def retract(self, state: Array, step: DenseStep) -> Array:
-        """State after a step."""
-        return self._moved(state, step.data)
-
-
-def finite_rows(rows: Rows, state: Array, what: str) -> tuple[Array, Array]:
-    """Rows and derivatives at a state.
-
-    Raises
-    ------
-    NoSolutionError
-        They are not finite.
+    They raise NoSolutionError, which names ``what``.
     """
-    residual, design = rows(state, True)
-    if not (np.isfinite(residual).all() and np.isfinite(design).all()):
-        raise NoSolutionError.of("closerange.not_converged", place=what, reason="an equation has no finite value")
-    return residual, design
+
+    def checked(state: Array, want: bool) -> tuple[Array, Array]:
+        residual, design = rows(state, want)
+        if want and not (np.isfinite(residual).all() and np.isfinite(design).all()):
+            raise NoSolutionError.of("closerange.not_converged", place=what, reason="an equation has no finite value")
+        return residual, design
+
+    return checked
 
 
 def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array], Array] | None = None) -> Adjusted:
@@ -132,7 +104,7 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
     Parameters
     ----------
     rows : callable
-        See :data:`Rows`.
+        See ``fg_orient.adjustment.dense.DenseRows``.
     start : (u,) array
     what : str
         Named in the error.
@@ -144,35 +116,16 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
     NoSolutionError
         The iteration does not converge, or an equation has no finite value.
     """
-    found = OPTIMIZERS["levenberg-marquardt"](Backend(rows, moved or np.add, what), start, MAX_ITERATIONS)
+    checked = finite_rows(rows, what)
+    found = OPTIMIZERS["levenberg-marquardt"](RowsBackend(checked, moved or np.add), start, MAX_ITERATIONS)
     if not found.converged:
         raise NoSolutionError.of("closerange.not_converged", place=what, reason=plain_reason(found.reason))
-    return Adjusted(found.state, *finite_rows(rows, found.state, what), found.log)
+    return Adjusted(found.state, *checked(found.state, True), found.log)
 
 
 def plain_reason(reason: str) -> str:
     """Why a loop ended, without the options of ``adjust`` that it advises: close range has none of them."""
     return reason.partition(": ")[0]
-
-
-def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Sequence[Array] = ()) -> Rows:
-    """Rows of a registered equation whose first unknown all observations share.
-
-    Parameters
-    ----------
-    equation : Equation
-    records : (n, d) array
-    setup : (2, k) array
-    fixed : sequence of (n, k_i) arrays
-        Values of its other arguments.
-    """
-    n = len(records)
-
-    def rows(x: Array, want: bool) -> tuple[Array, Array]:
-        values, blocks = evaluate(equation, records, [setup] * n, [x] * n, *fixed, jacobian=want)
-        return values.ravel(), np.concatenate(blocks[0]) if want else np.zeros((0, len(x)))
-
-    return rows
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.dense import RowsBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
-from fg_orient.closerange.fitting import MAX_ITERATIONS, UNDETERMINED, Backend, Rows
+from fg_orient.closerange.fitting import MAX_ITERATIONS, UNDETERMINED, Rows, finite_rows
 from fg_orient.distributions import chi_square_limit, f_quantile
 from fg_orient.errors import NoSolutionError
 
@@ -107,9 +108,10 @@ def held(rows: Rows, state: Array, k: int, value: float, limit: float = np.inf) 
         return residual, design[:, free]
 
     start, far = _off_ridge(some, state[free]), np.isfinite(limit)
+    backend = RowsBackend(finite_rows(some))
     for _ in range(_ROUNDS if far else 1):
         try:
-            found = OPTIMIZERS["levenberg-marquardt"](Backend(some), start, _ROUND if far else MAX_ITERATIONS)
+            found = OPTIMIZERS["levenberg-marquardt"](backend, start, _ROUND if far else MAX_ITERATIONS)
         except NoSolutionError:
             return None
         squares, start = 2.0 * found.error, found.state

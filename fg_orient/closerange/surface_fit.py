@@ -243,7 +243,7 @@ def _require_determined(given: _Points, model: Model, x: Array, priors: Priors) 
     NoSolutionError
         Normal distances have no derivatives there.
     """
-    _, design = finite_rows(_geometric(given, model, priors), x, model.kind)
+    _, design = finite_rows(_geometric(given, model, priors), model.kind)(x, True)
     tangent = _tangent(model, x)
     found = determination(design @ tangent)
     if found.cofactors is not None:

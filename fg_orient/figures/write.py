@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from fg_orient.errors import InputError
 from fg_orient.figures import captions, checks, maps, orientation, regularisation, residuals, style
@@ -15,6 +16,8 @@ from fg_orient.names import Progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+W = TypeVar("W")
 
 FORMATS: Final = ("svg", "pdf")
 CAPTIONS_FILE: Final = "captions.md"
@@ -109,7 +112,8 @@ def write_figures(
         raise InputError.of("options.value", place="formats", value=unknown[0], expected=" or ".join(FORMATS))
     given = read_folder(Path(folder))
     require_free(target, overwrite=overwrite, contents=FIGURES)
-    files, told = _draw(given, formats, progress)
+    plots = {name: partial(_draw, given, plot, images) for name, plot, images in planned(given)}
+    files, told = draw_figures(plots, formats, progress)
     return target, write_files(target, files, captions.page(given, told), overwrite=overwrite)
 
 
@@ -122,21 +126,26 @@ def write_files(target: Path, files: Mapping[str, bytes], words: str, *, overwri
     return sorted([*files, CAPTIONS_FILE])
 
 
-def _draw(
-    folder: Folder, formats: Sequence[str], progress: Progress | None
-) -> tuple[dict[str, bytes], dict[str, tuple[str, list[str]]]]:
-    """Bytes by file name; plot and images by name of figure."""
+def draw_figures(
+    plots: Mapping[str, Callable[[], tuple[Figure, W] | None]], formats: Sequence[str], progress: Progress | None
+) -> tuple[dict[str, bytes], dict[str, W]]:
+    """Draw figures in the style of papers: bytes by file name; what the captions are made of, by name of figure."""
     import matplotlib
 
     files: dict[str, bytes] = {}
-    told: dict[str, tuple[str, list[str]]] = {}
-    wanted = planned(folder)
+    told: dict[str, W] = {}
     with matplotlib.rc_context(style.STYLE):
-        for done, (name, plot, images) in enumerate(wanted, start=1):
-            figure = plot.draw(folder, images)
-            if figure is not None:
-                told[name] = plot.name, images
+        for done, (name, draw) in enumerate(plots.items(), start=1):
+            found = draw()
+            if found is not None:
+                figure, told[name] = found
                 files |= {f"{name}.{kind}": style.file_of(figure, kind) for kind in formats}
             if progress is not None:
-                progress(done, len(wanted), "figures")
+                progress(done, len(plots), "figures")
     return files, told
+
+
+def _draw(folder: Folder, plot: Plot, images: list[str]) -> tuple[Figure, tuple[str, list[str]]] | None:
+    """Draw a plot of some images, with its name and these."""
+    figure = plot.draw(folder, images)
+    return None if figure is None else (figure, (plot.name, images))

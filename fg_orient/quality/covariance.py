@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.linear.threads import one_blas_thread
 
@@ -88,7 +89,35 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
         raise Indeterminate("GTSAM finds the normal equations indeterminate") from error
 
 
-class DenseCofactors:
+class MatrixCofactors:
+    """Cofactors (n, n) of all unknowns as one matrix, columns as in ``fg_orient.adjustment.dense.Columns``."""
+
+    def __init__(self, problem: Problem, q: Array) -> None:
+        from fg_orient.adjustment.dense import Columns
+
+        self._problem, self._columns, self._q = problem, Columns.of(problem), q
+
+    def image(self, k: int) -> Array:
+        """See :class:`Cofactors`."""
+        return self.joint((k,), ())
+
+    def point(self, j: int) -> Array:
+        """See :class:`Cofactors`."""
+        return self.joint((), (j,)) if self._problem.active[j] else np.zeros((3, 3))
+
+    def points(self, index: Index) -> Array:
+        """See :class:`Cofactors`."""
+        return np.array([self.point(j) for j in index.tolist()]).reshape(-1, 3, 3)
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """See :class:`Cofactors`."""
+        parts = [self._columns.image(k) for k in images]
+        parts += [self._columns.point(j) for j in points if self._problem.active[j]]
+        index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+        return np.asarray(self._q[np.ix_(index, index)])
+
+
+class DenseCofactors(MatrixCofactors):
     """Cofactors ``D R^-1 R^-T D`` of the full Jacobian ``J = Q R D^-1``, columns scaled to length 1 by D.
 
     N is never formed, so the error grows with cond(J), not with its square.
@@ -108,9 +137,6 @@ class DenseCofactors:
     def __init__(self, problem: Problem, design: Array) -> None:
         from scipy.linalg import lapack, qr, solve_triangular
 
-        from fg_orient.adjustment.dense import Columns
-
-        self._problem, self._columns = problem, Columns.of(problem)
         length = np.linalg.norm(design, axis=0)
         if not length.all() or len(design) < design.shape[1]:
             raise Indeterminate("some unknowns are in no observation")
@@ -121,30 +147,7 @@ class DenseCofactors:
         half = solve_triangular(r, np.eye(len(r)), check_finite=False) / length[:, None]
         if problem.ties is not None:
             half = problem.ties.widened(half)
-        self._q: Array = half @ half.T
-
-    def image(self, k: int) -> Array:
-        """See :class:`Cofactors`."""
-        part = self._columns.image(k)
-        return self._q[part, part]
-
-    def point(self, j: int) -> Array:
-        """See :class:`Cofactors`."""
-        if not self._problem.active[j]:
-            return np.zeros((3, 3))
-        part = self._columns.point(j)
-        return self._q[part, part]
-
-    def points(self, index: Index) -> Array:
-        """See :class:`Cofactors`."""
-        return np.array([self.point(j) for j in index.tolist()]).reshape(-1, 3, 3)
-
-    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
-        """See :class:`Cofactors`."""
-        parts = [self._columns.image(k) for k in images]
-        parts += [self._columns.point(j) for j in points if self._problem.active[j]]
-        index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
-        return np.asarray(self._q[np.ix_(index, index)])
+        super().__init__(problem, half @ half.T)
 
 
 class GraphCofactors:
@@ -212,20 +215,21 @@ class GraphCofactors:
     def _substituted(self, q_images: Array) -> dict[int, Array]:
         """Cofactors of all unknown points from those of all images; G and its columns are kept."""
         problem, first = self._problem, self._problem.first
-        _, j_image, j_ground = problem.image_residuals(self._state, jacobian=True)
+        _, d_image, d_ground = linearised(problem, self._state)
         out = {}
         for j, rows in problem.rows_by_point():
             if not problem.active[j]:
                 continue
-            a = np.vstack([j_ground[r] for r in rows])
+            a = d_ground[rows].reshape(-1, 3)
             n = a.T @ a
             if problem.observed[j]:
                 w = problem.control_weights(j)
                 n += w.T @ w
             inverse = np.linalg.inv(n)
-            images = [int(problem.observations.image[r]) for r in rows]
+            images = problem.observations.image[rows].tolist()
             columns = np.concatenate([np.arange(first[k], first[k + 1]) for k in images])
-            g = inverse @ np.hstack([j_ground[r].T @ j_image[r] for r in rows])
+            sizes = [len(problem.parameters[k]) for k in images]
+            g = inverse @ np.hstack([d_ground[r].T @ d_image[r, :, :m] for r, m in zip(rows, sizes, strict=True)])
             out[j] = inverse + g @ q_images[np.ix_(columns, columns)] @ g.T
             self._gains[j] = g, columns
         return out

@@ -8,49 +8,21 @@ down to 1e-12 of the largest are those of the rows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import qr
 
 from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.rows import Rows
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 #: Elements of the matrix of rows of one chunk.
 CHUNK = 2_000_000
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Whitened derivatives of all image points at a state.
-
-    Parameters
-    ----------
-    image : (n, 2, k) array
-        With respect to the unknowns of the point's image, prior sigmas; zeros beyond their number.
-    ground : (n, 2, 3) array
-        With respect to its ground point, m, also where that is no unknown.
-    """
-
-    image: Array
-    ground: Array
-
-    @classmethod
-    def of(cls, problem: Problem, state: State) -> Rows:
-        """Evaluate all image points, image by image."""
-        widest = max(len(p) for p in problem.parameters)
-        n = len(problem.observations)
-        image, ground = np.zeros((n, 2, widest)), np.empty((n, 2, 3))
-        for k, rows in enumerate(rows_by_image(problem)):
-            if len(rows):
-                _, d_image, ground[rows] = image_rows(problem, state, k, rows, jacobian=True)
-                image[rows, :, : d_image.shape[2]] = d_image
-        return cls(image, ground)
 
 
 def eliminated(problem: Problem, rows: Rows) -> Array:
@@ -132,15 +104,11 @@ def _complement(problem: Problem, rows: Rows, rays: Index, control: Index) -> Ar
 
 def _scattered(problem: Problem, rows: Rows, rays: Index, basis: Array) -> Array:
     """Combinations ``Q2^T A`` (P q, u): each ray's block in the columns of its image."""
-    u, width = problem.n_image_unknowns, rows.image.shape[2]
-    first, image = problem.first, problem.observations.image
-    n, m = rays.shape
+    u, image, (n, m) = problem.n_image_unknowns, problem.observations.image, rays.shape
     out = np.zeros((n, basis.shape[2], u + 1))
-    size = np.diff(first)
     for r in range(m):
         block = np.einsum("pik,pij->pkj", basis[:, 2 * r : 2 * r + 2], rows.image[rays[:, r]])
-        k = image[rays[:, r]]
-        at = np.where(np.arange(width) < size[k][:, None], first[k][:, None] + np.arange(width), u)
+        at = problem.columns[image[rays[:, r]]]
         out[np.arange(n)[:, None, None], np.arange(basis.shape[2])[:, None], at[:, None, :]] += block
     return out[:, :, :u].reshape(-1, u)
 
@@ -156,11 +124,8 @@ def followed_by_ground(problem: Problem, rows: Rows, directions: Array) -> Array
         Of all image unknowns, prior sigmas.
     """
     o, d = problem.observations, directions.shape[1]
-    width = rows.image.shape[2]
-    at = np.minimum(problem.first[o.image][:, None] + np.arange(width), problem.n_image_unknowns)
-    size = np.diff(problem.first)[o.image]
-    at = np.where(np.arange(width) < size[:, None], at, problem.n_image_unknowns)
-    moved = np.einsum("nij,njd->nid", rows.image, np.vstack([directions, np.zeros((1, d))])[at])
+    wide = np.vstack([directions, np.zeros((1, d))])[problem.columns[o.image]]
+    moved = np.einsum("nij,njd->nid", rows.image, wide)
     n_points = len(problem.active)
     normal, right = problem.point_normals(o.point, rows.ground), np.zeros((n_points, 3, d))
     np.add.at(right, o.point, np.einsum("nik,nid->nkd", rows.ground, moved))

@@ -22,13 +22,14 @@ from scipy.linalg import qr
 from factors._contract import Argument, Equation, Example
 from fg_orient.adjustment.dense import Columns
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.block import Block, ExtraObservation
 from fg_orient.errors import InputError
 from fg_orient.linear.threads import one_blas_thread
-from fg_orient.quality.covariance import Cofactors, Indeterminate, NamedMatrix
+from fg_orient.quality.covariance import Cofactors, Indeterminate, MatrixCofactors, NamedMatrix
 from fg_orient.quality.datum import datum_step, s_transform
-from fg_orient.quality.elimination import Rows, eliminated, followed_by_ground
+from fg_orient.quality.elimination import eliminated, followed_by_ground
 from fg_orient.quality.motions import UNOBSERVABLE
 
 Array = npt.NDArray[np.float64]
@@ -69,7 +70,7 @@ def null_space(problem: Problem, state: State) -> Array:
 
     Columns are orthonormal in the image unknowns. Own observations are not looked at.
     """
-    rows, u, ties = Rows.of(problem, state), problem.n_free_unknowns, problem.ties
+    rows, u, ties = linearised(problem, state), problem.n_free_unknowns, problem.ties
     with one_blas_thread():
         rest = eliminated(problem, rows)
         rest = rest if ties is None else ties.columns(rest)
@@ -245,7 +246,7 @@ class FreeNetwork:
         return NamedMatrix(tuple(names), tuple(units), self.cofactors * np.outer(scale, scale))
 
 
-class InnerCofactors:
+class InnerCofactors(MatrixCofactors):
     """Cofactors under inner constraints on the ground points; see ``fg_orient.quality.covariance.Cofactors``.
 
     Parameters
@@ -271,26 +272,8 @@ class InnerCofactors:
         motions, datum = null_space(problem, state), datum_points(problem)
         with one_blas_thread():
             q = s_transform(_all_cofactors(problem, state, minimal), motions, datum)
+        super().__init__(problem, q)
         self.network = FreeNetwork(problem, state, motions, q, datum)
-
-    def image(self, k: int) -> Array:
-        """See ``Cofactors``."""
-        return self.joint((k,), ())
-
-    def point(self, j: int) -> Array:
-        """See ``Cofactors``."""
-        return self.joint((), (j,)) if self.network.problem.active[j] else np.zeros((3, 3))
-
-    def points(self, index: Index) -> Array:
-        """See ``Cofactors``."""
-        return np.array([self.point(j) for j in index.tolist()]).reshape(-1, 3, 3)
-
-    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
-        """See ``Cofactors``."""
-        columns, active = self.network.columns, self.network.problem.active
-        parts = [columns.image(k) for k in images] + [columns.point(j) for j in points if active[j]]
-        index = np.concatenate([np.arange(part.start, part.stop) for part in parts])
-        return np.asarray(self.network.cofactors[np.ix_(index, index)])
 
 
 def _all_cofactors(problem: Problem, state: State, minimal: Cofactors) -> Array:
@@ -298,7 +281,7 @@ def _all_cofactors(problem: Problem, state: State, minimal: Cofactors) -> Array:
     images, ground = tuple(range(problem.n_images)), np.flatnonzero(problem.active)
     if any(e.equation is not HELD_UNKNOWNS for e in problem.block.extra):
         return minimal.joint(images, tuple(ground.tolist()))
-    rows, u = Rows.of(problem, state), problem.n_image_unknowns
+    rows, u = linearised(problem, state), problem.n_image_unknowns
     follow = np.vstack([np.eye(u), followed_by_ground(problem, rows, np.eye(u))[ground].reshape(-1, u)])
     q = follow @ minimal.joint(images, ()) @ follow.T
     normal = problem.point_normals(problem.observations.point, rows.ground)

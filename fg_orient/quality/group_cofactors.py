@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.adjustment.rows import linearised
 from fg_orient.quality.covariance import Cofactors
 
 Array = npt.NDArray[np.float64]
@@ -100,7 +100,7 @@ class GroupCofactors:
         self._labels, self._size = np.where(labels < 0, n_groups, labels), n_groups + 1
         self._named, self._observed = _named(problem), np.flatnonzero(problem.observed)
         self._q = self._cofactors(cofactors)
-        self._jacobians = self._image_rows()
+        self._jacobians = linearised(problem, state)[1:]
 
     def _cofactors(self, cofactors: Cofactors) -> Array:
         """Q of the image unknowns, shared ones once, then the named points."""
@@ -114,25 +114,13 @@ class GroupCofactors:
 
     def _image_columns(self, images: Index) -> Index:
         """Columns (n, k) of the unknowns of images, filled up with the first, where Jacobians are zero."""
-        first, size = self._problem.first, np.diff(self._problem.first)
-        exists = np.arange(size.max()) < size[images, None]
-        wide = np.where(exists, first[images, None] + np.arange(size.max()), 0)
+        columns = self._problem.columns[images]
+        wide = np.where(columns < self._problem.n_image_unknowns, columns, 0)
         return wide if self._problem.ties is None else self._problem.ties.of[wide]
 
     def _point_columns(self, point: int) -> Index:
         """Columns (3,) of a named point."""
         return self._problem.n_free_unknowns + 3 * self._named.index(point) + np.arange(3)
-
-    def _image_rows(self) -> tuple[Array, Array]:
-        """Jacobians (n, 2, k), (n, 2, 3) of all image points."""
-        problem, size = self._problem, np.diff(self._problem.first)
-        n = len(problem.observations)
-        d_image, d_ground = np.zeros((n, 2, int(size.max()))), np.empty((n, 2, 3))
-        for k, rows in enumerate(rows_by_image(problem)):
-            if len(rows):
-                found = image_rows(problem, self._state, k, rows, jacobian=True)
-                d_image[rows, :, : size[k]], d_ground[rows] = found[1:]
-        return d_image, d_ground
 
     def _points(self, place: Index | None = None) -> Iterator[_Rows]:
         """All ground points, those with as many rays and rows together; ``place``: those where it is not negative."""

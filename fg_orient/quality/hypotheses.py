@@ -97,9 +97,15 @@ def statistics(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Arra
     elif test == "pope":
         value = t * redundancy / np.maximum(chi2, _TINY)
     else:
-        left = np.maximum(np.maximum(chi2 - t, _ROUNDING * chi2), _TINY)
-        value = t / d / (left / (redundancy - d))
+        value = f_statistics(t, d, chi2, redundancy)
     return np.where(np.asarray(d) == 1, np.sqrt(value), value)
+
+
+def f_statistics(t: npt.ArrayLike, d: npt.ArrayLike, chi2: npt.ArrayLike, redundancy: float | Array) -> Array:
+    """F of any d, the scale estimated without the suspect; arguments as of :func:`statistics`."""
+    t, chi2 = np.asarray(t, np.float64), np.asarray(chi2, np.float64)
+    left = np.maximum(np.maximum(chi2 - t, _ROUNDING * chi2), _TINY)
+    return np.asarray(t / d / (left / (redundancy - np.asarray(d))))
 
 
 def probabilities(t: Array, d: Index, chi2: npt.ArrayLike, redundancy: float | Array, test: str) -> Array:

@@ -12,7 +12,7 @@ C_x is the joint covariance of the images, so that errors that two images share 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid
-from factors._contract import evaluate
 from fg_orient import initial
 from fg_orient.adjustment.problem import Problem, State, whitened_records
+from fg_orient.adjustment.rows import linearised, side_by_side
 from fg_orient.block import ImagePoints
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.quality.covariance import Cofactors
@@ -138,22 +138,11 @@ class Orientation:
         """Whitened residuals (2k,), their derivatives by the ground point (2k, 3), and ``J C_x J^T`` (2k, 2k)."""
         p, k = self.problem, len(points)
         records = whitened_records(p.models, points, ground_m[None], p.origin_m)
-        images = points.image.tolist()
-        parts = [
-            evaluate(
-                p.models[i].equation, records[r : r + 1], [p.models[i].parameters.setup],
-                [p.unknowns(self.state, i)], (ground_m - p.origin_m)[None],
-            ) for r, i in enumerate(images)
-        ]  # fmt: skip
-        unique = tuple(dict.fromkeys(images))
-        first = np.concatenate([[0], np.cumsum([len(p.parameters[i]) for i in unique])])
-        d_image = np.zeros((2 * k, int(first[-1])))
-        for r, (_, (found, _)) in enumerate(parts):
-            at = unique.index(images[r])
-            d_image[2 * r : 2 * r + 2, first[at] : first[at + 1]] = found[0]
-        c = self.scale**2 * d_image @ self.cofactors.joint(unique, ()) @ d_image.T
-        residual = np.concatenate([value[0] for value, _ in parts])
-        return residual, np.vstack([d_ground[0] for _, (_, d_ground) in parts]), c
+        at = State(self.state.image, (ground_m - p.origin_m)[None])
+        values, by_image, by_point = linearised(replace(p, observations=points, records=records), at)
+        d_image, _, images = side_by_side(p, points.image, by_image)
+        c = self.scale**2 * d_image @ self.cofactors.joint(images, ()) @ d_image.T
+        return values.ravel(), by_point.reshape(2 * k, 3), c
 
 
 def locate(

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
-from fg_orient.quality.elimination import Rows
+from fg_orient.adjustment.rows import Rows
 from fg_orient.quality.structure import named
 
 Array = npt.NDArray[np.float64]

@@ -24,9 +24,10 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.rows import linearised
 from fg_orient.linear.system import MAX_UNKNOWNS
 from fg_orient.parameters import ImageParameters
-from fg_orient.quality.elimination import Rows, eliminated, eliminated_with_own
+from fg_orient.quality.elimination import eliminated, eliminated_with_own
 from fg_orient.quality.motions import SHIFT_M, UNOBSERVABLE, FreeMotions, free_motions
 from fg_orient.quality.on_board import held_on_board
 from fg_orient.quality.structure import Structure, analyse_structure, named
@@ -306,7 +307,7 @@ def analyse_block(problem: Problem, structure: Structure | None = None, *, whole
         False: no singular values, only the motions of its parts, at a cost linear in the observations.
     """
     structure = structure or analyse_structure(problem)
-    rows, u = Rows.of(problem, problem.start), problem.n_free_unknowns
+    rows, u = linearised(problem, problem.start), problem.n_free_unknowns
     own = bool(problem.block.extra) and problem.n_unknowns <= MAX_UNKNOWNS
     rest = None if not whole else eliminated_with_own(problem) if own else eliminated(problem, rows)
     parts = [np.flatnonzero(structure.part == p) for p in range(structure.n_parts)]

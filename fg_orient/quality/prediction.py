@@ -20,10 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import image_rows
+from fg_orient.adjustment.rows import linearised
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
-from fg_orient.quality.suspects import CHECKED
+from fg_orient.quality.suspects import CHECKED, point_rows
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -138,21 +138,10 @@ def _rows(
     """Whitened misclosures (m,) at a place of the ground point, Jacobians (m, u) and (m, 3), and the images of u."""
     taken, ground = np.asarray(rows, np.intp), state.ground.copy()
     ground[point] = x
-    at, image = State(state.image, ground), full.observations.image[taken]
-    images = tuple(dict.fromkeys(image.tolist()))
-    first = np.concatenate([[0], np.cumsum([len(full.parameters[k]) for k in images], dtype=int)])
-    m = 2 * len(taken) + 3 * control
-    v, d_image, d_ground = np.zeros(m), np.zeros((m, first[-1])), np.zeros((m, 3))
-    for n, k in enumerate(images):
-        own = np.flatnonzero(image == k)
-        values, j_image, j_ground = image_rows(full, at, k, taken[own], jacobian=True)
-        part = (2 * own[:, None] + [0, 1]).ravel()
-        v[part], d_ground[part] = values.ravel(), j_ground.reshape(-1, 3)
-        d_image[part, first[n] : first[n + 1]] = j_image.reshape(len(part), -1)
-    if control:
-        w = full.control_weights(point)
-        v[-3:], d_ground[-3:] = w @ (x - full.control_records[point, 9:]), w
-    return v, d_image, d_ground, images
+    rays = linearised(full, State(state.image, ground), taken)
+    given = full.control_weights(point) @ (x - full.control_records[point, 9:]) if control else None
+    v, j_image, j_ground, _, images = point_rows(full, point, full.observations.image[taken], rays, given)
+    return v, j_image, j_ground, images
 
 
 def _intersected(full: Problem, state: State, point: int, rows: Sequence[int], control: bool) -> Array | None:

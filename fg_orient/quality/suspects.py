@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.rows import residuals
+from fg_orient.adjustment.rows import Rows, linearised, residuals, side_by_side
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.residuals import ResidualCofactors, residual_cofactors
 
@@ -68,12 +68,20 @@ class Suspects:
         length = np.linalg.norm(self.columns, axis=-2)
         e = self.columns / length[..., None, :]
         turned = np.swapaxes(e, -1, -2)
-        size, axes = np.linalg.eigh(turned @ self.q @ e)
-        checked = size > CHECKED
-        along = np.einsum("...ka,...k->...a", axes, np.einsum("...km,...m->...k", turned, self.v))
-        share = np.where(checked, along / np.where(checked, size, 1.0), 0.0)
-        error = np.einsum("...ka,...a->...k", axes, share) / length
-        return np.sum(along * share, axis=-1), np.asarray(np.sum(checked, axis=-1), np.intp), error
+        t, d, error = quadratic(np.einsum("...km,...m->...k", turned, self.v), turned @ self.q @ e)
+        return t, d, error / length
+
+
+def quadratic(v: Array, q: Array) -> tuple[Array, Index, Array]:
+    """``v^T Q^+ v`` (n,), the rank d of Q (n,) and ``Q^+ v`` (n, k), of v (n, k) with cofactors Q (n, k, k)."""
+    size, axes = np.linalg.eigh(q)
+    checked = size > CHECKED
+    along = np.einsum("...ka,...k->...a", axes, v)
+    share = np.where(checked, along / np.where(checked, size, 1.0), 0.0)
+    return (
+        np.sum(along * share, axis=-1), np.asarray(np.sum(checked, axis=-1), np.intp),
+        np.einsum("...ka,...a->...k", axes, share),
+    )  # fmt: skip
 
 
 def suspects(
@@ -127,14 +135,17 @@ def suspects(
 
 def _whole_points(problem: Problem, state: State, cofactors: Cofactors) -> list[Suspects]:
     """Ground points with all their rays and their coordinates, those of as many rows together."""
-    rays = problem.image_residuals(state, jacobian=True)
+    rays = linearised(problem, state)
     few = problem.n_image_unknowns <= WHOLE_LIMIT
     of_images = cofactors.joint(tuple(range(problem.n_images)), ()) if few else None
     arguments = (a for extra in problem.block.extra for a in problem.extra_arguments(extra))
     tied = {a.index for a in arguments if not a.is_image}
     found: dict[int, list[tuple[int, Array, Array]]] = {}
     for j, rows in problem.rows_by_point():
-        v, b, g, columns, images = _point_rows(problem, state, j, rows, rays)
+        control = problem.control_residuals(state, j) if problem.observed[j] else None
+        of_point = Rows(*(part[rows] for part in rays))
+        v, b, g, columns, images = point_rows(problem, j, problem.observations.image[rows], of_point, control)
+        g = g[:, : 3 * int(problem.active[j])]
         if j in tied:  # more than its rays and its coordinates determines it
             q = np.eye(len(v)) - _propagated(np.hstack([b, g]), cofactors.joint(images, (j,)))
         else:
@@ -164,24 +175,17 @@ def _left_over(d_ground: Array, q: Array) -> Array:
     return np.asarray(free @ (free.T @ q @ free) @ free.T)
 
 
-def _point_rows(
-    problem: Problem, state: State, j: int, rows: Index, rays: tuple[Array, list[Array], list[Array]]
+def point_rows(
+    problem: Problem, j: int, image: Index, rays: Rows, control: Array | None
 ) -> tuple[Array, Array, Array, Index, tuple[int, ...]]:
-    """Whitened residuals (m,) of a ground point, its image points ``rows`` first, then its coordinates.
+    """Whitened residuals (m,) of a ground point j, its image points first, then its coordinates.
 
-    With them Jacobians (m, u) and (m, 3 or 0), the u columns among the unknowns of all images, and the images.
+    With them Jacobians (m, u) and (m, 3), the places of the u columns among the unknowns of all images, and the images.
+    ``rays`` are its image points in the images ``image`` (n,), ``control`` the residuals (3,) of its coordinates.
     """
-    values, d_image, d_ground = rays
-    image, free = problem.observations.image[rows].tolist(), 3 * int(problem.active[j])
-    images = tuple(dict.fromkeys(image))
-    columns = np.concatenate([np.arange(problem.first[k], problem.first[k + 1]) for k in images])
-    begin = dict(zip(images, np.cumsum([0, *(len(problem.parameters[k]) for k in images[:-1])]).tolist(), strict=True))
-    m = 2 * len(rows) + 3 * int(problem.observed[j])
-    v, b, g = np.zeros(m), np.zeros((m, len(columns))), np.zeros((m, free))
-    v[: 2 * len(rows)] = values[rows].ravel()
-    for i, (r, k) in enumerate(zip(rows.tolist(), image, strict=True)):
-        b[2 * i : 2 * i + 2, begin[k] : begin[k] + d_image[r].shape[1]] = d_image[r]
-        g[2 * i : 2 * i + 2] = d_ground[r][:, :free]
-    if problem.observed[j]:
-        v[-3:], g[-3:] = problem.control_residuals(state, j), problem.control_weights(j)
+    v, g = rays.residual.ravel(), rays.ground.reshape(2 * len(image), 3)
+    b, columns, images = side_by_side(problem, image, rays.image)
+    if control is not None:
+        v, b = np.concatenate([v, control]), np.pad(b, ((0, 3), (0, 0)))
+        g = np.vstack([g, problem.control_weights(j)])
     return v, b, g, columns, images

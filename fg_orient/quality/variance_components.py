@@ -27,10 +27,10 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.problem import Problem, State, participates
+from fg_orient.adjustment.rows import residuals
 from fg_orient.distributions import chi_square_median
 from fg_orient.errors import InputError
-from fg_orient.names import Role
 from fg_orient.options import USUAL_GROUPS
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.group_cofactors import LARGEST, GroupCofactors, cost
@@ -153,7 +153,7 @@ class Residuals:
         self._problem, self._state, self._cofactors, self.groups = problem, state, cofactors, groups
         self._turns = turn = self._turn()
         self.observed = np.flatnonzero(problem.observed)
-        self.image, self.image_cofactors = problem.image_residuals(state)[0], found.image
+        self.image, self.image_cofactors = residuals(problem, state), found.image
         self.control = np.einsum("nij,nj->ni", turn, problem.control_residuals(state, self.observed))
         self.control_cofactors = turn @ found.control @ np.swapaxes(turn, 1, 2)
         self.prior = problem.image_vector(state) if problem.block.options.priors else np.zeros(0)
@@ -171,14 +171,12 @@ class Residuals:
     def labels(self) -> Index:
         """Group of every row: image points, control points, priors, own observations."""
         g, block = self.groups, self._problem.block
-        rows = np.ones(len(block.observations), bool)
-        if block.options.check_points != "use":
-            rows = ~np.isin(block.observations.point, block.points.where(Role.CHECK))
         prior = np.concatenate([*g.prior, np.zeros(0, np.intp)])
         if len(prior) and self._problem.ties is not None:
             prior = prior[self._problem.ties.place]  # a prior in common is one observation
         return np.concatenate([
-            np.repeat(g.image[rows], 2), np.tile(g.axes, len(self.observed)), prior, np.full(self.n_extra, -1)
+            np.repeat(g.image[participates(block)], 2), np.tile(g.axes, len(self.observed)), prior,
+            np.full(self.n_extra, -1),
         ]).astype(np.intp)  # fmt: skip
 
     def sums(self) -> tuple[Array, Array, Index]:

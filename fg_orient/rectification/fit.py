@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import evaluate
-from fg_orient.adjustment.dense import DenseStep, DenseSystem
+from fg_orient.adjustment.dense import RowsBackend, equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.rectification.arguments import finite, numbers
@@ -25,13 +24,10 @@ from fg_orient.rectification.transformation import Scaling, Transformation
 
 Array = npt.NDArray[np.float64]
 
-SOLVER: Final = "qr_scaled"
 MAX_ITERATIONS: Final = 100
 #: Smallest singular value of the design (columns of unit length) by its largest, below which points do not
 #: determine a transformation. Coordinates rounded to 1 mm on 10 km of straight line reach 1e-7.
 RANK_LIMIT: Final = 1e-6
-#: Directions of a residual below this share of a free one are not checked by the other points.
-CHECKED: Final = 1e-6
 #: Ratio of sigmas from which on weights are beyond what a double carries through an adjustment.
 SIGMA_SPAN: Final = 1e8
 
@@ -192,9 +188,8 @@ class Fit:
         """Derivatives (n, 2, u) of transformed points with respect to the coefficients, in the target's unit."""
         t, zero = self.transformation, np.zeros((len(given), 2))
         records = _records(t, Observations.of(given, t.target.offset + zero))
-        _, (rows,) = evaluate(self.model.equation, records, [self.model.setup] * len(given),
-                              [t.coefficients] * len(given))  # fmt: skip
-        return np.array(rows)
+        _, rows = equation_rows(self.model.equation, records, self.model.setup)(t.coefficients, True)
+        return rows.reshape(len(given), 2, -1)
 
 
 def plain_rmse(residuals: Array) -> tuple[float, float, float]:
@@ -241,17 +236,18 @@ def fit(
     target = Scaling.of(points.target, shared=model.shared_scale)
     names = tuple(source_names) or ("x", "y", "z")[: model.dimension]
     blank = Transformation(model, np.zeros(model.n_unknowns), source, target, names, tuple(target_names), crs)
-    backend = _Backend(model, _records(blank, points))
-    start = model.start(backend.records[:, :3], backend.records[:, 3:5])
-    _require_determined(points, model, backend.rows(start)[1])
+    records = _records(blank, points)
+    rows = equation_rows(model.equation, records, model.setup)
+    start = model.start(records[:, :3], records[:, 3:5])
+    _require_determined(points, model, rows(start, True)[1])
     name = optimizer or ("gauss-newton" if model.linear else "levenberg-marquardt")
-    found = OPTIMIZERS[name](backend, start, MAX_ITERATIONS)
+    found = OPTIMIZERS[name](RowsBackend(rows), start, MAX_ITERATIONS)
     if not found.converged:
         raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=found.reason)
-    below = model.denominator(backend.records[:, :3], found.state)
+    below = model.denominator(records[:, :3], found.state)
     if not (below > 0.0).all():
         raise NoSolutionError.of("rectify.pole", place=model.title, value=points.ids[int(np.argmin(below))])
-    residual, design = backend.rows(found.state)
+    residual, design = rows(found.state, True)
     condition = _require_determined(points, model, design)
     whitened = residual.reshape(-1, 2)
     done = Transformation(model, found.state, source, target, blank.source_names, blank.target_names, crs)
@@ -318,31 +314,3 @@ def _records(t: Transformation, points: Observations) -> Array:
     records[:, 3:5] = t.target.normalised(points.target)
     records[:, [5, 7]] = t.target.scale / points.sigma
     return records
-
-
-class _Backend:
-    """What the loop needs, over the registered equation; see ``adjustment.loop.Backend``."""
-
-    def __init__(self, model: Model, records: Array) -> None:
-        self.model, self.records = model, records
-
-    def rows(self, x: Array, *, jacobian: bool = True) -> tuple[Array, Array]:
-        """Whitened residuals (2n,) and their derivatives (2n, u)."""
-        n = len(self.records)
-        values, (blocks,) = evaluate(
-            self.model.equation, self.records, [self.model.setup] * n, [x] * n, jacobian=jacobian
-        )
-        return values.ravel(), np.concatenate(blocks) if jacobian else np.zeros((0, len(x)))
-
-    def linearise(self, state: Array) -> DenseSystem:
-        """Linearise at a state."""
-        return DenseSystem(*self.rows(state), SOLVER)
-
-    def error(self, state: Array) -> float:
-        """Half the weighted sum of squares."""
-        residual, _ = self.rows(state, jacobian=False)
-        return 0.5 * float(residual @ residual)
-
-    def retract(self, state: Array, step: DenseStep) -> Array:
-        """State after a step."""
-        return np.asarray(state + step.data)

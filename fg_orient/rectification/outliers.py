@@ -4,12 +4,13 @@ A control point is tested against all others, a check point against the fit.
 
 With the whitened residuals v of a point and their cofactors Q: ``T = v^T Q^-1 v`` and
 ``F = (T/d)/((S - T)/(f - d))``, S the sum of all squares, f the redundancy, d the rank of Q: F(d, f - d) without a
-gross error, the scale estimated without the suspect (as in ``fg_orient.quality.outliers``).
+gross error, the scale estimated without the suspect (``fg_orient.quality.hypotheses``, test "t"). A table of points has
+one column for it, so it is F for d = 1, too, where the bundle adjustment gives its root t.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -18,8 +19,11 @@ import numpy.typing as npt
 
 from fg_orient.distributions import f_quantile, f_tail
 from fg_orient.errors import NoSolutionError
+from fg_orient.quality.hypotheses import can_be_tested, f_statistics
+from fg_orient.quality.rejection import reject
+from fg_orient.quality.suspects import quadratic
 from fg_orient.rectification.arguments import positive
-from fg_orient.rectification.fit import CHECKED, Fit, Observations, fit
+from fg_orient.rectification.fit import Fit, Observations, fit
 from fg_orient.rectification.models import Model
 
 Array = npt.NDArray[np.float64]
@@ -64,17 +68,11 @@ def point_tests(found: Fit, *, level: float = LEVEL) -> PointTests:
     level : float
         Probability of a false alarm, each.
     """
-    size, axes = np.linalg.eigh(found.residual_cofactors)
-    checked = size > CHECKED
-    along = np.einsum("nji,nj->ni", axes, found.whitened)
-    share = np.where(checked, along / np.where(checked, size, 1.0), 0.0)
-    t, d, f = np.sum(along * share, axis=1), checked.sum(axis=1), found.redundancy
-    error = -np.einsum("nij,nj->ni", axes, share) * found.points.sigma
-    free = f - d
-    usable = (d > 0) & (free > 0)
-    rest = np.maximum(found.weighted_squares - t, np.finfo(float).tiny)
+    t, d, whitened = quadratic(found.whitened, found.residual_cofactors)
+    error, free = -whitened * found.points.sigma, found.redundancy - d
+    usable = can_be_tested(d, found.redundancy, "t")
     with np.errstate(divide="ignore", invalid="ignore"):
-        statistic = np.where(usable, t / d / (rest / free), np.nan)
+        statistic = np.where(usable, f_statistics(t, d, found.weighted_squares, found.redundancy), np.nan)
         critical = np.where(usable, f_quantile(d, free, 1.0 - level), np.nan)
         probability = np.where(usable, f_tail(d, free, statistic), np.nan)
     error[~usable] = np.nan
@@ -154,18 +152,20 @@ def prune(
     """
     positive("RMSE to reach", target_rms, "the target's unit")
     again = refit or (lambda some: fit(some, model))
-    found, dropped, history = again(points), list[str](), list[float]()
-    while True:
+    n, history = len(points), list[float]()
+
+    def left(out: Sequence[int]) -> npt.NDArray[np.intp]:
+        return np.setdiff1d(np.arange(n), np.array(out, np.intp))
+
+    def worst(found: Fit, out: Sequence[int]) -> int | None:
         history.append(found.rmse[2])
-        if history[-1] <= target_rms:
-            return Pruning(found, tuple(dropped), tuple(history))
-        left = found.points
-        if len(left) <= model.least_points:
-            raise NoSolutionError.of("rectify.prune", place=model.title, value=target_rms, reached=history[-1],
-                                     points=len(left))  # fmt: skip
-        worst = _worst(found, rule)
-        dropped.append(left.ids[worst])
-        found = again(left.take(np.arange(len(left)) != worst))
+        return None if history[-1] <= target_rms else int(left(out)[_worst(found, rule)])
+
+    end = reject(again(points), lambda out, _: again(points.take(left(out))), worst, n - model.least_points)
+    if end.worst is not None:
+        raise NoSolutionError.of("rectify.prune", place=model.title, value=target_rms, reached=history[-1],
+                                 points=len(end.fit.points))  # fmt: skip
+    return Pruning(end.fit, tuple(points.ids[k] for k in end.out), tuple(history))
 
 
 def _worst(found: Fit, rule: Rule) -> int:

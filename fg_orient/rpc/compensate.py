@@ -9,6 +9,7 @@ sigmas of line and sample. Each point is tested as in ``fg_orient.quality.outlie
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -19,6 +20,8 @@ from factors import rfm
 from factors.rfm_equation import COMPENSATIONS, N_COMPENSATION
 from fg_orient.distributions import f_quantile
 from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.quality.hypotheses import f_statistics
+from fg_orient.quality.rejection import MOST, reject
 from fg_orient.rpc.points import MeasuredPoints
 from fg_orient.sensors.rpc import RpcModel
 
@@ -29,8 +32,6 @@ KINDS: Final = {"shift": "shift", "shift_drift": "drift", "affine": "affine"}
 NAMES: Final = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
 #: Probability to suspect one good point (Baarda's usual choice).
 LEVEL: Final = 0.001
-#: More than this share of the control points cannot be grossly wrong: then the kind of compensation is.
-MOST: Final = 0.25
 #: Below this ratio of singular values, columns of unit length, the points do not determine the terms.
 RANK: Final = 1e-8
 #: Redundancy number below which the other points do not check a coordinate.
@@ -142,14 +143,13 @@ def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *,
     """
     if kind not in KINDS:
         raise InputError.of("rpc.compensation_kind", place="--compensation", value=kind, known=", ".join(KINDS))
-    suspects: list[Suspect] = []
-    most, left = int(MOST * len(control)), control
-    while True:
-        found, worst = _adjusted(model, left, kind, level)
-        if worst is None or len(suspects) >= most:
-            return Compensation(**found, suspects=tuple(suspects), complete=worst is None)
-        suspects.append(worst)
-        left = left.take(np.array([name != worst.id for name in left.ids]))
+
+    def adjusted(out: Sequence[Suspect], _: object) -> tuple[dict[str, Any], Suspect | None]:
+        gone = {suspect.id for suspect in out}
+        return _adjusted(model, control.take(np.array([name not in gone for name in control.ids], bool)), kind, level)
+
+    end = reject(adjusted((), None), adjusted, lambda found, _: found[1], int(MOST * len(control)))
+    return Compensation(**end.fit[0], suspects=end.out, complete=end.worst is None)
 
 
 def misclosures(model: RpcModel, measured: MeasuredPoints) -> Array:
@@ -215,13 +215,14 @@ def _worst(
 ) -> Suspect | None:
     """The point with the largest F, if it is beyond its limit.
 
-    T = (v_l/sigma_l)^2/r_l + (v_s/sigma_s)^2/r_s with redundancy numbers r; F(2, f - 2) with the scale of the others.
+    T = (v_l/sigma_l)^2/r_l + (v_s/sigma_s)^2/r_s with redundancy numbers r, because line and sample have no unknown in
+    common; F(2, f - 2) with the scale of the others.
     """
     if redundancy <= 2 or not np.isfinite(error).all():
         return None
     t = np.sum((error / measured.sigma_px) ** 2 * free, axis=1)
     i = int(t.argmax())
-    statistic = float(t[i]) / 2.0 / max((square - float(t[i])) / (redundancy - 2), np.finfo(float).tiny)
+    statistic = float(f_statistics(t[i], 2, square, redundancy))
     limit = float(f_quantile(2, redundancy - 2, 1.0 - level))
     if statistic <= limit:
         return None

@@ -242,7 +242,9 @@ def test_the_equation_gives_the_projection(sensor: RpcSensor, rng: np.random.Gen
     records = sensor.records(*observed, ground + rng.normal(scale=300.0, size=ground.shape), origin)
     codes = np.array(rfm_equation.COMPENSATIONS["affine"], float)
     setup = np.stack([codes, np.full(6, 2.0)])
-    residuals = rfm_equation.conditions(records, setup, COMPENSATION / 2.0, ground - origin)
+    residuals = np.array(
+        [rfm_equation.residual(r, setup, COMPENSATION / 2.0, g) for r, g in zip(records, ground - origin, strict=True)]
+    )
     expected = np.stack(sensor.project(ground, COMPENSATION)) - observed
     assert np.abs(residuals.T - expected).max() < 1e-7
 

@@ -12,6 +12,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.block import Block
 from fg_orient.errors import InputError
@@ -90,7 +91,7 @@ def test_priors_count_what_is_shared_once() -> None:
     found = {name: solved(block, name) for name in ("graph", "schur", "dense")}
     problem, estimate, _ = found["dense"]
     assert problem.n_observations == 2 * len(problem.observations) + 4 * 6 + 4
-    r = problem.image_residuals(estimate.state)[0]
+    r = residuals(problem, estimate.state)
     own = estimate.state.image.copy()
     own[1:, 6:] = 0.0
     assert estimate.chi2 == pytest.approx(float(np.sum(r**2) + np.sum(own**2)), rel=1e-12)

@@ -13,6 +13,7 @@ from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.block import Block
 from fg_orient.names import Role
+from tests.support.scalar_rows import scalar_rows
 
 OWN = ("gauss-newton", "levenberg-marquardt", "dogleg")
 NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
@@ -20,7 +21,7 @@ NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
 
 def residual_vector(problem: Problem, state: State) -> np.ndarray:
     """All whitened residuals written out: image points, control points, priors."""
-    image, _, _ = problem.image_residuals(state)
+    image, _, _ = scalar_rows(problem, state)
     parts = [image.ravel()]
     for j in np.flatnonzero(problem.observed):
         w = problem.control_records[j, :9].reshape(3, 3)
@@ -35,7 +36,7 @@ def dense_jacobian(problem: Problem, state: State) -> np.ndarray:
     m, k = state.image.shape
     points = np.flatnonzero(problem.active)
     column = {int(j): m * k + 3 * c for c, j in enumerate(points)}
-    _, j_image, j_ground = problem.image_residuals(state, jacobian=True)
+    _, j_image, j_ground = scalar_rows(problem, state)
     rows = []
     for r in range(len(problem.observations)):
         a = np.zeros((2, m * k + 3 * len(points)))

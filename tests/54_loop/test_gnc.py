@@ -14,6 +14,7 @@ from fg_orient.adjustment.dense import Columns, assemble
 from fg_orient.adjustment.gnc import EXACT, PLAIN, SCHEDULES, Graduated, stages_left
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.robust import FLOOR, weighted_problem
+from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.solve import Estimate, solve
 from fg_orient.errors import InputError
 from fg_orient.quality.verdict import DOWN
@@ -67,7 +68,7 @@ def test_truncated_weights_are_all_or_nothing_and_limits_are_quantiles() -> None
     found = adjusted(block, loss="tls", inlier_probability=0.95)
     assert found.weights is not None
     assert set(np.unique(found.weights.image)) == {FLOOR, 1.0}
-    residual, _, _ = compile_problem(block).image_residuals(found.state)
+    residual = residuals(compile_problem(block), found.state)
     assert ((residual**2).sum(axis=1) <= chi2.ppf(0.95, 2))[found.weights.image == 1.0].all()
     plan = Graduated.of(with_options(block, loss="tls").options)
     assert plan.image_limit == pytest.approx(np.sqrt(chi2.ppf(0.99, 2)), rel=1e-12)
@@ -129,7 +130,7 @@ def test_bounded_losses_start_from_least_squares(loss: str) -> None:
     assert np.count_nonzero(found.weights.image < DOWN) <= 0.05 * len(block.observations)
     assert np.abs(found.state.image - plain.state.image).max() <= 0.5
     problem = compile_problem(block)
-    residual, _, _ = problem.image_residuals(problem.start)
+    residual = residuals(problem, problem.start)
     assert np.median(np.linalg.norm(residual, axis=1)) > 10.0
 
 

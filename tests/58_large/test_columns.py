@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fg_orient.adjustment.problem import State, compile_problem
-from fg_orient.adjustment.rows import image_rows, rows_by_image
+from fg_orient.adjustment.rows import image_rows, linearised, residuals, rows_by_image
 from fg_orient.block import Block
 from fg_orient.io import observations as observation_files
 from fg_orient.io import points as point_files
@@ -24,6 +24,8 @@ from fg_orient.orient import adjust
 from fg_orient.report.data import read_columns
 from fg_orient.run.columns import Named, write_columns
 from fg_orient.simulate.block import BlockOptions, grid_block
+from fg_orient.simulate.mixed import MixedOptions, mixed_block
+from tests.support.scalar_rows import scalar_rows
 
 quiet = settings(derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 words = st.text(st.characters(codec="utf-8", exclude_characters="\r\0"), min_size=1, max_size=6)
@@ -119,7 +121,7 @@ def test_rows_of_an_image_are_those_of_its_equation(block: Block, degree: int | 
     problem = compile_problem(replace(block, options=replace(block.options, eop_set=20, look_polynomial=degree)))
     rng = np.random.default_rng(3)
     state = State(rng.normal(size=problem.start.image.shape), problem.start.ground + rng.normal(size=(60, 3)))
-    value, j_image, j_ground = problem.image_residuals(state, jacobian=True)
+    value, j_image, j_ground = scalar_rows(problem, state)
     every = rows_by_image(problem)
     assert sorted(np.concatenate(every).tolist()) == list(range(len(value)))
     for k, rows in enumerate(every):
@@ -129,6 +131,25 @@ def test_rows_of_an_image_are_those_of_its_equation(block: Block, degree: int | 
         np.testing.assert_allclose(d_ground, np.array([j_ground[r] for r in rows]), rtol=1e-11, atol=1e-14)
         expected = np.array([j_image[r] for r in rows])
         np.testing.assert_allclose(d_image, expected, rtol=1e-11, atol=1e-12 * np.abs(expected).max())
+
+
+def test_rows_of_many_images_are_those_of_their_equations() -> None:
+    """Images of several kinds with numbers of unknowns of their own; all image points, some, and none."""
+    problem = compile_problem(mixed_block(MixedOptions(seed=3, points=40))[0])
+    value, j_image, j_ground = scalar_rows(problem, problem.start)
+    some = np.random.default_rng(1).permutation(len(value))[:20]
+    widest = max(len(parameters) for parameters in problem.parameters)
+    for rows, chosen in ((np.arange(len(value)), None), (some, some), (some[:0], some[:0])):
+        found, d_image, d_ground = linearised(problem, problem.start, chosen)
+        assert d_image.shape == (len(rows), 2, widest)
+        np.testing.assert_allclose(found, value[rows], rtol=1e-12, atol=1e-10)
+        for at, row in enumerate(rows.tolist()):
+            own = j_image[row].shape[1]
+            scale = np.abs(j_image[row]).max()
+            np.testing.assert_allclose(d_image[at, :, :own], j_image[row], rtol=1e-11, atol=1e-12 * scale)
+            assert not d_image[at, :, own:].any()
+            np.testing.assert_allclose(d_ground[at], j_ground[row], rtol=1e-11, atol=1e-14)
+    np.testing.assert_array_equal(residuals(problem, problem.start), linearised(problem, problem.start)[0])
 
 
 @pytest.mark.parametrize("backend", ["schur", "graph", "dense"])

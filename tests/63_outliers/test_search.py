@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -140,17 +141,19 @@ def test_whole_points() -> None:
 
 def leave_out_first(block: Block, rows: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the search begin with wrong choices: good observations, called suspicious."""
-    genuine, names = outlier_search._Rounds._leave_out, [name_of(block, row) for row in rows]
+    genuine, names = outlier_search._Rounds._removal, [name_of(block, row) for row in rows]
 
-    def chosen(self: outlier_search._Rounds, tests: OutlierTests, number: int) -> None:
-        k = 0
+    def chosen(
+        self: outlier_search._Rounds, tests: OutlierTests, out: Sequence[outlier_search._Removal]
+    ) -> outlier_search._Removal:
+        number, k = len(self._rounds), 0
         if number <= len(names):
             k = next(i for i in range(len(tests)) if tests[i].name == names[number - 1])
         order = np.r_[k, np.delete(np.arange(len(tests)), k)]
         columns = ("part", "point", "row", "dimension", "quadratic", "statistic", "critical", "probability", "error")
-        genuine(self, replace(tests, **{c: getattr(tests, c)[order] for c in columns}), number)
+        return genuine(self, replace(tests, **{c: getattr(tests, c)[order] for c in columns}), out)
 
-    monkeypatch.setattr(outlier_search._Rounds, "_leave_out", chosen)
+    monkeypatch.setattr(outlier_search._Rounds, "_removal", chosen)
 
 
 def test_what_was_left_out_in_vain_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 import fg_orient as fg
 from fg_orient.adjustment.robust import A_PRIORI
 from fg_orient.adjustment.robust_scale import LEAST, LOWEST, robust_scale
+from fg_orient.adjustment.rows import residuals
 from fg_orient.distributions import chi_square_median
 from fg_orient.quality.residuals import residual_cofactors
 
@@ -26,7 +27,7 @@ def exact_image_scale(solution: fg.Solution) -> float:
     """The same median with the exact cofactors of the residuals."""
     assert solution.cofactors is not None
     q = residual_cofactors(solution.problem, solution.state, solution.cofactors).image
-    v, _, _ = solution.problem.image_residuals(solution.state)
+    v = residuals(solution.problem, solution.state)
     size, axes = np.linalg.eigh(q)
     part = np.einsum("nij,ni->nj", axes, v)
     checked = size > 0.1
@@ -47,7 +48,7 @@ def test_as_with_exact_cofactors(block: fg.Block) -> None:
 def test_residuals_taken_as_errors_are_found_out() -> None:
     """Without the share that the unknowns take up, the check above fails by far."""
     solution = fg.adjust(grid())
-    v, _, _ = solution.problem.image_residuals(solution.state)
+    v = residuals(solution.problem, solution.state)
     plain = float(np.sqrt(np.median(np.sum(v**2, axis=1)) / chi2.median(2)))
     assert plain < 0.75 * exact_image_scale(solution)
 

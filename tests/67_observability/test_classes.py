@@ -12,6 +12,7 @@ from fg_orient.adjustment.problem import compile_problem
 from fg_orient.quality.deficiency import judge_observability
 from fg_orient.quality.observability import NEEDS_SCALING, analyse
 from tests.support.degenerate_blocks import options, pinhole, pushbroom
+from tests.support.scalar_rows import scalar_rows
 
 WITH_VELOCITY = {5, 6, 7, 8, 13, 14, 17, 18, 19, 20}
 ALSO_YAW = {17, 18, 19, 20}
@@ -64,7 +65,7 @@ def test_set_15_is_of_full_rank_and_wants_scaled_units() -> None:
 def test_classes_and_conditions_are_those_of_the_jacobian() -> None:
     """Counted again from the image points' Jacobian by numpy; raw units by central line and prior sigmas."""
     problem = compile_problem(options(pushbroom(), eop_set=15))
-    _, j_image, _ = problem.image_residuals(problem.start, jacobian=True)
+    _, j_image, _ = scalar_rows(problem, problem.start)
     for k, found in enumerate(judge_observability(problem)):
         j = np.vstack([j_image[r] for r in np.flatnonzero(problem.observations.image == k)])
         s = np.linalg.svd(j, compute_uv=False)

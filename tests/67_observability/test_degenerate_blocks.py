@@ -10,9 +10,10 @@ import pytest
 import fg_orient as fg
 from factors.control import CONTROL_POINT
 from fg_orient.adjustment.problem import compile_problem
+from fg_orient.adjustment.rows import linearised
 from fg_orient.block import Block, ExtraObservation
 from fg_orient.names import Role
-from fg_orient.quality.elimination import Rows, eliminated, eliminated_with_own
+from fg_orient.quality.elimination import eliminated, eliminated_with_own
 from fg_orient.quality.motions import free_motions
 from fg_orient.quality.observability import analyse_block
 from fg_orient.run.summary import deficient_summary
@@ -221,7 +222,7 @@ def test_images_that_do_not_follow_have_no_motion() -> None:
     from fg_orient.quality import motions as module
 
     problem = compile_problem(options(with_control(rpc("shift"), ()), datum="priors"))
-    rows = Rows.of(problem, problem.start)
+    rows = linearised(problem, problem.start)
     rest = eliminated(problem, rows)
     assert len(free_motions(problem, rows, rest, np.arange(2))) == 3
     with pytest.MonkeyPatch.context() as patch:

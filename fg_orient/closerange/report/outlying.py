@@ -3,6 +3,7 @@
 A residual over its given standard deviation, or over the one that the others show where that is larger or none is
 given: externally studentised (Cook and Weisberg 1982, section 2.2.1), its redundancy number taken as 1. That makes the
 ratio too small, never too large. Points of an intersection do not depend on each other: each is judged as a whole.
+The tests of ``fg_orient.quality.hypotheses`` need the cofactors that a record does not hold. Nothing is left out.
 """
 
 from __future__ import annotations

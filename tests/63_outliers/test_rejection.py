@@ -1,0 +1,89 @@
+"""The loop of rejection alone, on means of a few numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from fg_orient.quality.rejection import Change, Rejection, reject
+
+VALUES = np.array([1.0, 1.1, 0.9, 1.05, 9.0, 0.95, -5.0])
+#: Distance from the mean of the others beyond which a value is suspicious.
+FAR = 2.0
+
+
+def mean(out: Sequence[int], _: float = np.nan) -> float:
+    return float(np.delete(VALUES, out).mean())
+
+
+def worst(fit: float, out: Sequence[int]) -> int | None:
+    distance = np.abs(VALUES - fit)
+    distance[list(out)] = 0.0
+    return int(distance.argmax()) if distance.max() > FAR else None
+
+
+def rejected(most: int = 5, fit: Callable[[Sequence[int], float], float] = mean, **more: object) -> Rejection:
+    return reject(mean([]), fit, worst, most, **more)  # type: ignore[arg-type]
+
+
+def test_the_worst_goes_first_and_each_fit_is_without_what_is_out() -> None:
+    found = rejected()
+    assert found.out == (4, 6)
+    assert found.changes == (Change(left_out=4), Change(left_out=6), Change())
+    assert found.fit == mean([4, 6])
+    assert found.worst is None and found.error is None
+
+
+@pytest.mark.parametrize("most", [0, 1])
+def test_no_more_than_allowed_go(most: int) -> None:
+    found = rejected(most)
+    assert found.out == (4, 6)[:most]
+    assert found.worst == (4, 6)[most] and found.error is None
+    assert found.fit == mean(found.out)
+
+
+def test_what_fits_best_comes_back_before_anything_goes_and_once_only() -> None:
+    asked: list[tuple[int, ...]] = []
+
+    def returning(_: float, out: Sequence[int]) -> list[float]:
+        asked.append(tuple(out))
+        return [{4: 0.2, 6: 0.4}[k] if len(out) == 2 else 0.0 for k in out]
+
+    found = rejected(returning=returning)
+    assert asked == [(), (4,), (4, 6), (4,), (4, 6), (6,), (6, 4)]
+    assert found.changes == (
+        Change(left_out=4), Change(left_out=6), Change(put_back=6), Change(left_out=6), Change(put_back=4),
+        Change(left_out=4), Change(),
+    )  # fmt: skip
+    assert found.out == (6, 4)
+
+
+def test_the_last_one_is_taken_back_where_the_others_determine_no_fit() -> None:
+    def fit(out: Sequence[int], _: float) -> float:
+        if 6 in out:
+            raise ArithmeticError("too few")
+        return mean(out)
+
+    found = rejected(fit=fit, impossible=(ArithmeticError,))
+    assert found.out == (4,) and found.worst == 6
+    assert str(found.error) == "too few"
+    assert found.changes == (Change(left_out=4), Change())
+    assert found.fit == mean([4])
+    with pytest.raises(ArithmeticError):
+        rejected(fit=fit)
+
+
+def test_a_fit_that_fails_with_more_observations_is_an_error() -> None:
+    calls = 0
+
+    def fit(out: Sequence[int], _: float) -> float:
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            raise ArithmeticError("not that")
+        return mean(out)
+
+    with pytest.raises(ArithmeticError, match="not that"):
+        rejected(fit=fit, impossible=(ArithmeticError,), returning=lambda _, out: [1.0] * len(out))
