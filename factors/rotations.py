@@ -10,14 +10,16 @@ rows; X = V x Z); quaternions: eq. 2.36.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from factors._contract import Array, compiled, inlined
+from factors.records import Record
 
 Matrix = Any  # a tuple of 9 scalars, real or complex
-Vector = Any  # a tuple of 3 scalars
+Vector = Any  # three scalars, a tuple or an array
+QUATERNION: Final = Record(scalar=1, x=1, y=1, z=1)
 
 
 @inlined
@@ -126,7 +128,7 @@ def quaternion_matrices(quaternion: Array) -> Array:
     out = np.empty((len(quaternion), 3, 3))
     for i in range(len(quaternion)):
         q = quaternion[i]
-        m = matrix_from_quaternion(q[0], q[1], q[2], q[3])
+        m = matrix_from_quaternion(q[QUATERNION.scalar], q[QUATERNION.x], q[QUATERNION.y], q[QUATERNION.z])
         for k in range(9):
             out[i, k // 3, k % 3] = m[k]
     return out

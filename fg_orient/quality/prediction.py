@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.control import POINT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
 from fg_orient.quality import hypotheses
@@ -112,7 +113,7 @@ def _columns(full: Problem, point: int, rows: Sequence[int], control: bool, susp
         return whole
     if suspect.part == "image":
         return whole[:, [k for i, r in enumerate(rows) if r == suspect.row for k in (2 * i, 2 * i + 1)]]
-    axes = full.axes(full.control_records[None, point, 9:] + full.origin_m)[0]
+    axes = full.axes(full.control_records[None, point, POINT.place] + full.origin_m)[0]
     out = np.zeros((len(whole), 3))
     out[-3:] = full.control_weights(point) @ axes.T
     return out[:, :2] if suspect.part == "position" else out[:, 2:]
@@ -151,7 +152,7 @@ def _rows(
         d_image[part, first[n] : first[n + 1]] = j_image.reshape(len(part), -1)
     if control:
         w = full.control_weights(point)
-        v[-3:], d_ground[-3:] = w @ (x - full.control_records[point, 9:]), w
+        v[-3:], d_ground[-3:] = w @ (x - full.control_records[point, POINT.place]), w
     return v, d_image, d_ground, images
 
 

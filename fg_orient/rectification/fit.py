@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import evaluate
+from factors.plane import RECORD
 from fg_orient.adjustment.dense import DenseStep, DenseSystem
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.errors import InputError, NoSolutionError
@@ -242,13 +243,13 @@ def fit(
     names = tuple(source_names) or ("x", "y", "z")[: model.dimension]
     blank = Transformation(model, np.zeros(model.n_unknowns), source, target, names, tuple(target_names), crs)
     backend = _Backend(model, _records(blank, points))
-    start = model.start(backend.records[:, :3], backend.records[:, 3:5])
+    start = model.start(backend.records[:, RECORD.source], backend.records[:, RECORD.target])
     _require_determined(points, model, backend.rows(start)[1])
     name = optimizer or ("gauss-newton" if model.linear else "levenberg-marquardt")
     found = OPTIMIZERS[name](backend, start, MAX_ITERATIONS)
     if not found.converged:
         raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=found.reason)
-    below = model.denominator(backend.records[:, :3], found.state)
+    below = model.denominator(backend.records[:, RECORD.source], found.state)
     if not (below > 0.0).all():
         raise NoSolutionError.of("rectify.pole", place=model.title, value=points.ids[int(np.argmin(below))])
     residual, design = backend.rows(found.state)
@@ -313,11 +314,10 @@ def _require_determined(points: Observations, model: Model, design: Array) -> fl
 
 def _records(t: Transformation, points: Observations) -> Array:
     """Records of the equation (n, 8): normalised coordinates, whitening by sigma in normalised units."""
-    records = np.zeros((len(points), 8))
-    records[:, : t.model.dimension] = t.source.normalised(points.source[:, : t.model.dimension])
-    records[:, 3:5] = t.target.normalised(points.target)
-    records[:, [5, 7]] = t.target.scale / points.sigma
-    return records
+    source, scale = np.zeros((len(points), 3)), t.target.scale / points.sigma
+    source[:, : t.model.dimension] = t.source.normalised(points.source[:, : t.model.dimension])
+    target = t.target.normalised(points.target)
+    return RECORD.pack(source=source, target=target, w11=scale[:, 0], w12=0.0, w22=scale[:, 1])
 
 
 class _Backend:
