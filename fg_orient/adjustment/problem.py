@@ -429,10 +429,9 @@ def whitened_records(
 
 def _control_records(block: Block, ecef_m: Array, origin_m: Array, observed: npt.NDArray[np.bool_]) -> Array:
     """Records (N, 12) of the control-point equations: W for ECEF axes from E/N/U sigmas."""
-    out, sigma_enu_m = np.full((len(ecef_m), POINT.size), np.nan), block.points.known.sigma_enu_m
-    rows = np.flatnonzero(observed)
+    out, rows = np.full((len(ecef_m), POINT.size), np.nan), np.flatnonzero(observed)
     # W^T W = C^-1 by QR of the scaled axes: no covariance is formed, so any ratio of sigmas is exact
-    w = np.linalg.qr(_axes(block, ecef_m[rows]) / sigma_enu_m[rows][:, :, None]).R
+    w = np.linalg.qr(_axes(block, ecef_m[rows]) / block.points.known.sigma_enu_m[rows][:, :, None]).R
     w *= np.where(np.einsum("nii->ni", w) < 0.0, -1.0, 1.0)[:, :, None]
     out[rows] = POINT.pack(whitening=w.reshape(-1, 9), place=ecef_m[rows] - origin_m)
     return out
