@@ -39,18 +39,19 @@ test: $(STAMP) kernels  ## all tests but the slow ones (ARGS=... goes to pytest)
 test-slow: $(STAMP)  ## the full simulations
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
-check: $(STAMP)  ## ruff, mypy, import-linter, documentation
+check: $(STAMP)  ## ruff, mypy, import-linter, records of constants by name, documentation
 	$(MAKE) --no-print-directory --jobs=3 --output-sync docs lint kernels DOCS_JOBS=1
 
 # each worker of the tests would compile them for itself
 kernels: $(STAMP)  ## compile the numba kernels that the tests call most, or find them in the cache
 	$(BIN)/python -m tests.support.kernels
 
-lint: $(STAMP)  ## ruff, mypy, import-linter
+lint: $(STAMP)  ## ruff, mypy, import-linter, records of constants by name
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.support.record_fields
 
 format: $(STAMP)  ## let ruff mend and format the code
 	$(BIN)/ruff check --fix .

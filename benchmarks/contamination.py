@@ -47,6 +47,7 @@ import numpy as np
 import numpy.typing as npt
 
 import fg_orient as fg
+from factors.control import POINT
 from fg_orient.adjustment.irls import norms_at
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
@@ -173,7 +174,7 @@ def spoil(case: str, seed: int, share: float) -> Spoiled:
     moved_image, moved_control = (_errors(rng, len(at), d) for at, d in ((rows, 2), (points, 3)))
     rays = np.bincount(found.block.observations.point, minlength=len(control))
     alone = (rays == 2) & ~found.problem.observed
-    w = found.problem.control_records[points, :9].reshape(-1, 3, 3)
+    w = found.problem.control_records[points, POINT.whitening].reshape(-1, 3, 3)
     enu = moved_control * found.block.points.known.sigma_enu_m[points]
     ecef = np.einsum("nji,nj->ni", found.problem.axes(found.truth.ecef_m[points]), enu)
     traced = _trace(moved_image, found.image[rows]) & ~alone[found.block.observations.point[rows]]

@@ -14,6 +14,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from numba import njit
 
+from factors.control import POINT
 from fg_orient.adjustment.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -75,7 +76,7 @@ class FlatProblem:
         self.start = np.concatenate([problem.image_vector(problem.start), problem.start.ground[self.points].ravel()])
         self.observed = place[np.flatnonzero(problem.observed)]
         records = problem.control_records[problem.observed]
-        self.w, self.known = records[:, :9].reshape(-1, 3, 3), records[:, 9:]
+        self.w, self.known = records[:, POINT.whitening].reshape(-1, 3, 3), records[:, POINT.place]
         self._rows = loop_over(model.equation.fill)
         self._indices, self._indptr, self._constant = self._pattern()
         self._n_data = int(self._indptr[2 * len(self.image)])

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from factors.pushbroom import RECORD
 from fg_orient.classical.conditions import Conditions
 from fg_orient.classical.two_stage import TwoStage
 from fg_orient.experiments.study import EXACT, TWIN, Study
@@ -68,24 +69,24 @@ def velocity_as_yaw(two_stage: TwoStage) -> tuple[np.ndarray, dict[str, np.ndarr
     """Effect of a velocity change on the along-track condition, beside that of a yaw."""
     at = two_stage.pre_adjusted
     left = np.flatnonzero(at.image == 0)
-    at = at.take(left[np.argsort(at.records[left, 21])])
+    at = at.take(left[np.argsort(at.records[left, RECORD.s])])
     slopes = at.linearise((9, 12, 15, 24), np.zeros((2, 4))).eop  # V_X, V_Y, V_Z, yaw: constant terms
     effects = {}
     for name, unit in frame(at).items():
         effects[name] = np.einsum("nij,nj->ni", slopes[:, :, :3], unit)
-    speed = np.linalg.norm(at.records[:, 3:6], axis=1)
+    speed = np.linalg.norm(at.records[:, RECORD.velocity], axis=1)
     effects["yaw"] = slopes[:, :, 3] / -speed[:, None]
     across, yaw = effects["velocity across track"], effects["yaw"]
     print(
         f"velocity along track and radial: {max(np.abs(effects[k]).max() for k in list(effects)[:2]):.1e} rad per m/s;"
     )
     print(f"across track {np.abs(across).max():.1e}; it differs from a yaw by {np.abs(across - yaw).max():.1e}")
-    return two_stage.block.images[0].sensor.n_samples / 2.0 * (1.0 + at.records[:, 21]), effects
+    return two_stage.block.images[0].sensor.n_samples / 2.0 * (1.0 + at.records[:, RECORD.s]), effects
 
 
 def frame(at: Conditions) -> dict[str, np.ndarray]:
     """Unit vectors along track (of V), radial (of P) and across track (of V x P)."""
-    p, v = at.records[:, 0:3], at.records[:, 3:6]
+    p, v = at.records[:, RECORD.position], at.records[:, RECORD.velocity]
     named = {"velocity along track": v, "velocity radial": p, "velocity across track": np.cross(v, p)}
     return {name: vector / np.linalg.norm(vector, axis=1, keepdims=True) for name, vector in named.items()}
 

@@ -16,16 +16,21 @@ import numpy as np
 
 import fg_orient as fg
 from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors.records import Record
 from fg_orient.block import ExtraObservation
 from fg_orient.names import Role
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
+#: Constants of an observation, m.
+TAPE = Record(distance=1, sigma=1)
+
 
 @compiled
 def residual(record, setup, a, b):  # type: ignore[no-untyped-def]
-    """``(|b - a| - measured) / sigma``: record = measured distance, sigma (m)."""
+    """``(|b - a| - measured) / sigma``."""
     d = b - a
-    return np.array([(np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) - record[0]) / record[1]])
+    length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    return np.array([(length - record[TAPE.distance]) / record[TAPE.sigma]])
 
 
 @compiled
@@ -35,7 +40,7 @@ def kernel(record, setup, a, b, want):  # type: ignore[no-untyped-def]
     if not want:
         return value, np.empty((0, 0)), np.empty((0, 0))
     d = b - a
-    unit = (d / np.sqrt(d @ d) / record[1]).reshape((1, 3))
+    unit = (d / np.sqrt(d @ d) / record[TAPE.sigma]).reshape((1, 3))
     return value, -unit, unit
 
 
@@ -73,9 +78,8 @@ def main() -> None:
     before = fg.adjust(block)
     distance_m = float(np.linalg.norm(truth.ecef_m[second] - truth.ecef_m[first]))
     names = tuple(f"point:{block.points.ids[j]}" for j in (first, second))
-    tape = ExtraObservation(
-        DISTANCE, names, np.array([distance_m, 0.01]), np.zeros((2, 0)), 1, "distance of two check points"
-    )
+    record = TAPE.pack(distance=distance_m, sigma=0.01)
+    tape = ExtraObservation(DISTANCE, names, record, np.zeros((2, 0)), 1, "distance of two check points")
     after = fg.adjust(replace(block, extra=(tape,)))
 
     def error_m(solution: fg.Solution) -> float:

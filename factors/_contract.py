@@ -4,8 +4,8 @@ An equation is one scalar kernel, compiled with numba and pure::
 
     value, jacobian_1, ..., jacobian_n = kernel(record, setup, x_1, ..., x_n, want)
 
-``record`` (d,) holds the constants of one observation, ``setup`` (2, k) what all
-observations of a group share, ``x_i`` (k_i,) the unknowns, all float64 in C order.
+``record`` (d,) holds the constants of one observation, by the names of ``factors.records``, ``setup`` (2, k) what
+all observations of a group share, ``x_i`` (k_i,) the unknowns, all float64 in C order.
 ``value`` (m,) is the whitened residual, ``jacobian_i`` (m, k_i) its derivative. With
 ``want`` False the Jacobians are (0, 0) arrays; the value never depends on ``want``.
 ``residual(record, setup, x_1, ...)`` gives the value alone and accepts complex unknowns,

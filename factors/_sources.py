@@ -122,7 +122,7 @@ def _constant(value: Any) -> str:
     """Value of a constant in words that do not change between two runs."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
-    if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.generic):
+    if value is None or isinstance(value, bool | int | float | complex | str | bytes | slice | np.generic):
         return repr(value)
     if isinstance(value, tuple | list):
         return f"({','.join(_constant(item) for item in value)})"

@@ -15,9 +15,10 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Array, compiled
+from factors.records import Record
 
-SIZE: Final = 21
-NAMES: Final = tuple(f"a{j}" for j in range(1, SIZE + 1))
+AT: Final = Record(all="a1 a2 a3 a4 a5 a6 a7 a8 a9 a10 a11 a12 a13 a14 a15 a16 a17 a18 a19 a20 a21")
+NAMES: Final = tuple(f"a{j + 1}" for j in range(AT.size))
 
 
 @compiled
@@ -46,14 +47,17 @@ def terms(x: Any, y: Any, c: float) -> Any:
 def slopes(a: Array, x: float, y: float, c: float) -> tuple[float, float, float, float]:
     """Derivatives dx_x, dx_y, dy_x, dy_y of the corrections with respect to the point."""
     xx, yy, r = x * x, y * y, x * x + y * y
-    s = (a[12] * (xx - yy) + a[13] * xx * yy + a[14] * (xx * xx - yy * yy)) / c + r * (a[15] + r * (a[16] + r * a[17]))
-    radial = 2.0 * (a[15] + r * (2.0 * a[16] + 3.0 * r * a[17]))
-    s_x = (2.0 * a[12] * x + 2.0 * a[13] * x * yy + 4.0 * a[14] * xx * x) / c + x * radial
-    s_y = (-2.0 * a[12] * y + 2.0 * a[13] * xx * y - 4.0 * a[14] * yy * y) / c + y * radial
-    own = s + a[20] / c
+    a13, a14, a15, a16, a17, a18 = a[AT.a13], a[AT.a14], a[AT.a15], a[AT.a16], a[AT.a17], a[AT.a18]
+    s = (a13 * (xx - yy) + a14 * xx * yy + a15 * (xx * xx - yy * yy)) / c + r * (a16 + r * (a17 + r * a18))
+    radial = 2.0 * (a16 + r * (2.0 * a17 + 3.0 * r * a18))
+    s_x = (2.0 * a13 * x + 2.0 * a14 * x * yy + 4.0 * a15 * xx * x) / c + x * radial
+    s_y = (-2.0 * a13 * y + 2.0 * a14 * xx * y - 4.0 * a15 * yy * y) / c + y * radial
+    own = s + a[AT.a21] / c
     return (
-        a[0] + a[2] * y + 2.0 * a[4] * x * y + a[5] * yy + 2.0 * a[6] * x * yy + own + x * s_x,
-        a[1] + a[2] * x + 2.0 * a[3] * y + a[4] * xx + 2.0 * a[5] * x * y + 2.0 * a[6] * xx * y + x * s_y,
-        a[7] * y + 2.0 * a[8] * x + 2.0 * a[9] * x * y + a[10] * yy + 2.0 * a[11] * x * yy + y * s_x,
-        a[7] * x + a[9] * xx + 2.0 * a[10] * x * y + 2.0 * a[11] * xx * y + own + y * s_y,
-    )
+        a[AT.a1] + a[AT.a3] * y + 2.0 * a[AT.a5] * x * y + a[AT.a6] * yy + 2.0 * a[AT.a7] * x * yy + own + x * s_x,
+        a[AT.a2] + a[AT.a3] * x + 2.0 * a[AT.a4] * y + a[AT.a5] * xx + 2.0 * a[AT.a6] * x * y
+        + 2.0 * a[AT.a7] * xx * y + x * s_y,
+        a[AT.a8] * y + 2.0 * a[AT.a9] * x + 2.0 * a[AT.a10] * x * y + a[AT.a11] * yy
+        + 2.0 * a[AT.a12] * x * yy + y * s_x,
+        a[AT.a8] * x + a[AT.a10] * xx + 2.0 * a[AT.a11] * x * y + 2.0 * a[AT.a12] * xx * y + own + y * s_y,
+    )  # fmt: skip

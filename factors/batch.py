@@ -25,6 +25,7 @@ from factors.batch_blocks import any_small_angle
 from factors.batch_frame import frame_rows, measured_frame_rows
 from factors.batch_pushbroom import pushbroom_rows, small_angle_rows
 from factors.batch_rows import Index, rational_rows
+from factors.pushbroom import RECORD
 
 #: A basis value of the look polynomial has its degree plus this as its number, a curve its own plus that.
 _LOOK: Final = 10
@@ -85,8 +86,9 @@ def _pushbroom_columns(setup: Array) -> Columns:
 def _value(records: Array, name: int) -> Array:
     """Basis value (n,) by its number."""
     if name >= _CURVE:
-        return np.asarray(records[:, pushbroom.RECORD_SIZE + name - _CURVE])
-    return np.asarray(records[:, 21] ** (name - _LOOK) if name > _LOOK else records[:, 18] ** name)
+        return np.asarray(records[:, RECORD.size + name - _CURVE])
+    look = name > _LOOK
+    return np.asarray(records[:, RECORD.s] ** (name - _LOOK) if look else records[:, RECORD.tau] ** name)
 
 
 def _plain_columns(setup: Array) -> Columns:

@@ -9,15 +9,15 @@ import numpy as np
 from factors import pushbroom
 from factors._compile import exact
 from factors._contract import Array
-from factors.batch_components import write_eight
+from factors.batch_components import N_COMPONENTS, write_eight
 from factors.batch_rows import Index
 from factors.batch_tiles import SIDE, turn_in, turn_out
-from factors.sight import STORED
+from factors.sight import CORRECTION, RECORD, ROW, STORED
 
 #: Observations of one block: with 80 numbers each they stay in the first-level cache.
 BLOCK: Final = 32
-#: Entry of a record that says which form the attitude has.
-SMALL: Final = 27
+#: Last of the nine usual components: eight of them are one vector.
+YAW: Final = CORRECTION.angles.stop - 1
 
 
 @exact
@@ -26,7 +26,7 @@ def usual(slot: Index) -> bool:
     for k in range(len(slot)):
         if slot[k] != k:
             return False
-    return len(slot) == 9
+    return len(slot) == N_COMPONENTS
 
 
 @exact
@@ -35,14 +35,15 @@ def places(setup: Array) -> tuple[Index, Index]:
     slot, column = np.empty(setup.shape[1], np.int64), np.empty(setup.shape[1], np.int64)
     for k in range(setup.shape[1]):
         code = int(setup[0, k])
-        slot[k] = code // 3 if code < pushbroom.N_EOP else 9 + code - pushbroom.N_EOP
-        column[k] = slot[k] if slot[k] < 9 else slot[k] + 3
+        look = code - pushbroom.N_EOP
+        slot[k] = code // 3 if look < 0 else CORRECTION.psi_x + look
+        column[k] = slot[k] if look < 0 else ROW.psi_x + look
     return slot, column
 
 
 def any_small_angle(records: Array) -> bool:
     """Whether an observation has the small-angle form."""
-    return bool(records[:, SMALL].any())
+    return bool(records[:, RECORD.small_angle].any())
 
 
 @exact
@@ -55,7 +56,9 @@ def any_small(first: int, size: int, members: Index, records: Array, row: Index)
     flags = 0.0
     for i in range(size):
         r = row[members[first + i]]
-        flags += records[r, SMALL] + 0.0 * (records[r, 0] + records[r, 8] + records[r, 16] + records[r, 33])
+        flags += records[r, RECORD.small_angle]
+        for k in range(0, RECORD.size, SIDE):
+            flags += 0.0 * records[r, k]
     return flags != 0.0  # also where a number is nan
 
 
@@ -69,12 +72,12 @@ def gather(
     for i in range(0, whole, SIDE):
         for q in range(SIDE):
             own[q] = row[members[first + i + q]] * records.shape[1]
-        for k in range(0, pushbroom.RECORD_SIZE, SIDE):
-            at = min(k, pushbroom.RECORD_SIZE - SIDE)
+        for k in range(0, RECORD.size, SIDE):
+            at = min(k, RECORD.size - SIDE)
             turn_in(records, constants, own, at, at * BLOCK + i, BLOCK)
     for i in range(whole, size):
         r = row[members[first + i]]
-        for k in range(pushbroom.RECORD_SIZE):
+        for k in range(RECORD.size):
             constants[k * BLOCK + i] = records[r, k]
     for i in range(size):
         j = point[members[first + i]]
@@ -96,7 +99,8 @@ def correct(
                 a = members[first + i + q]
                 m, b0, b1, b2 = image[a], basis[a, 0], basis[a, 1], basis[a, 2]
                 write_eight(space, q * SIDE, wide, m * wide.shape[1], basis, a * basis.shape[1])
-                d[8 * BLOCK + i + q] = 0.0 + b0 * wide[m, 8] + b1 * wide[m, 17] + b2 * wide[m, 26]
+                yaw = 0.0 + b0 * wide[m, YAW] + b1 * wide[m, N_COMPONENTS + YAW]
+                d[YAW * BLOCK + i + q] = yaw + b2 * wide[m, 2 * N_COMPONENTS + YAW]
             turn_in(space, d, lines, 0, i, BLOCK)
     for i in range(whole, size):
         a = members[first + i]
@@ -114,24 +118,26 @@ def scatter(
 ) -> int:  # fmt: skip
     """Copy the results of a block to the arrays of the observations; the first one that is not finite, or -1."""
     bad, c, whole = -1, len(column), 0
-    if want and nine and d_image.shape[2] == 9:
+    if want and nine and d_image.shape[2] == N_COMPONENTS:
         whole = size - size % SIDE
         for i in range(0, whole, SIDE):
             for q in range(SIDE):
                 a = members[first + i + q]
-                own[q] = 18 * a
-                d_image[a, 0, 8], d_image[a, 1, 8] = out[10 * BLOCK + i + q], out[24 * BLOCK + i + q]
+                own[q] = 2 * N_COMPONENTS * a
+                for r in range(2):
+                    d_image[a, r, YAW] = out[(STORED.line_row.start + r * ROW.size + YAW) * BLOCK + i + q]
             for r in range(2):
-                turn_out(out, d_image, own, 9 * r, (2 + 14 * r) * BLOCK + i, BLOCK)
+                turn_out(out, d_image, own, N_COMPONENTS * r, (STORED.line_row.start + r * ROW.size) * BLOCK + i, BLOCK)
     for i in range(size):
         a = members[first + i]
         for r in range(2):
-            value[a, r] = out[r * BLOCK + i]
+            row = STORED.line_row.start + r * ROW.size
+            value[a, r] = out[(STORED.line + r) * BLOCK + i]
             if want:
                 for k in range(c if i >= whole else 0):
-                    d_image[a, r, k] = out[(2 + 14 * r + column[k]) * BLOCK + i]
+                    d_image[a, r, k] = out[(row + column[k]) * BLOCK + i]
                 for k in range(3):
-                    d_ground[a, r, k] = out[(11 + 14 * r + k) * BLOCK + i]
-        if bad < 0 and not np.isfinite(out[(STORED - 1) * BLOCK + i]):
+                    d_ground[a, r, k] = out[(row + ROW.ground.start + k) * BLOCK + i]
+        if bad < 0 and not np.isfinite(out[STORED.total * BLOCK + i]):
             bad = a
     return bad

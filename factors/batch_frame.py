@@ -12,7 +12,8 @@ from factors import frame, frame_measured
 from factors._compile import threaded
 from factors._contract import Array
 from factors.batch_rows import Index
-from factors.frame_camera import CAMERA_SIZE, direction, pixel, row_of
+from factors.frame import RECORD
+from factors.frame_camera import CAMERA, direction, pixel, row_of
 
 
 @threaded
@@ -22,8 +23,8 @@ def frame_rows(
 ) -> int:  # fmt: skip
     """Frame collinearity of members lo to hi; see :func:`factors.batch_pushbroom.rows_of_form`."""
     c, bad = setup.shape[1], -1
-    table, known = np.empty((len(wide), CAMERA_SIZE)), np.zeros(len(wide), np.bool_)
-    column, sigma, d = frame.columns_of(setup), setup[1].copy(), np.zeros((2, frame.N_COLUMNS))
+    table, known = np.empty((len(wide), CAMERA.size)), np.zeros(len(wide), np.bool_)
+    column, sigma, d = frame.columns_of(setup), setup[1].copy(), np.zeros((2, frame.COLUMN.size))
     for m in range(lo, hi):
         a = members[m]
         i, k, p = image[a], row[a], point[a]
@@ -35,11 +36,12 @@ def frame_rows(
         cam = row_of(table, i)
         ray = direction(cam, ground[p, 0], ground[p, 1], ground[p, 2])
         line, sample = pixel(cam, ray[0], ray[1])
-        v_line, v_sample = records[k, 2] * (records[k, 0] - line), records[k, 3] * (records[k, 1] - sample)
+        a_line, a_sample = records[k, RECORD.a_line], records[k, RECORD.a_sample]
+        v_line, v_sample = a_line * (records[k, RECORD.line] - line), a_sample * (records[k, RECORD.sample] - sample)
         value[a, 0], value[a, 1] = v_line, v_sample
         zero = 0.0 * (v_line + v_sample)
         if want:
-            zero += frame.derivatives(cam, ray, records[k, 2], records[k, 3], d)
+            zero += frame.derivatives(cam, ray, a_line, a_sample, d)
             for j in range(c):
                 d_image[a, 0, j] = d[0, column[j]] * sigma[j]
                 d_image[a, 1, j] = d[1, column[j]] * sigma[j]
@@ -58,8 +60,8 @@ def measured_frame_rows(
 ) -> int:  # fmt: skip
     """Frame collinearity with corrected observations of members lo to hi; see :func:`frame_rows`."""
     c, bad = setup.shape[1], -1
-    table, known = np.empty((len(wide), frame_measured.CAMERA_SIZE)), np.zeros(len(wide), np.bool_)
-    column, sigma, d = frame.columns_of(setup), setup[1].copy(), np.zeros((2, frame.N_COLUMNS))
+    table, known = np.empty((len(wide), frame_measured.CAMERA.size)), np.zeros(len(wide), np.bool_)
+    column, sigma, d = frame.columns_of(setup), setup[1].copy(), np.zeros((2, frame.COLUMN.size))
     for m in range(lo, hi):
         a = members[m]
         i, k, p = image[a], row[a], point[a]
@@ -68,13 +70,14 @@ def measured_frame_rows(
             new = frame_measured.camera(records[k], setup, wide[i, :c])
             for j in range(len(new)):
                 table[i, j] = new[j]
-        cam, o_line, o_sample = table[i], records[k, 0], records[k, 1]
+        cam, o_line, o_sample = table[i], records[k, RECORD.line], records[k, RECORD.sample]
+        a_line, a_sample = records[k, RECORD.a_line], records[k, RECORD.a_sample]
         ray = direction(cam, ground[p, 0], ground[p, 1], ground[p, 2])
         line, sample = frame_measured.difference(cam, o_line, o_sample, ray[0], ray[1])
-        value[a, 0], value[a, 1] = records[k, 2] * line, records[k, 3] * sample
+        value[a, 0], value[a, 1] = a_line * line, a_sample * sample
         zero = 0.0 * (value[a, 0] + value[a, 1])
         if want:
-            zero += frame_measured.derivatives(cam, ray, o_line, o_sample, records[k, 2], records[k, 3], d)
+            zero += frame_measured.derivatives(cam, ray, o_line, o_sample, a_line, a_sample, d)
             for j in range(c):
                 d_image[a, 0, j] = d[0, column[j]] * sigma[j]
                 d_image[a, 1, j] = d[1, column[j]] * sigma[j]

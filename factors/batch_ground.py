@@ -5,6 +5,7 @@ from __future__ import annotations
 from factors._compile import threaded
 from factors._contract import Array
 from factors.batch_rows import Index, Small
+from factors.control import POINT
 
 
 @threaded
@@ -15,18 +16,18 @@ def control_squares(ground: Array, control: Array, observed: Index, out: Array) 
     ----------
     ground : (N, 3) array
     control : (N, 12) array
-        W row-major and the observed coordinates.
+        Records of observed points, ``factors.control.POINT``.
     observed : (m,) int array
         Rows of both.
     """
     for k in range(len(observed)):
         j = observed[k]
-        x, y, z = ground[j, 0] - control[j, 9], ground[j, 1] - control[j, 10], ground[j, 2] - control[j, 11]
-        square = 0.0
-        for r in range(0, 9, 3):
-            residual = control[j, r] * x + control[j, r + 1] * y + control[j, r + 2] * z
-            square += residual * residual
-        out[k] = square
+        x, y = ground[j, 0] - control[j, POINT.x], ground[j, 1] - control[j, POINT.y]
+        z = ground[j, 2] - control[j, POINT.z]
+        r1 = control[j, POINT.w11] * x + control[j, POINT.w12] * y + control[j, POINT.w13] * z
+        r2 = control[j, POINT.w21] * x + control[j, POINT.w22] * y + control[j, POINT.w23] * z
+        r3 = control[j, POINT.w31] * x + control[j, POINT.w32] * y + control[j, POINT.w33] * z
+        out[k] = r1 * r1 + r2 * r2 + r3 * r3
 
 
 @threaded

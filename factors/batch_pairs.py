@@ -16,6 +16,7 @@ import numpy as np
 
 from factors._compile import threaded
 from factors._contract import Array
+from factors.batch_points import SCALED
 from factors.batch_rows import Index, Small
 from factors.batch_sums import add_rows
 from factors.vectors import LANES, aligned, combine_nine, outer_nine
@@ -33,10 +34,12 @@ def _form(
     for k in range(n):
         i, j = a + k * rays - base, b + k * rays - base
         x0, x1, x2, x3, x4, x5 = (
-            scaled[i, 0], scaled[i, 1], scaled[i, 2], scaled[i, 3], scaled[i, 4], scaled[i, 5]
+            scaled[i, SCALED.x0], scaled[i, SCALED.x1], scaled[i, SCALED.x2],
+            scaled[i, SCALED.y0], scaled[i, SCALED.y1], scaled[i, SCALED.y2],
         )  # fmt: skip
         y0, y1, y2, y3, y4, y5 = (
-            scaled[j, 0], scaled[j, 1], scaled[j, 2], scaled[j, 3], scaled[j, 4], scaled[j, 5]
+            scaled[j, SCALED.x0], scaled[j, SCALED.x1], scaled[j, SCALED.x2],
+            scaled[j, SCALED.y0], scaled[j, SCALED.y1], scaled[j, SCALED.y2],
         )  # fmt: skip
         m00, m01 = same - (x0 * y0 + x1 * y1 + x2 * y2), -(x0 * y3 + x1 * y4 + x2 * y5)
         m10, m11 = -(x3 * y0 + x4 * y1 + x5 * y2), same - (x3 * y3 + x4 * y4 + x5 * y5)
@@ -69,13 +72,13 @@ def _weigh(n: int, a: int, b: int, rays: int, basis: Array, b_a: int, b_b: int, 
 
 @threaded
 def _add_gradient(
-    n: int, a: int, rays: int, base: int, n_b: int, n_c: int, basis: Array, value: Array, place: int, d_image: Array,
-    t: Array, weight: Array, out: Array, s: int,
+    n: int, a: int, rays: int, base: int, n_b: int, n_c: int, basis: Array, value: Array, line: int, sample: int,
+    d_image: Array, t: Array, weight: Array, out: Array, s: int,
 ) -> None:  # fmt: skip
-    """Add ``D^T r`` of the ray a and of its followers to the gradient of a slot; r stands from ``place`` of value."""
+    """Add ``D^T r`` of the ray a and of its followers to the gradient of a slot; ``line``, ``sample``: r in value."""
     for k in range(n):
         i = a + k * rays - base
-        q0, q1 = value[i, place], value[i, place + 1]
+        q0, q1 = value[i, line], value[i, sample]
         if n_c == 9:
             combine_nine(t, k * t.shape[1], d_image, d_image.shape[2], i, q0, q1)
         else:
@@ -143,8 +146,9 @@ def pair_blocks(
                             for p in range(b_a):
                                 add_rows(n, weight, p * b_b + p, b_b - p, t, end, sums, s)
                             _add_gradient(
-                                n, a, rays, base, b_a, c_a, basis, scaled, 6, d_image, t, weight, gradients, s
-                            )
+                                n, a, rays, base, b_a, c_a, basis, scaled, SCALED.r_line, SCALED.r_sample, d_image, t,
+                                weight, gradients, s,
+                            )  # fmt: skip
                             continue
                         add_rows(n, weight, 0, b_a * b_b, t, end, sums, s)
                         if i == j:  # two rays in one image stand in both orders
@@ -172,6 +176,6 @@ def image_gradients(
                 for j in range(rays):
                     a = first + start * rays + j
                     _add_gradient(min(BATCH, count - start), a, rays, base, n_basis[image[a]],
-                                  n_components[image[a]], basis, value, 0, d_image, t, weight, gradients,
+                                  n_components[image[a]], basis, value, 0, 1, d_image, t, weight, gradients,
                                   slots[entry])  # fmt: skip
                     entry += rays - j

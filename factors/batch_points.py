@@ -13,10 +13,15 @@ from typing import Final
 from factors._compile import threaded
 from factors._contract import Array
 from factors.batch_rows import Flags, Small
+from factors.control import POINT
+from factors.records import Record
 
 Block = tuple[float, float, float, float, float, float]  # lower triangle: 00 10 11 20 21 22
 Gradient = tuple[float, float, float]
 
+#: Lower triangle R of a ground point; of its rays both rows of Z = G R^T, and the residuals reduced by the point.
+ROOT: Final = Record(r00=1, r10=1, r11=1, r20=1, r21=1, r22=1)
+SCALED: Final = Record(line="x0 x1 x2", sample="y0 y1 y2", residuals="r_line r_sample")
 ZERO_BLOCK: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ZERO_GRADIENT: Final = (0.0, 0.0, 0.0)
 #: A point whose pivot falls below this part of its diagonal element is not determined.
@@ -28,7 +33,7 @@ def point_blocks(
     lo: int, hi: int, first: Small, number: Small, free: Flags, control: Array, ground: Array, damping: float,
     base: int, value: Array, d_ground: Array, root: Array, gradient: Array, scaled: Array,
 ) -> int:  # fmt: skip
-    """Write R (P, 6) as r00 r10 r11 r20 r21 r22 and the gradient (P, 3); of each ray Z = G R^T and reduced residuals.
+    """Write R (P, 6) as ``ROOT`` and the gradient (P, 3); of each ray Z = G R^T and reduced residuals, ``SCALED``.
 
     Parameters
     ----------
@@ -39,7 +44,7 @@ def point_blocks(
     free : (P,) int array
         0 for a constant, 1 for an unknown, 2 for an unknown with a control-point equation.
     control : (N, 12) array
-        W row-major and the observed coordinates.
+        Records of observed points, ``factors.control.POINT``.
     base : int
         Observation of row 0 of ``value`` (n, 2), ``d_ground`` (n, 2, 3), ``scaled`` (n, 8: Z, ``residual - Z R g``).
 
@@ -61,27 +66,32 @@ def point_blocks(
             regular, found = _inverse_root((h[0] * more, h[1], h[2] * more, h[3], h[4], h[5] * more))
             bad = p if bad < 0 and not regular else bad
         r0, r1, r2, r3, r4, r5 = found
-        root[p, 0], root[p, 1], root[p, 2], root[p, 3], root[p, 4], root[p, 5] = found
+        root[p, ROOT.r00], root[p, ROOT.r10], root[p, ROOT.r11] = r0, r1, r2
+        root[p, ROOT.r20], root[p, ROOT.r21], root[p, ROOT.r22] = r3, r4, r5
         gradient[p, 0], gradient[p, 1], gradient[p, 2] = g
         u0, u1, u2 = r0 * g[0], r1 * g[0] + r2 * g[1], r3 * g[0] + r4 * g[1] + r5 * g[2]
         for a in range(first[p] - base, first[p + 1] - base):
             for r in range(2):
                 x, y, z = d_ground[a, r, 0], d_ground[a, r, 1], d_ground[a, r, 2]
-                scaled[a, 3 * r] = r0 * x
-                scaled[a, 3 * r + 1] = r1 * x + r2 * y
-                scaled[a, 3 * r + 2] = r3 * x + r4 * y + r5 * z
-                scaled[a, 6 + r] = value[a, r] - (
-                    u0 * (r0 * x) + u1 * (r1 * x + r2 * y) + u2 * (r3 * x + r4 * y + r5 * z)
-                )
+                z0, z1, z2 = r0 * x, r1 * x + r2 * y, r3 * x + r4 * y + r5 * z
+                if r == 0:
+                    scaled[a, SCALED.x0], scaled[a, SCALED.x1], scaled[a, SCALED.x2] = z0, z1, z2
+                else:
+                    scaled[a, SCALED.y0], scaled[a, SCALED.y1], scaled[a, SCALED.y2] = z0, z1, z2
+                scaled[a, SCALED.residuals.start + r] = value[a, r] - (u0 * z0 + u1 * z1 + u2 * z2)
     return bad
 
 
 @threaded
 def _with_control(control: Array, ground: Array, j: int, h: Block, g: Gradient) -> tuple[Block, Gradient]:
     """Block and gradient with the three equations of a control point."""
-    x, y, z = ground[j, 0] - control[j, 9], ground[j, 1] - control[j, 10], ground[j, 2] - control[j, 11]
-    for r in range(0, 9, 3):
-        w0, w1, w2 = control[j, r], control[j, r + 1], control[j, r + 2]
+    x, y = ground[j, 0] - control[j, POINT.x], ground[j, 1] - control[j, POINT.y]
+    z = ground[j, 2] - control[j, POINT.z]
+    for w0, w1, w2 in (
+        (control[j, POINT.w11], control[j, POINT.w12], control[j, POINT.w13]),
+        (control[j, POINT.w21], control[j, POINT.w22], control[j, POINT.w23]),
+        (control[j, POINT.w31], control[j, POINT.w32], control[j, POINT.w33]),
+    ):
         h, g = _with(h, g, w0, w1, w2, w0 * x + w1 * y + w2 * z)
     return h, g
 

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from factors import pushbroom
 from factors._compile import exact
 from factors._contract import Array
-from factors.batch_blocks import BLOCK, SMALL, any_small, correct, gather, places, scatter, usual
+from factors.batch_blocks import BLOCK, any_small, correct, gather, places, scatter, usual
 from factors.batch_rows import Index
 from factors.batch_tiles import SIDE
-from factors.sight import STORED, derivatives, sight, store
+from factors.sight import CORRECTION, RECORD, STORED, derivatives, sight, store
 
 
 @exact
@@ -26,7 +25,7 @@ def _evaluate(constants: Array, d: Array, place: Array, size: int, small: Any, w
     n, full = np.int64(BLOCK), np.bool_(False)  # typed, so that numba makes no variant for each literal
     if small is not None:
         for i in range(size):
-            value, seen = sight(constants, d, place, i, n, constants[i + SMALL * n] > 0.5)
+            value, seen = sight(constants, d, place, i, n, constants[i + RECORD.small_angle * n] > 0.5)
             store(out, i, n, value, derivatives(constants, i, n, seen))
     elif want:
         for i in range(size):
@@ -35,8 +34,8 @@ def _evaluate(constants: Array, d: Array, place: Array, size: int, small: Any, w
     else:
         for i in range(size):
             value, seen = sight(constants, d, place, i, n, full)
-            out[i], out[i + n] = value
-            out[i + (STORED - 1) * n] = value[0] + value[1]
+            out[i + STORED.line * n], out[i + STORED.sample * n] = value
+            out[i + STORED.total * n] = value[0] + value[1]
 
 
 @exact
@@ -72,10 +71,10 @@ def rows_of_form(
         The first observation that is not finite, or -1.
     """
     slot, column = places(setup)
-    constants, d, place = np.empty(pushbroom.RECORD_SIZE * BLOCK), np.empty(11 * BLOCK), np.empty(3 * BLOCK)
+    constants, d, place = np.empty(RECORD.size * BLOCK), np.empty(CORRECTION.size * BLOCK), np.empty(3 * BLOCK)
     for k in range(len(d)):
         d[k] = 0.0
-    out, bad = np.empty(STORED * BLOCK), -1
+    out, bad = np.empty(STORED.size * BLOCK), -1
     own, lines, space, nine = np.empty(SIDE, np.int64), np.empty(SIDE, np.int64), np.empty(SIDE * SIDE), usual(slot)
     for k in range(SIDE):
         lines[k] = SIDE * k
@@ -86,7 +85,7 @@ def rows_of_form(
         correct(first, size, members, image, slot, n_basis, basis, wide, d, nine, lines, space)
         _evaluate(constants, d, place, size, small, want, out)
         found = scatter(first, size, members, column, out, value, d_image, d_ground, want, nine, own)
-        if other and small is None:
+        if other and small is None and found < 0:
             found = first  # not a number
         bad = found if bad < 0 else bad
     return bad

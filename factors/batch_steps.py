@@ -11,6 +11,7 @@ import numpy as np
 from factors._compile import threaded
 from factors._contract import Array
 from factors.batch_components import row_along
+from factors.batch_points import ROOT
 from factors.batch_rows import Flags, Index, Small
 
 #: Rays of a point for which space is kept; more get their own.
@@ -59,7 +60,8 @@ def back_substitute(
                 t0 += d_ground[k, 0, 0] * y0 + d_ground[k, 1, 0] * y1
                 t1 += d_ground[k, 0, 1] * y0 + d_ground[k, 1, 1] * y1
                 t2 += d_ground[k, 0, 2] * y0 + d_ground[k, 1, 2] * y1
-            r0, r1, r2, r3, r4, r5 = root[p, 0], root[p, 1], root[p, 2], root[p, 3], root[p, 4], root[p, 5]
+            r0, r1, r2 = root[p, ROOT.r00], root[p, ROOT.r10], root[p, ROOT.r11]
+            r3, r4, r5 = root[p, ROOT.r20], root[p, ROOT.r21], root[p, ROOT.r22]
             u0, u1, u2 = r0 * t0, r1 * t0 + r2 * t1, r3 * t0 + r4 * t1 + r5 * t2
             x0, x1, x2 = -(r0 * u0 + r1 * u1 + r3 * u2), -(r2 * u1 + r4 * u2), -r5 * u2
             step[p, 0], step[p, 1], step[p, 2] = x0, x1, x2

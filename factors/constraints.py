@@ -21,23 +21,28 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, register
+from factors.records import Record
+from factors.rotations import Vector
 
-#: Record of figures: s, p_0 1:4, n_0 4:7, e_1 7:10, e_2 10:13 (orthonormal).
-FRAME: Final = 13
+#: Records: of figures (n_0, e_1, e_2 orthonormal), of distances, parallels and observed elements.
+FIGURE: Final = Record(factor=1, place=3, normal=3, e_1=3, e_2=3)
+LENGTH: Final = Record(factor=1, distance=1)
+DIRECTION: Final = Record(factor=1, e_1=3, e_2=3)
+ELEMENT: Final = Record(factor=1, value=1, number=1)
 
 
-def _dot(a: Any, b: Any) -> Any:
+def _dot(a: Vector, b: Vector) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _cross(a: Any, b: Any) -> Any:
+def _cross(a: Vector, b: Vector) -> Any:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def residual_distance(record: Any, setup: Any, p: Any, q: Any) -> Any:
-    """Residual (1,); record s, d."""
+    """Residual (1,)."""
     d = q - p
-    return np.array([record[0] * (np.sqrt(_dot(d, d)) - record[1])])
+    return np.array([record[LENGTH.factor] * (np.sqrt(_dot(d, d)) - record[LENGTH.distance])])
 
 
 def kernel_distance(record: Array, setup: Array, p: Array, q: Array, want: bool) -> tuple[Array, Array, Array]:
@@ -46,15 +51,16 @@ def kernel_distance(record: Array, setup: Array, p: Array, q: Array, want: bool)
     if not want:
         return value, np.empty((0, 0)), np.empty((0, 0))
     d = q - p
-    row = (record[0] / np.sqrt(_dot(d, d)) * d).reshape((1, 3))
+    row = (record[LENGTH.factor] / np.sqrt(_dot(d, d)) * d).reshape((1, 3))
     return value, -row, row
 
 
 def residual_parallel(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> Any:
-    """Residual (2,); record s, then e_1 and e_2 across the lines."""
+    """Residual (2,); e_1 and e_2 lie across the lines."""
     a, b = q - p, t - r
     c, size = _cross(a, b), np.sqrt(_dot(a, a) * _dot(b, b))
-    return np.array([record[0] * _dot(record[1:4], c) / size, record[0] * _dot(record[4:7], c) / size])
+    s = record[DIRECTION.factor]
+    return np.array([s * _dot(record[DIRECTION.e_1], c) / size, s * _dot(record[DIRECTION.e_2], c) / size])
 
 
 def kernel_parallel(
@@ -67,23 +73,22 @@ def kernel_parallel(
         return value, none, none, none, none
     a, b = q - p, t - r
     aa, bb = _dot(a, a), _dot(b, b)
-    f = record[0] / np.sqrt(aa * bb)
+    f = record[DIRECTION.factor] / np.sqrt(aa * bb)
     by_a, by_b = np.empty((2, 3)), np.empty((2, 3))
-    for i in range(2):
-        e = record[1 + 3 * i : 4 + 3 * i]
+    for i, e in enumerate((record[DIRECTION.e_1], record[DIRECTION.e_2])):
         by_a[i] = f * _cross(b, e) - value[i] / aa * a
         by_b[i] = f * _cross(e, a) - value[i] / bb * b
     return value, -by_a, by_a, -by_b, by_b
 
 
 def _normal(record: Any, x: Any) -> Any:
-    return record[4:7] + x[0] * record[7:10] + x[1] * record[10:13]
+    return record[FIGURE.normal] + x[0] * record[FIGURE.e_1] + x[1] * record[FIGURE.e_2]
 
 
 def residual_plane(record: Any, setup: Any, x: Any, p: Any) -> Any:
     """Residual (1,) of tilts and distance x (3,)."""
     n = _normal(record, x)
-    return np.array([record[0] * (_dot(n, p - record[1:4]) - x[2]) / np.sqrt(_dot(n, n))])
+    return np.array([record[FIGURE.factor] * (_dot(n, p - record[FIGURE.place]) - x[2]) / np.sqrt(_dot(n, n))])
 
 
 def kernel_plane(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
@@ -91,23 +96,23 @@ def kernel_plane(record: Array, setup: Array, x: Array, p: Array, want: bool) ->
     value = residual_plane(record, setup, x, p)
     if not want:
         return value, np.empty((0, 0)), np.empty((0, 0))
-    n, d = _normal(record, x), p - record[1:4]
+    n, d = _normal(record, x), p - record[FIGURE.place]
     nn = _dot(n, n)
-    f = record[0] / np.sqrt(nn)
+    f = record[FIGURE.factor] / np.sqrt(nn)
     out = np.empty((1, 3))
-    for i in range(2):
-        out[0, i] = f * _dot(record[7 + 3 * i : 10 + 3 * i], d) - value[0] * x[i] / nn
+    for i, e in enumerate((record[FIGURE.e_1], record[FIGURE.e_2])):
+        out[0, i] = f * _dot(e, d) - value[0] * x[i] / nn
     out[0, 2] = -f
     return value, out, (f * n).reshape((1, 3))
 
 
 def residual_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
     """Residual (2,) of foot and slopes x (4,)."""
-    d = p - record[1:4]
-    along = _dot(record[4:7], d)
+    d = p - record[FIGURE.place]
+    along = _dot(record[FIGURE.normal], d)
     return np.array([
-        record[0] * (_dot(record[7:10], d) - x[0] - x[2] * along),
-        record[0] * (_dot(record[10:13], d) - x[1] - x[3] * along),
+        record[FIGURE.factor] * (_dot(record[FIGURE.e_1], d) - x[0] - x[2] * along),
+        record[FIGURE.factor] * (_dot(record[FIGURE.e_2], d) - x[1] - x[3] * along),
     ])  # fmt: skip
 
 
@@ -116,17 +121,17 @@ def kernel_line(record: Array, setup: Array, x: Array, p: Array, want: bool) -> 
     value = residual_line(record, setup, x, p)
     if not want:
         return value, np.empty((0, 0)), np.empty((0, 0))
-    s, out, ground = record[0], np.zeros((2, 4)), np.empty((2, 3))
-    along = _dot(record[4:7], p - record[1:4])
-    for i in range(2):
+    s, out, ground = record[FIGURE.factor], np.zeros((2, 4)), np.empty((2, 3))
+    along = _dot(record[FIGURE.normal], p - record[FIGURE.place])
+    for i, e in enumerate((record[FIGURE.e_1], record[FIGURE.e_2])):
         out[i, i], out[i, 2 + i] = -s, -s * along
-        ground[i] = s * (record[7 + 3 * i : 10 + 3 * i] - x[2 + i] * record[4:7])
+        ground[i] = s * (e - x[2 + i] * record[FIGURE.normal])
     return value, out, ground
 
 
 def residual_element(record: Any, setup: Any, x: Any) -> Any:
-    """Residual (1,) of an element of x observed: record s, value, number of the element."""
-    return np.array([record[0] * (x[int(record[2])] - record[1])])
+    """Residual (1,) of an element of x observed."""
+    return np.array([record[ELEMENT.factor] * (x[int(record[ELEMENT.number])] - record[ELEMENT.value])])
 
 
 def kernel_element(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
@@ -135,7 +140,7 @@ def kernel_element(record: Array, setup: Array, x: Array, want: bool) -> tuple[A
     if not want:
         return value, np.empty((0, 0))
     out = np.zeros((1, len(x)))
-    out[0, int(record[2])] = record[0]
+    out[0, int(record[ELEMENT.number])] = record[ELEMENT.factor]
     return value, out
 
 
@@ -144,9 +149,8 @@ def _random_points(rng: np.random.Generator, n: int) -> list[Array]:
 
 
 def _frame(rng: np.random.Generator) -> Array:
-    return np.concatenate(
-        [rng.uniform(0.5, 2.0, 1), rng.normal(size=3), np.linalg.qr(rng.normal(size=(3, 3)))[0].T.ravel()]
-    )
+    factor, place, axes = rng.uniform(0.5, 2.0), rng.normal(size=3), np.linalg.qr(rng.normal(size=(3, 3)))[0].T
+    return FIGURE.pack(factor=factor, place=place, normal=axes[0], e_1=axes[1], e_2=axes[2])
 
 
 _NONE: Final = np.zeros((2, 0))
@@ -157,7 +161,8 @@ DISTANCE = register(Equation(
 ))  # fmt: skip
 PARALLEL = register(Equation(
     "constraint_parallel", kernel_parallel, residual_parallel, (_POINT,) * 4,
-    lambda rng: Example(_frame(rng)[:7], _NONE, tuple(_random_points(rng, 4))), "Ayhan 1996, section 2.4.2",
+    lambda rng: Example(_frame(rng)[: DIRECTION.size], _NONE, tuple(_random_points(rng, 4))),
+    "Ayhan 1996, section 2.4.2",
 ))  # fmt: skip
 PLANE = register(Equation(
     "constraint_plane", kernel_plane, residual_plane, (Argument("plane", "1, m"), _POINT),

@@ -9,11 +9,15 @@ stochastic weights: a ridge with physical units).
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors.records import Record
+
+#: W row-major, G_0 m.
+POINT: Final = Record(whitening="w11 w12 w13 w21 w22 w23 w31 w32 w33", place="x y z")
 
 
 def whitening(covariance: Array) -> Array:
@@ -35,12 +39,12 @@ def whitening(covariance: Array) -> Array:
 
 @compiled
 def residual_point(record: Any, setup: Any, ground: Any) -> Any:
-    """``W (G - G_0)``: record = W row-major (9), G_0 (3) m; (3,)."""
-    d0, d1, d2 = ground[0] - record[9], ground[1] - record[10], ground[2] - record[11]
+    """``W (G - G_0)``: (3,)."""
+    d0, d1, d2 = ground[0] - record[POINT.x], ground[1] - record[POINT.y], ground[2] - record[POINT.z]
     return np.array([
-        record[0] * d0 + record[1] * d1 + record[2] * d2,
-        record[3] * d0 + record[4] * d1 + record[5] * d2,
-        record[6] * d0 + record[7] * d1 + record[8] * d2,
+        record[POINT.w11] * d0 + record[POINT.w12] * d1 + record[POINT.w13] * d2,
+        record[POINT.w21] * d0 + record[POINT.w22] * d1 + record[POINT.w23] * d2,
+        record[POINT.w31] * d0 + record[POINT.w32] * d1 + record[POINT.w33] * d2,
     ])  # fmt: skip
 
 
@@ -50,7 +54,7 @@ def kernel_point(record: Array, setup: Array, ground: Array, want: bool) -> tupl
     value = residual_point(record, setup, ground)
     if not want:
         return value, np.empty((0, 0))
-    return value, record[0:9].copy().reshape((3, 3))
+    return value, record[POINT.whitening].copy().reshape((3, 3))
 
 
 @compiled
@@ -71,7 +75,7 @@ def kernel_parameters(record: Array, setup: Array, x: Array, want: bool) -> tupl
 def _example_point(rng: np.random.Generator) -> Example:
     a = rng.normal(size=(3, 3))
     w = whitening(a @ a.T + np.eye(3))
-    return Example(np.concatenate([w.ravel(), rng.normal(size=3)]), np.zeros((2, 0)), (rng.normal(size=3),))
+    return Example(POINT.pack(whitening=w.ravel(), place=rng.normal(size=3)), np.zeros((2, 0)), (rng.normal(size=3),))
 
 
 def _example_parameters(rng: np.random.Generator) -> Example:

@@ -14,35 +14,28 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
-from factors.frame_camera import CAMERA_SIZE, turned
+from factors.frame_camera import CAMERA, by_turn, rotate, rotate_back, turned
+from factors.records import Record
 
-#: Record: factor s, R_0 1:10 row-major, b_0 10:13, n_1 13:16, n_2 16:19.
-RECORD_SIZE: Final = 19
+#: Factor s, R_0 row-major, b_0, n_1, n_2.
+RECORD: Final = Record(factor=1, rotation=9, base=3, n_1=3, n_2=3)
 
 
 @compiled
 def turn_and_base(record: Any, x: Any) -> Any:
     """Turn: R and J as in ``factors.frame_camera``; base (3,)."""
-    turn = np.empty(CAMERA_SIZE, x.dtype)
-    turned(x[:3], record[1:10], turn)
-    return turn, record[10:13] + x[3] * record[13:16] + x[4] * record[16:19]
-
-
-@compiled
-def _ray(turn: Any, u: Any, v: Any) -> Any:
-    """R^T (u, v, 1) as three numbers."""
-    return (
-        turn[0] * u + turn[3] * v + turn[6], turn[1] * u + turn[4] * v + turn[7], turn[2] * u + turn[5] * v + turn[8],
-    )  # fmt: skip
+    turn = np.empty(CAMERA.size, x.dtype)
+    turned(x[:3], record[RECORD.rotation], turn)
+    return turn, record[RECORD.base] + x[3] * record[RECORD.n_1] + x[4] * record[RECORD.n_2]
 
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, image: Any) -> Any:
     """Residual (1,); accepts complex unknowns."""
     turn, b = turn_and_base(record, x)
-    e, f, g = _ray(turn, image[2], image[3])
+    e, f, g = rotate_back(turn, (image[2], image[3], 1.0))
     u, v = image[0], image[1]
-    return np.array([record[0] * (b[0] * (v * g - f) + b[1] * (e - u * g) + b[2] * (u * f - v * e))])
+    return np.array([record[RECORD.factor] * (b[0] * (v * g - f) + b[1] * (e - u * g) + b[2] * (u * f - v * e))])
 
 
 @compiled
@@ -52,22 +45,19 @@ def kernel(record: Array, setup: Array, x: Array, image: Array, want: bool) -> t
     if not want:
         return value, np.empty((0, 0)), np.empty((0, 0))
     turn, b = turn_and_base(record, x)
-    s, u, v, p, q = record[0], image[0], image[1], image[2], image[3]
-    e, f, g = _ray(turn, p, q)
+    s, u, v, p, q = record[RECORD.factor], image[0], image[1], image[2], image[3]
+    e, f, g = rotate_back(turn, (p, q, 1.0))
     by_base = np.array([v * g - f, e - u * g, u * f - v * e])
     # r = s d2 . (R n) with n = b x d1: its slope along the second ray; a turn by w moves R n by w x R n
     n = np.array([b[1] - b[2] * v, b[2] * u - b[0], b[0] * v - b[1] * u])
-    m = np.empty(3)
-    for i in range(3):
-        m[i] = turn[3 * i] * n[0] + turn[3 * i + 1] * n[1] + turn[3 * i + 2] * n[2]
+    m = rotate(turn, n)
     # d2 . R n = n . R^T d2; R^T d2 moves by R^T (d2 x w), so the value by w . (m x d2)
     t = np.array([m[1] - m[2] * q, m[2] * p - m[0], m[0] * q - m[1] * p])
     out, points = np.empty((1, 5)), np.empty((1, 4))
-    for j in range(3):
-        out[0, j] = s * (t[0] * turn[20 + j] + t[1] * turn[23 + j] + t[2] * turn[26 + j])
-    for j in range(2):
-        k = 13 + 3 * j
-        out[0, 3 + j] = s * (record[k] * by_base[0] + record[k + 1] * by_base[1] + record[k + 2] * by_base[2])
+    w1, w2, w3 = by_turn(turn, t)
+    out[0, 0], out[0, 1], out[0, 2] = s * w1, s * w2, s * w3
+    for j, axis in enumerate((record[RECORD.n_1], record[RECORD.n_2])):
+        out[0, 3 + j] = s * (axis[0] * by_base[0] + axis[1] * by_base[1] + axis[2] * by_base[2])
     points[0, 0], points[0, 1] = s * (b[2] * f - b[1] * g), s * (b[0] * g - b[2] * e)
     points[0, 2], points[0, 3] = s * m[0], s * m[1]
     return value, out, points
@@ -77,7 +67,8 @@ def _example(rng: np.random.Generator) -> Example:
     start, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     start *= np.sign(np.linalg.det(start))
     axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    record = np.concatenate([[rng.uniform(0.5, 2.0)], start.ravel(), axes.T.ravel()])
+    base, n_1, n_2 = axes.T
+    record = RECORD.pack(factor=rng.uniform(0.5, 2.0), rotation=start.ravel(), base=base, n_1=n_1, n_2=n_2)
     return Example(record, np.zeros((2, 0)), (rng.normal(scale=0.5, size=5), rng.uniform(-1.0, 1.0, 4)))
 
 

@@ -6,7 +6,7 @@
 about a point that is held. L itself gives a principal point (eq. 43), but so poorly beside the coefficients that an
 adjustment in which they move it creeps along a valley.
 
-Record (10,): as in ``factors.plane`` ground coordinates, image coordinates, whitening; then the centre of the
+The record is that of ``factors.plane`` (ground coordinates, image coordinates, whitening) with the centre of the
 distortion. Unknowns: L1 to L11, then the coefficients that the setup (2, k) names by their number (0 to 4), in its
 steps. Coordinates should be centred and of size 1: with 1000 m of coordinates the form with "+1" is nearly singular.
 """
@@ -18,29 +18,38 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
-from factors.image_corrections import SIZE, by_coefficient, ideal
+from factors.image_corrections import AT, by_coefficient, ideal
+from factors.plane import RECORD as PLANE_RECORD
 from factors.plane import example_record, whiten_rows, whitened
+from factors.records import Record
 
+RECORD: Final = Record(**PLANE_RECORD.fields, centre="centre_x centre_y")
 #: Coefficients that DLT can have: its 11 parameters hold the affinity already.
 N_DISTORTION: Final = 5
 
 
 @compiled
 def _coefficients(setup: Any, x: Any) -> Any:
-    c = np.zeros(SIZE, x.dtype)
+    c = np.zeros(AT.size, x.dtype)
     for j in range(setup.shape[1]):
         c[int(setup[0, j])] += setup[1, j] * x[11 + j]
     return c
 
 
 @compiled
+def _reduced(record: Any) -> Any:
+    """Image coordinates about the centre of the distortion: two numbers."""
+    return record[RECORD.u] - record[RECORD.centre_x], record[RECORD.v] - record[RECORD.centre_y]
+
+
+@compiled
 def residual(record: Any, setup: Any, x: Any) -> Any:
     """Whitened residual (2,), computed minus corrected; accepts complex unknowns."""
-    a, b, c = record[0], record[1], record[2]
+    a, b, c = record[RECORD.x], record[RECORD.y], record[RECORD.z]
     g = 1.0 / (x[8] * a + x[9] * b + x[10] * c + 1.0)
     u, v = (x[0] * a + x[1] * b + x[2] * c + x[3]) * g, (x[4] * a + x[5] * b + x[6] * c + x[7]) * g
     if setup.shape[1] > 0:
-        px, py = record[3] - record[8], record[4] - record[9]
+        px, py = _reduced(record)
         qx, qy = ideal(_coefficients(setup, x), px, py)
         u, v = u - (qx - px), v - (qy - py)
     return whitened(record, u, v)
@@ -53,15 +62,17 @@ def kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Ar
     if not want:
         return value, np.empty((0, 0))
     out = np.zeros((2, 11 + setup.shape[1]))
-    g = 1.0 / (x[8] * record[0] + x[9] * record[1] + x[10] * record[2] + 1.0)
+    a, b, c = record[RECORD.x], record[RECORD.y], record[RECORD.z]
+    g = 1.0 / (x[8] * a + x[9] * b + x[10] * c + 1.0)
     for row in range(2):
-        f = x[4 * row] * record[0] + x[4 * row + 1] * record[1] + x[4 * row + 2] * record[2] + x[4 * row + 3]
+        f = x[4 * row] * a + x[4 * row + 1] * b + x[4 * row + 2] * c + x[4 * row + 3]
         for k in range(3):
             out[row, 4 * row + k] = record[k] * g
             out[row, 8 + k] = -f * g * g * record[k]
         out[row, 4 * row + 3] = g
     for j in range(setup.shape[1]):
-        dx, dy = by_coefficient(int(setup[0, j]), record[3] - record[8], record[4] - record[9])
+        px, py = _reduced(record)
+        dx, dy = by_coefficient(int(setup[0, j]), px, py)
         out[0, 11 + j] = -setup[1, j] * dx
         out[1, 11 + j] = -setup[1, j] * dy
     return value, whiten_rows(record, out)

@@ -15,6 +15,7 @@ import numpy as np
 
 from factors._contract import Array, compiled
 from factors._plain import few_in_python
+from factors.rotations import Vector
 
 A_M = 6378137.0
 B_M = A_M * (1.0 - 1.0 / 298.257223563)
@@ -40,7 +41,7 @@ def geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 @compiled
-def distance_to_height(p: Array, u: Array, h: float) -> float:
+def distance_to_height(p: Vector, u: Vector, h: float) -> float:
     """Smallest positive s with ``p + s u`` on the ellipsoid (a + h, b + h); nan if the ray misses or p lies inside."""
     a2, b2 = (A_M + h) ** 2, (B_M + h) ** 2
     d1 = (u[0] * u[0] + u[1] * u[1]) / a2 + u[2] * u[2] / b2

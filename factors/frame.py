@@ -15,40 +15,34 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
-from factors.frame_camera import (
-    CAMERA_SIZE,
-    brown_derivatives,
-    brown_ideal_to_measured,
-    direction,
-    pixel,
-    turned,
-)
+from factors.frame_camera import CAMERA, brown_derivatives, brown_ideal_to_measured, direction, pixel, turned
+from factors.records import Record
 
-#: Record: observed line, sample 0:2 px; A 2:4, 1/px, for line and sample; then the camera without corrections:
-#: rotation camera_from_ground 4:13 row-major, projection centre minus local origin 13:16 m, focal length, principal
-#: point and distortion 16:24 as in ``factors.frame_camera``.
-RECORD_SIZE: Final = 24
-#: Setup: codes of the unknowns and their prior sigmas: 0-2 rotation about the camera's X, Y, Z (rad), 3-5 projection
-#: centre (m), 6 focal length, 7 and 8 sample and line of the principal point (px), 9-13 k1 k2 k3 p1 p2; 14 the aspect
-#: of ``factors.frame_measured``, which no pixel here feels.
-N_UNKNOWNS: Final = 15
-#: Column of the ground point behind those of the unknowns; and one that stays zero, for unknowns of an image that no
+#: Observed pixel; A, 1/px, for line and sample; the camera without corrections, its centre minus the local origin, m.
+RECORD: Final = Record(line=1, sample=1, a_line=1, a_sample=1, rotation=9, centre=3, focal=1, principal=2, distortion=5)
+#: Setup: codes of the unknowns, which are their places here, and their prior sigmas: rotation about the camera's X, Y,
+#: Z rad, projection centre m, interior orientation px; the aspect is that of ``factors.frame_measured``, which no pixel
+#: here feels.
+UNKNOWN: Final = Record(
+    rotation="w1 w2 w3", centre="x y z", focal=1, principal="sample line", distortion="k1 k2 k3 p1 p2", aspect=1,
+)  # fmt: skip
+N_UNKNOWNS: Final = UNKNOWN.size
+#: Columns of derivatives: the unknowns, the ground point, and one that stays zero, for unknowns of an image that no
 #: pixel feels: codes from N_UNKNOWNS on (``factors.navigation``).
-GROUND: Final = N_UNKNOWNS
-SILENT: Final = GROUND + 3
-N_COLUMNS: Final = SILENT + 1
+COLUMN: Final = Record(**UNKNOWN.fields, ground="g1 g2 g3", silent=1)
+GROUND: Final = COLUMN.ground.start
 
 
 @compiled
 def camera(record: Any, setup: Any, x: Any) -> Any:
     """Camera (29,) of unknowns (k,) in prior sigmas; see ``factors.frame_camera``."""
-    d, out = np.zeros(N_UNKNOWNS, x.dtype), np.empty(CAMERA_SIZE, x.dtype)
+    d, out = np.zeros(N_UNKNOWNS, x.dtype), np.empty(CAMERA.size, x.dtype)
     for j in range(setup.shape[1]):
         if setup[0, j] < N_UNKNOWNS:
             d[int(setup[0, j])] += setup[1, j] * x[j]
-    turned(d, record[4:13], out)
-    for k in range(11):
-        out[9 + k] = record[13 + k] + d[3 + k]
+    turned(d[UNKNOWN.rotation], record[RECORD.rotation], out)
+    for k in range(UNKNOWN.aspect - UNKNOWN.centre.start):
+        out[CAMERA.centre.start + k] = record[RECORD.centre.start + k] + d[UNKNOWN.centre.start + k]
     return out
 
 
@@ -58,8 +52,15 @@ def columns_of(setup: Any) -> Any:
     out = setup[0].astype(np.int64)
     for j in range(len(out)):
         if out[j] >= N_UNKNOWNS:
-            out[j] = SILENT
+            out[j] = COLUMN.silent
     return out
+
+
+@compiled
+def misclosure(record: Any, line: Any, sample: Any) -> Any:
+    """Whitened observed minus computed pixel: two numbers."""
+    line, sample = record[RECORD.line] - line, record[RECORD.sample] - sample
+    return record[RECORD.a_line] * line, record[RECORD.a_sample] * sample
 
 
 @compiled
@@ -68,7 +69,7 @@ def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     c = camera(record, setup, x)
     u, v, _ = direction(c, ground[0], ground[1], ground[2])
     line, sample = pixel(c, u, v)
-    return np.array([record[2] * (record[0] - line), record[3] * (record[1] - sample)])
+    return np.array(misclosure(record, line, sample))
 
 
 @compiled
@@ -79,23 +80,23 @@ def sight_row(c: Any, own: float, direction: Any, u: float, v: float, weight: fl
     derivatives of its measured one.
     """
     x, y, inverse = direction
-    s = weight * c[12]
+    s = weight * c[CAMERA.focal]
     m0, m1 = s * u, s * v
     m2 = -(m0 * x + m1 * y)
     # a turn by the small angle e moves the point q = Z (x, y, 1) by e x q
     w0, w1, w2 = y * m2 - m1, m0 - x * m2, x * m1 - y * m0
     m0, m1, m2 = m0 * inverse, m1 * inverse, m2 * inverse
-    g0, g1, g2 = (
-        m0 * c[0] + m1 * c[3] + m2 * c[6], m0 * c[1] + m1 * c[4] + m2 * c[7], m0 * c[2] + m1 * c[5] + m2 * c[8],
-    )  # fmt: skip
-    out[row, 0] = w0 * c[20] + w1 * c[23] + w2 * c[26]
-    out[row, 1] = w0 * c[21] + w1 * c[24] + w2 * c[27]
-    out[row, 2] = w0 * c[22] + w1 * c[25] + w2 * c[28]
-    out[row, 3], out[row, 4], out[row, 5] = -g0, -g1, -g2
-    out[row, GROUND], out[row, GROUND + 1], out[row, GROUND + 2] = g0, g1, g2
+    g0 = m0 * c[CAMERA.r11] + m1 * c[CAMERA.r21] + m2 * c[CAMERA.r31]
+    g1 = m0 * c[CAMERA.r12] + m1 * c[CAMERA.r22] + m2 * c[CAMERA.r32]
+    g2 = m0 * c[CAMERA.r13] + m1 * c[CAMERA.r23] + m2 * c[CAMERA.r33]
+    out[row, COLUMN.w1] = w0 * c[CAMERA.j11] + w1 * c[CAMERA.j21] + w2 * c[CAMERA.j31]
+    out[row, COLUMN.w2] = w0 * c[CAMERA.j12] + w1 * c[CAMERA.j22] + w2 * c[CAMERA.j32]
+    out[row, COLUMN.w3] = w0 * c[CAMERA.j13] + w1 * c[CAMERA.j23] + w2 * c[CAMERA.j33]
+    out[row, COLUMN.x], out[row, COLUMN.y], out[row, COLUMN.z] = -g0, -g1, -g2
+    out[row, COLUMN.g1], out[row, COLUMN.g2], out[row, COLUMN.g3] = g0, g1, g2
     r = x * x + y * y
     k1 = s * own * r
-    out[row, 9], out[row, 10], out[row, 11] = k1, k1 * r, k1 * r * r
+    out[row, UNKNOWN.k1], out[row, UNKNOWN.k2], out[row, UNKNOWN.k3] = k1, k1 * r, k1 * r * r
     return float(0.0 * ((w0 + w1) + (w2 + g0) + (g1 + g2) + k1 * r * r))
 
 
@@ -112,11 +113,11 @@ def derivatives(c: Any, ray: Any, a_line: float, a_sample: float, out: Array) ->
     a, b, d = brown_derivatives(c, x, y)
     zero = sight_row(c, y, ray, b, d, -a_line, out, 0) + sight_row(c, x, ray, a, b, -a_sample, out, 1)
     r, xy = x * x + y * y, 2.0 * x * y
-    out[0, 6], out[0, 7], out[0, 8] = -a_line * my, 0.0, -a_line
-    out[1, 6], out[1, 7], out[1, 8] = -a_sample * mx, -a_sample, 0.0
-    s_line, s_sample = -a_line * c[12], -a_sample * c[12]
-    out[0, 12], out[0, 13] = s_line * (r + 2.0 * y * y), s_line * xy
-    out[1, 12], out[1, 13] = s_sample * xy, s_sample * (r + 2.0 * x * x)
+    out[0, UNKNOWN.focal], out[0, UNKNOWN.sample], out[0, UNKNOWN.line] = -a_line * my, 0.0, -a_line
+    out[1, UNKNOWN.focal], out[1, UNKNOWN.sample], out[1, UNKNOWN.line] = -a_sample * mx, -a_sample, 0.0
+    s_line, s_sample = -a_line * c[CAMERA.focal], -a_sample * c[CAMERA.focal]
+    out[0, UNKNOWN.p1], out[0, UNKNOWN.p2] = s_line * (r + 2.0 * y * y), s_line * xy
+    out[1, UNKNOWN.p1], out[1, UNKNOWN.p2] = s_sample * xy, s_sample * (r + 2.0 * x * x)
     return float(zero)
 
 
@@ -126,16 +127,16 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
 
     Returns False if the sizes do not fit or a value is not finite.
     """
-    k, record, d = setup.shape[1], records[row], np.zeros((2, N_COLUMNS))
+    k, record, d = setup.shape[1], records[row], np.zeros((2, COLUMN.size))
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
     c = camera(record, setup, x)
     ray = direction(c, ground[0], ground[1], ground[2])
     line, sample = pixel(c, ray[0], ray[1])
-    out[0, 0], out[1, 0] = record[2] * (record[0] - line), record[3] * (record[1] - sample)
+    out[0, 0], out[1, 0] = misclosure(record, line, sample)
     zero = 0.0 * (out[0, 0] + out[1, 0])
     if want:
-        zero += derivatives(c, ray, record[2], record[3], d)
+        zero += derivatives(c, ray, record[RECORD.a_line], record[RECORD.a_sample], d)
         column = columns_of(setup)
         for i in range(2):
             for j in range(k):
@@ -162,11 +163,11 @@ def example(rng: np.random.Generator) -> Example:
     start *= np.sign(np.linalg.det(start))
     centre, depth = rng.normal(scale=100.0, size=3), rng.uniform(50.0, 500.0)
     ground = centre + start.T @ (depth * np.array([*rng.uniform(-0.4, 0.4, 2), 1.0]))
-    interior = [rng.uniform(500.0, 5e3), *rng.uniform(-50.0, 50.0, 2), *rng.normal(scale=0.05, size=3),
-                *rng.normal(scale=1e-3, size=2)]  # fmt: skip
-    record = np.concatenate(
-        [rng.uniform(-1e3, 1e3, 2), 1.0 / rng.uniform(0.2, 2.0, 2), start.ravel(), centre, interior]
-    )
+    focal, principal = rng.uniform(500.0, 5e3), rng.uniform(-50.0, 50.0, 2)
+    distortion, (line, sample) = rng.normal(size=5) * np.repeat([0.05, 1e-3], [3, 2]), rng.uniform(-1e3, 1e3, 2)
+    a_line, a_sample = 1.0 / rng.uniform(0.2, 2.0, 2)
+    record = RECORD.pack(line=line, sample=sample, a_line=a_line, a_sample=a_sample, rotation=start.ravel(),
+                         centre=centre, focal=focal, principal=principal, distortion=distortion)  # fmt: skip
     sigma = np.repeat([rng.choice([1e-5, 1e-3, 0.1]), 0.3, 3.0, 2.0, 1e-2, 1e-4], [3, 3, 1, 2, 3, 2])
     codes = np.sort(rng.permutation(14)[: rng.integers(1, 15)])
     setup = np.stack([codes.astype(float), sigma[codes]])

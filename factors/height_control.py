@@ -8,21 +8,22 @@ above the plane. Adjusted on planes that are read anew until the points rest, th
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors.records import Record
 
-#: Record: n / sigma (3), G_0 (3) m.
-RECORD_SIZE = 6
+#: n / sigma, G_0 m.
+RECORD: Final = Record(normal="n1 n2 n3", place="x y z")
 
 
 @compiled
 def residual(record: Any, setup: Any, ground: Any) -> Any:
     """``n . (G - G_0) / sigma``: (1,)."""
-    d0, d1, d2 = ground[0] - record[3], ground[1] - record[4], ground[2] - record[5]
-    return np.array([record[0] * d0 + record[1] * d1 + record[2] * d2])
+    d0, d1, d2 = ground[0] - record[RECORD.x], ground[1] - record[RECORD.y], ground[2] - record[RECORD.z]
+    return np.array([record[RECORD.n1] * d0 + record[RECORD.n2] * d1 + record[RECORD.n3] * d2])
 
 
 @compiled
@@ -31,11 +32,11 @@ def kernel(record: Array, setup: Array, ground: Array, want: bool) -> tuple[Arra
     value = residual(record, setup, ground)
     if not want:
         return value, np.empty((0, 0))
-    return value, record[0:3].copy().reshape((1, 3))
+    return value, record[RECORD.normal].copy().reshape((1, 3))
 
 
 def _example(rng: np.random.Generator) -> Example:
-    return Example(rng.normal(size=RECORD_SIZE), np.zeros((2, 0)), (rng.normal(size=3),))
+    return Example(rng.normal(size=RECORD.size), np.zeros((2, 0)), (rng.normal(size=3),))
 
 
 HEIGHT_CONTROL = register(Equation(

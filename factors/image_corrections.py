@@ -16,9 +16,10 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Array, compiled, inlined
+from factors.records import Record
 
-NAMES: Final = ("k1", "k2", "k3", "p1", "p2", "affinity_a", "affinity_b")
-SIZE: Final = 7
+AT: Final = Record(k1=1, k2=1, k3=1, p1=1, p2=1, affinity_a=1, affinity_b=1)
+NAMES: Final = tuple(AT.fields)
 
 
 @inlined
@@ -26,10 +27,10 @@ def ideal(c: Any, x: Any, y: Any) -> Any:
     """Ideal coordinates (2 numbers) of measured ones."""
     xx, yy, xy = x * x, y * y, x * y
     r = xx + yy
-    radial = 1.0 + r * (c[0] + r * (c[1] + r * c[2]))
+    radial = 1.0 + r * (c[AT.k1] + r * (c[AT.k2] + r * c[AT.k3]))
     return (
-        x * radial + c[3] * (r + 2.0 * xx) + 2.0 * c[4] * xy + c[5] * y,
-        y * radial + c[4] * (r + 2.0 * yy) + 2.0 * c[3] * xy + c[6] * y,
+        x * radial + c[AT.p1] * (r + 2.0 * xx) + 2.0 * c[AT.p2] * xy + c[AT.affinity_a] * y,
+        y * radial + c[AT.p2] * (r + 2.0 * yy) + 2.0 * c[AT.p1] * xy + c[AT.affinity_b] * y,
     )
 
 
@@ -37,11 +38,12 @@ def ideal(c: Any, x: Any, y: Any) -> Any:
 def slopes(c: Any, x: Any, y: Any) -> Any:
     """Derivatives x'_x, x'_y, y'_x, y'_y of :func:`ideal` with respect to the measured coordinates."""
     r = x * x + y * y
-    radial, slope = 1.0 + r * (c[0] + r * (c[1] + r * c[2])), 2.0 * (c[0] + r * (2.0 * c[1] + 3.0 * r * c[2]))
-    mixed = x * y * slope + 2.0 * (c[3] * y + c[4] * x)
-    along_x = radial + x * x * slope + 6.0 * c[3] * x + 2.0 * c[4] * y
-    along_y = radial + y * y * slope + 6.0 * c[4] * y + 2.0 * c[3] * x + c[6]
-    return along_x, mixed + c[5], mixed, along_y
+    radial = 1.0 + r * (c[AT.k1] + r * (c[AT.k2] + r * c[AT.k3]))
+    slope = 2.0 * (c[AT.k1] + r * (2.0 * c[AT.k2] + 3.0 * r * c[AT.k3]))
+    mixed = x * y * slope + 2.0 * (c[AT.p1] * y + c[AT.p2] * x)
+    along_x = radial + x * x * slope + 6.0 * c[AT.p1] * x + 2.0 * c[AT.p2] * y
+    along_y = radial + y * y * slope + 6.0 * c[AT.p2] * y + 2.0 * c[AT.p1] * x + c[AT.affinity_b]
+    return along_x, mixed + c[AT.affinity_a], mixed, along_y
 
 
 @inlined

@@ -23,12 +23,13 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Array, compiled
+from factors.records import Record
 
-NAMES: Final = (
-    "radial_1", "radial_2", "radial_4", "radial_6", "orthogonal_1", "orthogonal_2", "orthogonal_3", "film_xx",
-    "film_yx",
+AT: Final = Record(
+    radial_1=1, radial_2=1, radial_4=1, radial_6=1, orthogonal_1=1, orthogonal_2=1, orthogonal_3=1,
+    film_xx=1, film_yx=1,
 )  # fmt: skip
-SIZE: Final = 9
+NAMES: Final = tuple(AT.fields)
 
 
 @compiled
@@ -36,12 +37,10 @@ def _factors(x: Any, y: Any, radius: float) -> Any:
     """Factors dr/r (7,) of the radial terms."""
     rr = x * x + y * y
     r, v = np.sqrt(rr), rr / radius**2
-    out = np.zeros(7, np.array([r]).dtype)
-    out[0], out[1], out[2], out[3] = 1.0, r, r * rr, r * rr * rr
-    out[4] = (3.0 * v - 2.0) / radius
-    out[5] = ((10.0 * v - 12.0) * v + 3.0) / radius
-    out[6] = (((35.0 * v - 60.0) * v + 30.0) * v - 4.0) / radius
-    return out
+    return np.array([
+        1.0 + 0.0 * r, r, r * rr, r * rr * rr, (3.0 * v - 2.0) / radius, ((10.0 * v - 12.0) * v + 3.0) / radius,
+        (((35.0 * v - 60.0) * v + 30.0) * v - 4.0) / radius,
+    ])  # fmt: skip
 
 
 @compiled
@@ -63,7 +62,8 @@ def slopes(c: Array, x: float, y: float, radius: float) -> tuple[float, float, f
     for j in range(7):
         own += c[j] * radial[j]
     # (d own/dr)/r; r itself has no slope at 0, where it is multiplied by x and y
-    slope = (c[1] / r if r > 0.0 else 0.0) + 3.0 * c[2] * r + 5.0 * c[3] * r * rr
-    by_v = 3.0 * c[4] + (20.0 * v - 12.0) * c[5] + ((105.0 * v - 120.0) * v + 30.0) * c[6]
+    slope = (c[AT.radial_2] / r if r > 0.0 else 0.0) + 3.0 * c[AT.radial_4] * r + 5.0 * c[AT.radial_6] * r * rr
+    by_v = 3.0 * c[AT.orthogonal_1] + (20.0 * v - 12.0) * c[AT.orthogonal_2]
+    by_v = by_v + ((105.0 * v - 120.0) * v + 30.0) * c[AT.orthogonal_3]
     slope += 2.0 * by_v / radius**3
-    return own + x * x * slope + c[7], x * y * slope, x * y * slope + c[8], own + y * y * slope
+    return own + x * x * slope + c[AT.film_xx], x * y * slope, x * y * slope + c[AT.film_yx], own + y * y * slope

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
-from factors.plane import example_record, whiten_rows, whitened
+from factors.plane import RECORD, example_record, whiten_rows, whitened
 
 
 @compiled
 def _affine(x: Any, first: int, record: Any) -> Any:
-    return x[first] + x[first + 1] * record[0] + x[first + 2] * record[1] + x[first + 3] * record[2]
+    b_x, b_y, b_z = x[first + 1] * record[RECORD.x], x[first + 2] * record[RECORD.y], x[first + 3] * record[RECORD.z]
+    return x[first] + b_x + b_y + b_z
 
 
 @compiled
@@ -72,7 +73,7 @@ def kernel_parallel(record: Array, setup: Array, x: Array, want: bool) -> tuple[
 @compiled
 def residual_dlt(record: Any, setup: Any, x: Any) -> Any:
     """As affine, but the sample divided by ``1 + c1 X + c2 Y + c3 Z``; unknowns 8 to 10."""
-    below = 1.0 + x[8] * record[0] + x[9] * record[1] + x[10] * record[2]
+    below = 1.0 + x[8] * record[RECORD.x] + x[9] * record[RECORD.y] + x[10] * record[RECORD.z]
     return whitened(record, _affine(x, 0, record), _affine(x, 4, record) / below)
 
 
@@ -82,7 +83,7 @@ def kernel_dlt(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array
     value = residual_dlt(record, setup, x)
     if not want:
         return value, np.empty((0, 0))
-    g = 1.0 / (1.0 + x[8] * record[0] + x[9] * record[1] + x[10] * record[2])
+    g = 1.0 / (1.0 + x[8] * record[RECORD.x] + x[9] * record[RECORD.y] + x[10] * record[RECORD.z])
     sample = _affine(x, 4, record) * g
     jacobian = _affine_rows(record, 11)
     for k in range(4, 8):

@@ -17,36 +17,37 @@ from typing import Any, Final
 
 import numpy as np
 
+from factors import frame
 from factors._contract import Argument, Array, Equation, Example, register
-from factors.frame import N_UNKNOWNS
-from factors.frame_camera import CAMERA_SIZE, turned
+from factors.frame_camera import CAMERA, turned
+from factors.records import Record
+from factors.rotations import Vector
 
-#: Record of both: W 0:9 row-major, R_0 9:18, B_0 18:27, tau 27; position: X_obs - X_0 28:31 m, l_0 31:34 m, S 34:43;
-#: attitude: A_obs 28:37.
-POSITION_SIZE: Final = 43
-ATTITUDE_SIZE: Final = 37
+#: W, R_0 and B_0 row-major; then X_obs - X_0 m, l_0 m and S row-major, or A_obs row-major.
+_BOTH: Final = Record(whitening=9, rotation=9, mounting=9, tau=1)
+POSITION: Final = Record(**_BOTH.fields, offset=3, arm=3, strip=9)
+ATTITUDE: Final = Record(**_BOTH.fields, observed=9)
 #: Codes of the unknowns, behind those of the camera: shift and drift of position and of attitude, lever, boresight.
-SHIFT, DRIFT, TURN, TURN_DRIFT, LEVER, BORESIGHT = range(N_UNKNOWNS, N_UNKNOWNS + 18, 3)
-N_NAVIGATION: Final = N_UNKNOWNS + 18
+UNKNOWN: Final = Record(**frame.UNKNOWN.fields, shift=3, drift=3, turn=3, turn_drift=3, lever=3, boresight=3)
 #: Squared sine of an angle below which angle / sine is a series.
 SMALL_SQUARED: Final = 1e-6
 
 
 def _corrections(setup: Array, x: Any) -> Any:
     """All unknowns (33,) in physical units; those that are none are zero."""
-    d = np.zeros(N_NAVIGATION, x.dtype)
+    d = np.zeros(UNKNOWN.size, x.dtype)
     np.add.at(d, setup[0].astype(np.intp), setup[1] * x)
     return d
 
 
 def _rotation(start: Array, w: Any) -> tuple[Any, Any]:
     """``exp([w]x) start`` and its left Jacobian at w, both (3, 3)."""
-    out = np.empty(CAMERA_SIZE, w.dtype)
+    out = np.empty(CAMERA.size, w.dtype)
     turned(w, np.ascontiguousarray(start), out)
-    return out[:9].reshape(3, 3), out[20:].reshape(3, 3)
+    return out[CAMERA.rotation].reshape(3, 3), out[CAMERA.jacobian].reshape(3, 3)
 
 
-def cross(v: Any) -> Any:
+def cross(v: Vector) -> Any:
     """``[v]x`` (3, 3)."""
     return np.array([[0.0 * v[0], -v[2], v[1]], [v[2], 0.0 * v[0], -v[0]], [-v[1], v[0], 0.0 * v[0]]])
 
@@ -75,10 +76,11 @@ def _inverse_right_jacobian(theta: Array) -> Array:
 def position_residual(record: Any, setup: Any, x: Any) -> Any:
     """Whitened residual (3,) of a receiver's position; accepts complex unknowns."""
     d = _corrections(setup, x)
-    rotation, mounting = _rotation(record[9:18], d[0:3])[0], _rotation(record[18:27], d[BORESIGHT:])[0]
-    arm = rotation.T @ (mounting @ (record[31:34] + d[LEVER : LEVER + 3]))
-    wrong = record[34:43].reshape(3, 3) @ (d[SHIFT : SHIFT + 3] + record[27] * d[DRIFT : DRIFT + 3])
-    return record[0:9].reshape(3, 3) @ (record[28:31] - d[3:6] + arm - wrong)
+    rotation = _rotation(record[POSITION.rotation], d[UNKNOWN.rotation])[0]
+    mounting = _rotation(record[POSITION.mounting], d[UNKNOWN.boresight])[0]
+    arm = rotation.T @ (mounting @ (record[POSITION.arm] + d[UNKNOWN.lever]))
+    wrong = record[POSITION.strip].reshape(3, 3) @ (d[UNKNOWN.shift] + record[POSITION.tau] * d[UNKNOWN.drift])
+    return record[POSITION.whitening].reshape(3, 3) @ (record[POSITION.offset] - d[UNKNOWN.centre] + arm - wrong)
 
 
 def position_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
@@ -86,24 +88,25 @@ def position_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[
     value = position_residual(record, setup, x)
     if not want:
         return value, np.empty((0, 0))
-    d, out = _corrections(setup, x), np.zeros((3, N_NAVIGATION))
-    rotation, by_w = _rotation(record[9:18], d[0:3])
-    mounting, by_beta = _rotation(record[18:27], d[BORESIGHT:])
-    across = rotation.T @ cross(mounting @ (record[31:34] + d[LEVER : LEVER + 3]))
-    axes = record[34:43].reshape(3, 3)
-    out[:, 0:3], out[:, 3:6] = across @ by_w, -np.eye(3)
-    out[:, SHIFT : SHIFT + 3], out[:, DRIFT : DRIFT + 3] = -axes, -record[27] * axes
-    out[:, LEVER : LEVER + 3], out[:, BORESIGHT:] = rotation.T @ mounting, -across @ by_beta
+    d, out = _corrections(setup, x), np.zeros((3, UNKNOWN.size))
+    rotation, by_w = _rotation(record[POSITION.rotation], d[UNKNOWN.rotation])
+    mounting, by_beta = _rotation(record[POSITION.mounting], d[UNKNOWN.boresight])
+    across = rotation.T @ cross(mounting @ (record[POSITION.arm] + d[UNKNOWN.lever]))
+    axes = record[POSITION.strip].reshape(3, 3)
+    out[:, UNKNOWN.rotation], out[:, UNKNOWN.centre] = across @ by_w, -np.eye(3)
+    out[:, UNKNOWN.shift], out[:, UNKNOWN.drift] = -axes, -record[POSITION.tau] * axes
+    out[:, UNKNOWN.lever], out[:, UNKNOWN.boresight] = rotation.T @ mounting, -across @ by_beta
     return value, _chosen(record, setup, out)
 
 
 def attitude_residual(record: Any, setup: Any, x: Any) -> Any:
     """Whitened residual (3,) of an inertial unit's attitude; accepts complex unknowns."""
     d = _corrections(setup, x)
-    rotation, mounting = _rotation(record[9:18], d[0:3])[0], _rotation(record[18:27], d[BORESIGHT:])[0]
-    theta = rotation_vector(record[28:37].reshape(3, 3) @ rotation.T @ mounting)
-    wrong = d[TURN : TURN + 3] + record[27] * d[TURN_DRIFT : TURN_DRIFT + 3]
-    return record[0:9].reshape(3, 3) @ (theta - wrong)
+    rotation = _rotation(record[ATTITUDE.rotation], d[UNKNOWN.rotation])[0]
+    mounting = _rotation(record[ATTITUDE.mounting], d[UNKNOWN.boresight])[0]
+    theta = rotation_vector(record[ATTITUDE.observed].reshape(3, 3) @ rotation.T @ mounting)
+    wrong = d[UNKNOWN.turn] + record[ATTITUDE.tau] * d[UNKNOWN.turn_drift]
+    return record[ATTITUDE.whitening].reshape(3, 3) @ (theta - wrong)
 
 
 def attitude_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
@@ -111,19 +114,19 @@ def attitude_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[
     value = attitude_residual(record, setup, x)
     if not want:
         return value, np.empty((0, 0))
-    d, out = _corrections(setup, x), np.zeros((3, N_NAVIGATION))
-    rotation, by_w = _rotation(record[9:18], d[0:3])
-    mounting, by_beta = _rotation(record[18:27], d[BORESIGHT:])
-    theta = rotation_vector(record[28:37].reshape(3, 3) @ rotation.T @ mounting)
+    d, out = _corrections(setup, x), np.zeros((3, UNKNOWN.size))
+    rotation, by_w = _rotation(record[ATTITUDE.rotation], d[UNKNOWN.rotation])
+    mounting, by_beta = _rotation(record[ATTITUDE.mounting], d[UNKNOWN.boresight])
+    theta = rotation_vector(record[ATTITUDE.observed].reshape(3, 3) @ rotation.T @ mounting)
     inner = _inverse_right_jacobian(theta) @ mounting.T
-    out[:, 0:3], out[:, BORESIGHT:] = -inner @ by_w, inner @ by_beta
-    out[:, TURN : TURN + 3], out[:, TURN_DRIFT : TURN_DRIFT + 3] = -np.eye(3), -record[27] * np.eye(3)
+    out[:, UNKNOWN.rotation], out[:, UNKNOWN.boresight] = -inner @ by_w, inner @ by_beta
+    out[:, UNKNOWN.turn], out[:, UNKNOWN.turn_drift] = -np.eye(3), -record[ATTITUDE.tau] * np.eye(3)
     return value, _chosen(record, setup, out)
 
 
 def _chosen(record: Array, setup: Array, out: Array) -> Array:
     """Columns (3, k) of the image's unknowns, whitened, by prior sigmas."""
-    return np.ascontiguousarray(record[0:9].reshape(3, 3) @ out[:, setup[0].astype(np.intp)] * setup[1])
+    return np.ascontiguousarray(record[_BOTH.whitening].reshape(3, 3) @ out[:, setup[0].astype(np.intp)] * setup[1])
 
 
 def _turned_at_random(rng: np.random.Generator, angle_rad: float) -> Array:
@@ -132,7 +135,7 @@ def _turned_at_random(rng: np.random.Generator, angle_rad: float) -> Array:
 
 def _parts(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
     """Rotations R_0 and B_0, the setup and unknowns; large and small corrections occur, and subsets of unknowns."""
-    codes = np.sort(rng.permutation(N_NAVIGATION)[: rng.integers(1, N_NAVIGATION + 1)])
+    codes = np.sort(rng.permutation(UNKNOWN.size)[: rng.integers(1, UNKNOWN.size + 1)])
     sigma = np.repeat([rng.choice([1e-5, 1e-2, 0.2]), 0.3, 1.0, 0.5, 0.1, 1e-3, 1e-4, 0.05, 1e-2],
                       [3, 3, 9, 3, 3, 3, 3, 3, 3])  # fmt: skip
     setup = np.ascontiguousarray(np.stack([codes.astype(float), sigma[codes]]))
@@ -141,18 +144,21 @@ def _parts(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
 
 def _position_example(rng: np.random.Generator) -> Example:
     rotation, mounting, setup, x = _parts(rng)
-    own = [*rng.normal(scale=0.5, size=3), *rng.normal(size=3), *_turned_at_random(rng, 1.0).ravel()]
-    weight = rng.normal(size=(3, 3)).ravel()
-    return Example(np.array([*weight, *rotation.ravel(), *mounting.ravel(), rng.uniform(-1, 1), *own]), setup, (x,))
+    record = POSITION.pack(
+        offset=rng.normal(scale=0.5, size=3), arm=rng.normal(size=3), strip=_turned_at_random(rng, 1.0).ravel(),
+        whitening=rng.normal(size=9), rotation=rotation.ravel(), mounting=mounting.ravel(), tau=rng.uniform(-1, 1),
+    )  # fmt: skip
+    return Example(record, setup, (x,))
 
 
 def _attitude_example(rng: np.random.Generator) -> Example:
     rotation, mounting, setup, x = _parts(rng)
     away = _turned_at_random(rng, rng.choice([0.0, 1e-5, 1e-2, 0.5]))
-    weight, observed = rng.normal(size=(3, 3)).ravel(), away @ mounting.T @ rotation
-    return Example(
-        np.array([*weight, *rotation.ravel(), *mounting.ravel(), rng.uniform(-1, 1), *observed.ravel()]), setup, (x,)
+    record = ATTITUDE.pack(
+        whitening=rng.normal(size=9), rotation=rotation.ravel(), mounting=mounting.ravel(), tau=rng.uniform(-1, 1),
+        observed=(away @ mounting.T @ rotation).ravel(),
     )  # fmt: skip
+    return Example(record, setup, (x,))
 
 
 ANTENNA_POSITION = register(Equation(

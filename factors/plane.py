@@ -1,21 +1,21 @@
 """Transformations between two planes: polynomial (affine if of degree 1), Helmert, projective.
 
-An observation is a point in both planes. Record (8,): source coordinates x, y and a third that planes do not use,
-target coordinates U, V, and the upper triangle w11, w12, w22 of the whitening matrix. The residual is
+An observation is a point in both planes: source coordinates x, y and a third that planes do not use, target
+coordinates U, V, and the upper triangle w11, w12, w22 of the whitening matrix. The residual is
 ``W (computed - given)``, the sign of İpbüker 1994. Coordinates should be centred and scaled to about 1: with the full
 metres of a map projection the normal equations of degree 2 and 3 have no correct digit left.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors.records import Record
 
-#: Length of a record.
-RECORD = 8
+RECORD: Final = Record(source="x y z", target="u v", w11=1, w12=1, w22=1)
 #: Highest degree of the polynomial: that of İpbüker 1994.
 MAX_DEGREE = 5
 
@@ -29,16 +29,16 @@ def polynomial_setup(degree: int) -> Array:
 @compiled
 def whitened(record: Any, u: Any, v: Any) -> Any:
     """``W (computed - given)`` (2,) of a computed target u, v."""
-    d_u, d_v = u - record[3], v - record[4]
-    return np.array([record[5] * d_u + record[6] * d_v, record[7] * d_v])
+    d_u, d_v = u - record[RECORD.u], v - record[RECORD.v]
+    return np.array([record[RECORD.w11] * d_u + record[RECORD.w12] * d_v, record[RECORD.w22] * d_v])
 
 
 @compiled
 def whiten_rows(record: Array, jacobian: Array) -> Array:
     """W times a Jacobian (2, k), in place."""
     for j in range(jacobian.shape[1]):
-        jacobian[0, j] = record[5] * jacobian[0, j] + record[6] * jacobian[1, j]
-        jacobian[1, j] *= record[7]
+        jacobian[0, j] = record[RECORD.w11] * jacobian[0, j] + record[RECORD.w12] * jacobian[1, j]
+        jacobian[1, j] *= record[RECORD.w22]
     return jacobian
 
 
@@ -56,7 +56,7 @@ def residual_polynomial(record: Any, setup: Any, c: Any) -> Any:
     p = setup.shape[1]
     u, v = c[0] * 0.0, c[0] * 0.0
     for k in range(p):
-        term = _power(record[0], int(setup[0, k])) * _power(record[1], int(setup[1, k]))
+        term = _power(record[RECORD.x], int(setup[0, k])) * _power(record[RECORD.y], int(setup[1, k]))
         u += c[k] * term
         v += c[p + k] * term
     return whitened(record, u, v)
@@ -71,7 +71,7 @@ def kernel_polynomial(record: Array, setup: Array, c: Array, want: bool) -> tupl
     p = setup.shape[1]
     jacobian = np.zeros((2, 2 * p))
     for k in range(p):
-        term = _power(record[0], int(setup[0, k])) * _power(record[1], int(setup[1, k]))
+        term = _power(record[RECORD.x], int(setup[0, k])) * _power(record[RECORD.y], int(setup[1, k]))
         jacobian[0, k] = term
         jacobian[1, p + k] = term
     return value, whiten_rows(record, jacobian)
@@ -80,8 +80,8 @@ def kernel_polynomial(record: Array, setup: Array, c: Array, want: bool) -> tupl
 @compiled
 def residual_helmert(record: Any, setup: Any, x: Any) -> Any:
     """``U = c + a x - b y, V = d + b x + a y``; unknowns c, d, a, b."""
-    u = x[0] + x[2] * record[0] - x[3] * record[1]
-    v = x[1] + x[3] * record[0] + x[2] * record[1]
+    u = x[0] + x[2] * record[RECORD.x] - x[3] * record[RECORD.y]
+    v = x[1] + x[3] * record[RECORD.x] + x[2] * record[RECORD.y]
     return whitened(record, u, v)
 
 
@@ -91,14 +91,14 @@ def kernel_helmert(record: Array, setup: Array, x: Array, want: bool) -> tuple[A
     value = residual_helmert(record, setup, x)
     if not want:
         return value, np.empty((0, 0))
-    rows = np.array([[1.0, 0.0, record[0], -record[1]], [0.0, 1.0, record[1], record[0]]])
+    rows = np.array([[1.0, 0.0, record[RECORD.x], -record[RECORD.y]], [0.0, 1.0, record[RECORD.y], record[RECORD.x]]])
     return value, whiten_rows(record, rows)
 
 
 @compiled
 def residual_projective(record: Any, setup: Any, x: Any) -> Any:
     """``U = (a0 + a1 x + a2 y)/(1 + c1 x + c2 y)``, V alike; unknowns a0 a1 a2 b0 b1 b2 c1 c2."""
-    s, t = record[0], record[1]
+    s, t = record[RECORD.x], record[RECORD.y]
     below = 1.0 + x[6] * s + x[7] * t
     return whitened(record, (x[0] + x[1] * s + x[2] * t) / below, (x[3] + x[4] * s + x[5] * t) / below)
 
@@ -109,7 +109,7 @@ def kernel_projective(record: Array, setup: Array, x: Array, want: bool) -> tupl
     value = residual_projective(record, setup, x)
     if not want:
         return value, np.empty((0, 0))
-    s, t = record[0], record[1]
+    s, t = record[RECORD.x], record[RECORD.y]
     g = 1.0 / (1.0 + x[6] * s + x[7] * t)
     u, v = (x[0] + x[1] * s + x[2] * t) * g, (x[3] + x[4] * s + x[5] * t) * g
     jacobian = np.array([
@@ -121,8 +121,9 @@ def kernel_projective(record: Array, setup: Array, x: Array, want: bool) -> tupl
 
 def example_record(rng: np.random.Generator) -> Array:
     """Record of a normalised point with correlated coordinates."""
-    w = [rng.uniform(0.5, 2.0), rng.normal(), rng.uniform(0.5, 2.0)]
-    return np.concatenate([rng.uniform(-1.0, 1.0, 5), w])
+    w11, w12, w22 = rng.uniform(0.5, 2.0), rng.normal(), rng.uniform(0.5, 2.0)
+    source, target = rng.uniform(-1.0, 1.0, 3), rng.uniform(-1.0, 1.0, 2)
+    return RECORD.pack(source=source, target=target, w11=w11, w12=w12, w22=w22)
 
 
 def _example_polynomial(rng: np.random.Generator) -> Example:

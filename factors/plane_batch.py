@@ -30,8 +30,8 @@ def targets_of(equation: Equation, sources: Array, setup: Array, coefficients: A
 def targets(kind: int, sources: Array, setup: Array, c: Array) -> Array:
     """Target coordinates (n, 2); ``kind`` is one of ``KINDS``."""
     out = np.empty((len(sources), 2))
-    record = np.zeros(plane.RECORD)
-    record[5] = record[7] = 1.0
+    record = np.zeros(plane.RECORD.size)
+    record[plane.RECORD.w11] = record[plane.RECORD.w22] = 1.0
     for i in range(len(sources)):
         for k in range(3):
             record[k] = sources[i, k]

@@ -27,23 +27,20 @@ import numpy as np
 from factors import rotations
 from factors._contract import Argument, Array, Equation, Example, compiled, inlined, register
 from factors._plain import FEW_ARRAYS, plain
-from factors.sight import STORED, derivatives, sight, store
+from factors.sight import CORRECTION, ROW, STORED, derivatives, sight, store
+from factors.sight import RECORD as RECORD
 
-#: Record: P 0:3 m, V 3:6 m/s, angles 6:9 rad, M 9:18 row-major, tau 18, psi_x 19, psi_y 20, s 21,
-#: A 22:26 row-major, frame follows P and V 26 (1/0), small-angle form 27 (1/0), reference ground point
-#: 28:31 m (local) and the same minus P 31:34 m (ECEF axes).
-RECORD_SIZE = 34
 #: Setup: codes and prior sigmas of the unknowns. Code 3 component + degree for EOP (X Y Z VX VY VZ roll
 #: pitch yaw); 27 + 2 k for psi_x and 28 + 2 k for psi_y, coefficient of s^k; CURVE + CURVES component + k for the curve
-#: whose value at the observation stands behind the record, at RECORD_SIZE + k.
+#: whose value at the observation stands behind the record, at RECORD.size + k.
 N_EOP = 27
 CURVE, CURVES = 64, 32
 
 
 @compiled
 def corrections(record: Any, setup: Any, x: Any) -> Any:
-    """Corrections of the 9 EOP and of psi_x, psi_y at the observation: (11,) physical units."""
-    d = np.zeros((11, *record.shape[1:]), x.dtype)
+    """Corrections of the 9 EOP and of psi_x, psi_y at the observation: (11,) physical units, as ``CORRECTION``."""
+    d = np.zeros((CORRECTION.size, *record.shape[1:]), x.dtype)
     for j in range(setup.shape[1]):
         code = int(setup[0, j])
         d[_slot(code)] += x[j] * setup[1, j] * _basis(record, code)
@@ -55,35 +52,36 @@ def _slot(code: int) -> int:
     """Which of the 9 EOP and 2 look angles a coefficient adds to."""
     if code < N_EOP:
         return code // 3
-    return 9 + (code - N_EOP) % 2 if code < CURVE else (code - CURVE) // CURVES
+    return CORRECTION.psi_x + (code - N_EOP) % 2 if code < CURVE else (code - CURVE) // CURVES
 
 
 @inlined
 def _basis(record: Any, code: int) -> Any:
     """Power of tau or of the sample, or value of the curve, that a coefficient belongs to."""
     if code < N_EOP:
-        tau, degree = record[18], code % 3
+        tau, degree = record[RECORD.tau], code % 3
         return 1.0 if degree == 0 else tau if degree == 1 else tau * tau
     if code < CURVE:
-        return record[21] ** ((code - N_EOP) // 2)
-    return record[RECORD_SIZE + (code - CURVE) % CURVES]
+        return record[RECORD.s] ** ((code - N_EOP) // 2)
+    return record[RECORD.size + (code - CURVE) % CURVES]
 
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     """Whitened conditions A (F_y, F_x): (2,); accepts complex unknowns."""
     i, n = np.int64(0), np.int64(1)
-    return np.array(sight(record, corrections(record, setup, x), ground, i, n, record[27] > 0.5)[0])
+    return np.array(sight(record, corrections(record, setup, x), ground, i, n, record[RECORD.small_angle] > 0.5)[0])
 
 
 def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
-    """Residuals of N observations of one image at N ground points: (N, 34), (N, 3) -> (N, 2)."""
+    """Residuals of N observations of one image at N ground points: (N, d), (N, 3) -> (N, 2)."""
     if len(records) > FEW_ARRAYS:
         return _conditions(records, setup, x, ground)
     record = np.ascontiguousarray(records.T)  # entries of all observations at once
     with np.errstate(all="ignore"):  # as compiled code does
         d = plain(corrections)(record, setup, x)
-        value, _ = plain(sight)(record, d, np.ascontiguousarray(ground.T), 0, 1, record[27].any())
+        small = record[RECORD.small_angle].any()
+        value, _ = plain(sight)(record, d, np.ascontiguousarray(ground.T), 0, 1, small)
     return np.stack(value, axis=1)
 
 
@@ -107,19 +105,20 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
     i, n = np.int64(0), np.int64(1)  # typed, so that numba makes no variant for each literal
-    value, seen = sight(record, corrections(record, setup, x), ground, i, n, record[27] > 0.5)
+    value, seen = sight(record, corrections(record, setup, x), ground, i, n, record[RECORD.small_angle] > 0.5)
     out[0, 0], out[1, 0] = value
     if want:
-        d = np.empty(STORED)
+        d, line, sample = np.empty(STORED.size), STORED.line_row.start, STORED.sample_row.start
         store(d, i, n, value, derivatives(record, i, n, seen))
         for j in range(k):
             code = int(setup[0, j])
             column = _slot(code)
-            column = column if column < 9 else column + 3
+            column = column if column < CORRECTION.psi_x else column - CORRECTION.psi_x + ROW.psi_x
             factor = _basis(record, code) * setup[1, j]
-            out[0, 1 + j], out[1, 1 + j] = d[2 + column] * factor, d[16 + column] * factor
+            out[0, 1 + j], out[1, 1 + j] = d[line + column] * factor, d[sample + column] * factor
         for c in range(3):
-            out[0, k + 1 + c], out[1, k + 1 + c] = d[11 + c], d[25 + c]
+            column = ROW.ground.start + c
+            out[0, k + 1 + c], out[1, k + 1 + c] = d[line + column], d[sample + column]
     total = 0.0
     for j in range(k + 4 if want else 1):
         total += 0.0 * out[0, j] + 0.0 * out[1, j]
@@ -146,11 +145,11 @@ def example(rng: np.random.Generator) -> Example:
     psi_x, psi_y = rng.uniform(-0.02, 0.02), rng.uniform(-0.4, 0.4)
     ray = rotations.orbital_frames(p[None], v[None])[0] @ np.array([-np.tan(psi_y), np.tan(psi_x), -1.0])
     turn = rotations.attitude_matrices(rng.normal(scale=1e-3, size=(1, 3)), False)[0]
-    record = np.concatenate([
-        p, v, rng.normal(scale=1e-3, size=3), turn.ravel(), rng.uniform(-1, 1, 1), [psi_x, psi_y],
-        rng.uniform(-1, 1, 1), rng.normal(scale=5e5, size=4), rng.integers(0, 2, 2).astype(float),
-        np.zeros(3), 8.4e5 * ray,
-    ])  # fmt: skip
+    record = RECORD.pack(
+        position=p, velocity=v, angles=rng.normal(scale=1e-3, size=3), mounting=turn.ravel(), tau=rng.uniform(-1, 1),
+        look=[psi_x, psi_y], s=rng.uniform(-1, 1), whitening=rng.normal(scale=5e5, size=4),
+        follows=rng.integers(0, 2), small_angle=rng.integers(0, 2), reference=np.zeros(3), from_position=8.4e5 * ray,
+    )  # fmt: skip
     sigma = np.repeat([[10.0, 1.0, 0.1], [1e-2, 1e-3, 1e-4], [5e-5, 1e-5, 2e-6]], 3, axis=0).ravel()
     codes = np.concatenate([np.arange(N_EOP + 6.0), [CURVE, CURVE + CURVES + 1.0, CURVE + 7.0 * CURVES]])
     setup = np.ascontiguousarray(np.stack([codes, np.concatenate([sigma, np.full(6, 1e-4), [1.0, 1.0, 1e-5]])]))

@@ -11,10 +11,13 @@ from typing import Any
 import numpy as np
 
 from factors._contract import Array, compiled, inlined
+from factors.records import Record
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
 #: Values of a knot: DEM row, DEM column; line and sample as c0 + c1 t + c2 t^2 of the scaled height t.
-KNOT_SIZE = 8
+KNOT = Record(row=1, column=1, line="line_0 line_1 line_2", sample="sample_0 sample_1 sample_2")
+SCALING = Record(offset=1, scale=1)
+LIMITS = Record(first_line=1, last_line=1, first_sample=1, last_sample=1)
 #: Pixels beyond the place itself that a kernel may need.
 REACH = 2
 
@@ -46,13 +49,13 @@ def pixel_positions(
     step : int
         Map pixels between two knots, the same for rows and columns; the first knot is map pixel (0, 0).
     knots : (M, N, 8) array
-        See ``KNOT_SIZE``; bilinear between knots.
+        See ``KNOT``; bilinear between knots.
     heights : (P, Q) array
         DEM, m.
     scaling : (2,) array
-        Offset and scale of the height: t = (height - offset) / scale.
+        Offset and scale of the height, ``SCALING``: t = (height - offset) / scale.
     limits : (4,) array
-        First and last line, first and last sample that lie in the image.
+        First and last line, first and last sample that lie in the image: ``LIMITS``.
     line, sample : (R, C) arrays
         Results.
 
@@ -62,7 +65,7 @@ def pixel_positions(
         Pixels inside the DEM's raster without a height that lie in the image at t = 0; row and column of the first.
     """
     holes, hole_row, hole_column = 0, -1, -1
-    a, b, k = np.empty(KNOT_SIZE), np.empty(KNOT_SIZE), np.empty(KNOT_SIZE)
+    a, b, k = np.empty(KNOT.size), np.empty(KNOT.size), np.empty(KNOT.size)
     for r in range(line.shape[0]):
         i, u = (first_row + r) // step, ((first_row + r) % step) / step
         cell = -1
@@ -70,17 +73,20 @@ def pixel_positions(
             j, v = (first_column + c) // step, ((first_column + c) % step) / step
             if j != cell:
                 cell = j
-                for m in range(KNOT_SIZE):
+                for m in range(KNOT.size):
                     a[m] = knots[i, j, m] * (1.0 - u) + knots[i + 1, j, m] * u
                     b[m] = knots[i, j + 1, m] * (1.0 - u) + knots[i + 1, j + 1, m] * u
-            for m in range(KNOT_SIZE):
+            for m in range(KNOT.size):
                 k[m] = a[m] * (1.0 - v) + b[m] * v
-            h = surface_height(heights, k[0], k[1])
-            t = 0.0 if np.isnan(h) else (h - scaling[0]) / scaling[1]
-            x, y = k[2] + t * (k[3] + t * k[4]), k[5] + t * (k[6] + t * k[7])
-            inside = limits[0] <= x <= limits[1] and limits[2] <= y <= limits[3]
+            h = surface_height(heights, k[KNOT.row], k[KNOT.column])
+            t = 0.0 if np.isnan(h) else (h - scaling[SCALING.offset]) / scaling[SCALING.scale]
+            x = k[KNOT.line_0] + t * (k[KNOT.line_1] + t * k[KNOT.line_2])
+            y = k[KNOT.sample_0] + t * (k[KNOT.sample_1] + t * k[KNOT.sample_2])
+            inside = limits[LIMITS.first_line] <= x <= limits[LIMITS.last_line]
+            inside = inside and limits[LIMITS.first_sample] <= y <= limits[LIMITS.last_sample]
             if np.isnan(h):
-                covered = 0.0 <= k[0] <= heights.shape[0] - 1.0 and 0.0 <= k[1] <= heights.shape[1] - 1.0
+                covered = 0.0 <= k[KNOT.row] <= heights.shape[0] - 1.0
+                covered = covered and 0.0 <= k[KNOT.column] <= heights.shape[1] - 1.0
                 if covered and inside:
                     holes += 1
                     if hole_row < 0:

@@ -18,29 +18,30 @@ import numpy as np
 
 from factors import rfm_terms
 from factors._contract import Array, compiled
+from factors.rfm_terms import TERM as T
 
 
 @compiled
 def cubic(c: Any, k: int, x: Any, y: Any, z: Any) -> Any:
     """Polynomial ``k`` of ``c`` at one normalised ground point, nested."""
     return (
-        c[k, 0]
-        + x * (c[k, 1] + x * (c[k, 7] + x * c[k, 11] + y * c[k, 14] + z * c[k, 17])
-               + y * (c[k, 4] + y * c[k, 12] + z * c[k, 10]) + z * (c[k, 5] + z * c[k, 13]))
-        + y * (c[k, 2] + y * (c[k, 8] + y * c[k, 15] + z * c[k, 18]) + z * (c[k, 6] + z * c[k, 16]))
-        + z * (c[k, 3] + z * (c[k, 9] + z * c[k, 19]))
+        c[k, T.one]
+        + x * (c[k, T.x] + x * (c[k, T.xx] + x * c[k, T.xxx] + y * c[k, T.xxy] + z * c[k, T.xxz])
+               + y * (c[k, T.xy] + y * c[k, T.xyy] + z * c[k, T.xyz]) + z * (c[k, T.xz] + z * c[k, T.xzz]))
+        + y * (c[k, T.y] + y * (c[k, T.yy] + y * c[k, T.yyy] + z * c[k, T.yyz]) + z * (c[k, T.yz] + z * c[k, T.yzz]))
+        + z * (c[k, T.z] + z * (c[k, T.zz] + z * c[k, T.zzz]))
     )  # fmt: skip
 
 
 @compiled
 def d_cubic(c: Any, k: int, x: Any, y: Any, z: Any) -> Any:
     """Derivatives of :func:`cubic` with respect to x, y, z."""
-    d_x = (c[k, 1] + x * (2.0 * c[k, 7] + 3.0 * x * c[k, 11] + 2.0 * (y * c[k, 14] + z * c[k, 17]))
-           + y * (c[k, 4] + y * c[k, 12] + z * c[k, 10]) + z * (c[k, 5] + z * c[k, 13]))  # fmt: skip
-    d_y = (c[k, 2] + y * (2.0 * c[k, 8] + 3.0 * y * c[k, 15] + 2.0 * (z * c[k, 18] + x * c[k, 12]))
-           + x * (c[k, 4] + x * c[k, 14] + z * c[k, 10]) + z * (c[k, 6] + z * c[k, 16]))  # fmt: skip
-    d_z = (c[k, 3] + z * (2.0 * c[k, 9] + 3.0 * z * c[k, 19] + 2.0 * (x * c[k, 13] + y * c[k, 16]))
-           + x * (c[k, 5] + x * c[k, 17] + y * c[k, 10]) + y * (c[k, 6] + y * c[k, 18]))  # fmt: skip
+    d_x = (c[k, T.x] + x * (2.0 * c[k, T.xx] + 3.0 * x * c[k, T.xxx] + 2.0 * (y * c[k, T.xxy] + z * c[k, T.xxz]))
+           + y * (c[k, T.xy] + y * c[k, T.xyy] + z * c[k, T.xyz]) + z * (c[k, T.xz] + z * c[k, T.xzz]))  # fmt: skip
+    d_y = (c[k, T.y] + y * (2.0 * c[k, T.yy] + 3.0 * y * c[k, T.yyy] + 2.0 * (z * c[k, T.yyz] + x * c[k, T.xyy]))
+           + x * (c[k, T.xy] + x * c[k, T.xxy] + z * c[k, T.xyz]) + z * (c[k, T.yz] + z * c[k, T.yzz]))  # fmt: skip
+    d_z = (c[k, T.z] + z * (2.0 * c[k, T.zz] + 3.0 * z * c[k, T.zzz] + 2.0 * (x * c[k, T.xzz] + y * c[k, T.yzz]))
+           + x * (c[k, T.xz] + x * c[k, T.xxz] + y * c[k, T.xyz]) + y * (c[k, T.yz] + y * c[k, T.yyz]))  # fmt: skip
     return d_x, d_y, d_z
 
 

@@ -15,23 +15,26 @@ import numpy as np
 
 from factors import rfm, rfm_ground
 from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors.records import Record
+from factors.rfm_ground import FRAME
+from factors.rfm_project import COMPENSATION as COMPENSATION
+from factors.rfm_project import compensated
 
-#: Record: observed line, sample 0:2 px; A 2:6 row-major, 1/px; offsets 6:8 and scales 8:10 of line and
-#: sample, px; reference point: normalised longitude, latitude, height 10:13; scales of longitude, latitude
-#: 13:15 rad and of height 15 m; reference point minus local origin 16:19 m; sin and cos of its longitude, sin
-#: and cos of its latitude, its height 19:24; coefficients 24:104, (4, 20) row-major.
-RECORD_SIZE: Final = 104
-#: Setup: codes of the unknowns and their prior sigmas (px). Code k is element k of ``compensation`` of
-#: ``factors.rfm_project``: 0 line shift, 1 sample shift, 2 and 3 drift of line and sample with the normalised line,
-#: 4 and 5 with the normalised sample (px at the end of the range).
+#: Observed pixel; A row-major, 1/px; offsets and scales of line and sample, px; of the reference point: normalised
+#: longitude, latitude, height, their scales rad and m, place minus local origin m, ``FRAME``; coefficients (4, 20).
+RECORD: Final = Record(
+    line=1, sample=1, whitening="a11 a12 a21 a22", line_offset=1, sample_offset=1, line_scale=1, sample_scale=1,
+    normalised="lon lat height", scales="lon_scale lat_scale height_scale", reference="x y z", frame=FRAME.size,
+    coefficients=80,
+)  # fmt: skip
+#: Setup: codes of the unknowns, which are elements of :data:`factors.rfm_project.COMPENSATION`, and prior sigmas (px).
 COMPENSATIONS: Final = {"shift": (0, 1), "drift": (0, 1, 2, 3), "affine": (0, 1, 2, 3, 4, 5)}
-N_COMPENSATION: Final = 6
 
 
 @compiled
 def compensation(setup: Any, x: Any) -> Any:
     """Compensation (6,) in pixels of unknowns in prior sigmas."""
-    out = np.zeros(N_COMPENSATION, x.dtype)
+    out = np.zeros(COMPENSATION.size, x.dtype)
     for j in range(setup.shape[1]):
         out[int(setup[0, j])] += setup[1, j] * x[j]
     return out
@@ -41,25 +44,40 @@ def compensation(setup: Any, x: Any) -> Any:
 def _normalised(record: Any, ground: Any) -> Any:
     """Differences of longitude, latitude, height from the reference, and normalised coordinates."""
     d = rfm_ground.differences(
-        record[19:24], ground[0] - record[16], ground[1] - record[17], ground[2] - record[18]
+        record[RECORD.frame], ground[0] - record[RECORD.x], ground[1] - record[RECORD.y], ground[2] - record[RECORD.z]
     )  # fmt: skip
-    x, y, z = record[10] + d[0] / record[13], record[11] + d[1] / record[14], record[12] + d[2] / record[15]
-    return d, x, y, z
+    lon = record[RECORD.lon] + d[0] / record[RECORD.lon_scale]
+    lat = record[RECORD.lat] + d[1] / record[RECORD.lat_scale]
+    return d, lon, lat, record[RECORD.height] + d[2] / record[RECORD.height_scale]
+
+
+@compiled
+def _coefficients(record: Any) -> Any:
+    """Coefficients (4, 20)."""
+    return record[RECORD.coefficients].reshape(4, 20)
+
+
+@compiled
+def _whitened(record: Any, line: Any, sample: Any) -> Any:
+    """Product A (line, sample): a pair."""
+    whitened_line = record[RECORD.a11] * line + record[RECORD.a12] * sample
+    return whitened_line, record[RECORD.a21] * line + record[RECORD.a22] * sample
 
 
 @compiled
 def _misclosure(record: Any, b: Any, l: Any, s: Any) -> Any:  # noqa: E741
     """Whitened residual of a normalised pixel and a compensation: a pair."""
-    line = (record[6] - record[0]) + (record[8] * l + (b[0] + b[2] * l + b[4] * s))
-    sample = (record[7] - record[1]) + (record[9] * s + (b[1] + b[3] * l + b[5] * s))
-    return record[2] * line + record[3] * sample, record[4] * line + record[5] * sample
+    b_line, b_sample = compensated(b, l, s)
+    line = (record[RECORD.line_offset] - record[RECORD.line]) + (record[RECORD.line_scale] * l + b_line)
+    sample = (record[RECORD.sample_offset] - record[RECORD.sample]) + (record[RECORD.sample_scale] * s + b_sample)
+    return _whitened(record, line, sample)
 
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     """Whitened residual (2,); accepts complex unknowns."""
     _, lon, lat, h = _normalised(record, ground)
-    l, s = rfm.value(record[24:104].reshape(4, 20), lon, lat, h)  # noqa: E741
+    l, s = rfm.value(_coefficients(record), lon, lat, h)  # noqa: E741
     r_line, r_sample = _misclosure(record, compensation(setup, x), l, s)
     return np.array([r_line, r_sample])
 
@@ -69,22 +87,24 @@ def _derivatives(record: Array, setup: Array, b: Array, point: Any, image: Any, 
     """Write the Jacobians into columns 1.. of ``out`` (2, 1 + k + 3); ``point`` is that of :func:`_normalised`."""
     k, (l, s) = setup.shape[1], image  # noqa: E741
     d, lon, lat, h = point
-    d_l, d_s = rfm.ground_derivatives(record[24:104].reshape(4, 20), lon, lat, h, l, s)
-    to_geodetic = rfm_ground.derivatives(record[19:24], d[0], d[1], d[2])
+    d_l, d_s = rfm.ground_derivatives(_coefficients(record), lon, lat, h, l, s)
+    scales = record[RECORD.scales]
+    to_geodetic = rfm_ground.derivatives(record[RECORD.frame], d[0], d[1], d[2])
     for j in range(k):
         code = int(setup[0, j])
         g = setup[1, j] * (1.0 if code < 2 else (l if code < 4 else s))
-        out[0, 1 + j], out[1, 1 + j] = record[2 + code % 2] * g, record[4 + code % 2] * g
+        is_line = code % 2 == 0
+        out[0, 1 + j] = record[RECORD.a11 if is_line else RECORD.a12] * g
+        out[1, 1 + j] = record[RECORD.a21 if is_line else RECORD.a22] * g
     for c in range(3):
         v_l, v_s = 0.0, 0.0
         for a in range(3):
-            g = to_geodetic[a][c] / record[13 + a]
+            g = to_geodetic[a][c] / scales[a]
             v_l += d_l[a] * g
             v_s += d_s[a] * g
-        line = (record[8] + b[2]) * v_l + b[4] * v_s
-        sample = (record[9] + b[5]) * v_s + b[3] * v_l
-        out[0, 1 + k + c] = record[2] * line + record[3] * sample
-        out[1, 1 + k + c] = record[4] * line + record[5] * sample
+        line = (record[RECORD.line_scale] + b[COMPENSATION.line_l]) * v_l + b[COMPENSATION.line_s] * v_s
+        sample = (record[RECORD.sample_scale] + b[COMPENSATION.sample_s]) * v_s + b[COMPENSATION.sample_l] * v_l
+        out[0, 1 + k + c], out[1, 1 + k + c] = _whitened(record, line, sample)
 
 
 @compiled
@@ -98,7 +118,7 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
         return False
     b = compensation(setup, x)
     point = _normalised(record, ground)
-    image = rfm.value(record[24:104].reshape(4, 20), point[1], point[2], point[3])
+    image = rfm.value(_coefficients(record), point[1], point[2], point[3])
     out[0, 0], out[1, 0] = _misclosure(record, b, image[0], image[1])
     if want:
         _derivatives(record, setup, b, point, image, out)
@@ -126,14 +146,17 @@ def example(rng: np.random.Generator) -> Example:
     c[0, 1:4] += 0.1 * rng.normal(), -1.0, 0.1 * rng.normal()
     c[2, 1:4] += 1.0, 0.1 * rng.normal(), 0.1 * rng.normal()
     lon, lat = rng.uniform(-np.pi, np.pi), rng.uniform(-1.4, 1.4)
-    record = np.concatenate([
-        rng.uniform(0.0, 2e4, 2), (np.eye(2) + 0.2 * rng.normal(size=(2, 2))).ravel() / 0.5, [1e4, 1.2e4, 1e4, 1.2e4],
-        rng.uniform(-1, 1, 3), [2e-3 / np.cos(lat), -1.6e-3, 500.0], rng.normal(scale=1e3, size=3),
-        [np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat), rng.uniform(-100.0, 3e3)], c.ravel(),
-    ])  # fmt: skip
+    line, sample = rng.uniform(0.0, 2e4, 2)
+    record = RECORD.pack(
+        line=line, sample=sample, whitening=(np.eye(2) + 0.2 * rng.normal(size=(2, 2))).ravel() / 0.5, line_offset=1e4,
+        sample_offset=1.2e4, line_scale=1e4, sample_scale=1.2e4, normalised=rng.uniform(-1, 1, 3),
+        scales=[2e-3 / np.cos(lat), -1.6e-3, 500.0], reference=rng.normal(scale=1e3, size=3),
+        frame=[np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat), rng.uniform(-100.0, 3e3)], coefficients=c.ravel(),
+    )  # fmt: skip
     codes = list(COMPENSATIONS.values())[rng.integers(0, 3)]
     setup = np.ascontiguousarray(np.stack([np.array(codes, float), rng.uniform(0.5, 10.0, len(codes))]))
-    return Example(record, setup, (rng.normal(size=len(codes)), record[16:19] + rng.normal(scale=300.0, size=3)))
+    x, away = rng.normal(size=len(codes)), rng.normal(scale=300.0, size=3)
+    return Example(record, setup, (x, record[RECORD.reference] + away))
 
 
 RATIONAL_FUNCTION = register(Equation(

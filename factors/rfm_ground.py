@@ -1,8 +1,8 @@
 """Geodetic coordinates of a point near a reference, as exact differences, and their derivatives.
 
 Longitude, latitude and height of an ECEF point have 16 digits, 1e-9 m to 1e-8 m; as differences from
-those of a reference point they have 16 digits of the difference. ``frame`` is (sin lon0, cos lon0,
-sin lat0, cos lat0, h0) of the reference. Accepts complex differences (complex-step tests).
+those of a reference point they have 16 digits of the difference. ``frame`` holds sines and cosines of the reference's
+longitude and latitude and its height, ``FRAME``. Accepts complex differences (complex-step tests).
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ import numpy as np
 
 from factors._contract import compiled
 from factors.ellipsoid import A_M, E2
+from factors.records import Record
+
+FRAME: Final = Record(sin_lon=1, cos_lon=1, sin_lat=1, cos_lat=1, height=1)
 
 #: Newton steps in the meridian plane: 100 km beside the reference the third one is exact.
 STEPS: Final = 4
@@ -24,7 +27,8 @@ def differences(frame: Any, dx: Any, dy: Any, dz: Any) -> Any:
 
     nan if the point lies beyond the Earth's axis as seen from the reference.
     """
-    s_lon, c_lon, s0, c0, h0 = frame[0], frame[1], frame[2], frame[3], frame[4]
+    s_lon, c_lon, s0, c0 = frame[FRAME.sin_lon], frame[FRAME.cos_lon], frame[FRAME.sin_lat], frame[FRAME.cos_lat]
+    h0 = frame[FRAME.height]
     along, east = dx * c_lon + dy * s_lon, dy * c_lon - dx * s_lon
     root0 = np.sqrt(1.0 - E2 * s0 * s0)
     n0 = A_M / root0
@@ -54,10 +58,12 @@ def differences(frame: Any, dx: Any, dy: Any, dz: Any) -> Any:
 def derivatives(frame: Any, d_lon: float, d_lat: float, d_h: float) -> Any:
     """Derivatives of longitude, latitude, height with respect to the ECEF coordinates: three triples."""
     a, b = np.sin(d_lon), np.cos(d_lon)
-    s_lon, c_lon = frame[0] * b + frame[1] * a, frame[1] * b - frame[0] * a
+    s0, c0 = frame[FRAME.sin_lon], frame[FRAME.cos_lon]
+    s_lon, c_lon = s0 * b + c0 * a, c0 * b - s0 * a
     a, b = np.sin(d_lat), np.cos(d_lat)
-    s, c = frame[2] * b + frame[3] * a, frame[3] * b - frame[2] * a
-    root, h = np.sqrt(1.0 - E2 * s * s), frame[4] + d_h
+    s0, c0 = frame[FRAME.sin_lat], frame[FRAME.cos_lat]
+    s, c = s0 * b + c0 * a, c0 * b - s0 * a
+    root, h = np.sqrt(1.0 - E2 * s * s), frame[FRAME.height] + d_h
     parallel = (A_M / root + h) * c
     meridian = A_M * (1.0 - E2) / (root * root * root) + h
     return (

@@ -1,7 +1,7 @@
 """Projection and location of many points with a rational function model, in pixels and degrees.
 
-``offsets`` and ``scales`` (5,): line, sample (pixels), longitude, latitude (degrees), height (m).
-``compensation`` (6,), pixels: shift of line and sample, drift of both with l, drift of both with s
+``offsets`` and ``scales`` (5,), ``RANGE``: line, sample (pixels), longitude, latitude (degrees), height (m).
+``compensation`` (6,), ``COMPENSATION``, pixels: shift of line and sample, drift of both with l, drift of both with s
 (Grodecki & Dial 2003, with the model's own l and s in [-1, 1])::
 
     line   = line_off   + line_scale l   + c0 + c2 l + c4 s
@@ -15,14 +15,26 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Array, compiled
+from factors.records import Record
 from factors.rfm import cubic, ground_derivatives, value
 
+RANGE: Final = Record(image="line sample", ground="lon lat height")
+COMPENSATION: Final = Record(line=1, sample=1, line_l=1, sample_l=1, line_s=1, sample_s=1)
 #: Points of one pass: the four polynomials of a block stay in the cache, and each loop is vectorised.
 BLOCK: Final = 256
 #: Newton ends below this, or where rounding stops it below LOCATE_PX.
 STEP_PX: Final = 1e-11
 LOCATE_PX: Final = 1e-7
 MAX_STEPS: Final = 40
+
+
+@compiled
+def compensated(b: Any, l: Any, s: Any) -> Any:  # noqa: E741
+    """Compensation of line and sample at a normalised pixel."""
+    return (
+        b[COMPENSATION.line] + b[COMPENSATION.line_l] * l + b[COMPENSATION.line_s] * s,
+        b[COMPENSATION.sample] + b[COMPENSATION.sample_l] * l + b[COMPENSATION.sample_s] * s,
+    )
 
 
 @compiled
@@ -33,7 +45,7 @@ def project(
 
     Longitudes may differ from the offset by a full turn.
     """
-    n, b = len(lon_deg), compensation
+    n = len(lon_deg)
     line, sample, f = np.empty(n), np.empty(n), np.empty((4, BLOCK))
     for first in range(0, n, BLOCK):
         m = min(BLOCK, n - first)
@@ -41,8 +53,9 @@ def project(
             _block(c, k, offsets, scales, lon_deg[first:], lat_deg[first:], height_m[first:], f[k, :m])
         for i in range(m):
             l, s = f[0, i] / f[1, i], f[2, i] / f[3, i]  # noqa: E741
-            line[first + i] = offsets[0] + (scales[0] * l + (b[0] + b[2] * l + b[4] * s))
-            sample[first + i] = offsets[1] + (scales[1] * s + (b[1] + b[3] * l + b[5] * s))
+            b_line, b_sample = compensated(compensation, l, s)
+            line[first + i] = offsets[RANGE.line] + (scales[RANGE.line] * l + b_line)
+            sample[first + i] = offsets[RANGE.sample] + (scales[RANGE.sample] * s + b_sample)
         for i in range(first, first + m):
             if not np.isfinite(line[i] + sample[i]):
                 line[i], sample[i] = np.nan, np.nan
@@ -52,7 +65,8 @@ def project(
 @compiled
 def _block(c: Any, k: int, offsets: Any, scales: Any, lon: Any, lat: Any, h: Any, out: Any) -> None:
     """Polynomial ``k`` at the first points; no branch in the loop."""
-    x0, y0, z0, x1, y1, z1 = offsets[2], offsets[3], offsets[4], scales[2], scales[3], scales[4]
+    x0, y0, z0 = offsets[RANGE.lon], offsets[RANGE.lat], offsets[RANGE.height]
+    x1, y1, z1 = scales[RANGE.lon], scales[RANGE.lat], scales[RANGE.height]
     for i in range(len(out)):
         d = lon[i] - x0
         d -= 360.0 * np.floor(d / 360.0 + 0.5)
@@ -91,7 +105,7 @@ def locate(c: Array, scales: Array, image: Array, z: Array, start: Array) -> Arr
 def _misclosure(c: Any, scales: Any, l: float, s: float, x: float, y: float, z: float) -> Any:  # noqa: E741
     """Normalised misclosures and the larger one in pixels."""
     a, b = value(c, x, y, z)
-    return l - a, s - b, max(abs((l - a) * scales[0]), abs((s - b) * scales[1]))
+    return l - a, s - b, max(abs((l - a) * scales[RANGE.line]), abs((s - b) * scales[RANGE.sample]))
 
 
 @compiled

@@ -13,8 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Array
+from factors.records import Record
 
-N_TERMS: Final = 20
+#: Terms in RPC00B order: products of longitude x, latitude y and height z.
+TERM: Final = Record(terms="one x y z xy xz yz xx yy zz xyz xxx xyy xzz xxy yyy yzz xxz yyz zzz")
+N_TERMS: Final = TERM.size
 
 
 def _triples(words: str) -> tuple[tuple[int, int, int], ...]:

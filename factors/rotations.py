@@ -23,7 +23,7 @@ from factors.sines import sine_cosine
 AT_ONCE: Final = 1024
 
 Matrix = Any  # a tuple of 9 scalars, real or complex
-Vector = Any  # a tuple of 3 scalars
+Vector = Any  # three scalars, a tuple or an array
 
 
 @inlined

@@ -3,7 +3,7 @@
 A factor and a batch call the same functions (``factors.pushbroom``, ``factors.batch_pushbroom``), which have neither
 branches nor calls for a loop of observations of one attitude form, and every operation is rounded as written: both get
 the same bits. ``record``, ``d`` and ``ground`` are flat arrays; entry k of observation i stands at ``i + k n``:
-constants (34, ``factors.pushbroom``), corrections of EOP and look angles (11), ground point (3).
+constants (``RECORD``), corrections of EOP and look angles (``CORRECTION``), ground point (3).
 
 The derivatives carry the row vector dF/df back through the rotations instead of turning each column forward.
 """
@@ -14,33 +14,53 @@ from typing import Any, Final
 
 from factors import differences, orbital, rotations
 from factors._contract import inlined
+from factors.records import Record
 from factors.sines import sine_cosine
 
-#: Numbers that :func:`store` writes.
-STORED: Final = 31
+#: P m, V m/s, angles rad, M row-major; tau, look angles rad, s; A row-major; whether the frame follows P and V and the
+#: attitude has the small-angle form (1/0); reference ground point m (local), the same minus P m (ECEF axes).
+RECORD: Final = Record(
+    position=3, velocity=3, angles=3, mounting="m11 m12 m13 m21 m22 m23 m31 m32 m33", tau=1, look="psi_x psi_y", s=1,
+    whitening="a11 a12 a21 a22", follows=1, small_angle=1, reference=3, from_position=3,
+)  # fmt: skip
+#: Corrections: m, m/s, rad.
+CORRECTION: Final = Record(position=3, velocity=3, angles=3, look="psi_x psi_y")
+#: Derivatives of one condition.
+ROW: Final = Record(position=3, velocity=3, angles=3, ground=3, look="psi_x psi_y")
+#: What :func:`store` writes: whitened conditions, their derivatives, the sum of all.
+STORED: Final = Record(line=1, sample=1, line_row=ROW.size, sample_row=ROW.size, total=1)
 
 
 @inlined
 def _three(a: Any, i: Any, n: Any) -> Any:
     """Entry ``i`` and the next two, which lie ``n`` apart."""
-    return a[i], a[i + n], a[i + 2 * n]
+    j = i + n
+    return a[i], a[j], a[j + n]
 
 
 @inlined
-def _mount(record: Any, i: Any, n: Any) -> Any:
+def _write_three(a: Any, i: Any, n: Any, values: Any) -> None:
+    """Write entry ``i`` and the next two, which lie ``n`` apart."""
+    j = i + n
+    a[i], a[j], a[j + n] = values
+
+
+@inlined
+def _mounting(record: Any, i: Any, n: Any) -> Any:
     """Mounting M (9)."""
-    a, b, c = _three(record, i + 9 * n, n), _three(record, i + 12 * n, n), _three(record, i + 15 * n, n)
-    return (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+    a, b = _three(record, i + RECORD.m11 * n, n), _three(record, i + RECORD.m21 * n, n)
+    return a + b + _three(record, i + RECORD.m31 * n, n)
 
 
 @inlined
 def _position(record: Any, d: Any, ground: Any, i: Any, n: Any) -> Any:
     """Coordinates of the ground point in the corrected orbital frame: reference, difference; that frame, its scales."""
-    p, v, follows = _three(record, i, n), _three(record, i + 3 * n, n), record[i + 26 * n]
+    p, v = _three(record, i + RECORD.position.start * n, n), _three(record, i + RECORD.velocity.start * n, n)
     frame, lengths = orbital.reference(p[0], p[1], p[2], v[0], v[1], v[2])
-    r, g, at = _three(record, i + 31 * n, n), _three(ground, i, n), _three(record, i + 28 * n, n)
+    r, at = _three(record, i + RECORD.from_position.start * n, n), _three(record, i + RECORD.reference.start * n, n)
+    g, follows = _three(ground, i, n), record[i + RECORD.follows * n]
     ref = rotations.multiply_transposed(frame, r[0], r[1], r[2])
-    dp, dv = _three(d, i, n), _three(d, i + 3 * n, n)
+    dp, dv = _three(d, i + CORRECTION.position.start * n, n), _three(d, i + CORRECTION.velocity.start * n, n)
     near = rotations.multiply_transposed(frame, g[0] - at[0] - dp[0], g[1] - at[1] - dp[1], g[2] - at[2] - dp[2])
     dp = rotations.multiply_transposed(frame, follows * dp[0], follows * dp[1], follows * dp[2])
     dv = rotations.multiply_transposed(frame, follows * dv[0], follows * dv[1], follows * dv[2])
@@ -67,9 +87,9 @@ def sight(record: Any, d: Any, ground: Any, i: Any, n: Any, small: Any) -> Any:
     Parameters
     ----------
     record, d, ground : flat arrays
-        Entry k of observation i stands at ``i + k n``: constants (34), corrections (11), ground point (3).
+        Entry k of observation i stands at ``i + k n``: ``RECORD``, ``CORRECTION``, ground point (3).
     small : bool
-        Whether the attitude has the small-angle form (entry 27 of the record).
+        Whether the attitude has the small-angle form.
 
     Returns
     -------
@@ -79,19 +99,23 @@ def sight(record: Any, d: Any, ground: Any, i: Any, n: Any, small: Any) -> Any:
         What :func:`derivatives` needs.
     """
     w0, dw, frame, scales = _position(record, d, ground, i, n)
-    angles, turns, mount = _three(record, i + 6 * n, n), _three(d, i + 6 * n, n), _mount(record, i, n)
+    angles, turns = _three(record, i + RECORD.angles.start * n, n), _three(d, i + CORRECTION.angles.start * n, n)
+    mount = _mounting(record, i, n)
     if small:
         g, dg, turn, d_g = differences.body_from_orbital_small_pair(angles, turns, w0, dw)
     else:
         g, dg, turn, d_g = differences.body_from_orbital_pair(angles, turns, w0, dw)
     f = rotations.multiply_transposed(mount, g[0], g[1], g[2])
     df = rotations.multiply_transposed(mount, dg[0], dg[1], dg[2])
-    t_x, d_x = _look(record[i + 19 * n], d[i + 9 * n])
-    t_y, d_y = _look(record[i + 20 * n], d[i + 10 * n])
+    t_x, d_x = _look(record[i + RECORD.psi_x * n], d[i + CORRECTION.psi_x * n])
+    t_y, d_y = _look(record[i + RECORD.psi_y * n], d[i + CORRECTION.psi_y * n])
     one = 1.0 / (f[2] + df[2])
     f_y = ((f[0] - t_y * f[2]) + (df[0] - t_y * df[2])) * one - d_y
     f_x = ((f[1] + t_x * f[2]) + (df[1] + t_x * df[2])) * one + d_x
-    value = (record[i + 22 * n] * f_y + record[i + 23 * n] * f_x, record[i + 24 * n] * f_y + record[i + 25 * n] * f_x)
+    value = (
+        record[i + RECORD.a11 * n] * f_y + record[i + RECORD.a12 * n] * f_x,
+        record[i + RECORD.a21 * n] * f_y + record[i + RECORD.a22 * n] * f_x,
+    )
     w = (w0[0] + dw[0], w0[1] + dw[1], w0[2] + dw[2])
     at = ((f[0] + df[0]) * one, (f[1] + df[1]) * one, one)
     return value, (w, frame, scales, turn, d_g, mount, at, t_x + d_x, t_y + d_y)
@@ -99,11 +123,11 @@ def sight(record: Any, d: Any, ground: Any, i: Any, n: Any, small: Any) -> Any:
 
 @inlined
 def derivatives(record: Any, i: Any, n: Any, seen: Any) -> Any:
-    """Derivatives of both conditions by P, V, roll, pitch, yaw (0-8), ground (9-11), psi_x, psi_y: (14,) each."""
-    follows = record[i + 26 * n]
+    """Derivatives of both conditions by P, V, angles, ground point (3 each) and look angles (2): nested tuples."""
+    follows = record[i + RECORD.follows * n]
     return (
-        _row(record[i + 22 * n], record[i + 23 * n], follows, seen),
-        _row(record[i + 24 * n], record[i + 25 * n], follows, seen),
+        _row(record[i + RECORD.a11 * n], record[i + RECORD.a12 * n], follows, seen),
+        _row(record[i + RECORD.a21 * n], record[i + RECORD.a22 * n], follows, seen),
     )
 
 
@@ -116,31 +140,32 @@ def _row(a: Any, b: Any, follows: Any, seen: Any) -> Any:
     c = rotations.multiply(turn, g[0], g[1], g[2])
     angles = rotations.multiply(d_g, g[0], g[1], g[2])
     p, v, ground = orbital.row_derivatives(c, w, frame, scales, follows)
-    return (
-        p[0], p[1], p[2], v[0], v[1], v[2], angles[0], angles[1], angles[2], ground[0], ground[1], ground[2],
-        b * (1.0 + t_x * t_x), -a * (1.0 + t_y * t_y),
-    )  # fmt: skip
+    return p, v, angles, ground, (b * (1.0 + t_x * t_x), -a * (1.0 + t_y * t_y))
 
 
 @inlined
 def _sum(y: Any) -> Any:
     """Sum of a row of derivatives."""
-    return (y[0] + y[1] + y[2] + y[3]) + (y[4] + y[5] + y[6] + y[7]) + (y[8] + y[9] + y[10] + y[11]) + (y[12] + y[13])
+    p, v, a, g, look = y
+    return (p[0] + p[1] + p[2] + v[0]) + (v[1] + v[2] + a[0] + a[1]) + (a[2] + g[0] + g[1] + g[2]) + (look[0] + look[1])
+
+
+@inlined
+def _write_row(out: Any, i: Any, n: Any, row: Any) -> None:
+    """Write the derivatives of a condition from entry ``i`` on, as ``ROW``."""
+    p, v, angles, ground, look = row
+    _write_three(out, i + ROW.position.start * n, n, p)
+    _write_three(out, i + ROW.velocity.start * n, n, v)
+    _write_three(out, i + ROW.angles.start * n, n, angles)
+    _write_three(out, i + ROW.ground.start * n, n, ground)
+    out[i + ROW.psi_x * n], out[i + ROW.psi_y * n] = look
 
 
 @inlined
 def store(out: Any, i: Any, n: Any, value: Any, rows: Any) -> None:
-    """Write the STORED numbers of an observation: conditions, both rows of derivatives, and the sum of all."""
-    y, x = rows
-    out[i], out[i + n] = value
-    (
-        out[i + 2 * n], out[i + 3 * n], out[i + 4 * n], out[i + 5 * n], out[i + 6 * n], out[i + 7 * n], out[i + 8 * n],
-        out[i + 9 * n], out[i + 10 * n], out[i + 11 * n], out[i + 12 * n], out[i + 13 * n], out[i + 14 * n],
-        out[i + 15 * n],
-    ) = y  # fmt: skip
-    (
-        out[i + 16 * n], out[i + 17 * n], out[i + 18 * n], out[i + 19 * n], out[i + 20 * n], out[i + 21 * n],
-        out[i + 22 * n], out[i + 23 * n], out[i + 24 * n], out[i + 25 * n], out[i + 26 * n], out[i + 27 * n],
-        out[i + 28 * n], out[i + 29 * n],
-    ) = x  # fmt: skip
-    out[i + 30 * n] = (value[0] + value[1]) + (_sum(y) + _sum(x))
+    """Write the numbers of an observation, as ``STORED``."""
+    line, sample = rows
+    out[i + STORED.line * n], out[i + STORED.sample * n] = value
+    _write_row(out, i + STORED.line_row.start * n, n, line)
+    _write_row(out, i + STORED.sample_row.start * n, n, sample)
+    out[i + STORED.total * n] = (value[0] + value[1]) + (_sum(line) + _sum(sample))

@@ -15,40 +15,36 @@ from typing import Any, Final
 import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, register
-from factors.frame_camera import CAMERA_SIZE, turned
+from factors.frame_camera import CAMERA, by_turn, rotate, rotate_back, turned
+from factors.records import Record
 
-#: Record of the ellipsoid: factor s, centre 1:4, rotation 4:13 row-major, semi-axes 13:16; of the others: s alone.
-RECORD_SIZE: Final = 16
-#: Codes of the unknowns in the setup of the ellipsoid (codes; steps): centre 0-2, rotation vector 3-5, semi-axes 6-8,
-#: and 9-11: both semi-axes other than the first, second, third. Unknowns are corrections to the record.
-N_CODES: Final = 12
+#: Record of the ellipsoid, its rotation row-major; of the others: the factor s alone.
+RECORD: Final = Record(factor=1, centre=3, rotation=9, semi_axes=3)
+#: Codes of the unknowns in the setup of the ellipsoid (codes; steps), ``others``: both semi-axes other than the first,
+#: second, third. Unknowns are corrections to the record.
+UNKNOWN: Final = Record(centre=3, rotation=3, semi_axes=3, others=3)
 
 
 @compiled
 def shape(record: Any, setup: Any, x: Any) -> Any:
     """Centre (3,), camera (29,) that holds R and J, semi-axes (3,)."""
-    d, turn = np.zeros(N_CODES, x.dtype), np.empty(CAMERA_SIZE, x.dtype)
+    d, turn = np.zeros(UNKNOWN.size, x.dtype), np.empty(CAMERA.size, x.dtype)
     for j in range(setup.shape[1]):
         d[int(setup[0, j])] += setup[1, j] * x[j]
-    turned(d[3:6], record[4:13], turn)
-    centre, semi = np.empty(3, x.dtype), np.empty(3, x.dtype)
+    turned(d[UNKNOWN.rotation], record[RECORD.rotation], turn)
+    centre, semi = record[RECORD.centre] + d[UNKNOWN.centre], record[RECORD.semi_axes] + d[UNKNOWN.semi_axes]
+    others = d[UNKNOWN.others]
     for i in range(3):
-        centre[i] = record[1 + i] + d[i]
-        semi[i] = record[13 + i] + d[6 + i]
         for k in range(3):
             if k != i:
-                semi[i] += d[9 + k]
+                semi[i] += others[k]
     return centre, turn, semi
 
 
 @compiled
 def _local(centre: Any, turn: Any, point: Any) -> Any:
     """Return q = R (p - c) (3,)."""
-    d = point - centre
-    q = np.empty_like(d)
-    for i in range(3):
-        q[i] = turn[3 * i] * d[0] + turn[3 * i + 1] * d[1] + turn[3 * i + 2] * d[2]
-    return q
+    return np.array(rotate(turn, point - centre))
 
 
 @compiled
@@ -57,7 +53,8 @@ def residual_ellipsoid(record: Any, setup: Any, x: Any, point: Any) -> Any:
     centre, turn, semi = shape(record, setup, x)
     # one type for both, whichever is complex
     q = _local(centre + 0.0 * point, turn + 0.0 * point[0], point + 0.0 * centre)
-    return np.array([record[0] * ((q[0] / semi[0]) ** 2 + (q[1] / semi[1]) ** 2 + (q[2] / semi[2]) ** 2 - 1.0)])
+    size = (q[0] / semi[0]) ** 2 + (q[1] / semi[1]) ** 2 + (q[2] / semi[2]) ** 2
+    return np.array([record[RECORD.factor] * (size - 1.0)])
 
 
 @compiled
@@ -68,18 +65,13 @@ def kernel_ellipsoid(record: Array, setup: Array, x: Array, point: Array, want: 
         return value, np.empty((0, 0)), np.empty((0, 0))
     centre, turn, semi = shape(record, setup, x)
     q = _local(centre, turn, point)
-    d, g = np.zeros(N_CODES), 2.0 * record[0] * q / semi**2
+    d, g = np.zeros(UNKNOWN.size), 2.0 * record[RECORD.factor] * q / semi**2
     turned_g = np.array([q[1] * g[2] - q[2] * g[1], q[2] * g[0] - q[0] * g[2], q[0] * g[1] - q[1] * g[0]])
-    ground = np.zeros((1, 3))
-    for i in range(3):
-        ground[0, i] = turn[i] * g[0] + turn[3 + i] * g[1] + turn[6 + i] * g[2]
-        d[i] = -ground[0, i]
-        # q moves by (J dw) x q, and g . (e x q) = e . (q x g)
-        d[3 + i] = turn[20 + i] * turned_g[0] + turn[23 + i] * turned_g[1] + turn[26 + i] * turned_g[2]
-        d[6 + i] = -g[i] * q[i] / semi[i]
-    total = d[6] + d[7] + d[8]
-    for i in range(3):
-        d[9 + i] = total - d[6 + i]
+    ground, by_semi = np.array(rotate_back(turn, g)).reshape((1, 3)), -g * q / semi
+    d[UNKNOWN.centre] = -ground[0]
+    # q moves by (J dw) x q, and g . (e x q) = e . (q x g)
+    d[UNKNOWN.rotation] = np.array(by_turn(turn, turned_g))
+    d[UNKNOWN.semi_axes], d[UNKNOWN.others] = by_semi, (by_semi[0] + by_semi[1] + by_semi[2]) - by_semi
     out = np.empty((1, setup.shape[1]))
     for j in range(setup.shape[1]):
         out[0, j] = setup[1, j] * d[int(setup[0, j])]
@@ -90,7 +82,7 @@ def kernel_ellipsoid(record: Array, setup: Array, x: Array, point: Array, want: 
 def residual_sphere(record: Any, setup: Any, x: Any, point: Any) -> Any:
     """Residual (1,) of the unknowns centre, radius (4,)."""
     return np.array(
-        [record[0] * ((point[0] - x[0]) ** 2 + (point[1] - x[1]) ** 2 + (point[2] - x[2]) ** 2 - x[3] ** 2)]
+        [record[RECORD.factor] * ((point[0] - x[0]) ** 2 + (point[1] - x[1]) ** 2 + (point[2] - x[2]) ** 2 - x[3] ** 2)]
     )
 
 
@@ -100,8 +92,8 @@ def kernel_sphere(record: Array, setup: Array, x: Array, point: Array, want: boo
     value = residual_sphere(record, setup, x, point)
     if not want:
         return value, np.empty((0, 0)), np.empty((0, 0))
-    d = 2.0 * record[0] * (point - x[:3])
-    return value, np.array([[-d[0], -d[1], -d[2], -2.0 * record[0] * x[3]]]), d.reshape((1, 3))
+    d = 2.0 * record[RECORD.factor] * (point - x[:3])
+    return value, np.array([[-d[0], -d[1], -d[2], -2.0 * record[RECORD.factor] * x[3]]]), d.reshape((1, 3))
 
 
 @compiled
@@ -110,13 +102,13 @@ def residual_quadric(record: Any, setup: Any, c: Any, p: Any) -> Any:
     square = c[0] * p[0] * p[0] + c[1] * p[1] * p[1] + c[2] * p[2] * p[2]
     mixed = c[3] * p[0] * p[1] + c[4] * p[0] * p[2] + c[5] * p[1] * p[2]
     linear = c[6] * p[0] + c[7] * p[1] + c[8] * p[2]
-    return np.array([record[0] * (square + 2.0 * (mixed + linear) + c[9])])
+    return np.array([record[RECORD.factor] * (square + 2.0 * (mixed + linear) + c[9])])
 
 
 @compiled
 def kernel_quadric(record: Array, setup: Array, c: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
     """Residual (1,), Jacobians (1, 10) and (1, 3)."""
-    value, s = residual_quadric(record, setup, c, p), record[0]
+    value, s = residual_quadric(record, setup, c, p), record[RECORD.factor]
     if not want:
         return value, np.empty((0, 0)), np.empty((0, 0))
     x, y, z = p[0], p[1], p[2]
@@ -131,10 +123,12 @@ def kernel_quadric(record: Array, setup: Array, c: Array, p: Array, want: bool) 
 def _example_ellipsoid(rng: np.random.Generator) -> Example:
     start, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     start *= np.sign(np.linalg.det(start))
-    record = np.concatenate([[rng.uniform(0.5, 2.0)], rng.normal(size=3), start.ravel(), rng.uniform(1.0, 3.0, 3)])
-    codes = np.sort(rng.permutation(N_CODES)[: rng.integers(1, N_CODES + 1)]).astype(float)
+    record = RECORD.pack(factor=rng.uniform(0.5, 2.0), centre=rng.normal(size=3), rotation=start.ravel(),
+                         semi_axes=rng.uniform(1.0, 3.0, 3))  # fmt: skip
+    codes = np.sort(rng.permutation(UNKNOWN.size)[: rng.integers(1, UNKNOWN.size + 1)]).astype(float)
     setup = np.ascontiguousarray(np.stack([codes, rng.uniform(0.02, 0.3, len(codes))]))
-    return Example(record, setup, (rng.normal(scale=0.5, size=len(codes)), record[1:4] + rng.normal(size=3)))
+    x = rng.normal(scale=0.5, size=len(codes))
+    return Example(record, setup, (x, record[RECORD.centre] + rng.normal(size=3)))
 
 
 def _example_sphere(rng: np.random.Generator) -> Example:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid
-from factors.height_control import HEIGHT_CONTROL
+from factors.height_control import HEIGHT_CONTROL, RECORD
 from fg_orient.block import Block, ExtraObservation
 from fg_orient.errors import InputError
 from fg_orient.geodesy import enu_from_ecef
@@ -167,8 +167,9 @@ def height_observations(
     foot = at - above[:, None] * up - origin_m
     extra = tuple(
         ExtraObservation(
-            HEIGHT_CONTROL, (f"point:{block.points.ids[placed[j]]}",), np.concatenate([normal[j] / sigma_m, foot[j]]),
-            np.zeros((2, 0)), 1, f"height of point {block.points.ids[placed[j]]} from the DEM",
+            HEIGHT_CONTROL, (f"point:{block.points.ids[placed[j]]}",),
+            RECORD.pack(normal=normal[j] / sigma_m, place=foot[j]), np.zeros((2, 0)), 1,
+            f"height of point {block.points.ids[placed[j]]} from the DEM",
         )
         for j in good
     )  # fmt: skip

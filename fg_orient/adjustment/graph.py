@@ -18,6 +18,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from factors.control import POINT
 from factors.graph import factor, image_point_factors
 from factors.split import Split
 from fg_orient.adjustment.loop import share_at_radius
@@ -143,7 +144,7 @@ def _add_priors(graph: gtsam.NonlinearFactorGraph, problem: Problem, loss: Any) 
         noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.SqrtInformation(problem.control_weights(int(j)))
         if loss is not None:
             noise = gtsam.noiseModel.Robust.Create(loss, noise)
-        graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, 9:], noise)
+        graph.addPriorPoint3(point_key(int(j)), problem.control_records[j, POINT.place], noise)
     if problem.block.options.priors:
         for key, part in vector_keys(problem):
             k = part.stop - part.start

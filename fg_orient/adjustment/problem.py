@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid
+from factors.control import POINT
 from fg_orient import geodesy, initial
 from fg_orient.adjustment.models.contract import ImageModel, image_models
 from fg_orient.adjustment.rows import residuals
@@ -169,11 +170,11 @@ class Problem:
     def control_weights(self, points: Points) -> Array:
         """Square roots W of the weights of control points (3, 3), or (m, 3, 3): W^T W inverts their covariance."""
         records = self.control_records[points]
-        return np.asarray(records[..., :9].reshape(*records.shape[:-1], 3, 3))
+        return np.asarray(records[..., POINT.whitening].reshape(*records.shape[:-1], 3, 3))
 
     def control_residuals(self, state: State, points: Points) -> Array:
         """Whitened residuals of control points (3,), or (m, 3): adjusted minus measured."""
-        difference = state.ground[points] - self.control_records[points, 9:]
+        difference = state.ground[points] - self.control_records[points, POINT.place]
         return np.asarray(np.einsum("...ij,...j->...i", self.control_weights(points), difference))
 
     def point_normals(self, points: npt.NDArray[np.intp], d_ground: Array) -> Array:
@@ -415,12 +416,11 @@ def whitened_records(
 
 def _control_records(block: Block, ecef_m: Array, origin_m: Array, observed: npt.NDArray[np.bool_]) -> Array:
     """Records (N, 12) of the control-point equations: W for ECEF axes from E/N/U sigmas."""
-    out, sigma_enu_m = np.full((len(ecef_m), 12), np.nan), block.points.known.sigma_enu_m
-    rows = np.flatnonzero(observed)
+    out, rows = np.full((len(ecef_m), POINT.size), np.nan), np.flatnonzero(observed)
     # W^T W = C^-1 by QR of the scaled axes: no covariance is formed, so any ratio of sigmas is exact
-    w = np.linalg.qr(_axes(block, ecef_m[rows]) / sigma_enu_m[rows][:, :, None]).R
+    w = np.linalg.qr(_axes(block, ecef_m[rows]) / block.points.known.sigma_enu_m[rows][:, :, None]).R
     w *= np.where(np.einsum("nii->ni", w) < 0.0, -1.0, 1.0)[:, :, None]
-    out[rows, :9], out[rows, 9:] = w.reshape(-1, 9), ecef_m[rows] - origin_m
+    out[rows] = POINT.pack(whitening=w.reshape(-1, 9), place=ecef_m[rows] - origin_m)
     return out
 
 

@@ -17,6 +17,7 @@ from typing import Final, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from factors.control import POINT
 from factors.losses import ALIASES, Curve, Loss, find, losses
 from fg_orient.adjustment.problem import Problem, State, whitened_records
 from fg_orient.adjustment.rows import residuals
@@ -189,6 +190,6 @@ def weighted_problem(problem: Problem, weights: Weights) -> Problem:
     o, root = problem.observations, np.sqrt(weights.image)
     scaled = ImagePoints(o.image, o.point, o.line, o.sample, o.sigma_line_px / root, o.sigma_sample_px / root)
     control = problem.control_records.copy()
-    control[:, :9] *= np.sqrt(weights.control)[:, None]
+    control[:, POINT.whitening] *= np.sqrt(weights.control)[:, None]
     records = whitened_records(problem.models, scaled, problem.start.ground + problem.origin_m, problem.origin_m)
     return replace(problem, observations=scaled, records=records, control_records=control)

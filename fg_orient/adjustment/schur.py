@@ -20,6 +20,7 @@ from factors.batch_ground import control_squares, move
 from factors.batch_pairs import image_gradients
 from factors.batch_steps import product
 from factors.batch_weights import scale_rows
+from factors.control import POINT
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Weighing
@@ -90,7 +91,7 @@ class SchurSystem:
             else:
                 b.value[slice(*tile.points)] *= b.root_weight[slice(*tile.points), None]
         b.control = b.control.copy()
-        b.control[observed, :9] *= np.sqrt(control)[:, None]
+        b.control[observed, POINT.whitening] *= np.sqrt(control)[:, None]
 
     def _scale(self, rows: Rows, root_weight: Array) -> None:
         part = root_weight[slice(*rows.tile.points)]
@@ -274,7 +275,7 @@ class SchurSystem:
     def _whitened_squares(self, ground: Array) -> float:
         """Sum of squares of the control-point rows times a step (P, 3)."""
         s = self._backend.structure
-        w = self.buffers().control[s.observed, :9].reshape(-1, 3, 3)
+        w = self.buffers().control[s.observed, POINT.whitening].reshape(-1, 3, 3)
         return float(np.sum(np.einsum("nij,nj->ni", w, ground[s.free == 2]) ** 2))
 
     def given(self, image: Array, ground: Array) -> SchurStep:

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import look, polynomials, pushbroom, rotations
+from factors.sight import CORRECTION, RECORD
 from fg_orient.block import Image, ImagePoints
 from fg_orient.classical import program_equations
 from fg_orient.classical.program_equations import States
@@ -78,7 +79,7 @@ class Conditions:
         Image and ground point of each row.
     switches : Switches
         Those that concern values and derivatives. Where the short axis follows corrections, the mounting of the
-        records (columns 9-17) is that of the sensor.
+        records is that of the sensor.
     """
 
     records: Array
@@ -94,18 +95,18 @@ class Conditions:
     @property
     def look_rad(self) -> Array:
         """Look angles psi_x, psi_y (n, 2)."""
-        return self.records[:, 19:21].copy()
+        return self.records[:, RECORD.look].copy()
 
     def with_look(self, look_rad: Array) -> Conditions:
         """Conditions at other look angles (n, 2) psi_x, psi_y."""
         records = self.records.copy()
-        records[:, 19:21] = look_rad
+        records[:, RECORD.look] = look_rad
         return replace(self, records=records)
 
     def with_ground(self, ground_m: Array) -> Conditions:
         """Conditions at other ground coordinates (n, 3), one row per image point."""
         records = self.records.copy()
-        records[:, 31:34] += ground_m - self.approximate_m
+        records[:, RECORD.from_position] += ground_m - self.approximate_m
         return replace(self, records=records, approximate_m=ground_m.copy())
 
     def take(self, rows: Index) -> Conditions:
@@ -141,7 +142,7 @@ class Conditions:
         if self._axis_follows or self.switches.look_quotients:
             states = self._states(codes, eop)
             records = records.copy()
-            records[:, 9:18] = states.mounting
+            records[:, RECORD.mounting] = states.mounting
         for i in range(n):
             pushbroom.fill(records, i, setup, unknowns[self.image[i]], zero, out[i], True)
         b = np.stack([out[:, 0, k + 2], out[:, 1, k + 1]], axis=1)
@@ -154,12 +155,13 @@ class Conditions:
         """Corrected EOPs of each row."""
         setup = np.ascontiguousarray(np.stack([np.array(codes, float), np.ones(len(codes))]))
         d = np.array([pushbroom.corrections(r, setup, eop[i]) for r, i in zip(self.records, self.image, strict=True)])
-        given, speed = self.approximate_m - self.records[:, 31:34], self.records[:, 3:6]
-        p, angles = given + d[:, 0:3], np.ascontiguousarray(self.records[:, 6:9] + d[:, 6:9])
-        follows = self.records[:, 26] > 0.5
+        given, speed = self.approximate_m - self.records[:, RECORD.from_position], self.records[:, RECORD.velocity]
+        p = given + d[:, CORRECTION.position]
+        angles = np.ascontiguousarray(self.records[:, RECORD.angles] + d[:, CORRECTION.angles])
+        follows = self.records[:, RECORD.follows] > 0.5
         frame_p = np.ascontiguousarray(np.where(follows[:, None], p, given))
-        frame_v = np.ascontiguousarray(np.where(follows[:, None], speed + d[:, 3:6], speed))
-        held, small = self.records[:, 9:18], bool(self.records[0, 27] > 0.5)
+        frame_v = np.ascontiguousarray(np.where(follows[:, None], speed + d[:, CORRECTION.velocity], speed))
+        held, small = self.records[:, RECORD.mounting], bool(self.records[0, RECORD.small_angle] > 0.5)
         if self._axis_follows:
             held = program_equations.mounting(frame_p, frame_v, angles, held, small)
         return States(given, p, frame_p, frame_v, angles, held, small, follows)
@@ -170,10 +172,10 @@ class Conditions:
         look = np.tan(self.look_rad[:, ::-1]) * np.array([1.0, -1.0])
         # a short axis that stays at the metadata is in the mounting of the records already
         by_eop = program_equations.derivatives(
-            at, self.records[:, 9:18], self.approximate_m - at.position_m, [int(k) for k in used],
+            at, self.records[:, RECORD.mounting], self.approximate_m - at.position_m, [int(k) for k in used],
             short=self._axis_follows, tangents=look if self.switches.look_quotients else None,
         )  # fmt: skip
-        powers = self.records[:, 18][:, None] ** (np.array(codes) % 3)
+        powers = self.records[:, RECORD.tau][:, None] ** (np.array(codes) % 3)
         return np.asarray(by_eop[:, :, place] * powers[:, None, :])
 
     def rays(
@@ -192,7 +194,7 @@ class Conditions:
         """
         at = self._states(codes, eop)
         body = rotations.attitude_matrices(at.angles_rad, at.small) @ at.mounting.reshape(-1, 3, 3)
-        u1 = look.direction(self.records[:, 19], self.records[:, 20])
+        u1 = look.direction(self.records[:, RECORD.psi_x], self.records[:, RECORD.psi_y])
         u1[:, 2] = look_sign
         frames = rotations.orbital_frames(at.frame_position_m, at.frame_velocity_m_s)
         u = np.einsum("nij,nj->ni", frames @ body, u1)
@@ -218,7 +220,7 @@ def build(
         EOPs interpolated at the line instead of polynomials of it.
     """
     reference = ground_m[observations.point]
-    records = np.empty((len(observations), pushbroom.RECORD_SIZE))
+    records = np.empty((len(observations), RECORD.size))
     for k, image in enumerate(images):
         rows = np.flatnonzero(observations.image == k)
         if len(rows):
@@ -226,14 +228,15 @@ def build(
             sensor = require_pushbroom(image.sensor, image.id)
             records[rows] = sensor.records(line, sample, reference[rows], small_angle=switches.small_angles)
             if sensor.follows_orbit and not line_exact:
-                records[rows, 0:9] = _eop_polynomials(metadata_eop(sensor, line), line, sensor.n_lines)
-            records[rows, 18] = line - (sensor.n_lines // 2 if switches.centred_lines else 0)
-    records[:, 31:34] = reference - records[:, 0:3]
-    records[:, 28:31] = 0.0
+                records[rows, : RECORD.angles.stop] = _eop_polynomials(metadata_eop(sensor, line), line, sensor.n_lines)
+            records[rows, RECORD.tau] = line - (sensor.n_lines // 2 if switches.centred_lines else 0)
+    records[:, RECORD.from_position] = reference - records[:, RECORD.position]
+    records[:, RECORD.reference] = 0.0
     if switches.short_axis and not switches.length_follows:
-        records[:, 9:18] = program_equations.mounting(
-            records[:, 0:3], records[:, 3:6], records[:, 6:9], records[:, 9:18], switches.small_angles
-        )
+        records[:, RECORD.mounting] = program_equations.mounting(
+            records[:, RECORD.position], records[:, RECORD.velocity], records[:, RECORD.angles],
+            records[:, RECORD.mounting], switches.small_angles,
+        )  # fmt: skip
     return Conditions(records, reference.copy(), observations.image, observations.point, switches)
 
 

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.control import CONTROL_POINT
-from factors.extended_collinearity import EXTENDED_COLLINEARITY, NAMES, SIZE
-from factors.frame_camera import CAMERA_SIZE, turned
+from factors.control import POINT as PLACE
+from factors.extended_collinearity import CAMERA, EXTENDED_COLLINEARITY, NAMES, RECORD
+from factors.frame_camera import rotated
 from fg_orient.adjustment.network import Network, Observation, Rows, Variable
 from fg_orient.closerange.constraints import (
     FIGURES,
@@ -123,10 +124,9 @@ class Built:
 
     def rotation(self, k: int, state: Array) -> Array:
         """Rotation (3, 3) of a photo at a state."""
-        unknown, out = self.turns[k], np.empty(CAMERA_SIZE)
+        unknown = self.turns[k]
         w = unknown if isinstance(unknown, np.ndarray) else state[self.network.part(unknown)]
-        turned(np.ascontiguousarray(w), np.ascontiguousarray(self.photos[k].rotation.ravel()), out)
-        return out[:9].reshape(3, 3)
+        return rotated(self.photos[k].rotation, w)
 
     def place(self, unknown: int | Array, state: Array) -> Array:
         """Centre or point (3,) at a state, in the user's coordinates."""
@@ -137,11 +137,12 @@ class Built:
         """Interiors, rotations, centres of the photos at a state."""
         values, interiors = self.values(state), []
         for photo, own, shared in zip(self.photos, self.own, self.shared, strict=True):
-            camera = _camera(photo.interior)
+            camera = camera_of(photo.interior)
             for unknown, names in ((shared, photo.shared), (own, photo.unknown)):
                 if not isinstance(unknown, np.ndarray):
                     camera[[NAMES.index(n) for n in names]] = values[self.network.part(unknown)]
-            interiors.append(Interior(float(camera[0]), camera[1:3], camera[3:10], photo.interior.y_axis))
+            c, principal, corrections = float(camera[CAMERA.c]), camera[CAMERA.principal], camera[CAMERA.lens]
+            interiors.append(Interior(c, principal, corrections, photo.interior.y_axis))
         every = range(len(self.photos))
         return interiors, [self.rotation(k, state) for k in every], [self.place(c, state) for c in self.centres]
 
@@ -161,10 +162,10 @@ class Built:
                     raise NoSolutionError.of("closerange.behind", place=where)
 
 
-def _camera(interior: Interior) -> Array:
+def camera_of(interior: Interior) -> Array:
     """Camera parameters (40,) of an interior orientation."""
-    out = np.zeros(SIZE)
-    out[0], out[1:3], out[3:10] = interior.focal, interior.principal, interior.corrections
+    out = np.zeros(CAMERA.size)
+    out[CAMERA.c], out[CAMERA.principal], out[CAMERA.lens] = interior.focal, interior.principal, interior.corrections
     return out
 
 
@@ -233,7 +234,7 @@ def camera_steps(names: Sequence[str], reach: float) -> Array:
 
 
 def _add_photo(built: Built, photo: BundlePhoto, reach: float, extras: list[Observation]) -> None:
-    start = _camera(photo.interior)
+    start = camera_of(photo.interior)
     built.own.append(_camera_variable(built, f"photo {photo.name}", photo.unknown, start, reach, photo, extras))
     key = photo.key
     if photo.shared and key not in built.camera_variables:
@@ -284,7 +285,7 @@ def _camera_variable(
 
 def observed_place(k: int, at: Array, sigma: Array, label: str) -> Observation:
     """Observation of the point or centre of variable number ``k``."""
-    record = np.concatenate([np.diag(1.0 / sigma).ravel(), at])
+    record = PLACE.pack(whitening=np.diag(1.0 / sigma).ravel(), place=at)
     return Observation(CONTROL_POINT, (k,), record, _NONE, 3, label)
 
 
@@ -317,15 +318,16 @@ def _add_image_point(
     shared = built.shared[k]
     common = built.steps_of[shared] if not isinstance(shared, np.ndarray) else np.zeros(0)
     steps = np.concatenate([camera_steps(photo.unknown, reach[k]), common])
-    start = _camera(photo.interior)
+    start = camera_of(photo.interior)
     if len(common):  # all photos of a camera start from its first one
         assert not isinstance(shared, np.ndarray)
         start[[NAMES.index(n) for n in photo.shared]] = built.offset_of[shared]
     setup = np.ascontiguousarray(np.array([[NAMES.index(n) for n in names], steps], float).reshape(2, len(names)))
-    record = np.concatenate([
-        image, [1.0 / sigma[0], 0.0, 1.0 / sigma[1], float(is_condition), photo.interior.sign, photo.interior.focal],
-        start, np.asarray(photo.rotation, float).ravel(), [built.rims[photo.key]],
-    ])  # fmt: skip
+    record = RECORD.pack(
+        x=image[0], y=image[1], w11=1.0 / sigma[0], w12=0.0, w22=1.0 / sigma[1], power=is_condition,
+        sign=photo.interior.sign, held_c=photo.interior.focal, camera=start, rotation=np.ravel(photo.rotation),
+        radius=built.rims[photo.key],
+    )  # fmt: skip
     unknowns = (built.own[k], built.shared[k], built.turns[k], built.centres[k], built.points[j])
     if all(isinstance(u, np.ndarray) for u in unknowns):
         raise photo.fault(f"point {built.ids[j]}", "photo and point held", "a point or a photo that is unknown")

@@ -8,9 +8,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.extended_collinearity import NAMES, SIZE
+from factors.extended_collinearity import NAMES
 from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle import Adjustment, Bundle
+from fg_orient.closerange.bundle_network import camera_of
 from fg_orient.closerange.bundle_quality import Quality
 from fg_orient.closerange.distortion import profile
 from fg_orient.closerange.files import Observed
@@ -104,8 +105,7 @@ def _distortion(found: Bundle, table: Observed, which: Index) -> list[Record]:
         groups.setdefault(same, []).append(k)
     for members in groups.values():
         photo, inner = found.photos[members[0]], found.interiors[members[0]]
-        camera = np.zeros(SIZE)
-        camera[0], camera[1:3], camera[3:10] = inner.focal, inner.principal, inner.corrections
+        camera = camera_of(inner)
         parts = [*((f"camera {c.name}", c) for c in found.cameras), (f"photo {photo.name}", photo)]
         where = {n: (f"{of} {n}", p[n][0]) for of, p in parts for n in p.names if n in NAMES}
         for name, (_, value) in where.items():

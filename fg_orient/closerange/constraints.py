@@ -139,7 +139,7 @@ class Figure:
     def scaled(self, factor: float) -> Array:
         """Record with s times a factor."""
         out = self.record.copy()
-        out[0] *= factor * self.scale
+        out[constraints.FIGURE.factor] *= factor * self.scale
         return out
 
 
@@ -157,15 +157,20 @@ def _axes(points: Array, along: int) -> Array:
     return out
 
 
+def _figure(origin: Array, frame: Array) -> Array:
+    """Record of a plane or line: place, and the frame (3, 3)."""
+    return constraints.FIGURE.pack(factor=1.0, place=origin, normal=frame[0], e_1=frame[1], e_2=frame[2])
+
+
 def _plane(points: Array, _: Constraint, __: Array | None) -> Figure:
     origin, frame = points.mean(axis=0), _axes(points, 2)
-    return Figure(constraints.PLANE, np.concatenate([[1.0], origin, frame.ravel()]), _NONE,
+    return Figure(constraints.PLANE, _figure(origin, frame), _NONE,
                   ("tilt_1", "tilt_2", "distance"), np.zeros(3), 1, frame=frame, origin=origin)  # fmt: skip
 
 
 def _line(points: Array, _: Constraint, __: Array | None) -> Figure:
     origin, frame = points.mean(axis=0), _axes(points, 0)
-    return Figure(constraints.LINE, np.concatenate([[1.0], origin, frame.ravel()]), _NONE,
+    return Figure(constraints.LINE, _figure(origin, frame), _NONE,
                   ("foot_1", "foot_2", "slope_1", "slope_2"), np.zeros(4), 2, frame=frame, origin=origin)  # fmt: skip
 
 
@@ -185,7 +190,8 @@ def _circle(points: Array, _: Constraint, __: Array | None) -> Figure:
     origin, frame = points.mean(axis=0), _axes(points, 2)
     centre, radius = _flat_circle((points - origin) @ frame[1:].T)
     base = np.concatenate([origin + centre @ frame[1:], [0.0, 0.0, radius]])
-    return Figure(circles.CIRCLE, np.concatenate([[1.0], frame.ravel()]), _NONE,
+    record = circles.CIRCLE_RECORD.pack(factor=1.0, normal=frame[0], e_1=frame[1], e_2=frame[2])
+    return Figure(circles.CIRCLE, record, _NONE,
                   ("x", "y", "z", "tilt_1", "tilt_2", "radius"), base, 2, frame=frame)  # fmt: skip
 
 
@@ -207,7 +213,9 @@ def _spheroid(points: Array, c: Constraint, sigma: Array | None) -> Figure:
     found = fit_surface(points, "spheroid", axis=c.axis, priors=dict(c.observed), sigma_m=sigma).surface
     along = AXES.index(c.axis)
     a, b = float(found.semi_axes[(along + 1) % 3]), float(found.semi_axes[along])
-    record = np.concatenate([[1.0], found.centre, np.eye(3).ravel(), found.semi_axes])
+    record = surfaces.RECORD.pack(
+        factor=1.0, centre=found.centre, rotation=np.eye(3).ravel(), semi_axes=found.semi_axes
+    )
     setup = np.array([[0.0, 1.0, 2.0, 9.0 + along, 6.0 + along], np.ones(5)])
     # corrections to the record: the base is what they are added to
     return Figure(surfaces.ELLIPSOID, record, setup, ("x", "y", "z", "a", "b"),
@@ -293,7 +301,7 @@ def figure_observations(
 
 def observed_element(k: int, element: int, value: float, sigma: float, label: str) -> Observation:
     """Observation of one element of variable number ``k``."""
-    record = np.array([1.0 / sigma, value, float(element)])
+    record = constraints.ELEMENT.pack(factor=1.0 / sigma, value=value, number=element)
     return Observation(constraints.OBSERVED_ELEMENT, (k,), record, _NONE, 1, label)
 
 
@@ -301,12 +309,13 @@ def plain_observation(constraint: Constraint, unknowns: Sequence[int | Array], s
     """Observation of a constraint without a figure; ``start``: places of its points, rotations of its photos."""
     s, hard = 1.0 / (constraint.sigma or 1.0), constraint.sigma is None
     if constraint.kind in MEASURED:
-        record = np.array([s, constraint.value_m or 0.0])
+        record = constraints.LENGTH.pack(factor=s, distance=constraint.value_m or 0.0)
         return Observation(constraints.DISTANCE, tuple(unknowns), record, _NONE, 1, constraint.label, hard)
     if constraint.kind == "parallel":
         along = start[1] - start[0]
         across = _axes(np.array([-along, along]), 0)[1:]
-        record = np.concatenate([[s], across.ravel()])
+        record = constraints.DIRECTION.pack(factor=s, e_1=across[0], e_2=across[1])
         return Observation(constraints.PARALLEL, tuple(unknowns), record, _NONE, 2, constraint.label, hard)
-    record = np.concatenate([[s], start[0].ravel(), start[1].ravel(), constraint.offset.ravel()])
+    first, second, between = start[0].ravel(), start[1].ravel(), constraint.offset.ravel()
+    record = circles.ATTITUDE_RECORD.pack(factor=s, first=first, second=second, between=between)
     return Observation(circles.EQUAL_ATTITUDE, tuple(unknowns), record, _NONE, 3, constraint.label, hard)

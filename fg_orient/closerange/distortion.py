@@ -11,7 +11,7 @@ import numpy.typing as npt
 from factors import additional_parameters as brown
 from factors import image_corrections as lens
 from factors import image_variants as variants
-from factors.extended_collinearity import NAMES, SIZE
+from factors.extended_collinearity import CAMERA, NAMES
 
 Array = npt.NDArray[np.float64]
 
@@ -54,8 +54,8 @@ def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) 
     slopes = np.zeros((RADII, len(names)))
     for j, name in enumerate(names):
         if NAMES.index(name) >= _FIRST:  # corrections are linear in their parameters
-            unit = np.zeros(SIZE)
-            unit[0], unit[NAMES.index(name)] = camera[0], 1.0
+            unit = np.zeros(CAMERA.size)
+            unit[CAMERA.c], unit[NAMES.index(name)] = camera[CAMERA.c], 1.0
             slopes[:, j] = np.einsum("rdk,dk->rd", _corrections(unit, radius, along, rim), along).mean(axis=1)
     variance = np.einsum("ri,ij,rj->r", slopes, covariance, slopes)
     return {"radius": radius.tolist(), "radial": radial.tolist(), "across": across.tolist(),
@@ -66,9 +66,10 @@ def _corrections(camera: Array, radius: Array, along: Array, rim: float) -> Arra
     """Corrections x, y (r, d, 2) at radii (r,) in directions (d, 2)."""
     at = radius[:, None, None] * along
     flat = np.ascontiguousarray(at.reshape(-1, 2))
-    out = lens.ideal_points(np.ascontiguousarray(camera[3:10]), flat) - flat
+    out = lens.ideal_points(np.ascontiguousarray(camera[CAMERA.lens]), flat) - flat
     for k, (x, y) in enumerate(flat.tolist()):
-        for terms, part in ((brown.terms(x, y, camera[0]), camera[10:31]), (variants.terms(x, y, rim), camera[31:40])):
+        browns, others = brown.terms(x, y, camera[CAMERA.c]), variants.terms(x, y, rim)
+        for terms, part in ((browns, camera[CAMERA.brown]), (others, camera[CAMERA.variants])):
             if part.any():
                 out[k] += terms @ part
     return np.asarray(out.reshape(at.shape))

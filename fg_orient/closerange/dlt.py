@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.dlt import DLT, N_DISTORTION
+from factors.dlt import DLT, N_DISTORTION, RECORD
 from factors.image_corrections import NAMES
 from fg_orient.closerange.fitting import (
     RANK_LIMIT,
@@ -172,22 +172,22 @@ def fit_dlt(
     size = np.broadcast_to(np.asarray(1.0 if sigma is None else sigma, float), measured.shape)
     codes = _require(ground, measured, size, distortion, iterate)
     source, target = Scaling.of(ground, shared=True), Scaling.of(measured, shared=True)
-    records = np.zeros((len(ground), 10))
-    records[:, :3], records[:, 3:5] = source.normalised(ground), target.normalised(measured)
-    records[:, [5, 7]] = target.scale / size
+    scale = target.scale / size
+    records = RECORD.pack(source=source.normalised(ground), target=target.normalised(measured), w11=scale[:, 0],
+                          w12=0.0, w22=scale[:, 1], centre=np.zeros(2))  # fmt: skip
     setup = np.ascontiguousarray(np.stack([codes, np.ones(len(codes))]))
     rows = equation_rows(DLT, records, setup)
-    direct = direct_dlt(records[:, :3], records[:, 3:5])
+    direct = direct_dlt(records[:, RECORD.source], records[:, RECORD.target])
     state, log = np.concatenate([direct, np.zeros(len(codes))]), 1
     _require_spatial(ground, rows(state, True)[1][:, :11])
     if len(codes):
         centre = (
             recover(direct, np.zeros(3)).principal if about is None else target.normalised(np.asarray(about, float))
         )
-        records[:, 8:] = centre
+        records[:, RECORD.centre] = centre
     if iterate:
         state, log = _iterated(rows, records, state, moves=len(codes) > 0 and about is None)
-    below = 1.0 + records[:, :3] @ state[8:11]
+    below = 1.0 + records[:, RECORD.source] @ state[8:11]
     if not (below > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(below)) + 1}")
     residual, design = rows(state, True)
@@ -197,7 +197,7 @@ def fit_dlt(
     doubt = require_depth(ground, state[:11], judged.cofactors, unit_weight(float(white @ white), redundancy),
                           redundancy, known=sigma is not None)  # fmt: skip
     found = _result(name, tuple(distortion), ground, source, target, state, residual.reshape(-1, 2) * size, size,
-                    target.physical(records[0, 8:]), judged, log)  # fmt: skip
+                    target.physical(records[0, RECORD.centre]), judged, log)  # fmt: skip
     return replace(found, doubt=doubt)
 
 
@@ -207,18 +207,18 @@ def _iterated(rows: Rows, records: Array, state: Array, *, moves: bool) -> tuple
     Where it does not settle (points that do not tell distortion from the principal point), it stays that of the
     direct solution; ``records`` hold the one that was used.
     """
-    start, before = records[0, 8:].copy(), np.inf
+    start, before = records[0, RECORD.centre].copy(), np.inf
     first = found = adjust(rows, state, "DLT")
     iterations = len(found.log)
     while moves:
         centre = recover(found.state[:11], np.zeros(3)).principal
-        shift = float(np.linalg.norm(centre - records[0, 8:]))
+        shift = float(np.linalg.norm(centre - records[0, RECORD.centre]))
         if shift <= SETTLED:
             return found.state, iterations
         if not shift <= 0.5 * before:
-            records[:, 8:] = start
+            records[:, RECORD.centre] = start
             return first.state, iterations
-        records[:, 8:], before = centre, shift
+        records[:, RECORD.centre], before = centre, shift
         found = adjust(rows, found.state, "DLT")
         iterations += len(found.log)
     return found.state, iterations

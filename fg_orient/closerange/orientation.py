@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from factors._contract import evaluate
 from factors.coplanarity import COPLANARITY, turn_and_base
-from factors.frame_camera import CAMERA_SIZE, turned
-from factors.similarity import RECORD_SIZE, SIMILARITY
+from factors.coplanarity import RECORD as PAIR
+from factors.frame_camera import CAMERA, rotated
+from factors.similarity import RECORD, SIMILARITY
 from fg_orient.closerange.curvature import bend
 from fg_orient.closerange.feet import Conditions, distance_rows, weighted_distances
 from fg_orient.closerange.fitting import (
@@ -217,14 +218,14 @@ def _chosen(minima: list[_Minimum], redundancy: int, *, known: bool) -> Relative
 def _record(rotation: Array, base: Array) -> tuple[Array, Array]:
     """Record of the equation, and the directions in which the base may move."""
     axes = np.linalg.svd(base[None])[2][1:]
-    return np.concatenate([[1.0], rotation.ravel(), base, axes.ravel()]), axes
+    return PAIR.pack(factor=1.0, rotation=rotation.ravel(), base=base, n_1=axes[0], n_2=axes[1]), axes
 
 
 def _adjusted_pair(points: Array, sigma: Array, rotation: Array, base: Array) -> _Minimum:
     record, _ = _record(rotation, base)
     found = adjust(lambda x, want: _pair_rows(record, points, sigma, x, want), np.zeros(5), "relative orientation")
     turn, moved = turn_and_base(record, found.state)
-    rotation, base = turn[:9].reshape(3, 3), moved / np.linalg.norm(moved)
+    rotation, base = turn[CAMERA.rotation].reshape(3, 3), moved / np.linalg.norm(moved)
     model = _model(points, rotation, base)
     in_front = bool(
         np.isfinite(model).all() and (model[:, 2] > 0.0).all() and ((model - base) @ rotation[2] > 0.0).all()
@@ -248,7 +249,7 @@ def _pair_rows(record: Array, points: Array, sigma: Array, x: Array, want: bool)
     """Weighted distances of the image points from coplanarity, and their derivatives."""
     turn, base = turn_and_base(record, x)
     across = np.array([[0.0, -base[2], base[1]], [base[2], 0.0, -base[0]], [-base[1], base[0], 0.0]])
-    g = turn[:9].reshape(3, 3) @ across
+    g = turn[CAMERA.rotation].reshape(3, 3) @ across
     square = np.zeros((4, 4))
     square[2:, :2], square[:2, 2:] = 0.5 * g[:2, :2], 0.5 * g[:2, :2].T
     conditions = Conditions(square, 0.5 * np.concatenate([g[2, :2], g[:2, 2]]), float(g[2, 2]))
@@ -385,14 +386,11 @@ def _umeyama(a: Array, b: Array) -> tuple[Array, float, Array]:
 
 
 def _similarity_rows(a: Array, b: Array, sigma: Array, rotation: Array, scale: float, shift: Array) -> Rows:
-    records = np.zeros((len(a), RECORD_SIZE))
-    records[:, :3], records[:, 3:6], records[:, [6, 10, 14]] = a, b, 1.0 / sigma
-    records[:, 15:24], records[:, 24], records[:, 25:] = rotation.ravel(), scale, shift
+    whitening = (np.eye(3) / sigma[..., None, :]).reshape(*sigma.shape[:-1], 9)
+    records = RECORD.pack(model=a, ground=b, whitening=whitening, rotation=rotation.ravel(), scale=scale, shift=shift)
     return equation_rows(SIMILARITY, records, np.zeros((2, 0)))
 
 
 def _settled(start: tuple[Array, float, Array], x: Array) -> tuple[Array, float, Array]:
     """Rotation, scale and shift of a state."""
-    turn = np.empty(CAMERA_SIZE)
-    turned(x[:3], np.ascontiguousarray(start[0]).ravel(), turn)
-    return turn[:9].reshape(3, 3), float(np.exp(x[3]) * start[1]), np.asarray(start[2] + x[4:])
+    return rotated(start[0], x[:3]), float(np.exp(x[3]) * start[1]), np.asarray(start[2] + x[4:])

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from factors.image_corrections import NAMES, SIZE, ideal_points, slopes
+from factors.image_corrections import AT, NAMES, ideal_points, slopes
 from fg_orient.closerange.fitting import as_points
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.sensors.frame import FrameCamera
@@ -49,11 +49,11 @@ class Interior:
 
     focal: float
     principal: Array = field(default_factory=lambda: np.zeros(2))
-    corrections: Array = field(default_factory=lambda: np.zeros(SIZE))
+    corrections: Array = field(default_factory=lambda: np.zeros(AT.size))
     y_axis: YAxis = "up"
 
     def __post_init__(self) -> None:
-        for name, size in (("principal", 2), ("corrections", SIZE)):
+        for name, size in (("principal", 2), ("corrections", AT.size)):
             value = np.array(getattr(self, name), float)
             if value.shape != (size,) or not np.isfinite(value).all():
                 raise InputError.of("closerange.camera", place=name, value=value.tolist(), expected=f"{size} numbers")
@@ -173,6 +173,6 @@ class Photo:
 
 def corrections_of(names: Sequence[str], values: npt.ArrayLike) -> Array:
     """Coefficients (7,) from some of them by name; the others are 0."""
-    out = np.zeros(SIZE)
+    out = np.zeros(AT.size)
     out[[NAMES.index(name) for name in names]] = values
     return out

@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, camera
+from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, RECORD, camera
+from factors.frame_camera import CAMERA
 from fg_orient.closerange.curvature import bend
 from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.fitting import (
@@ -214,10 +215,11 @@ def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, 
     """Adjust from a start; unknowns are turns (rad) and the centre in units of the object's distance."""
     rotation, centre = start
     distance = float(np.linalg.norm(ground - centre, axis=1).mean())
-    records = np.zeros((len(ground), 24))
     # line and sample are tangents here: focal length 1, line down
-    records[:, 0], records[:, 1] = tangents[:, 1], tangents[:, 0]
-    records[:, 2:4], records[:, 4:13], records[:, 16] = 1.0 / sigma[:, ::-1], rotation.ravel(), 1.0
+    records = RECORD.pack(
+        line=tangents[:, 1], sample=tangents[:, 0], a_line=1.0 / sigma[:, 1], a_sample=1.0 / sigma[:, 0],
+        rotation=rotation.ravel(), centre=np.zeros(3), focal=1.0, principal=np.zeros(2), distortion=np.zeros(5),
+    )  # fmt: skip
     setup = np.stack([np.arange(6.0), np.array([1.0, 1.0, 1.0, distance, distance, distance])])
     rows = equation_rows(FRAME_BROWN_IDEAL_TO_MEASURED, records, setup, (ground - centre,))
     try:
@@ -226,15 +228,15 @@ def _adjusted(interior: Interior, ground: Array, tangents: Array, sigma: Array, 
         _require_determined(rows(np.zeros(6), True)[1], sigma)
         raise
     turned = camera(records[0], setup, found.state)
-    rotation = turned[:9].reshape(3, 3)
-    depth = (ground - centre - turned[9:12]) @ rotation[2]
+    rotation = turned[CAMERA.rotation].reshape(3, 3)
+    depth = (ground - centre - turned[CAMERA.centre]) @ rotation[2]
     if not (depth > 0.0).all():
         raise NoSolutionError.of("closerange.behind", place=f"point {int(np.argmin(depth)) + 1}")
     condition, cofactors = _require_determined(found.design, sigma)
     # the unknowns turn about fixed axes at the start; J leads to turns of the adjusted camera
     away = np.diag(setup[1])
-    away[:3, :3] = turned[20:29].reshape(3, 3)
-    moved = centre + turned[9:12]
+    away[:3, :3] = turned[CAMERA.jacobian].reshape(3, 3)
+    moved = centre + turned[CAMERA.centre]
     photo = Photo.of(name, interior, rotation, moved)
     residuals = -found.residual.reshape(-1, 2)[:, ::-1] * sigma * interior.focal * [1.0, interior.sign]
     squares, redundancy = float(found.residual @ found.residual), len(found.residual) - 6

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from factors import surfaces
 from factors._contract import Equation, evaluate
+from factors.frame_camera import CAMERA
+from factors.surfaces import RECORD
 from fg_orient.closerange.feet import Conditions
 from fg_orient.closerange.surface import Kind, Surface, quadric_matrices
 from fg_orient.errors import InputError
@@ -72,7 +74,7 @@ class Model:
         if self.kind == "sphere":
             return Surface("sphere", x[:3], np.full(3, abs(x[3])))
         centre, turn, semi = surfaces.shape(self.record, self.setup, x)
-        return Surface(self.kind, centre, np.abs(semi), turn[:9].reshape(3, 3))
+        return Surface(self.kind, centre, np.abs(semi), turn[CAMERA.rotation].reshape(3, 3))
 
     def conditions(self, x: Array) -> tuple[Conditions, Array]:
         """Conditions of a state and the point they are about."""
@@ -81,7 +83,7 @@ class Model:
         if self.kind == "sphere":
             return Conditions(np.eye(3), np.zeros(3), -float(x[3] ** 2)), x[:3]
         centre, turn, semi = surfaces.shape(self.record, self.setup, x)
-        rotation = turn[:9].reshape(3, 3)
+        rotation = turn[CAMERA.rotation].reshape(3, 3)
         return Conditions(rotation.T @ np.diag(semi**-2.0) @ rotation, np.zeros(3), -1.0), centre
 
     def values(self, x: Array) -> Array:
@@ -97,18 +99,20 @@ class Model:
         if self.kind == "sphere":
             return self, np.append(x[:3], abs(x[3]))
         centre, turn, semi = surfaces.shape(self.record, self.setup, x)
-        semi, rotation = np.abs(semi), turn[:9].reshape(3, 3)
+        semi, rotation = np.abs(semi), turn[CAMERA.rotation].reshape(3, 3)
         if self.kind == "ellipsoid":
             order = np.argsort(-semi, kind="stable")
             semi, rotation = semi[order], rotation[order]
             rotation = rotation * np.sign(np.linalg.det(rotation))
-        record = np.concatenate([self.record[:1], centre, rotation.ravel(), semi])
+        factor = self.record[RECORD.factor]
+        record = RECORD.pack(factor=factor, centre=centre, rotation=rotation.ravel(), semi_axes=semi)
         return replace(self, record=record), np.zeros(len(x))
 
 
 def _start_values(record: Array, setup: Array) -> Array:
     """What the record holds of each unknown of an ellipsoid."""
-    of_code = np.concatenate([record[1:4], np.zeros(3), record[13:16], [record[14], record[15], record[13]]])
+    semi = record[RECORD.semi_axes]
+    of_code = np.concatenate([record[RECORD.centre], np.zeros(3), semi, np.roll(semi, -1)])
     return np.asarray(of_code[setup[0].astype(int)])
 
 
@@ -166,7 +170,7 @@ def _spheroid(k: int, centre: Array, turn: Array, semi: Array, *, free: bool) ->
 def _ellipsoid(
     kind: Kind, codes: tuple[int, ...], names: tuple[str, ...], centre: Array, turn: Array, semi: Array
 ) -> Model:
-    record = np.concatenate([[1.0], centre, turn.ravel(), semi])
+    record = RECORD.pack(factor=1.0, centre=centre, rotation=turn.ravel(), semi_axes=semi)
     setup = np.ascontiguousarray(np.stack([np.array(codes, float), np.ones(len(codes))]))
     is_length = np.array([code not in (3, 4, 5) for code in codes])
     return Model(kind, surfaces.ELLIPSOID, record, setup, names, np.zeros(len(codes)), is_length)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from factors.pushbroom import RECORD
 from fg_orient.experiments.claims import Claim, Outcome, outcome
 from fg_orient.experiments.study import EXACT, ILL_CONDITIONED, TARGET_M, WITH_VELOCITY, Study, published_solvers
 from fg_orient.linear.conditioning import singular_values
@@ -129,7 +130,7 @@ def c10(study: Study) -> Outcome:
     codes = eop_codes(6)  # V_0: derivatives with respect to V itself
     slopes = at.linearise(codes, np.zeros((len(study.two_stage.block.images), len(codes)))).eop
     along = 0.0
-    for vector in (at.records[:, 3:6], at.records[:, 0:3]):
+    for vector in (at.records[:, RECORD.velocity], at.records[:, RECORD.position]):
         unit = vector / np.linalg.norm(vector, axis=1, keepdims=True)
         effect = np.abs(np.einsum("nij,nj->ni", slopes, unit)).max() / np.abs(slopes).max()
         along = max(along, float(effect))

@@ -131,9 +131,7 @@ def cameras_of(data: BalData) -> list[FrameCamera]:
     """The cameras of a file as those of ``fg_orient.sensors.frame``."""
     rotations, centres = np.empty((len(data.cameras), 3, 3)), np.empty((len(data.cameras), 3))
     for k, row in enumerate(data.cameras):
-        turned = np.empty(frame_camera.CAMERA_SIZE)
-        frame_camera.turned(row, np.eye(3).ravel(), turned)
-        theirs = turned[:9].reshape(3, 3)
+        theirs = frame_camera.rotated(np.eye(3), row)
         rotations[k], centres[k] = HALF_TURN @ theirs, -theirs.T @ row[3:6]
     return [
         _scaled(FrameCamera(rotation, centre, row[6], distortion=np.array([row[7], row[8], 0.0, 0.0, 0.0])), data, k)

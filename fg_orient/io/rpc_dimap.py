@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.rfm_project import RANGE
 from factors.rfm_terms import permutation
 from fg_orient.errors import InputError
 from fg_orient.io.rpc_fields import AXES, USUAL_ORDER, Reading, RpcFields, build, require_order, validity
@@ -126,7 +127,7 @@ def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first
         ends = [ground.one(f"{end}_{tag}").number() for end in ("FIRST", "LAST")]
         domain[ours] = (min(ends), max(ends))
     notes = model.notes
-    lon, lat = float(model.offsets[2]), float(model.offsets[3])
+    lon, lat = float(model.offsets[RANGE.lon]), float(model.offsets[RANGE.lat])
     if not _holds(domain, lon, lat) and _holds(domain, lat, lon):
         domain["lon"], domain["lat"] = domain["lat"], domain["lon"]
         notes += ("longitude and latitude of the validity domain are exchanged in the file: put right",)

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.rfm_project import RANGE
 from factors.rfm_terms import EXPONENTS, N_TERMS, permutation
 from fg_orient.errors import InputError
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
@@ -147,7 +148,7 @@ def build(
     offsets = np.array([fields.number(f"{axis}_OFF") for axis in AXES])
     scales = np.array([fields.number(f"{axis}_SCALE") for axis in AXES])
     coefficients = np.stack([fields.group(stem) for stem in POLYNOMIALS])[:, permutation(reading.order, USUAL_ORDER)]
-    offsets[:2] -= first_pixel if reading.first_pixel is None else reading.first_pixel
+    offsets[RANGE.image] -= first_pixel if reading.first_pixel is None else reading.first_pixel
     more = {"err_bias_m": fields.maybe("ERR_BIAS"), "err_rand_m": fields.maybe("ERR_RAND"), **(extra or {})}
     return RpcModel(offsets, scales, coefficients, file=fields.file, format=form, **more)
 

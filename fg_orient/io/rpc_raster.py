@@ -9,6 +9,7 @@ import warnings
 from pathlib import Path
 from typing import Any, Final
 
+from factors.rfm_project import RANGE
 from fg_orient.errors import InputError
 from fg_orient.io.rpc_fields import AXES, POLYNOMIALS, Reading, RpcFields, build, printed
 from fg_orient.sensors.rpc import RpcModel
@@ -71,7 +72,7 @@ def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
     if not target.is_file():
         raise InputError.of("rpc.tags_target", file=file)
     offsets = model.offsets.copy()
-    offsets[:2] += FIRST_PIXEL
+    offsets[RANGE.image] += FIRST_PIXEL
     values: dict[str, Any] = {"err_bias": model.err_bias_m, "err_rand": model.err_rand_m}
     for k, axis in enumerate(AXES):
         values[f"{axis}_OFF".lower()] = float(offsets[k])

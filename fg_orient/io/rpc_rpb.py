@@ -6,6 +6,7 @@ import os
 import re
 from typing import Final
 
+from factors.rfm_project import RANGE
 from fg_orient.errors import InputError
 from fg_orient.io.rpc_fields import POLYNOMIALS, Reading, RpcFields, build, printed, read_text, require_order
 from fg_orient.io.xml import read_xml
@@ -56,7 +57,7 @@ def read_rpc_rpb(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
 def format_rpc_rpb(model: RpcModel) -> str:
     """Give a model as the text of an RPB file; all digits are kept, unknown errors are 0."""
     offsets = model.offsets.copy()
-    offsets[:2] += FIRST_PIXEL
+    offsets[RANGE.image] += FIRST_PIXEL
     values = dict(zip([f"{name}_OFF" for name in ("LINE", "SAMP", "LONG", "LAT", "HEIGHT")], offsets, strict=True))
     values |= zip([f"{name}_SCALE" for name in ("LINE", "SAMP", "LONG", "LAT", "HEIGHT")], model.scales, strict=True)
     values |= {"ERR_BIAS": model.err_bias_m or 0.0, "ERR_RAND": model.err_rand_m or 0.0}

@@ -6,6 +6,7 @@ import os
 import re
 from typing import Final
 
+from factors.rfm_project import RANGE
 from fg_orient.errors import InputError
 from fg_orient.io.rpc_fields import (
     AXES,
@@ -78,7 +79,7 @@ def format_rpc_text(model: RpcModel) -> str:
         if value is not None
     ]
     offsets = model.offsets.copy()
-    offsets[:2] += FIRST_PIXEL
+    offsets[RANGE.image] += FIRST_PIXEL
     order = [0, 1, 3, 2, 4]  # latitude before longitude, as everybody writes it
     for word, values in (("OFF", offsets), ("SCALE", model.scales)):
         lines += [f"{AXES[k]}_{word}: {printed(values[k])} {UNITS[k]}" for k in order]

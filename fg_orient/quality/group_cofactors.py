@@ -26,6 +26,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.control import POINT
 from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
@@ -152,7 +153,7 @@ class GroupCofactors:
         rows = (2 * seen[:, :, None] + np.arange(2)).reshape(n, -1)
         columns = self._image_columns(problem.observations.image[seen].ravel()).reshape(n, -1)
         if observed:
-            at = problem.control_records[points, 9:] + problem.origin_m
+            at = problem.control_records[points, POINT.place] + problem.origin_m
             ground[:, 2 * m :] = problem.axes(at) / problem.block.points.known.sigma_enu_m[points][:, :, None]
             place = np.searchsorted(self._observed, points)[:, None]
             rows = np.hstack([rows, 2 * len(problem.observations) + 3 * place + np.arange(3)])

@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.control import POINT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
 from fg_orient.quality import hypotheses
@@ -112,7 +113,7 @@ def _columns(full: Problem, point: int, rows: Sequence[int], control: bool, susp
         return whole
     if suspect.part == "image":
         return whole[:, [k for i, r in enumerate(rows) if r == suspect.row for k in (2 * i, 2 * i + 1)]]
-    axes = full.axes(full.control_records[None, point, 9:] + full.origin_m)[0]
+    axes = full.axes(full.control_records[None, point, POINT.place] + full.origin_m)[0]
     out = np.zeros((len(whole), 3))
     out[-3:] = full.control_weights(point) @ axes.T
     return out[:, :2] if suspect.part == "position" else out[:, 2:]
@@ -139,7 +140,7 @@ def _rows(
     taken, ground = np.asarray(rows, np.intp), state.ground.copy()
     ground[point] = x
     rays = linearised(full, State(state.image, ground), taken)
-    given = full.control_weights(point) @ (x - full.control_records[point, 9:]) if control else None
+    given = full.control_weights(point) @ (x - full.control_records[point, POINT.place]) if control else None
     v, j_image, j_ground, _, images = point_rows(full, point, full.observations.image[taken], rays, given)
     return v, j_image, j_ground, images
 

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.control import POINT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import residuals
 from fg_orient.distributions import chi_square_limit, chi_square_noncentrality
@@ -164,7 +165,7 @@ def _control(problem: Problem, state: State, cofactors: ResidualCofactors) -> tu
     """Cofactors, residuals (adjusted minus observed) and sigmas of control points in their axes; effects on them."""
     rows = np.flatnonzero(problem.observed)
     w = problem.control_weights(rows)
-    measured = problem.control_records[rows, 9:]
+    measured = problem.control_records[rows, POINT.place]
     columns = w @ np.swapaxes(problem.axes(measured + problem.origin_m), 1, 2)  # errors of 1 m in whitened rows
     length = np.linalg.norm(columns, axis=1)
     turn = columns / length[:, None]  # orthogonal: the measured coordinates are uncorrelated in their axes

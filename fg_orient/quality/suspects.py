@@ -17,6 +17,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from factors.control import POINT
 from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows, linearised, residuals, side_by_side
@@ -113,7 +114,7 @@ def suspects(
     scale[:, 0, 0], scale[:, 1, 1] = 1.0 / o.sigma_line_px, 1.0 / o.sigma_sample_px
     image = (o.point, rows, residuals(problem, state), found.image)
     w = problem.control_weights(given)
-    at = problem.control_records[given, 9:]
+    at = problem.control_records[given, POINT.place]
     columns = -w @ np.swapaxes(problem.axes(at + problem.origin_m), 1, 2)  # the residual is adjusted minus observed
     v = problem.control_residuals(state, given)
     control = (given, np.full(len(given), -1), v, found.control)

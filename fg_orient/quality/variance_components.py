@@ -27,6 +27,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from factors.control import POINT
 from fg_orient.adjustment.problem import Problem, State, participates
 from fg_orient.adjustment.rows import residuals
 from fg_orient.distributions import chi_square_median
@@ -163,7 +164,7 @@ class Residuals:
     def _turn(self) -> Array:
         """Rotations (m, 3, 3) from the rows of the control factors to East, North, Up in sigmas."""
         problem = self._problem
-        axes = problem.axes(problem.control_records[problem.observed, 9:] + problem.origin_m)
+        axes = problem.axes(problem.control_records[problem.observed, POINT.place] + problem.origin_m)
         sigma = problem.block.points.known.sigma_enu_m[problem.observed]
         return np.asarray(axes / sigma[:, :, None] @ np.linalg.inv(problem.control_weights(problem.observed)))
 

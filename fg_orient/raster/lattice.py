@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.resampling import KNOT_SIZE
+from factors.resampling import KNOT, SCALING
 from fg_orient.geodesy import from_geographic, to_geographic
 from fg_orient.raster.grid import MapGrid
 from fg_orient.raster.models import MapModel
@@ -90,7 +90,7 @@ def lattice(grid: MapGrid, model: MapModel, surface: Surface, limits: Array) -> 
         With steps of ``LEAST_STEP`` whatever its error is; it is stated. None if no knot is near the image.
     """
     low, high = surface.range_m
-    scaling = np.array([0.5 * (low + high), 0.5 * max(high - low, LEAST_RANGE_M)])
+    scaling = SCALING.pack(offset=0.5 * (low + high), scale=0.5 * max(high - low, LEAST_RANGE_M))
     step = FIRST_STEP
     while True:
         knots = _knots(grid, model, surface, scaling, step)
@@ -106,19 +106,20 @@ def _knots(grid: MapGrid, model: MapModel, surface: Surface, scaling: Array, ste
     rows, columns = (np.arange(n // step + 2.0) * step for n in (grid.rows, grid.columns))
     r, c = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
     x, y = grid.centres(r, c)
-    out = np.empty((len(r), KNOT_SIZE))
-    out[:, :2] = _cells(grid, surface, x, y)
-    below, middle, above = (model.pixels(x, y, np.full(len(x), scaling[0] + t * scaling[1])) for t in (-1.0, 0.0, 1.0))
-    for k in range(2):
-        a, b, c_ = below[:, k], middle[:, k], above[:, k]
-        out[:, 2 + 3 * k], out[:, 3 + 3 * k], out[:, 4 + 3 * k] = b, 0.5 * (c_ - a), 0.5 * (a + c_) - b
-    return np.ascontiguousarray(out.reshape(len(rows), len(columns), KNOT_SIZE))
+    out = np.empty((len(r), KNOT.size))
+    out[:, KNOT.row], out[:, KNOT.column] = _cells(grid, surface, x, y).T
+    heights = (scaling[SCALING.offset] + t * scaling[SCALING.scale] for t in (-1.0, 0.0, 1.0))
+    below, middle, above = (model.pixels(x, y, np.full(len(x), height)) for height in heights)
+    for axis, a, b, c_ in zip((KNOT.line, KNOT.sample), below.T, middle.T, above.T, strict=True):
+        out[:, axis] = np.stack([b, 0.5 * (c_ - a), 0.5 * (a + c_) - b], axis=1)
+    return np.ascontiguousarray(out.reshape(len(rows), len(columns), KNOT.size))
 
 
 def _meets(knots: Array, limits: Array) -> bool:
     """Tell whether the pixels between the outermost knots, at all heights, and the image have some in common."""
-    for (low, high), k in zip(limits.reshape(2, 2), (2, 5), strict=True):
-        middle, reach = knots[..., k], np.abs(knots[..., k + 1]) + np.abs(knots[..., k + 2])
+    for (low, high), axis in zip(limits.reshape(2, 2), (KNOT.line, KNOT.sample), strict=True):
+        middle, linear, square = np.moveaxis(knots[..., axis], -1, 0)
+        reach = np.abs(linear) + np.abs(square)
         first, last = (middle - reach)[np.isfinite(middle)], (middle + reach)[np.isfinite(middle)]
         if not len(first) or first.min() > high or last.max() < low:
             return False
@@ -141,17 +142,18 @@ def _error(
     r, c = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
     x, y = grid.centres(r, c)
     t = np.take(BETWEEN, (np.arange(len(r)) + np.repeat(np.arange(len(rows)), len(columns))) % 2)
-    k = 0.25 * (knots[:-1, :-1] + knots[1:, :-1] + knots[:-1, 1:] + knots[1:, 1:]).reshape(-1, KNOT_SIZE)
-    found = np.stack([k[:, 2 + m] + t * (k[:, 3 + m] + t * k[:, 4 + m]) for m in (0, 3)], axis=1)
-    some = np.flatnonzero(
-        (found[:, 0] >= limits[0]) & (found[:, 0] <= limits[1])
-        & (found[:, 1] >= limits[2]) & (found[:, 1] <= limits[3])
-    )  # fmt: skip
+    k = 0.25 * (knots[:-1, :-1] + knots[1:, :-1] + knots[:-1, 1:] + knots[1:, 1:]).reshape(-1, KNOT.size)
+    polynomials = (k[:, axis].T for axis in (KNOT.line, KNOT.sample))
+    found = np.stack([middle + t * (linear + t * square) for middle, linear, square in polynomials], axis=1)
+    first, last = limits.reshape(2, 2).T
+    some = np.flatnonzero(((found >= first) & (found <= last)).all(axis=1))
     if not len(some):
         return np.nan
     x, y = x[some], y[some]
-    exact = model.pixels(x, y, scaling[0] + t[some] * scaling[1])
-    differences = np.concatenate([found[some] - exact, k[some, :2] - _cells(grid, surface, x, y)], axis=1)
+    exact = model.pixels(x, y, scaling[SCALING.offset] + t[some] * scaling[SCALING.scale])
+    differences = np.concatenate(
+        [found[some] - exact, k[some][:, [KNOT.row, KNOT.column]] - _cells(grid, surface, x, y)], axis=1
+    )
     return float(np.nanmax(np.abs(differences), initial=0.0))
 
 

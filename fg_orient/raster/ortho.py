@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.resampling import BILINEAR, CUBIC, NEAREST, REACH, pixel_positions, resample
+from factors.resampling import BILINEAR, CUBIC, LIMITS, NEAREST, REACH, pixel_positions, resample
 from fg_orient.errors import InputError
 from fg_orient.io.rasters import rasterio_of
 from fg_orient.names import Progress
@@ -127,7 +127,9 @@ def orthorectify(
         _require_fitting(source, model, image)
         nodata = _nodata(source, chosen, image)
         grid = _grid(model, surface, size, crs, resolution, bounds)
-        limits = np.array([-0.5, size[0] - 0.5, -0.5, size[1] - 0.5])
+        limits = LIMITS.pack(
+            first_line=-0.5, last_line=source.height - 0.5, first_sample=-0.5, last_sample=source.width - 0.5
+        )
         knots = lattice(grid, model, surface, limits)
         if knots is None:
             raise InputError.of("ortho.no_overlap", file=image, what=surface.path)

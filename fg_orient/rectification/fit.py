@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.plane import RECORD
 from fg_orient.adjustment.dense import RowsBackend, equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
 from fg_orient.errors import InputError, NoSolutionError
@@ -238,13 +239,13 @@ def fit(
     blank = Transformation(model, np.zeros(model.n_unknowns), source, target, names, tuple(target_names), crs)
     records = _records(blank, points)
     rows = equation_rows(model.equation, records, model.setup)
-    start = model.start(records[:, :3], records[:, 3:5])
+    start = model.start(records[:, RECORD.source], records[:, RECORD.target])
     _require_determined(points, model, rows(start, True)[1])
     name = optimizer or ("gauss-newton" if model.linear else "levenberg-marquardt")
     found = OPTIMIZERS[name](RowsBackend(rows), start, MAX_ITERATIONS)
     if not found.converged:
         raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=found.reason)
-    below = model.denominator(records[:, :3], found.state)
+    below = model.denominator(records[:, RECORD.source], found.state)
     if not (below > 0.0).all():
         raise NoSolutionError.of("rectify.pole", place=model.title, value=points.ids[int(np.argmin(below))])
     residual, design = rows(found.state, True)
@@ -309,8 +310,7 @@ def _require_determined(points: Observations, model: Model, design: Array) -> fl
 
 def _records(t: Transformation, points: Observations) -> Array:
     """Records of the equation (n, 8): normalised coordinates, whitening by sigma in normalised units."""
-    records = np.zeros((len(points), 8))
-    records[:, : t.model.dimension] = t.source.normalised(points.source[:, : t.model.dimension])
-    records[:, 3:5] = t.target.normalised(points.target)
-    records[:, [5, 7]] = t.target.scale / points.sigma
-    return records
+    source, scale = np.zeros((len(points), 3)), t.target.scale / points.sigma
+    source[:, : t.model.dimension] = t.source.normalised(points.source[:, : t.model.dimension])
+    target = t.target.normalised(points.target)
+    return RECORD.pack(source=source, target=target, w11=scale[:, 0], w12=0.0, w22=scale[:, 1])

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.rfm_project import RANGE
 from fg_orient.errors import NoSolutionError
 from fg_orient.linear.conditioning import Conditioning, diagnose
 from fg_orient.linear.system import LinearSystem
@@ -77,7 +78,7 @@ class RfmFit:
     def project(self, ground: Array) -> tuple[Array, Array]:
         """Line and sample (pixels) of ground points (n, 3): longitude, latitude in degrees, height in m."""
         normalised = self.form.image(self.x, self.form.monomials(self.scaling.ground(ground)))
-        line, sample = (normalised * self.scaling.scales[:2] + self.scaling.offsets[:2]).T
+        line, sample = (normalised * self.scaling.scales[RANGE.image] + self.scaling.offsets[RANGE.image]).T
         return line, sample
 
     def model(self, n_lines: int | None = None, n_samples: int | None = None, file: str = "") -> RpcModel:
@@ -118,7 +119,7 @@ class RfmFit:
         """V = A x - l of the linear form, scaled to pixels: (n, 2) line and sample."""
         design, observed = self._linear_form
         sample, line = (design @ self.x - observed).reshape(2, -1)
-        return np.column_stack([line, sample]) * self.scaling.scales[:2]
+        return np.asarray(np.column_stack([line, sample]) * self.scaling.scales[RANGE.image])
 
     @property
     def redundancy(self) -> float:
@@ -185,7 +186,7 @@ class RfmFit:
         if self.cofactors is None or not self.redundancy > 0.0:
             return None
         residuals = self.residuals_px() if self.true else self.linear_residuals_px
-        v = residuals / self.scaling.scales[:2]
+        v = residuals / self.scaling.scales[RANGE.image]
         return np.asarray(self.cofactors * (np.sum(v**2) / self.redundancy))
 
     @property

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from factors.rfm_project import RANGE
 from fg_orient.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -87,11 +88,11 @@ class Scaling:
 
     def ground(self, ground: Array) -> Array:
         """Normalised longitude, latitude, height (n, 3)."""
-        return _normalised(ground, self.offsets[2:], self.scales[2:])
+        return _normalised(ground, self.offsets[RANGE.ground], self.scales[RANGE.ground])
 
     def image(self, line: Array, sample: Array) -> Array:
         """Normalised line and sample (n, 2)."""
-        return _normalised(np.column_stack([line, sample]), self.offsets[:2], self.scales[:2])
+        return _normalised(np.column_stack([line, sample]), self.offsets[RANGE.image], self.scales[RANGE.image])
 
 
 def _normalised(values: Array, offsets: Array, scales: Array) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid, rfm
+from factors.rfm_project import RANGE
 from fg_orient.errors import InputError
 from fg_orient.io.rpc_dimap import AGREEMENT_PX
 from fg_orient.io.sensor import read_sensor
@@ -94,8 +95,8 @@ def denominators(model: RpcModel, heights_m: Range) -> dict[str, Any]:
     seen = np.isfinite(lon)
     least = [float("nan")] * 2
     if seen.any():
-        ground = (np.column_stack([lon, lat, height])[seen] - model.offsets[2:]) / model.scales[2:]
-        ground[:, 0] -= np.round(ground[:, 0] * model.scales[2] / 360.0) * 360.0 / model.scales[2]
+        ground = (np.column_stack([lon, lat, height])[seen] - model.offsets[RANGE.ground]) / model.scales[RANGE.ground]
+        ground[:, 0] -= np.round(ground[:, 0] * model.scales[RANGE.lon] / 360.0) * 360.0 / model.scales[RANGE.lon]
         least = rfm.denominators(model.coefficients, np.ascontiguousarray(ground)).min(axis=0).tolist()
     return {
         "least_line": least[0], "least_sample": least[1], "pole": pole(model, heights_m),

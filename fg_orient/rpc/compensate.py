@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import rfm
-from factors.rfm_equation import COMPENSATIONS, N_COMPENSATION
+from factors.rfm_equation import COMPENSATION, COMPENSATIONS
+from factors.rfm_project import RANGE
 from fg_orient.distributions import f_quantile
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.quality.hypotheses import f_statistics
@@ -165,8 +166,8 @@ def residuals(model: RpcModel, measured: MeasuredPoints, values: Array | None = 
 
 def design(model: RpcModel, measured: MeasuredPoints, kind: str) -> Array:
     """Columns 1, l, s of the kind, the same for line and sample: (n, k)."""
-    ground = (measured.ground - model.offsets[2:]) / model.scales[2:]
-    ground[:, 0] -= np.round(ground[:, 0] * model.scales[2] / 360.0) * 360.0 / model.scales[2]
+    ground = (measured.ground - model.offsets[RANGE.ground]) / model.scales[RANGE.ground]
+    ground[:, 0] -= np.round(ground[:, 0] * model.scales[RANGE.lon] / 360.0) * 360.0 / model.scales[RANGE.lon]
     columns = np.column_stack([np.ones(len(ground)), rfm.values(model.coefficients, np.ascontiguousarray(ground))])
     return columns[:, : len(COMPENSATIONS[KINDS[kind]]) // 2]
 
@@ -179,14 +180,14 @@ def _adjusted(
     n, k = a.shape
     if n < k:
         raise InputError.of("rpc.few_control", place=f"--compensation {kind}", value=n, least=k)
-    values, cofactors = np.zeros(N_COMPENSATION), np.zeros((N_COMPENSATION,) * 2)
+    values, cofactors = np.zeros(COMPENSATION.size), np.zeros((COMPENSATION.size,) * 2)
     free = np.empty((n, 2))
     for axis in (0, 1):
         codes = np.arange(axis, 2 * k, 2)
         values[codes], cofactors[np.ix_(codes, codes)], free[:, axis] = _least_squares(
             a, l[:, axis], measured.sigma_px[:, axis], kind
         )
-    v = a @ values[: 2 * k].reshape(k, 2) - l
+    v = a @ values.reshape(-1, 2)[:k] - l
     redundancy = 2 * (n - k)
     square = float(np.sum((v / measured.sigma_px) ** 2))
     with np.errstate(divide="ignore", invalid="ignore"):

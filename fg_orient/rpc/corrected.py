@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.rfm_project import COMPENSATION, RANGE
 from factors.rfm_terms import terms
 from fg_orient.rpc.points import statistics
 from fg_orient.sensors.rpc import RpcModel
@@ -56,23 +57,23 @@ def corrected(model: RpcModel, values: Array, *, seed: int = 1) -> Corrected:
     seed : int
         Of the independent points.
     """
-    scale_l, scale_s = model.scales[:2]
+    scale_l, scale_s = model.scales[RANGE.image]
     offsets, c = model.offsets.copy(), model.coefficients.copy()
-    offsets[:2] += values[:2]
+    offsets[RANGE.image] += values[[COMPENSATION.line, COMPENSATION.sample]]
     common = bool(np.array_equal(c[1], c[3]))
     f = model.coefficients
-    c[0] = f[0] * (1.0 + values[2] / scale_l)
-    c[2] = f[2] * (1.0 + values[5] / scale_s)
-    if values[4] != 0.0:
-        c[0] += values[4] / scale_l * (f[2] if common else _product(f[2], f[1], f[3]))
-    if values[3] != 0.0:
-        c[2] += values[3] / scale_s * (f[0] if common else _product(f[0], f[3], f[1]))
+    c[0] = f[0] * (1.0 + values[COMPENSATION.line_l] / scale_l)
+    c[2] = f[2] * (1.0 + values[COMPENSATION.sample_s] / scale_s)
+    if values[COMPENSATION.line_s] != 0.0:
+        c[0] += values[COMPENSATION.line_s] / scale_l * (f[2] if common else _product(f[2], f[1], f[3]))
+    if values[COMPENSATION.sample_l] != 0.0:
+        c[2] += values[COMPENSATION.sample_l] / scale_s * (f[0] if common else _product(f[0], f[3], f[1]))
     direct = None if model.direct is None else _direct(model, values)
     new = replace(
         model, offsets=offsets, coefficients=c, direct=direct, err_bias_m=None, err_rand_m=None,
         notes=(*model.notes, "compensated with control points"),
     )  # fmt: skip
-    exact = common or not values[3:5].any()
+    exact = common or not values[[COMPENSATION.sample_l, COMPENSATION.line_s]].any()
     return Corrected(new, exact, _errors(model, values, new, seed))
 
 
@@ -92,8 +93,11 @@ def _product(f: Array, above: Array, below: Array) -> Array:
 def _direct(model: RpcModel, values: Array) -> Array:
     """Coefficients from image to ground for compensated pixels: exact, as the map of the pixels is affine."""
     assert model.direct is not None
-    scale_l, scale_s = model.scales[:2]
-    matrix = np.array([[scale_l + values[2], values[4]], [values[3], scale_s + values[5]]])
+    scale_l, scale_s = model.scales[RANGE.image]
+    matrix = np.array([
+        [scale_l + values[COMPENSATION.line_l], values[COMPENSATION.line_s]],
+        [values[COMPENSATION.sample_l], scale_s + values[COMPENSATION.sample_s]],
+    ])  # fmt: skip
     new = _nodes(4)  # sample, line, height in the new normalised coordinates
     l, s = np.linalg.solve(matrix, np.stack([new[:, 1] * scale_l, new[:, 0] * scale_s]))  # noqa: E741
     old = terms(np.column_stack([s, l, new[:, 2]]))

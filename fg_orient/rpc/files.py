@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.rfm_project import RANGE
 from fg_orient.errors import InputError
 from fg_orient.io.rpc import FORMATS, read_rpc
 from fg_orient.io.rpc_fields import USUAL_ORDER
@@ -58,7 +59,7 @@ def open_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
         return RpcFile(model, first_pixel)
     # read as if it counted from 0, the offsets are those of the file
     raw = read_rpc(path, order=order, first_pixel=0.0)
-    return RpcFile(model, round(float(raw.offsets[0] - model.offsets[0]), 6))
+    return RpcFile(model, round(float(raw.offsets[RANGE.line] - model.offsets[RANGE.line]), 6))
 
 
 def target_of(name: str | None, out: Path) -> str:
@@ -147,7 +148,7 @@ def _require_no_sidecar(image: Path) -> None:
 def projected_differences(one: RpcModel, other: RpcModel) -> Array:
     """Pixels of the first model minus those of the second on a grid over the first one's cube: (n, 2)."""
     u = np.stack([a.ravel() for a in np.meshgrid(*[np.linspace(-1.0, 1.0, CUBE)] * 3)])
-    ground = one.offsets[2:, None] + one.scales[2:, None] * u
+    ground = one.offsets[RANGE.ground, None] + one.scales[RANGE.ground, None] * u
     return np.stack(one.project(*ground), axis=1) - np.stack(other.project(*ground), axis=1)
 
 

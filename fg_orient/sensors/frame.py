@@ -16,6 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid, frame, frame_camera, frame_measured
+from factors.frame import RECORD
+from factors.frame_camera import CAMERA
+from factors.records import Record
 from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.sensors.correction import HeightSurface
@@ -141,10 +144,13 @@ class FrameCamera:
 
     @cached_property
     def record(self) -> Array:
-        """Columns from 4 of the record of ``factors.frame`` (20,) or ``factors.frame_measured`` (22,), origin 0."""
-        principal = self.principal_px[::-1]
-        own = [self.aspect, self.unit_px] if self.corrects_measured else []
-        return np.concatenate([self.rotation.ravel(), self.centre_m, [self.focal_px], principal, self.distortion, own])
+        """Record of ``factors.frame`` or ``factors.frame_measured`` of pixel 0, 0, whitening 1 and origin 0."""
+        own = {"aspect": self.aspect, "unit": self.unit_px} if self.corrects_measured else {}
+        fields: Record = (frame_measured if own else frame).RECORD
+        return fields.pack(
+            line=0.0, sample=0.0, a_line=1.0, a_sample=1.0, rotation=self.rotation.ravel(), centre=self.centre_m,
+            focal=self.focal_px, principal=self.principal_px[::-1], distortion=self.distortion, **own,
+        )  # fmt: skip
 
     @property
     def corrects_measured(self) -> bool:
@@ -159,7 +165,7 @@ class FrameCamera:
         codes = np.stack([np.arange(frame.N_UNKNOWNS, dtype=float), np.ones(frame.N_UNKNOWNS)])
         x = np.zeros(frame.N_UNKNOWNS) if correction is None else np.array(correction, dtype=float)
         make = frame_measured.camera if self.corrects_measured else frame.camera
-        out: Array = make(np.concatenate([np.zeros(4), self.record]), codes, x)
+        out: Array = make(self.record, codes, x)
         return out
 
     def ideal_directions(self, camera: Array, line: Array, sample: Array) -> Array:
@@ -171,11 +177,12 @@ class FrameCamera:
         """Line, sample (px) and inverse depth (1/m) of ground points (N, 3): (N, 3); nan where nothing is measured."""
         if not self.corrects_measured:
             return np.asarray(frame_camera.project(camera, ground_m))
-        plain = camera[:29].copy()
-        plain[12], plain[13:15], plain[15:20] = 1.0, 0.0, 0.0
+        plain = camera[: CAMERA.size].copy()
+        plain[CAMERA.focal], plain[CAMERA.principal], plain[CAMERA.distortion] = 1.0, 0.0, 0.0
         line, sample, inverse = frame_camera.project(plain, ground_m).T
         # the ideal point as a pixel of the polynomial's own camera, whose measured direction Newton finds
-        plain[12], plain[15:20] = camera[30] / camera[12], camera[15:20]
+        plain[CAMERA.focal] = camera[frame_measured.CAMERA.unit] / camera[CAMERA.focal]
+        plain[CAMERA.distortion] = camera[CAMERA.distortion]
         x, y = frame_camera.ideal_directions(plain, line, sample).T
         return np.column_stack([frame_measured.pixels(camera, x, y), inverse])
 
@@ -246,10 +253,10 @@ class FrameSensor(PixelRange):
         ``origin_m`` (3,): local origin of the ground unknowns (default 0).
         """
         line, sample = same_length(line, sample)
-        out = np.ones((len(line), 4 + len(self.camera.record)))
-        out[:, 0], out[:, 1], out[:, 4:] = line, sample, self.camera.record
+        out = np.tile(self.camera.record, (len(line), 1))
+        out[:, RECORD.line], out[:, RECORD.sample] = line, sample
         if origin_m is not None:
-            out[:, 13:16] -= origin_m
+            out[:, RECORD.centre] -= origin_m
         return out
 
     # --- image to ground ---------------------------------------------------------------------
@@ -271,9 +278,9 @@ class FrameSensor(PixelRange):
         if len(bad):
             place = f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}"
             raise InputError.of("frame.no_direction", file=self.file, place=place, value=f"{len(bad)} pixel(s)")
-        direction = np.column_stack([ideal, np.ones(len(ideal))]) @ camera[:9].reshape(3, 3)
+        direction = np.column_stack([ideal, np.ones(len(ideal))]) @ camera[CAMERA.rotation].reshape(3, 3)
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        return np.tile(camera[9:12], (len(line), 1)), direction
+        return np.tile(camera[CAMERA.centre], (len(line), 1)), direction
 
     def locate(
         self,

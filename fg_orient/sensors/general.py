@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import attitude, ellipsoid, ephemeris, kepler, light, look, polynomials, rotations
+from factors.pushbroom import RECORD
 from fg_orient.errors import InputError, OutOfTimeRange, problem
 from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.general_metadata import GeneralMetadata
@@ -195,10 +196,13 @@ class GeneralPushbroom(PushbroomSensor):
         """See :meth:`PushbroomSensor.records`; the effects on light are those of the distance to ``reference_m``."""
         out = super().records(line, sample, reference_m, origin_m, small_angle=small_angle)
         if self._general.effects:
-            states = LineStates(out[:, 18], out[:, 0:3].copy(), out[:, 3:6].copy(), out[:, 6:9],
-                                out[:, 9:18].reshape(-1, 3, 3))  # fmt: skip
-            distance = np.linalg.norm(out[:, 31:34], axis=1)
-            out[:, 9:18] = self._bent(states, (out[:, 19], out[:, 20]), distance).reshape(-1, 9)
+            states = LineStates(
+                out[:, RECORD.tau], out[:, RECORD.position].copy(), out[:, RECORD.velocity].copy(),
+                out[:, RECORD.angles], out[:, RECORD.mounting].reshape(-1, 3, 3),
+            )  # fmt: skip
+            distance = np.linalg.norm(out[:, RECORD.from_position], axis=1)
+            look = out[:, RECORD.psi_x], out[:, RECORD.psi_y]
+            out[:, RECORD.mounting] = self._bent(states, look, distance).reshape(-1, 9)
         return out
 
     def rays(

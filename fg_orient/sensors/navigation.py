@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.navigation import ANTENNA_POSITION, INERTIAL_ATTITUDE
+from factors.navigation import ANTENNA_POSITION, ATTITUDE, INERTIAL_ATTITUDE, POSITION
 from fg_orient.block import Block, ExtraObservation, Image
 from fg_orient.errors import InputError
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
@@ -165,13 +165,14 @@ def _observations(
     fix: Fix, tau: float, axes: Array, camera: FrameCamera, mounting: Mounting
 ) -> list[ExtraObservation]:  # fmt: skip
     """Position, and attitude if there is one; records of ``factors.navigation``."""
-    common = [*camera.rotation.ravel(), *mounting.camera_from_body.ravel(), tau]
-    weight = axes / fix.position_sigma_m[:, None]
-    own = [*(fix.position_m - camera.centre_m), *mounting.lever_m, *axes.T.ravel()]
-    record, image = np.array([*weight.ravel(), *common, *own]), (f"image:{fix.image}",)
+    common = {"rotation": camera.rotation.ravel(), "mounting": mounting.camera_from_body.ravel(), "tau": tau}
+    weight, image = axes / fix.position_sigma_m[:, None], (f"image:{fix.image}",)
+    offset, arm, strip = fix.position_m - camera.centre_m, mounting.lever_m, axes.T.ravel()
+    record = POSITION.pack(whitening=weight.ravel(), **common, offset=offset, arm=arm, strip=strip)
     out = [ExtraObservation(ANTENNA_POSITION, image, record, None, 3, f"position of the receiver, image {fix.image}")]
     if fix.ground_from_body is not None and fix.attitude_sigma_rad is not None:
-        record = np.array([*np.diag(1.0 / fix.attitude_sigma_rad).ravel(), *common, *fix.ground_from_body.T.ravel()])
+        weight, observed = np.diag(1.0 / fix.attitude_sigma_rad), fix.ground_from_body.T
+        record = ATTITUDE.pack(whitening=weight.ravel(), **common, observed=observed.ravel())
         out.append(ExtraObservation(INERTIAL_ATTITUDE, image, record, None, 3, f"attitude on board, image {fix.image}"))
     return out
 

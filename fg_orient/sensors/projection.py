@@ -40,7 +40,7 @@ def conditions(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, 
     setup, x = physical_unknowns(correction)
     records = sensor.records(line, sample, ground_m, small_angle=correction.small_angle)
     if correction.curve.shape[1]:
-        records = np.hstack([records, correction.curve_at(records[:, 18])])
+        records = np.hstack([records, correction.curve_at(records[:, pushbroom.RECORD.tau])])
     return pushbroom.conditions(records, setup, x, np.ascontiguousarray(ground_m))
 
 

@@ -15,7 +15,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from factors import attitude, ellipsoid, ephemeris, look, polynomials, pushbroom, rotations
+from factors import attitude, ellipsoid, ephemeris, look, polynomials, rotations
+from factors.pushbroom import RECORD
 from fg_orient.errors import InputError, OutOfTimeRange, problem
 from fg_orient.options import MAX_EXTRAPOLATION_S
 from fg_orient.sensors import projection
@@ -256,17 +257,13 @@ class PushbroomSensor(PixelRange):
         """
         states = self.states(line)
         s = np.atleast_1d(np.asarray(sample, float))
-        psi_x, psi_y = self.look_angles(s)
-        out = np.zeros((len(s), pushbroom.RECORD_SIZE))
-        out[:, 0:3], out[:, 3:6], out[:, 6:9] = states.position_m, states.velocity_m_s, states.angles_rad
-        out[:, 9:18] = states.mount.reshape(-1, 9)
-        out[:, 18], out[:, 19], out[:, 20] = states.tau, psi_x, psi_y
-        out[:, 21] = polynomials.normalised(s, self.n_samples)
-        out[:, 22], out[:, 25] = 1.0, 1.0
-        out[:, 26], out[:, 27] = float(self.follows_orbit), float(small_angle)
-        out[:, 28:31] = reference_m if origin_m is None else reference_m - origin_m
-        out[:, 31:34] = reference_m - states.position_m
-        return out
+        return RECORD.pack(
+            position=states.position_m, velocity=states.velocity_m_s, angles=states.angles_rad,
+            mounting=states.mount.reshape(-1, 9), tau=states.tau, look=np.stack(self.look_angles(s), axis=1),
+            s=polynomials.normalised(s, self.n_samples), whitening=np.eye(2).ravel(), follows=self.follows_orbit,
+            small_angle=small_angle, reference=reference_m if origin_m is None else reference_m - origin_m,
+            from_position=reference_m - states.position_m,
+        )  # fmt: skip
 
     # --- image to ground ---------------------------------------------------------------------
 

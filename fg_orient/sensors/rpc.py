@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from factors import rfm, rfm_equation, rfm_project
+from factors import rfm, rfm_project
+from factors.rfm_project import COMPENSATION, RANGE
 from fg_orient.errors import InputError
 from fg_orient.sensors.pixels import same_length
 
@@ -30,7 +31,7 @@ POLE_GRID = 11
 #: Normalised ground coordinates beyond which a located corner lies on another branch of the model, behind a pole: real
 #: products reach 1.45.
 OTHER_BRANCH = 2.0
-NO_COMPENSATION = np.zeros(rfm_equation.N_COMPENSATION)
+NO_COMPENSATION = np.zeros(COMPENSATION.size)
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ class RpcModel:
         """Tell which ground points lie in the validity range: (N,)."""
         lon, lat, h = same_length(lon_deg, lat_deg, height_m)
         v = self.validity
-        lon = lon - 360.0 * np.round((lon - self.offsets[2]) / 360.0)
+        lon = lon - 360.0 * np.round((lon - self.offsets[RANGE.lon]) / 360.0)
         good = (lon >= v.lon_deg[0]) & (lon <= v.lon_deg[1]) & (lat >= v.lat_deg[0]) & (lat <= v.lat_deg[1])
         return np.asarray(good & (h >= v.height_m[0]) & (h <= v.height_m[1]))
 
@@ -185,7 +186,7 @@ class RpcModel:
         """
         line, sample, h = same_length(line, sample, height_m)
         image = self._without_compensation(line, sample, checked_compensation(compensation))
-        z = (h - self.offsets[4]) / self.scales[4]
+        z = (h - self.offsets[RANGE.height]) / self.scales[RANGE.height]
         origin = np.zeros_like(image)
         start = origin
         if self.direct is not None:
@@ -195,13 +196,17 @@ class RpcModel:
         lost = np.isnan(xy[:, 0])
         if self.direct is not None and lost.any():  # the vendor's guess was the fault
             xy[lost] = rfm_project.locate(self.coefficients, self.scales, image[lost], z[lost], origin[lost])
-        lon = self.offsets[2] + self.scales[2] * xy[:, 0]
-        return lon - 360.0 * np.round(lon / 360.0), self.offsets[3] + self.scales[3] * xy[:, 1]
+        lon = self.offsets[RANGE.lon] + self.scales[RANGE.lon] * xy[:, 0]
+        return lon - 360.0 * np.round(lon / 360.0), self.offsets[RANGE.lat] + self.scales[RANGE.lat] * xy[:, 1]
 
     def _without_compensation(self, line: Array, sample: Array, b: Array) -> Array:
         """Normalised line and sample (N, 2) of compensated pixels."""
-        matrix = np.array([[self.scales[0] + b[2], b[4]], [b[3], self.scales[1] + b[5]]])
-        rest = np.stack([line - self.offsets[0] - b[0], sample - self.offsets[1] - b[1]], axis=0)
+        matrix = np.array([
+            [self.scales[RANGE.line] + b[COMPENSATION.line_l], b[COMPENSATION.line_s]],
+            [b[COMPENSATION.sample_l], self.scales[RANGE.sample] + b[COMPENSATION.sample_s]],
+        ])  # fmt: skip
+        line_0, sample_0 = self.offsets[RANGE.image]
+        rest = np.stack([line - line_0 - b[COMPENSATION.line], sample - sample_0 - b[COMPENSATION.sample]], axis=0)
         return np.ascontiguousarray(np.linalg.solve(matrix, rest).T)
 
     def locate_directly(
@@ -217,9 +222,10 @@ class RpcModel:
         if self.direct is None:
             raise InputError.of("rpc.no_direct", file=self.file)
         line, sample, h = same_length(line, sample, height_m)
-        image = np.stack([sample - self.offsets[1], line - self.offsets[0], h - self.offsets[4]], axis=1)
-        xy = rfm.values(self.direct, image / self.scales[[1, 0, 4]])
-        return self.offsets[2] + self.scales[2] * xy[:, 0], self.offsets[3] + self.scales[3] * xy[:, 1]
+        axes = [RANGE.sample, RANGE.line, RANGE.height]
+        xy = rfm.values(self.direct, (np.stack([sample, line, h], axis=1) - self.offsets[axes]) / self.scales[axes])
+        _, _, lon, lat, _ = self.offsets
+        return lon + self.scales[RANGE.lon] * xy[:, 0], lat + self.scales[RANGE.lat] * xy[:, 1]
 
     def require_no_pole(self) -> None:
         """Refuse a model with a denominator that is zero or changes its sign inside the image.
@@ -240,7 +246,7 @@ class RpcModel:
         bad = np.argwhere(~(below > 0.0))
         if len(bad):
             row, which = bad[0]
-            lon, lat, h = self.offsets[2:] + self.scales[2:] * ground[row]
+            lon, lat, h = self.offsets[RANGE.ground] + self.scales[RANGE.ground] * ground[row]
             raise InputError.of(
                 "rpc.pole", file=self.file, place=POLYNOMIALS[1 + 2 * which],
                 value=f"{below[row, which]:.3g} at longitude {lon:.5f}, latitude {lat:.5f}, height {h:.0f} m",
@@ -251,7 +257,7 @@ class RpcModel:
         spans = (v.lon_deg, v.lat_deg, v.height_m)
         return all(
             max(abs(end - off) for end in span) <= slack * abs(scale)
-            for span, off, scale in zip(spans, self.offsets[2:], self.scales[2:], strict=True)
+            for span, off, scale in zip(spans, self.offsets[RANGE.ground], self.scales[RANGE.ground], strict=True)
         )
 
     def _ground_grid(self) -> Array:
@@ -263,7 +269,7 @@ class RpcModel:
         u, w = (a.ravel()[:, None] for a in np.meshgrid(t, t))
         layers = []
         for h in np.linspace(*v.height_m, POLE_GRID):
-            z = np.full(4, (h - self.offsets[4]) / self.scales[4])
+            z = np.full(4, (h - self.offsets[RANGE.height]) / self.scales[RANGE.height])
             image = self._without_compensation(line, sample, NO_COMPENSATION)
             corner = rfm_project.locate(self.coefficients, self.scales, image, z, np.zeros((4, 2)))
             looked_at = [corner] if np.isfinite(corner).all() else []

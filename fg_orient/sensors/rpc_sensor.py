@@ -12,7 +12,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid, rfm_equation
+from factors import ellipsoid
+from factors.rfm_equation import RECORD
+from factors.rfm_project import RANGE
 from fg_orient.errors import InputError
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.sensors.correction import HeightSurface
@@ -75,20 +77,18 @@ class RpcSensor(PixelRange):
         line, sample = same_length(line, sample)
         reference = np.ascontiguousarray(np.broadcast_to(np.asarray(reference_m, float), (len(line), 3)))
         geodetic = ellipsoid.geodetic_array(reference)
-        m = self.model
-        out = np.zeros((len(line), rfm_equation.RECORD_SIZE))
-        out[:, 0], out[:, 1], out[:, 2], out[:, 5] = line, sample, 1.0, 1.0
-        out[:, 6:8], out[:, 8:10] = m.offsets[:2], m.scales[:2]
-        degrees = np.degrees(geodetic[:, :2])
-        degrees[:, 0] -= 360.0 * np.round((degrees[:, 0] - m.offsets[2]) / 360.0)
-        out[:, 10:12] = (degrees - m.offsets[2:4]) / m.scales[2:4]
-        out[:, 12] = (geodetic[:, 2] - m.offsets[4]) / m.scales[4]
-        out[:, 13:15], out[:, 15] = np.radians(m.scales[2:4]), m.scales[4]
-        out[:, 16:19] = reference if origin_m is None else reference - origin_m
-        out[:, 19], out[:, 20] = np.sin(geodetic[:, 0]), np.cos(geodetic[:, 0])
-        out[:, 21], out[:, 22], out[:, 23] = np.sin(geodetic[:, 1]), np.cos(geodetic[:, 1]), geodetic[:, 2]
-        out[:, 24:] = m.coefficients.ravel()
-        return out
+        m, (lon, lat, height) = self.model, geodetic.T
+        offsets, scales = m.offsets[RANGE.ground], m.scales[RANGE.ground]
+        degrees = np.column_stack([np.degrees(lon), np.degrees(lat), height])
+        degrees[:, 0] -= 360.0 * np.round((degrees[:, 0] - m.offsets[RANGE.lon]) / 360.0)
+        return RECORD.pack(
+            line=line, sample=sample, whitening=np.eye(2).ravel(), line_offset=m.offsets[RANGE.line],
+            sample_offset=m.offsets[RANGE.sample], line_scale=m.scales[RANGE.line], sample_scale=m.scales[RANGE.sample],
+            normalised=(degrees - offsets) / scales, scales=[*np.radians(scales[RANGE.image]), m.scales[RANGE.height]],
+            reference=reference if origin_m is None else reference - origin_m,
+            frame=np.column_stack([np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat), height]),
+            coefficients=m.coefficients.ravel(),
+        )  # fmt: skip
 
     # --- image to ground ---------------------------------------------------------------------
 
@@ -177,8 +177,8 @@ class RpcSensor(PixelRange):
     def centre_m(self) -> Array:
         """Ground point of the image centre at the model's mean height, ECEF m (3,)."""
         line, sample = 0.5 * (self.first_line + self.last_line), 0.5 * (self.first_sample + self.last_sample)
-        return np.asarray(self.locate(line, sample, height_m=self.model.offsets[4])[0])
+        return np.asarray(self.locate(line, sample, height_m=self.model.offsets[RANGE.height])[0])
 
     def footprint(self) -> Array:
         """Corners at the model's mean height in image order (clockwise): (4, 2) longitude, latitude in degrees."""
-        return np.stack(self.model.locate(*self.corners(), self.model.offsets[4]), axis=1)
+        return np.stack(self.model.locate(*self.corners(), self.model.offsets[RANGE.height]), axis=1)

@@ -94,16 +94,16 @@ def _cameras(n: int, rng: np.random.Generator) -> tuple[Array, list[FrameCamera]
     centre = np.column_stack([plane, HEIGHT_M + rng.uniform(-5.0, 5.0, n)])
     out = []
     for c in centre:
-        tilt = np.zeros(frame_camera.CAMERA_SIZE)
-        frame_camera.turned(np.append(rng.normal(scale=TILT_RAD, size=2), rng.uniform(-3.0, 3.0)), _DOWN, tilt)
+        w = np.append(rng.normal(scale=TILT_RAD, size=2), rng.uniform(-3.0, 3.0))
+        rotation = frame_camera.rotated(_DOWN, w)
         distortion = np.array([rng.normal(-0.05, 0.005), rng.normal(0.01, 0.002), 0.0, 0.0, 0.0])
         focal = FOCAL_PX * rng.uniform(0.99, 1.01)
-        out.append(FrameCamera(tilt[:9].reshape(3, 3), c, focal, distortion=distortion, sigma=SIGMA))
+        out.append(FrameCamera(rotation, c, focal, distortion=distortion, sigma=SIGMA))
     return centre, out
 
 
 #: Rotation of a camera that looks down, its lines running South.
-_DOWN: Final = np.array([1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0])
+_DOWN: Final = np.diag([1.0, -1.0, -1.0])
 
 
 def _points(centre: Array, n: int, rng: np.random.Generator) -> Array:
@@ -128,10 +128,8 @@ def _disturbed(cameras: list[FrameCamera], rng: np.random.Generator) -> tuple[li
     x = rng.standard_normal((len(cameras), len(SIGMA)))
     out = []
     for camera, row in zip(cameras, x * np.array(list(SIGMA.values())), strict=True):
-        turned = np.empty(frame_camera.CAMERA_SIZE)
-        frame_camera.turned(-row[:3], camera.rotation.ravel(), turned)
         distortion = camera.distortion - np.array([row[7], row[8], 0.0, 0.0, 0.0])
-        rotation, centre = turned[:9].reshape(3, 3), camera.centre_m - row[3:6]
+        rotation, centre = frame_camera.rotated(camera.rotation, -row[:3]), camera.centre_m - row[3:6]
         out.append(FrameCamera(rotation, centre, camera.focal_px - row[6], distortion=distortion, sigma=SIGMA))
     return out, x
 

@@ -236,9 +236,8 @@ def _frames(size: float, rng: np.random.Generator) -> tuple[Interior, list[Frame
     sensors, corrections = [], []
     for k, (rotation, centre) in enumerate(true_orientations()):
         error = size * sigma[:6] * rng.standard_normal(6)
-        turned = np.empty(frame_camera.CAMERA_SIZE)
-        frame_camera.turned(-error[:3], rotation.ravel(), turned)
-        camera: FrameCamera = given.camera(turned[:9].reshape(3, 3), centre - error[3:], FRAME_SIGMA, shared)
+        start = frame_camera.rotated(rotation, -error[:3])
+        camera: FrameCamera = given.camera(start, centre - error[3:], FRAME_SIGMA, shared)
         sensors.append(FrameSensor(camera, FRAME_SIDE_PX, FRAME_SIDE_PX, file=f"frame{k + 1}.toml"))
         corrections.append(np.concatenate([error, common, np.zeros(len(UNKNOWNS) - 9)]))
     return given, sensors, corrections
@@ -248,7 +247,6 @@ def true_orientations() -> list[tuple[Array, Array]]:
     """True rotation and projection centre of each frame."""
     enu, out = enu_from_ecef(*CENTRE_LON_LAT_DEG)[0], []
     for (east, north), tilt in zip(FRAMES, TILTS_RAD, strict=True):
-        turned = np.empty(frame_camera.CAMERA_SIZE)
-        frame_camera.turned(np.array([*tilt, 0.0]), HALF_TURN.ravel(), turned)
-        out.append((turned[:9].reshape(3, 3) @ enu, _at(np.array([[east, north, FRAME_HEIGHT_M]]))[0]))
+        rotation = frame_camera.rotated(HALF_TURN, np.array([*tilt, 0.0]))
+        out.append((rotation @ enu, _at(np.array([[east, north, FRAME_HEIGHT_M]]))[0]))
     return out

@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.rendering import corners, expose
+from factors.rendering import RAY, TO_MAP, corners, expose
+from factors.resampling import SCALING
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.io.rasters import rasterio_of
 from fg_orient.names import Progress
@@ -79,7 +80,7 @@ class Renderer:
     def __init__(self, sensor: PushbroomSensor, correction: Correction, terrain: Terrain) -> None:
         self._terrain, self._heights = terrain, terrain.heights_m.astype(float)
         low, high = float(self._heights.min()), float(self._heights.max())
-        self._scaling = np.array([0.5 * (low + high), 0.5 * (high - low) + 1.0])
+        self._scaling = SCALING.pack(offset=0.5 * (low + high), scale=0.5 * (high - low) + 1.0)
         size = sensor.n_lines, sensor.n_samples
         self._step = np.array(size) / INTERVALS
         line, sample = (
@@ -87,13 +88,13 @@ class Renderer:
         )
         cells = []
         for t in (-1.0, 0.0, 1.0):
-            height = float(self._scaling[0] + t * self._scaling[1])
+            height = float(self._scaling[SCALING.offset] + t * self._scaling[SCALING.scale])
             ground = sensor.locate(line, sample, height_m=height, correction=correction)
             lon, lat, _ = ecef_to_geodetic(ground)
             cells.append(terrain.cells(lon, lat))
         below, middle, above = cells
         knots = np.stack([middle, 0.5 * (above - below), 0.5 * (above + below) - middle], axis=2)
-        self._knots = np.ascontiguousarray(knots.reshape(INTERVALS + 1, INTERVALS + 1, 6))
+        self._knots = np.ascontiguousarray(knots.reshape(INTERVALS + 1, INTERVALS + 1, RAY.size))
 
     def corners(self, line: int, sample: int, rows: int, columns: int) -> Array:
         """Map coordinates (rows + 1, columns + 1, 2) where the corners of pixels lie on the terrain; nan beside it."""
@@ -109,7 +110,7 @@ class Renderer:
     def render(self, line: int, sample: int, rows: int, columns: int) -> npt.NDArray[np.uint8]:
         """Grey values (rows, columns) of a block; 0 where it leaves the terrain."""
         t, out = self._terrain, np.empty((rows, columns), np.uint8)
-        to_map = np.array([t.left_m + 0.5 * t.step_m, t.top_m - 0.5 * t.step_m, t.step_m])
+        to_map = TO_MAP.pack(x=t.left_m + 0.5 * t.step_m, y=t.top_m - 0.5 * t.step_m, cell=t.step_m)
         expose(self._cells(line, sample, rows, columns), to_map, t.targets_m, np.array(RADII_M), out)
         return out
 

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import frame_camera
-from factors.navigation import BORESIGHT, DRIFT, LEVER, SHIFT, TURN, TURN_DRIFT
+from factors.frame_camera import rotated
+from factors.navigation import UNKNOWN
 from fg_orient.block import Block, Image, ImagePoints, Options
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.names import Role
@@ -110,10 +110,11 @@ def _errors(options: StripOptions, mounting: Mounting, rng: np.random.Generator)
     """True minus given of all unknowns of each image (M, 33), physical units; equal where images share them."""
     sigma = np.array([EXTERIOR.get(name, 0.0) for name in UNKNOWNS] + [mounting.sigmas.get(n, 0.0) for n in NAVIGATION])
     drawn = sigma * rng.standard_normal((options.strips * options.images, len(sigma)))
-    drawn[:, LEVER:] = drawn[0, LEVER:]
+    strip_unknowns, all_unknowns = slice(UNKNOWN.shift.start, UNKNOWN.lever.start), slice(UNKNOWN.lever.start, None)
+    drawn[:, all_unknowns] = drawn[0, all_unknowns]
     for strip in range(options.strips):
         rows = slice(strip * options.images, (strip + 1) * options.images)
-        drawn[rows, SHIFT:LEVER] = drawn[rows, SHIFT:LEVER][0]
+        drawn[rows, strip_unknowns] = drawn[rows, strip_unknowns][0]
     return np.asarray(drawn)
 
 
@@ -132,20 +133,13 @@ def _exposures(options: StripOptions) -> tuple[Array, list[Array]]:
     return np.array(places), axes
 
 
-def _turn(w: Array) -> Array:
-    """``exp([w]x)``."""
-    out = np.empty(frame_camera.CAMERA_SIZE)
-    frame_camera.turned(w, np.eye(3).ravel(), out)
-    return np.asarray(out[:9].reshape(3, 3))
-
-
 def _cameras(place_m: Array, body: Array, error: Array, mounting: Mounting) -> tuple[FrameCamera, FrameCamera]:
     """The true camera of an exposure, and the one given, with the errors of its start values."""
     principal = np.full(2, (SIDE_PX - 1) / 2.0)
-    rotation = mounting.camera_from_body @ body.T
+    rotation, start_m = mounting.camera_from_body @ body.T, place_m - error[UNKNOWN.centre]
     true = FrameCamera(rotation, place_m, FOCAL_PX, principal)
     return true, FrameCamera(
-        _turn(-error[:3]) @ rotation, place_m - error[3:6], FOCAL_PX, principal, sigma=EXTERIOR
+        rotated(np.eye(3), -error[UNKNOWN.rotation]) @ rotation, start_m, FOCAL_PX, principal, sigma=EXTERIOR
     )  # fmt: skip
 
 
@@ -161,13 +155,14 @@ def _fixes(
     }
     for k, strip, time_s, tau in when:
         d, camera, enu = errors[k], cameras[k], axes[strip]
-        body = camera.rotation.T @ _turn(d[BORESIGHT:]) @ mounting.camera_from_body
+        body = camera.rotation.T @ rotated(np.eye(3), d[UNKNOWN.boresight]) @ mounting.camera_from_body
         noise = POSITION_SIGMA_M * rng.standard_normal(3), ATTITUDE_SIGMA_RAD * rng.standard_normal(3)
-        wrong = d[SHIFT : SHIFT + 3] + tau * d[DRIFT : DRIFT + 3] + noise[0]
-        turn = d[TURN : TURN + 3] + tau * d[TURN_DRIFT : TURN_DRIFT + 3] + noise[1]
-        position = camera.centre_m - body @ (mounting.lever_m + d[LEVER:BORESIGHT]) + enu.T @ wrong
+        wrong = d[UNKNOWN.shift] + tau * d[UNKNOWN.drift] + noise[0]
+        turn = d[UNKNOWN.turn] + tau * d[UNKNOWN.turn_drift] + noise[1]
+        position = camera.centre_m - body @ (mounting.lever_m + d[UNKNOWN.lever]) + enu.T @ wrong
         out.append(Fix(
-            _name(k), str(strip + 1), time_s, position, POSITION_SIGMA_M, body @ _turn(turn).T, ATTITUDE_SIGMA_RAD
+            _name(k), str(strip + 1), time_s, position, POSITION_SIGMA_M, body @ rotated(np.eye(3), turn).T,
+            ATTITUDE_SIGMA_RAD,
         ))  # fmt: skip
     return out
 

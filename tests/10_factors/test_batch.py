@@ -22,7 +22,9 @@ class Case:
 
     def __init__(self, rng: np.random.Generator, small: str, codes: list[int], n_basis: int = 2) -> None:
         records = np.stack([pushbroom.example(rng).record for _ in range(N)])
-        records[:, 27] = {"none": 0.0, "all": 1.0}.get(small, records[:, 27])
+        records[:, pushbroom.RECORD.small_angle] = {"none": 0.0, "all": 1.0}.get(
+            small, records[:, pushbroom.RECORD.small_angle]
+        )
         setup = np.stack([np.array(codes, float), np.ones(len(codes))])
         self.records, self.setup = records, setup
         self.rows, self.columns = batch(pushbroom.LOOK_ANGLE_COLLINEARITY, setup, records)
@@ -86,5 +88,5 @@ def test_rows_do_not_depend_on_the_division(rng: np.random.Generator) -> None:
 def test_the_first_observation_that_is_not_finite_is_told(want: bool, rng: np.random.Generator) -> None:
     case = Case(rng, "none", NINE, 3)
     for a in (N - 1, BLOCK + 4):
-        case.records[case.row[a], 31] = np.nan
+        case.records[case.row[a], pushbroom.RECORD.from_position.start] = np.nan
         assert case.run(0, N, want=want)[3] == a

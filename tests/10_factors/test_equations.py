@@ -10,6 +10,7 @@ import pytest
 
 import factors
 from factors._contract import Equation, evaluate, register, registered
+from factors.pushbroom import RECORD
 from tests.support.complex_step import Derived, derived_uncompiled
 
 for found in iter_modules(factors.__path__):
@@ -125,14 +126,14 @@ def reference_conditions(record: np.ndarray, setup: np.ndarray, x: np.ndarray, g
         else:
             look[(code - 27) % 2] += sigma * value * r[21] ** ((code - 27) // 2)
     eop = r[0:9] + correction.reshape(9, 3) @ np.array([1.0, r[18], r[18] ** 2], ld) + curve
-    frame_state = eop if record[26] > 0.5 else r
+    frame_state = eop if record[RECORD.follows] > 0.5 else r
     p, v = frame_state[0:3], frame_state[3:6]
     z = p / np.sqrt(p @ p)
     n = np.cross(v, z)
     x_axis = n / np.sqrt(n @ n)
     r_og = np.stack([x_axis, np.cross(z, x_axis), z], axis=1)
     roll, pitch, yaw = eop[6:9]
-    if record[27] > 0.5:
+    if record[RECORD.small_angle] > 0.5:
         r_uy = np.array([[1, -yaw, roll], [yaw, 1, -pitch], [-roll, pitch, 1]], ld)
     else:
         rx = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]], ld)
@@ -152,7 +153,7 @@ def test_pushbroom_equals_an_independent_evaluation() -> None:
     for _ in range(DRAWS):
         e = equation.example(rng)
         record = e.record.copy()
-        record[22:26] = 1.0, 0.0, 0.0, 1.0
+        record[RECORD.whitening] = 1.0, 0.0, 0.0, 1.0
         ours = equation.residual(record, e.setup, *e.unknowns)
         theirs = reference_conditions(record, e.setup, *e.unknowns)
         assert np.abs(ours - theirs).max() < 2e-15
@@ -164,7 +165,7 @@ def test_differences_keep_their_digits() -> None:
     rng = np.random.default_rng(6)
     e = equation.example(rng)
     record = e.record.copy()
-    record[26], record[27] = 1.0, 0.0
+    record[RECORD.follows], record[RECORD.small_angle] = 1.0, 0.0
     zero = np.zeros_like(e.unknowns[0])
     base = equation.residual(record, e.setup, zero, np.zeros(3))
     _, j, _ = equation.kernel(record, e.setup, zero, np.zeros(3), True)

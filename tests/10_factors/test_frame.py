@@ -8,13 +8,15 @@ from scipy.spatial.transform import Rotation
 
 from factors import frame, frame_camera
 from factors.batch import batch, has_batch
+from factors.frame_camera import CAMERA
 
 
 def camera_of(rng: np.random.Generator, distortion: np.ndarray) -> np.ndarray:
     """A camera that looks up the Z axis of the ground."""
-    out = np.zeros(frame_camera.CAMERA_SIZE)
+    out = np.zeros(CAMERA.size)
     frame_camera.turned(rng.normal(scale=0.1, size=3), np.eye(3).ravel(), out)
-    out[9:12], out[12], out[13:15], out[15:20] = rng.normal(size=3), 1200.0, (30.0, -20.0), distortion
+    out[CAMERA.centre], out[CAMERA.focal] = rng.normal(size=3), 1200.0
+    out[CAMERA.principal], out[CAMERA.distortion] = (30.0, -20.0), distortion
     return out
 
 
@@ -24,15 +26,15 @@ def test_rotation_equals_scipy(angle: float) -> None:
     rng = np.random.default_rng(1)
     axis, start = rng.normal(size=3), Rotation.random(random_state=2)
     w = angle * axis / np.linalg.norm(axis)
-    out = np.zeros(frame_camera.CAMERA_SIZE)
+    out = np.zeros(CAMERA.size)
     frame_camera.turned(w, start.as_matrix().ravel(), out)
-    assert np.abs(out[:9].reshape(3, 3) - (Rotation.from_rotvec(w) * start).as_matrix()).max() < 1e-15
+    assert np.abs(out[CAMERA.rotation].reshape(3, 3) - (Rotation.from_rotvec(w) * start).as_matrix()).max() < 1e-15
     step = 1e-6
     ends = []
     for k in range(3):
         a, b = (Rotation.from_rotvec(w + sign * step * np.eye(3)[k]) for sign in (1.0, -1.0))
         ends.append((a * b.inv()).as_rotvec() / (2.0 * step))
-    assert np.abs(out[20:].reshape(3, 3) - np.stack(ends, axis=1)).max() < 1e-8
+    assert np.abs(out[CAMERA.jacobian].reshape(3, 3) - np.stack(ends, axis=1)).max() < 1e-8
 
 
 def test_residual_equals_the_printed_formulas() -> None:
@@ -40,7 +42,8 @@ def test_residual_equals_the_printed_formulas() -> None:
     rng = np.random.default_rng(3)
     for _ in range(40):
         e = frame.example(rng)
-        (observed, weight), start, interior = e.record[:4].reshape(2, 2), e.record[4:13].reshape(3, 3), e.record[13:24]
+        (observed, weight), start = e.record[:4].reshape(2, 2), e.record[frame.RECORD.rotation].reshape(3, 3)
+        interior = e.record[frame.RECORD.centre.start :]
         d = np.zeros(frame.N_UNKNOWNS + 3)  # some draws have an unknown that no pixel feels
         d[e.setup[0].astype(int)] = e.setup[1] * e.unknowns[0]
         centre, (f, cx, cy, k1, k2, k3, p1, p2) = interior[:3] + d[3:6], interior[3:] + d[6:14]
@@ -62,8 +65,10 @@ def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
     pixels = np.array([frame_camera.pixel(camera, x, y) for x, y in ideal])
     found = frame_camera.ideal_directions(camera, pixels[:, 0].copy(), pixels[:, 1].copy())
     assert np.abs(found - ideal).max() < 1e-12
-    camera[15:20] = -0.3, 0.0, 0.0, 0.0, 0.0  # x (1 - 0.3 x^2) is largest at 1.054: 0.703
-    beyond = frame_camera.ideal_directions(camera, np.full(2, camera[14]), camera[13] + 1200.0 * np.array([0.70, 0.71]))
+    camera[CAMERA.distortion] = -0.3, 0.0, 0.0, 0.0, 0.0  # x (1 - 0.3 x^2) is largest at 1.054: 0.703
+    beyond = frame_camera.ideal_directions(
+        camera, np.full(2, camera[CAMERA.line]), camera[CAMERA.sample] + 1200.0 * np.array([0.70, 0.71])
+    )
     assert beyond[0, 0] == pytest.approx(1.0, abs=0.1)
     assert np.isnan(beyond[1]).all()
 
@@ -76,11 +81,11 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
         e = frame.example(rng)
     n, (k, point) = 30, (9, e.unknowns[1])
     records = np.tile(e.record, (n, 1))
-    records[:, :2] += rng.normal(size=(n, 2))
+    records[:, [frame.RECORD.line, frame.RECORD.sample]] += rng.normal(size=(n, 2))
     ground = point + rng.normal(size=(10, 3))
     image, places = np.tile(np.arange(3), 10), np.repeat(np.arange(10), 3)
     for i in range(3):
-        records[image == i, 13:16] += rng.normal(size=3)
+        records[image == i, frame.RECORD.centre] += rng.normal(size=3)
     wide = rng.normal(size=(3, k))
     if spoil:
         ground[4] = np.nan

@@ -8,7 +8,7 @@ import pytest
 
 from factors import pushbroom
 from factors._contract import Argument, Equation, check_blocks, evaluate
-from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS, kernel_point, whitening
+from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS, POINT, kernel_point, whitening
 from factors.graph import factor
 
 E0, P0 = gtsam.symbol("e", 0), gtsam.symbol("p", 0)
@@ -170,8 +170,8 @@ def test_priors_equal_gtsams_own() -> None:
     values.insertPoint3(P0, e.unknowns[0])
     ours = factor(CONTROL_POINT, (P0,), (3,), e.record, e.setup, label=LABEL, n_residuals=3)
     graph = gtsam.NonlinearFactorGraph()
-    noise = gtsam.noiseModel.Gaussian.SqrtInformation(e.record[:9].reshape(3, 3))
-    graph.addPriorPoint3(P0, e.record[9:12], noise)
+    noise = gtsam.noiseModel.Gaussian.SqrtInformation(e.record[POINT.whitening].reshape(3, 3))
+    graph.addPriorPoint3(P0, e.record[POINT.place], noise)
     n_theirs = graph.linearize(values).hessian()[0]
     n_ours = ours.linearize(values).information()
     assert np.abs(n_ours - n_theirs).max() <= 1e-14 * np.abs(n_theirs).max()

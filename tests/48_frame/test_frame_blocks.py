@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fg_orient as fg
+from factors.control import POINT
 from fg_orient.adjustment.dense import DenseBackend
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
@@ -172,7 +173,7 @@ def test_control_points_of_a_local_system_fix_the_datum() -> None:
     assert solution.unobservable == ()
     assert np.abs(solution.accuracy.control.enu_m).max() < 0.05
     assert np.allclose(solution.accuracy.control.enu_m, solution.accuracy.control.ecef_m, atol=1e-12)
-    records = solution.problem.control_records[control, :9].reshape(-1, 3, 3)
+    records = solution.problem.control_records[control, POINT.whitening].reshape(-1, 3, 3)
     assert np.allclose(records, np.diag([100.0, 50.0, 100.0 / 3.0]))
 
 

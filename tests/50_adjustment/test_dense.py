@@ -12,6 +12,7 @@ import pytest
 
 import fg_orient as fg
 from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS
+from factors.pushbroom import RECORD
 from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import gauss_newton
@@ -263,7 +264,7 @@ def test_covariance_is_withheld_with_a_reason(twin: Block, monkeypatch: pytest.M
 def test_values_that_are_not_finite_name_the_observation(twin: Block) -> None:
     problem = compiled(twin, eop_set=15)
     records = problem.records.copy()
-    records[7, 22] = np.nan
+    records[7, RECORD.a11] = np.nan
     with pytest.raises(fg.NoSolutionError, match=problem.label(7)):
         from fg_orient.adjustment.solve import solve
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import fg_orient as fg
+from factors.control import POINT
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.block import Block
@@ -24,8 +25,8 @@ def residual_vector(problem: Problem, state: State) -> np.ndarray:
     image, _, _ = scalar_rows(problem, state)
     parts = [image.ravel()]
     for j in np.flatnonzero(problem.observed):
-        w = problem.control_records[j, :9].reshape(3, 3)
-        parts.append(w @ (state.ground[j] - problem.control_records[j, 9:]))
+        w = problem.control_records[j, POINT.whitening].reshape(3, 3)
+        parts.append(w @ (state.ground[j] - problem.control_records[j, POINT.place]))
     if problem.block.options.priors:
         parts.append(state.image.ravel())
     return np.concatenate(parts)
@@ -47,7 +48,7 @@ def dense_jacobian(problem: Problem, state: State) -> np.ndarray:
         rows.append(a)
     for j in np.flatnonzero(problem.observed):
         a = np.zeros((3, m * k + 3 * len(points)))
-        a[:, column[int(j)] : column[int(j)] + 3] = problem.control_records[j, :9].reshape(3, 3)
+        a[:, column[int(j)] : column[int(j)] + 3] = problem.control_records[j, POINT.whitening].reshape(3, 3)
         rows.append(a)
     if problem.block.options.priors:
         rows.append(np.hstack([np.eye(m * k), np.zeros((m * k, 3 * len(points)))]))

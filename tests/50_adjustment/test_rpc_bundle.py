@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 import fg_orient as fg
+from factors.control import POINT
 from fg_orient.adjustment.models.contract import MODELS, groups
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.block import Block, Image, ImagePoints
@@ -117,7 +118,7 @@ def test_estimate_of_scipy() -> None:
     origin = solution.problem.origin_m
     prior = np.array([20.0, 20.0, 2.0, 2.0, 2.0, 2.0])
     control = np.array([j for j in block.points.where(Role.CONTROL) if j in used])
-    whitening = [solution.problem.control_records[j, :9].reshape(3, 3) for j in control]
+    whitening = [solution.problem.control_records[j, POINT.whitening].reshape(3, 3) for j in control]
 
     def residuals(z: np.ndarray) -> np.ndarray:
         c, ground = z[:12].reshape(2, 6), np.full((len(known.ecef_m), 3), np.nan)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from factors.pushbroom import RECORD
 from fg_orient.block import Block
 from fg_orient.classical import conditions
 from fg_orient.classical.switches import PROGRAM, TEXT, Switches
@@ -133,8 +134,8 @@ def test_line_exact_orbits_differ_from_polynomials_by_centimetres(block: Block) 
     smooth = conditions.build(block.images, o, ground)
     for k, image in enumerate(block.images):
         rows = o.image == k
-        assert np.array_equal(at.records[rows, 0:3], image.sensor.states(o.line[rows]).position_m)
-    apart = np.linalg.norm(at.records[:, 0:3] - smooth.records[:, 0:3], axis=1)
+        assert np.array_equal(at.records[rows, RECORD.position], image.sensor.states(o.line[rows]).position_m)
+    apart = np.linalg.norm(at.records[:, RECORD.position] - smooth.records[:, RECORD.position], axis=1)
     assert 1e-3 < apart.max() < 0.1
     joined = at.with_orbit(smooth)
     assert np.array_equal(joined.records, smooth.records)
@@ -153,7 +154,7 @@ def test_written_out_derivatives_of_the_publication(block: Block) -> None:
     ground = block.points.known.ecef_m
     at = conditions.build(block.images, block.observations, ground)
     records = at.records.copy()
-    records[:, 27] = 1.0
+    records[:, RECORD.small_angle] = 1.0
     lin = replace(at, records=records).linearise(ALL, nothing(block))
     printed = oracle.published_derivatives(oracle.all_eop(block), ground[block.observations.point])
     assert deviation(lin.eop[:, :, ::3], printed) < 1e-11
@@ -178,7 +179,7 @@ def test_velocity_acts_through_its_direction_only(block: Block, switches: Switch
     """dF/dV . V = 0, and dF/dV . P = 0 but for the length of the short axis (D5): V is a yaw."""
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m, switches=switches)
     a = at.linearise((9, 12, 15), nothing(block, (9, 12, 15))).eop
-    p, v = at.records[:, 0:3], at.records[:, 3:6]
+    p, v = at.records[:, RECORD.position], at.records[:, RECORD.velocity]
     for direction, alive in ((p, as_run), (v, False)):
         unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
         effect = np.abs(np.einsum("nij,nj->ni", a, unit)).max() / np.abs(a).max()
@@ -190,7 +191,7 @@ def test_velocity_across_track_is_a_yaw() -> None:
     level = zonguldak_block(ZonguldakOptions(point_set="H-0", errors="none", radial_velocity_m_s=8.0))[0]
     at = conditions.build(level.images, level.observations, level.points.known.ecef_m)
     lin = at.linearise((9, 12, 15, 24), nothing(level, (9, 12, 15, 24)))
-    p, v = at.records[:, 0:3], at.records[:, 3:6]
+    p, v = at.records[:, RECORD.position], at.records[:, RECORD.velocity]
     across = np.einsum("nij,nj->ni", lin.eop[:, :, :3], oracle.frame(p, v, False)[:, :, 0])
     normal = np.linalg.norm(np.cross(v, p), axis=1) / np.linalg.norm(p, axis=1)
     yaw = lin.eop[:, :, 3]

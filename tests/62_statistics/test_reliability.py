@@ -10,6 +10,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 import fg_orient as fg
+from factors.control import POINT
 from fg_orient.adjustment.dense import assemble
 from fg_orient.block import Block
 from fg_orient.names import Role
@@ -85,11 +86,11 @@ def test_control_points_in_their_own_axes(solution: Solution, found: BlockReliab
     """Redundancy of East, North, Up and the shift by the minimal bias, from a bias put into the measured point."""
     problem, full = solution.problem, Full.of(solution.problem, solution.state)
     rows, n = np.flatnonzero(problem.observed), 2 * len(problem.observations)
-    measured = problem.control_records[rows, 9:]
+    measured = problem.control_records[rows, POINT.place]
     turn = problem.axes(measured + problem.origin_m)
     for k, axis in ((0, 0), (2, 2), (3, 1)):
         j = int(rows[k])
-        w = problem.control_records[j, :9].reshape(3, 3)
+        w = problem.control_records[j, POINT.whitening].reshape(3, 3)
         bias = turn[k].T[:, axis] * found.control.minimal_detectable_bias[k, axis]
         error = np.zeros(len(full.v))
         error[n + 3 * k : n + 3 * k + 3] = -w @ bias

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 import fg_orient as fg
+from factors.control import POINT
 from fg_orient.adjustment.dense import assemble
 from fg_orient.block import Block
 from fg_orient.components import adjust_with_components
@@ -93,9 +94,9 @@ def test_maximum_of_an_independent_restricted_likelihood() -> None:
     # rows of a control point are W (G - G_0), W upper triangular of East, North, Up in sigmas: turned back to the axes
     for k in range(int(problem.observed.sum())):
         rows = slice(n + 3 * k, n + 3 * k + 3)
-        w = problem.control_records[k, :9].reshape(3, 3)
+        w = problem.control_records[k, POINT.whitening].reshape(3, 3)
         sigma = problem.block.points.known.sigma_enu_m[k]
-        axes = problem.axes(problem.control_records[k : k + 1, 9:] + problem.origin_m)[0]
+        axes = problem.axes(problem.control_records[k : k + 1, POINT.place] + problem.origin_m)[0]
         turn = axes / sigma[:, None] @ np.linalg.inv(w)
         given[rows], a[rows] = turn @ given[rows], turn @ a[rows]
     a = a / np.linalg.norm(a, axis=0)
@@ -313,10 +314,10 @@ def test_freedom_of_an_unknown_is_that_of_its_variance(solution: fg.Solution, mo
     turn = np.eye(len(a))
     for k in range(int(problem.observed.sum())):
         record = problem.control_records[problem.observed][k]
-        axes = problem.axes(record[None, 9:] + problem.origin_m)[0]
+        axes = problem.axes(record[None, POINT.place] + problem.origin_m)[0]
         sigma = problem.block.points.known.sigma_enu_m[problem.observed][k]
         rows = slice(n + 3 * k, n + 3 * k + 3)
-        turn[rows, rows] = axes / sigma[:, None] @ np.linalg.inv(record[:9].reshape(3, 3))
+        turn[rows, rows] = axes / sigma[:, None] @ np.linalg.inv(record[POINT.whitening].reshape(3, 3))
     h = h @ turn.T
     n_control = int(problem.observed.sum())
     group = np.concatenate([np.zeros(n, int), np.tile([1, 1, 2], n_control), np.full(len(a) - n - 3 * n_control, 3)])

@@ -12,6 +12,7 @@ import pytest
 from scipy import optimize, stats
 
 from factors._contract import evaluate
+from factors.plane import RECORD
 from fg_orient.errors import InputError, NoSolutionError
 from fg_orient.rectification.distances import pair_distances
 from fg_orient.rectification.fit import Fit, Observations, fit
@@ -294,9 +295,9 @@ def test_quotients_have_no_plain_coefficients() -> None:
 def test_many_points_equal_the_equation(name: str, degree: int | None) -> None:
     points = points_for(name)
     t = fit(points, find_model(name, degree)).transformation
-    records = np.zeros((len(points), 8))
+    records = np.zeros((len(points), RECORD.size))
     records[:, : t.model.dimension] = t.source.normalised(points.source)
-    records[:, [5, 7]] = 1.0
+    records[:, [RECORD.w11, RECORD.w22]] = 1.0
     values, _ = evaluate(t.model.equation, records, [t.model.setup] * 40, [t.coefficients] * 40, jacobian=False)
     assert np.array_equal(t.apply(points.source), t.target.physical(values))
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from factors.extended_collinearity import NAMES
 from fg_orient.closerange.distortion import profile
 from fg_orient.closerange.report import maps, plots, surface, words
 from fg_orient.closerange.report.html import render
@@ -301,8 +302,8 @@ def test_errors_of_check_points_are_vectors(record: dict[str, Any]) -> None:
 
 
 def test_distortion_is_the_polynomial_and_its_band_the_propagated_sigma() -> None:
-    camera = np.zeros(40)
-    camera[0], camera[3], camera[4], camera[6] = 50.0, 2e-5, -1e-9, 1e-5
+    lens = {"k1": 2e-5, "k2": -1e-9, "p1": 1e-5}
+    camera = np.array([{"c": 50.0, **lens}.get(name, 0.0) for name in NAMES])
     covariance = np.array([[4e-14, -1e-18], [-1e-18, 1e-22]])
     found = profile(camera, 20.0, ("k1", "k2"), covariance)
     r = np.array(found["radius"])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from factors.control import CONTROL_POINT
+from factors.control import CONTROL_POINT, POINT
 from fg_orient.adjustment.dense import Columns, assemble
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.block import Block, ExtraObservation, ImagePoints
@@ -38,9 +38,9 @@ def turned_design(problem: Problem, state: State) -> np.ndarray:
     a, n = a if problem.ties is None else problem.ties.columns(a), 2 * len(problem.observations)
     for k, j in enumerate(np.flatnonzero(problem.observed)):
         rows, record = slice(n + 3 * k, n + 3 * k + 3), problem.control_records[j]
-        axes = problem.axes(record[None, 9:] + problem.origin_m)[0]
+        axes = problem.axes(record[None, POINT.place] + problem.origin_m)[0]
         sigma = problem.block.points.known.sigma_enu_m[j]
-        a[rows] = axes / sigma[:, None] @ np.linalg.inv(record[:9].reshape(3, 3)) @ a[rows]
+        a[rows] = axes / sigma[:, None] @ np.linalg.inv(record[POINT.whitening].reshape(3, 3)) @ a[rows]
     return a
 
 

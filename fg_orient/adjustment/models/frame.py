@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Equation
-from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, N_UNKNOWNS
+from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, N_UNKNOWNS, RECORD
+from factors.frame_camera import CAMERA
 from factors.frame_measured import FRAME_BROWN_MEASURED_TO_IDEAL
 from fg_orient.block import ImagePoints, Options
 from fg_orient.errors import InputError
@@ -58,7 +59,8 @@ def require_common_start(cameras: Mapping[str, FrameCamera]) -> None:
     known: dict[tuple[str, str], float] = {}
     for image, camera in cameras.items():
         at, unit = camera.corrected(), float(camera.unit_px or 0.0) if camera.corrects_measured else 0.0
-        values = dict(zip(INTERIOR, [*at[12:20], camera.aspect], strict=True))
+        interior = at[CAMERA.focal], *at[CAMERA.principal], *at[CAMERA.distortion]
+        values = dict(zip(INTERIOR, [*interior, camera.aspect], strict=True))
         for name, with_whom in camera.shared.items():
             for part, value in ((name, values.get(name, 0.0)), ("unit", unit), ("model", camera.corrects_measured)):
                 if known.setdefault((with_whom, part), float(value)) != value:
@@ -93,7 +95,7 @@ class FrameImageModel:
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whiten with the pixel sigmas."""
         out = self.sensor.records(points.line, points.sample, origin_m)
-        out[:, 2], out[:, 3] = 1.0 / points.sigma_line_px, 1.0 / points.sigma_sample_px
+        out[:, RECORD.a_line], out[:, RECORD.a_sample] = 1.0 / points.sigma_line_px, 1.0 / points.sigma_sample_px
         return out
 
     def correction(self, x: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from factors import splines
 from factors._contract import Equation
 from factors.polynomials import per_line_from_tau
-from factors.pushbroom import LOOK_ANGLE_COLLINEARITY
+from factors.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD
 from factors.rotations import orbital_frames
 from fg_orient.block import ImagePoints, Options
 from fg_orient.parameters import COMPONENTS, CURVE, CURVES, DEGREES, N_EOP, UNITS, VELOCITY, orientation_parameters
@@ -48,8 +48,8 @@ class PushbroomModel:
         out = self.sensor.records(line, sample, ground_m, origin_m, small_angle=small)
         j = pixel_derivative(self.sensor, line, sample, ground_m, Correction(small_angle=small))
         sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
-        out[:, 22:26] = (np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
-        return np.hstack([out, splines.curves(out[:, 18], self.n_curves)]) if self.n_curves else out
+        out[:, RECORD.whitening] = (np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
+        return np.hstack([out, splines.curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out
 
     def correction(self, x: Array) -> Correction:
         """EOP corrections (9, 3), look corrections (2, degree + 1) and curves (9, k) in physical units."""

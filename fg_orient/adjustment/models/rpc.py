@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from factors import ellipsoid
 from factors._contract import Equation
-from factors.rfm_equation import COMPENSATIONS, N_COMPENSATION, RATIONAL_FUNCTION
+from factors.rfm_equation import COMPENSATION, COMPENSATIONS, RATIONAL_FUNCTION, RECORD
+from factors.rfm_project import RANGE
 from fg_orient.block import ImagePoints, Options
 from fg_orient.parameters import ImageParameters, require_unknowns
 from fg_orient.sensors.rpc_sensor import RpcSensor
@@ -73,12 +74,12 @@ class RpcImageModel:
     def records(self, points: ImagePoints, ground_m: Array, origin_m: Array) -> Array:
         """Whiten with the pixel sigmas; minus, because the equation gives adjusted minus observed."""
         out = self.sensor.records(points.line, points.sample, ground_m, origin_m)
-        out[:, 2], out[:, 5] = -1.0 / points.sigma_line_px, -1.0 / points.sigma_sample_px
+        out[:, RECORD.a11], out[:, RECORD.a22] = -1.0 / points.sigma_line_px, -1.0 / points.sigma_sample_px
         return out
 
     def correction(self, x: Array) -> Array:
         """Compensation (6,) in pixels, codes of ``factors.rfm``."""
-        out = np.zeros(N_COMPENSATION)
+        out = np.zeros(COMPENSATION.size)
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out
 
@@ -88,7 +89,7 @@ class RpcImageModel:
 
     def per_line(self) -> tuple[Array, tuple[str, ...]]:
         """Drift per line; shifts as they are; none for terms of the sample."""
-        scale = float(self.sensor.model.scales[0])
+        scale = float(self.sensor.model.scales[RANGE.line])
         table = ((1.0, "px"), (1.0 / scale, "px/line"), (np.nan, ""))
         rows = [table[code // 2] for code in self.parameters.codes]
         return np.array([factor for factor, _ in rows]), tuple(unit for _, unit in rows)
