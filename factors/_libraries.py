@@ -96,7 +96,7 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
     def finalize(self) -> None:
         self._finalized = True
 
-    def _get_module_for_linking(self) -> Any:
+    def own_module(self) -> Any:
         """Code to be linked; each kernel has a place for constants of its own, or a later one would find it empty."""
         if self._shared_module is None:
             module = super()._get_module_for_linking()
@@ -104,6 +104,31 @@ class PartLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
                 if variable.name.startswith(_CONSTANTS):
                     variable.linkage = "internal"
         return self._shared_module
+
+    def _get_module_for_linking(self) -> Any:
+        """The same with all that it calls, for a function that numba compiles by itself."""
+        module = self.own_module().clone()
+        for part in _reached(self._linking_libraries):
+            module.link_in(part._get_module_for_linking(), preserve=True)
+        return module
+
+
+class _Alone:
+    """A part without what it calls, which its kernel links itself, once."""
+
+    def __init__(self, part: PartLibrary) -> None:
+        self._reload_init, self._get_module_for_linking = part._reload_init, part.own_module
+
+
+def _reached(libraries: list[Any]) -> list[Any]:
+    """Libraries, and all that the parts among them call; each once."""
+    found, waiting = dict[Any, None](), list(libraries)
+    while waiting:
+        library = waiting.pop()
+        if library not in found:
+            found[library] = None
+            waiting += library._linking_libraries if isinstance(library, PartLibrary) else ()
+    return [_Alone(library) if isinstance(library, PartLibrary) else library for library in found]
 
 
 class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
@@ -123,13 +148,7 @@ class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]
             passes.run(self._final_module, builder)
 
     def finalize(self) -> None:
-        libraries, waiting = dict[Any, None](), list(self._linking_libraries)
-        while waiting:
-            library = waiting.pop()
-            if library not in libraries:
-                libraries[library] = None
-                waiting += library._linking_libraries if isinstance(library, PartLibrary) else ()
-        self._linking_libraries: list[Any] = list(libraries)
+        self._linking_libraries: list[Any] = _reached(self._linking_libraries)
         super().finalize()
 
     def serialize_using_object_code(self) -> Any:

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import FunctionType, SimpleNamespace
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
@@ -228,6 +229,23 @@ def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
     assert changed(sight, "_look") == [False, True, True]
     assert changed(vectors, "splat") == [True, True, False]  # a function that writes instructions
     assert changed(light, "unit") == [False, False, False]
+
+
+def test_a_function_that_numba_compiles_may_call_kernels() -> None:
+    """A user's own loop over an equation: with all that the kernel calls, arrays that it makes among it."""
+    e = pushbroom.example(np.random.default_rng(5))
+    kernel: Any = pushbroom.kernel
+
+    @numba.njit
+    def summed(record, setup, x, ground):  # type: ignore[no-untyped-def]
+        total = 0.0
+        for _ in range(2):
+            value, d_x, d_ground = kernel(record, setup, x, ground, True)
+            total += value.sum() + d_x.sum() + d_ground.sum()
+        return total
+
+    expected = 2.0 * sum(float(block.sum()) for block in kernel(e.record, e.setup, *e.unknowns, True))
+    assert summed(e.record, e.setup, *e.unknowns) == pytest.approx(expected, rel=1e-13)
 
 
 def test_a_kernel_is_compiled_whole_and_its_parts_are_not(tmp_path: Path) -> None:
