@@ -1,7 +1,7 @@
 """Kernels as plain Python, for the few rows where compiling costs a second and a loop of Python a millisecond.
 
-The same functions run, with the same operations in the same order. Which form runs depends on the number of rows alone,
-never on what is compiled already: results do not depend on the state of a cache.
+The same functions run, with the same operations in the same order, and give the same bits (tests): results depend
+neither on the number of rows nor on what is compiled already.
 
 Maps on scalars that have no branches take arrays as well, a number for each row (:func:`plain`).
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 import builtins
 from collections.abc import Callable
 from functools import cache, wraps
+from itertools import count
 from types import FunctionType, ModuleType
 from typing import Any, Final, TypeVar, cast
 
@@ -23,6 +24,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 #: Numbers up to which a loop runs in Python, and rows up to which arrays go through a map on scalars.
 FEW: Final = 256
 FEW_ARRAYS: Final = 1024
+#: Calls after which the compiled loop serves few numbers, too: a program that calls so often is worth compiling for.
+OFTEN: Final = 24
 _ON_ARRAYS: dict[str, Any] = {}
 
 
@@ -49,11 +52,12 @@ def plain(function: Any) -> Any:
 
 
 def few_in_python(kernel: F) -> F:
-    """Run a kernel as plain Python where none of its arrays has more than :data:`FEW` numbers."""
+    """Run a kernel as plain Python the first times, where none of its arrays has more than :data:`FEW` numbers."""
+    calls = count()
 
     @wraps(getattr(kernel, "py_func", kernel))
     def choose(*arguments: Any) -> Any:
-        if max(a.size for a in arguments if isinstance(a, np.ndarray)) > FEW:
+        if max(a.size for a in arguments if isinstance(a, np.ndarray)) > FEW or next(calls) > OFTEN:
             return kernel(*arguments)
         with np.errstate(all="ignore"):  # as compiled code does
             return plain(kernel)(*arguments)

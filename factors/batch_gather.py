@@ -9,7 +9,6 @@ import numpy as np
 
 from factors._compile import threaded
 from factors._contract import Array
-from factors._plain import few_in_python
 from factors.batch_rows import Index, Small
 from factors.vectors import place_in_sum
 
@@ -109,7 +108,6 @@ def gather_gradients(
             out[first[i] + p] += scale[i, p] * total
 
 
-@few_in_python
 @threaded
 def widen(image: Array, wide: Index, scale: Array, size: Index, out: Array) -> None:
     """Write unknowns (M, k), in the units of the components, to their places among the wide numbers (M, w)."""
