@@ -7,7 +7,7 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 
 CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
@@ -196,11 +196,11 @@ class Options:
     memory_limit_gb: float | None = None
 
     def __post_init__(self) -> None:
-        problems: list[Problem] = []
+        problems: list[Finding] = []
         for name, expected in EXPECTED.items():
             value = getattr(self, name)
             if not _allowed(name, value):
-                problems.append(problem("options.value", place=name, value=repr(value), expected=expected))
+                problems.append(finding("options.value", place=name, value=repr(value), expected=expected))
         if problems:
             raise InputError(*problems)
 

@@ -23,7 +23,7 @@ from fg_orient.adjusted import Adjusted
 from fg_orient.adjustment.problem import Problem, State, compile_problem, participates
 from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block, Coordinates, GroundPoints
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.names import Role, Status
 from fg_orient.quality.freedom import least_freedom, with_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
@@ -39,6 +39,8 @@ Run = Callable[[Block, State, Problem], Adjusted]
 
 #: More than this share of the image points cannot be gross errors: then it is the model that is wrong.
 MOST: Final = 0.25
+#: Place of what ended a search.
+GIVEN_UP: Final = "snooping was given up"
 
 
 def search(block: Block, first: Adjusted, run: Run, *, kind: Kind = "groups") -> tuple[Adjusted, Search]:
@@ -116,7 +118,7 @@ class _Rounds:
         self._been_back: set[_Removal] = set()
         self._found: list[Found] = []
         self._rounds: list[Round] = []
-        self._given_up = ""
+        self._given_up: Finding | None = None
 
     def change(self, solution: Adjusted, tests: OutlierTests) -> bool:
         """Put the observation back that fits best, or else leave the worst one out; False if nothing is to change."""
@@ -125,7 +127,7 @@ class _Rounds:
             number, solution.sigma0, solution.redundancy, tests.n_tested, suspicious,
         ))  # fmt: skip
         if solution.status is Status.NOT_CONVERGED:
-            self._given_up = "the adjustment does not converge"
+            self._given_up = finding("search.not_converged", place=GIVEN_UP)
             return False
         self._predict(solution)
         back = self._fitting()
@@ -136,8 +138,7 @@ class _Rounds:
             self._rounds[-1] = replace(self._rounds[-1], put_back=self._found[place].test.name)
             return True
         if suspicious and len(self._out) >= self._most:
-            share = f"{100.0 * MOST:.0f} % of the image points"
-            self._given_up = f"{share} are out and more is suspicious: the model or the sigmas are wrong, not they"
+            self._given_up = finding("search.too_many", place=GIVEN_UP, percent=100.0 * MOST)
         if not suspicious or self._given_up:
             return False
         self._leave_out(tests, number)
@@ -150,7 +151,7 @@ class _Rounds:
         self._out.pop()
         last, self._rounds[-1] = self._found.pop(), replace(self._rounds[-1], left_out="")
         why = error.problems[0].message
-        self._given_up = f"without {last.test.name}, the most suspicious, the block cannot be adjusted: {why}"
+        self._given_up = finding("search.impossible", place=GIVEN_UP, name=last.test.name, why=why)
 
     def _leave_out(self, tests: OutlierTests, number: int) -> None:
         """Leave the worst observation out."""

@@ -12,7 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, require_project, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome, require_project, table
+from fg_orient.cli.output import emit, say, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
@@ -97,8 +98,7 @@ def _named_as_typed() -> Iterator[None]:
 
 def show(record: dict[str, Any]) -> None:
     """Print warnings, the verdict, one line per solver and where the result lies."""
-    for text in record["warnings"]:
-        say(f"warning: {text}")
+    tell_findings(record, as_result=True)
     say(record["verdict"]["title"])
     for text in record["verdict"]["text"]:
         say(f"- {text}")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, number, outcome, require_project, say, table
+from fg_orient.cli.common import Debug, Json, Log, Quiet, number, outcome, require_project, table
+from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
@@ -55,7 +56,7 @@ def reduce(
 
         block = read_project(project, **options)
         if direction not in ("backward", "forward"):
-            raise InputError.of("options.value", place="--direction", value=direction, expected="backward or forward")
+            raise InputError.of("options.value", option="direction", value=direction, expected="backward or forward")
         with progress_bar("adjusting") as callback:
             found = _named_as_typed(
                 reduce_unknowns, block, direction="backward" if direction == "backward" else "forward", level=level,
@@ -82,7 +83,7 @@ def _folds(text: str | None) -> int | None:
         return None if text is None else 0
     if text.isdecimal() and int(text) >= 2:
         return int(text)
-    raise InputError.of("options.value", place="--cross-validation", value=text, expected="loo or a number from 2")
+    raise InputError.of("options.value", option="cross_validation", value=text, expected="loo or a number from 2")
 
 
 def show(found: Reduction) -> None:

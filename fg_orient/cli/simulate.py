@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, say
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome
+from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
@@ -139,7 +140,7 @@ def _three(text: str) -> tuple[float, float, float]:
     try:
         roll, pitch, yaw = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError.of("cli.three_numbers", place="--attitude", value=text) from None
+        raise InputError.of("cli.three_numbers", option="attitude", value=text) from None
     return roll, pitch, yaw
 
 

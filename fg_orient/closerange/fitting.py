@@ -146,13 +146,8 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
     """
     found = OPTIMIZERS["levenberg-marquardt"](Backend(rows, moved or np.add, what), start, MAX_ITERATIONS)
     if not found.converged:
-        raise NoSolutionError.of("closerange.not_converged", place=what, reason=plain_reason(found.reason))
+        raise NoSolutionError.of("closerange.not_converged", place=what, reason=found.end.message)
     return Adjusted(found.state, *finite_rows(rows, found.state, what), found.log)
-
-
-def plain_reason(reason: str) -> str:
-    """Why a loop ended, without the options of ``adjust`` that it advises: close range has none of them."""
-    return reason.partition(": ")[0]
 
 
 def equation_rows(equation: Equation, records: Array, setup: Array, fixed: Sequence[Array] = ()) -> Rows:
