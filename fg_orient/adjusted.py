@@ -13,7 +13,7 @@ import numpy as np
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Weights, weighted_problem
 from fg_orient.block import Block
-from fg_orient.errors import NoSolutionError
+from fg_orient.errors import Finding, NoSolutionError
 from fg_orient.names import Status
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.outliers import OutlierTests, outlier_tests
@@ -49,7 +49,7 @@ class Adjusted:
     state: State
     chi2: float
     cofactors: Cofactors | None
-    withheld: tuple[str, ...] = ()
+    withheld: tuple[Finding, ...] = ()
     weights: Weights | None = None
     components: VarianceComponents | None = None
 
@@ -74,7 +74,7 @@ class Adjusted:
     def required_cofactors(self, *, unweighted: str = "") -> Cofactors:
         """Cofactors, or why there are none; ``unweighted``: code of the message that refuses the weights of a loss."""
         if self.cofactors is None:
-            raise NoSolutionError.of("covariance.withheld", value="; ".join(self.withheld))
+            raise NoSolutionError.of("covariance.withheld", value="; ".join(map(str, self.withheld)))
         if unweighted:
             self._require_unweighted(unweighted)
         return self.cofactors

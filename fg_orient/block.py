@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.errors import Finding
 from fg_orient.names import Role
 from fg_orient.options import Options as Options
 
@@ -42,7 +43,7 @@ class Sensor(Protocol):
 
     n_lines: int
     n_samples: int
-    notes: tuple[str, ...]
+    notes: tuple[Finding, ...]
 
     @property
     def georeferenced(self) -> bool:
@@ -254,7 +255,7 @@ class Block:
     options : Options
     sources : tuple of Source
         Files it was read from; empty for a block made in memory.
-    notes : tuple of str
+    notes : tuple of Finding
         Remarks of the readers, shown in the report.
     extra : tuple of ExtraObservation
         Further observations of any registered equation.
@@ -267,7 +268,7 @@ class Block:
     withheld: WithheldCoordinates
     options: Options = field(default_factory=Options)
     sources: tuple[Source, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     extra: tuple[ExtraObservation, ...] = ()
 
     @property

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
-from fg_orient.errors import Problem, problem
+from fg_orient.errors import Finding, finding
 
 _HOME: Final = Path(__file__).resolve().parent.parent
 _OURS: Final = _HOME / "factors"
@@ -50,44 +50,44 @@ def clash(found: str | None, version: str, other: object = None) -> ImportError 
     return ImportError(text, name="factors", path=str(file))
 
 
-def shared_file() -> str:
-    """Warning of a distribution that has the same file as ours and does no harm yet; "" if there is none."""
+def shared_file() -> Finding | None:
+    """A distribution that has the same file as ours and does no harm yet."""
     file = _OURS / "__init__.py"
     owner = _owner(file)
     if owner is None:
-        return ""
-    return str(problem("installation.shared", file=file, owner=f"{owner.name} {owner.version}", name=owner.name,
-                       source=_source() or "fg-orient"))  # fmt: skip
+        return None
+    return finding("installation.shared", file=file, owner=f"{owner.name} {owner.version}", name=owner.name,
+                   source=_source() or "fg-orient")  # fmt: skip
 
 
-def _own(file: Path, version: str, other: object) -> Problem:
+def _own(file: Path, version: str, other: object) -> Finding:
     """File that lies where ours should lie."""
     source = _source()
     owner = _owner(file)
     if owner is not None:
-        return problem("installation.overwritten", file=file, owner=f"{owner.name} {owner.version}", name=owner.name,
+        return finding("installation.overwritten", file=file, owner=f"{owner.name} {owner.version}", name=owner.name,
                        source=source or "fg-orient")  # fmt: skip
     if source is None:
-        return problem("installation.damaged_tree", file=file)
+        return finding("installation.damaged_tree", file=file)
     if isinstance(other, str):
-        return problem("installation.other_version", file=file, other=other, version=version, source=source)
-    return problem("installation.damaged", file=file, source=source)
+        return finding("installation.other_version", file=file, other=other, version=version, source=source)
+    return finding("installation.damaged", file=file, source=source)
 
 
-def _hidden(file: Path) -> Problem:
+def _hidden(file: Path) -> Finding:
     """File that is found before ours."""
     package = file.stem == "__init__"
     thing, root = (file.parent, file.parent.parent) if package else (file, file.parent)
     listed = [Path(entry).resolve() for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
     if root.resolve() in listed:
-        return problem("installation.on_pythonpath", file=thing, ours=_OURS, root=root)
+        return finding("installation.on_pythonpath", file=thing, ours=_OURS, root=root)
     owner = _owner(file)
     if owner is not None:
-        return problem("installation.other_distribution", file=file, owner=f"{owner.name} {owner.version}",
+        return finding("installation.other_distribution", file=file, owner=f"{owner.name} {owner.version}",
                        name=owner.name, ours=_OURS)  # fmt: skip
     if package:
-        return problem("installation.user_folder", file=thing, ours=_OURS)
-    return problem("installation.user_file", file=thing, ours=_OURS, new=f"my_{file.name}")
+        return finding("installation.user_folder", file=thing, ours=_OURS)
+    return finding("installation.user_file", file=thing, ours=_OURS, new=f"my_{file.name}")
 
 
 def _owner(file: Path) -> metadata.Distribution | None:

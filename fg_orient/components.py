@@ -15,7 +15,7 @@ import numpy as np
 from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import InputError, NoSolutionError, finding
 from fg_orient.names import Status
 from fg_orient.options import USUAL_GROUPS
 from fg_orient.quality.observation_groups import Groups, groups_of, require_groups, scaled
@@ -31,9 +31,6 @@ from fg_orient.quality.variance_components import (
 from fg_orient.quality.verdict import NO_INTERVAL
 from fg_orient.solution import Solution
 
-BY_CONSTRUCTION: Final = (
-    "sigma0 is 1 by construction, since the sigmas were estimated from these residuals: it does not test the model"
-)
 #: Variances that change by less in a round stand: far below their standard deviations.
 STANDS: Final = 1e-5
 #: Rounds after which a component that does not stand is refused.
@@ -103,12 +100,11 @@ def adjust_with_components(
 
 def _untested(solution: Solution, components: VarianceComponents, block: Block) -> Solution:
     """The last solution with its components: sigma0 no longer tells anything of the model."""
-    reason = solution.reason
-    if solution.status is Status.CONVERGED:
-        reason = f"{reason}; {BY_CONSTRUCTION}"
+    by_construction = finding("verdict.components")
     return replace(
-        solution, components=components, reason=reason, sigma0_interval=NO_INTERVAL,
-        warnings=(*solution.warnings, BY_CONSTRUCTION, *components.sentences),
+        solution, components=components, sigma0_interval=NO_INTERVAL,
+        verdict=by_construction if solution.status is Status.CONVERGED else solution.verdict,
+        findings=(*solution.findings, by_construction, *components.findings),
         problem=replace(solution.problem, block=block),
     )  # fmt: skip
 

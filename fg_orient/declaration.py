@@ -14,7 +14,7 @@ from functools import cache
 from types import NoneType
 from typing import Any, Final, Literal, TypeVar, get_args, get_origin
 
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import InputError, finding
 
 Three = tuple[float, float, float]
 Names = tuple[str, ...]
@@ -191,7 +191,7 @@ def require_allowed(record: Any) -> None:
     wrong = [one for name, one in declared(type(record)).items() if not one.allows(getattr(record, name))]
     if wrong:
         raise InputError(
-            *(problem("options.value", place=one.name, value=repr(getattr(record, one.name)), expected=one.expected)
+            *(finding("options.value", place=one.name, value=repr(getattr(record, one.name)), expected=one.expected)
               for one in wrong)
         )  # fmt: skip
 

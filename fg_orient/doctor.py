@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from fg_orient.clash import shared_file
-from fg_orient.errors import problem
+from fg_orient.errors import Finding, as_record, finding
 from fg_orient.versions import OPTIONAL, REQUIRED, versions
 
 
@@ -24,18 +24,18 @@ def examine() -> dict[str, Any]:
     -------
     dict
         ``good``; ``versions`` by name (None = missing); ``checks``: list of name, good,
-        detail; ``cache``: folder, owner, rights, files, bytes (None = no cache); ``warnings``: list of sentences.
+        detail; ``cache``: folder, owner, rights, files, bytes (None = no cache); ``warnings``, ``findings``.
     """
     found = versions(REQUIRED)
     missing = [name for name, version in found.items() if version is None]
     checks = [{"name": "dependencies", "good": not missing, "detail": ", ".join(missing) or "all installed"}]
     cache: dict[str, Any] = {}
-    warnings = [*_proj_warnings(), *filter(None, [shared_file()])]
+    findings = [*_proj_findings(), *filter(None, [shared_file()])]
 
     def numba_cache() -> tuple[bool, str]:
         place = _cache_folder()
         cache.update({} if place is None else examine_cache(place))
-        warnings.extend(cache_warnings(place))
+        findings.extend(cache_findings(place))
         return True, _in_words(cache)
 
     # the self-test compiles what it calls: the cache is looked at after it
@@ -47,14 +47,14 @@ def examine() -> dict[str, Any]:
         checks.append({"name": name, "good": good, "detail": detail})
     return {
         "good": all(check["good"] for check in checks), "versions": found, "checks": checks, "cache": cache or None,
-        "warnings": warnings, "optional": versions(OPTIONAL),
+        **as_record(findings), "optional": versions(OPTIONAL),
     }  # fmt: skip
 
 
-def _proj_warnings() -> list[str]:
+def _proj_findings() -> list[Finding]:
     """Traps that stop nothing by themselves."""
     return [
-        f"{name} is set to {os.environ[name]}: PROJ may read the data of another installation; unset it"
+        finding("installation.proj_variable", place=name, folder=os.environ[name])
         for name in ("PROJ_LIB", "PROJ_DATA")
         if os.environ.get(name)
     ]
@@ -110,19 +110,19 @@ def _in_words(cache: dict[str, Any]) -> str:
     return f"{cache['folder']}, {owner}, {cache['files']} files, {cache['bytes'] / 1e6:.1f} MB"
 
 
-def cache_warnings(folder: Path | None) -> list[str]:
-    """Warnings of a cache that is missing, or into which another user can put code.
+def cache_findings(folder: Path | None) -> list[Finding]:
+    """Findings on a cache that is missing, or into which another user can put code.
 
     Root, and the owner of the program, can change the program itself and are no reason to warn.
     """
     if folder is None:
-        return [str(problem("installation.no_cache"))]
+        return [finding("installation.no_cache")]
     places = list(_open_places(folder))
     if not places:
         return []
     path, why = places[0]
     more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-    return [str(problem("installation.cache_open", file=f"{path}{more}", folder=folder, why=why))]
+    return [finding("installation.cache_open", file=f"{path}{more}", folder=folder, why=why)]
 
 
 def _open_places(folder: Path) -> Iterator[tuple[Path, str]]:

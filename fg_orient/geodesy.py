@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import InputError, finding
 
 if TYPE_CHECKING:
     from pyproj import CRS, Transformer
@@ -439,7 +439,7 @@ def require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] 
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
         raise InputError(*(
-            problem(
+            finding(
                 "geodesy.outside", place=labels[i] if labels else f"point {i}",
                 value=" ".join(f"{v:.10g}" for v in given[i]), crs=crs,
             )

@@ -78,7 +78,7 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
     """
     metadata = getattr(sensor, "metadata", None)
     if metadata is None or not metadata.frame_points:
-        raise InputError.of("cli.no_frame", file=sensor.file, place="--frame")
+        raise InputError.of("cli.no_frame", file=sensor.file, option="frame")
     points = metadata.frame_points
     line, sample = (np.array([getattr(p, axis) for p in points]) for axis in ("line", "sample"))
     lon, lat = (np.array([getattr(p, axis) for p in points]) for axis in ("lon_deg", "lat_deg"))
@@ -88,7 +88,7 @@ def frame_records(sensor: Any, height_m: float | None = None, dem: HeightSurface
     ecef = sensor.locate(line, sample, dem=dem) if dem else sensor.locate(line, sample, height_m=heights)
     records = ground_records([p.id for p in points], line, sample, ecef)
     east, north = _horizontal(ecef, lon, lat, np.array([r["height_m"] for r in records])).T
-    note = metadata.frame_note or None
+    note = None if metadata.frame_note is None else str(metadata.frame_note)
     for k, record in enumerate(records):
         record |= {
             "file_lon_deg": float(lon[k]), "file_lat_deg": float(lat[k]),

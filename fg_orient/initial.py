@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import Image, ImagePoints, Sensor
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 
@@ -234,10 +234,10 @@ def ground_points(
     return start
 
 
-def _complaint(point_id: str, spread_deg: float, behind: bool, images: Sequence[str]) -> Problem:
+def _complaint(point_id: str, spread_deg: float, behind: bool, images: Sequence[str]) -> Finding:
     if len(images) < 2:
-        return problem("initial.seen_once", place=f"point {point_id}", value=f"{len(images)} ray",
+        return finding("initial.seen_once", place=f"point {point_id}", value=f"{len(images)} ray",
                        image=f"image {images[0]}" if images else "no image")  # fmt: skip
     code = "initial.behind" if behind and spread_deg > MIN_CONVERGENCE_DEG else "initial.no_intersection"
-    return problem(code, place=f"point {point_id}", value=f"convergence {spread_deg:.3f} degrees",
+    return finding(code, place=f"point {point_id}", value=f"convergence {spread_deg:.3f} degrees",
                    least=MIN_CONVERGENCE_DEG)  # fmt: skip

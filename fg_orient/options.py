@@ -151,7 +151,7 @@ class Options:
         "Test of single observations; baarda: standard deviations a priori. pope: tau test; t: scale without the "
         "tested observation. Reports use the same test.",
     )
-    outlier_level: float = option(0.05, TESTS, "Probability of any false alarm (see --multiple-testing).", below=1.0)
+    outlier_level: float = option(0.05, TESTS, "Probability of any false alarm (see `multiple_testing`).", below=1.0)
     multiple_testing: MultipleTesting = option(
         "sidak", TESTS,
         "Control of the false alarms of many tests. none: `outlier_level` of each test; bonferroni, sidak, holm: of "

@@ -26,7 +26,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import are_information, weighted_problem
 from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.block import Block, Coordinates
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.names import Role, Status
 from fg_orient.options import Backend, Datum, Options
 from fg_orient.parameters import with_options
@@ -153,9 +153,7 @@ def adjust(
     end, found = search(block, solution, next_round)
     whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
     assert isinstance(whole, Solution)
-    return replace(
-        whole, snooping=found, warnings=(*found.sentences(), *whole.warnings), memory=solution.memory
-    )  # fmt: skip
+    return replace(whole, snooping=found, findings=(*found.findings(), *whole.findings), memory=solution.memory)
 
 
 def adjust_once(
@@ -183,7 +181,7 @@ def adjust_once(
     tell("statistics", len(compiled.observations))
     solution = conclude(compiled, observability, block_view, estimate, structure)
     if inner and not len(held_unknowns(compiled)):
-        solution = replace(solution, warnings=(_no_inner_datum(block), *solution.warnings))
+        solution = replace(solution, findings=(_no_inner_datum(block), *solution.findings))
     return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
 
 
@@ -244,11 +242,10 @@ def adjust_again(
     )  # fmt: skip
 
 
-def _no_inner_datum(block: Block) -> str:
-    """Say that inner constraints had nothing to do, and what asking for them has cost."""
-    off = "; the priors of the images were switched off all the same" if block.options.priors else ""
-    remedy = 'leave datum = "inner" out' + (" to keep them" if off else "")
-    return f"the control points hold the datum, so inner constraints have nothing to do{off}: {remedy}"
+def _no_inner_datum(block: Block) -> Finding:
+    """Inner constraints had nothing to do; the priors were switched off for them."""
+    priors = block.options.priors
+    return finding("solution.no_inner_datum_nor_priors" if priors else "solution.no_inner_datum")
 
 
 def conclude(
@@ -268,42 +265,39 @@ def conclude(
         ground[located.index] = located.ground_m
     accuracy = _assess(compiled, ground, located, cofactors)
     found = verdict.judge(compiled, estimate, withheld)
-    warnings = verdict.warnings(compiled, estimate, found, observability, block_view, accuracy)
+    findings = verdict.findings(compiled, estimate, found, observability, block_view, accuracy)
     if found.status is Status.NOT_TRUSTWORTHY:
         from fg_orient.quality.mix_ups import mix_ups
 
-        warnings = (*warnings[:1], *mix_ups(compiled.block), *warnings[1:])
+        findings = (*findings[:1], *mix_ups(compiled.block), *findings[1:])
     if located is not None and len(located.lost):
-        names = ", ".join(compiled.block.points.ids[j] for j in located.lost[: verdict.NAMED])
-        warnings += (
-            f"{len(located.lost)} excluded check point(s) whose rays hardly meet have no coordinates: {names}",
-        )
+        names = [compiled.block.points.ids[j] for j in located.lost]
+        findings += (finding("solution.check_not_located", n=len(names), points=names),)
     return Solution(
-        problem=compiled, status=found.status, reason=found.reason, ended=estimate.reason,
+        problem=compiled, status=found.status, verdict=found.finding, end=estimate.end,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
         state=estimate.state, ground_m=ground, chi2=estimate.chi2,
         sigma0_interval=found.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
         accuracy=accuracy,
-        cofactors=cofactors, withheld=withheld, warnings=warnings, weights=estimate.weights,
+        cofactors=cofactors, withheld=withheld, findings=findings, weights=estimate.weights,
         resumed_at=estimate.resumed_at,
         seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
     )  # fmt: skip
 
 
-def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[str, ...]]:
+def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[Finding, ...]]:
     if compiled.least_damping > 0.0:
-        return None, ("covariance withheld: the datum is free; keep the priors or measure control points",)
+        return None, (finding("withheld.free_datum"),)
     loss = compiled.block.options.loss
     if estimate.weights is not None and not are_information(loss, estimate.weights):
-        why = "residuals near zero get weights above 1, which are no information"
-        return None, (f"covariance withheld: under the loss {loss} {why}; adjust with another one",)
+        return None, (finding("withheld.loss", loss=loss),)
     try:
         found = cofactors_of(compiled, estimate)
         inner = compiled.block.options.datum == "inner"
         return (InnerCofactors(compiled, estimate.state, found) if inner else found), ()
     except Indeterminate as reason:
-        return None, (f"covariance withheld: {reason}; measure more control points or keep the priors",)
+        return None, (finding("withheld.indeterminate", why=reason),)
 
 
 def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None:

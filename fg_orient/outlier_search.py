@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ from fg_orient.adjusted import Adjusted
 from fg_orient.adjustment.problem import Problem, State, compile_problem, participates
 from fg_orient.adjustment.robust import NONE
 from fg_orient.block import Block
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.names import Role, Status
 from fg_orient.quality.freedom import least_freedom, with_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
@@ -33,6 +34,9 @@ from fg_orient.quality.variance_components import VarianceComponents
 Index = npt.NDArray[np.intp]
 #: Adjusts a block from a state; the problem is that of the round before, which differs in some observations.
 Run = Callable[[Block, State, Problem], Adjusted]
+
+#: Place of what ended a search.
+GIVEN_UP: Final = "snooping was given up"
 
 
 def search(block: Block, first: Adjusted, run: Run) -> tuple[Adjusted, Search]:
@@ -232,17 +236,16 @@ class _Rounds:
         )  # fmt: skip
 
 
-def _given_up(end: Rejection[Adjusted, _Removal]) -> str:
-    """Say why the search ended although something is suspicious; "" if it came to its end."""
+def _given_up(end: Rejection[Adjusted, _Removal]) -> Finding | None:
+    """Give why the search ended although something is suspicious; None if it came to its end."""
     if end.fit.status is Status.NOT_CONVERGED:
-        return "the adjustment does not converge"
+        return finding("search.not_converged", place=GIVEN_UP)
     if end.worst is None:
-        return ""
+        return None
     if isinstance(end.error, (InputError, NoSolutionError)):
         why = end.error.problems[0].message
-        return f"without {end.worst.test.name}, the most suspicious, the block cannot be adjusted: {why}"
-    share = f"{100.0 * MOST:.0f} % of the image points"
-    return f"{share} are out and more is suspicious: the model or the sigmas are wrong, not they"
+        return finding("search.impossible", place=GIVEN_UP, name=end.worst.test.name, why=why)
+    return finding("search.too_many", place=GIVEN_UP, percent=100.0 * MOST)
 
 
 def rescaled(block: Block, full: Problem, components: VarianceComponents) -> Block:

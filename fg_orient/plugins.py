@@ -1,6 +1,6 @@
 """A user's own file, loaded by the command line: it registers sensors, equations, solvers, kappa rules and losses.
 
-``fg-orient --plugin FILE command ...`` imports the file before the command begins; from Python it is imported as any
+The command line imports the file of its option ``plugin`` before the command begins; from Python it is imported as any
 other module. Nothing else loads code: a project file that came from elsewhere cannot.
 """
 
@@ -11,7 +11,7 @@ from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
-from fg_orient.errors import FgOrientError, InputError, Problem, problem
+from fg_orient.errors import FgOrientError, Finding, InputError, Option, finding
 
 #: Files that were loaded, as tracebacks name them.
 _LOADED: set[str] = set()
@@ -34,7 +34,7 @@ def load_plugin(path: str | Path) -> ModuleType:
     """
     path = Path(path).resolve()
     if not path.is_file() or path.suffix != ".py" or not path.stem.isidentifier():
-        raise InputError.of("plugin.file", file=path, place="--plugin")
+        raise InputError.of("plugin.file", file=path, option="plugin")
     present = sys.modules.get(path.stem)
     if present is not None and getattr(present, "__file__", None) == str(path):
         return present
@@ -42,7 +42,7 @@ def load_plugin(path: str | Path) -> ModuleType:
     if other is not None:
         known = getattr(other, "origin", None) or getattr(other, "__file__", "")
         if known != str(path):
-            raise InputError.of("plugin.name", file=path, place="--plugin", value=path.stem)
+            raise InputError.of("plugin.name", file=path, option="plugin", value=path.stem)
     return _imported(path)
 
 
@@ -62,7 +62,7 @@ def _imported(path: Path) -> ModuleType:
     return module
 
 
-def fault_of(error: BaseException) -> Problem | None:
+def fault_of(error: BaseException) -> Finding | None:
     """What to say of an exception that came through a plugin; None if no plugin took part.
 
     Parameters
@@ -73,7 +73,7 @@ def fault_of(error: BaseException) -> Problem | None:
     file = next((name for name in reversed(_files(error)) if name in _LOADED), None)
     if file is None:
         return None
-    return problem("plugin.raised", file=file, place=_line(error, Path(file)), value=told(error))
+    return finding("plugin.raised", file=file, place=_line(error, Path(file)), value=told(error))
 
 
 def raised_in(error: BaseException, file: str) -> str:
@@ -111,4 +111,4 @@ def _line(error: BaseException, path: Path) -> str:
         if trace.tb_frame.f_code.co_filename == str(path):
             lines.append(trace.tb_lineno)
         trace = trace.tb_next
-    return f"line {lines[-1]}" if lines else "--plugin"
+    return f"line {lines[-1]}" if lines else Option("plugin")

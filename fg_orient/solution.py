@@ -16,7 +16,7 @@ import numpy.typing as npt
 from fg_orient.adjusted import Adjusted
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.memory import Need
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import Finding, InputError, NoSolutionError
 from fg_orient.names import Role
 from fg_orient.options import USUAL_GROUPS
 from fg_orient.quality.accuracy import Accuracy
@@ -68,10 +68,10 @@ class Solution(Adjusted):
 
     Parameters
     ----------
-    reason : str
-        The verdict in words.
-    ended : str
-        Why the iteration ended.
+    verdict : Finding
+        What decided on the status; ``reason`` is its sentence.
+    end : Finding
+        Why the iteration ended; ``ended`` is its sentence.
     ground_m : (N, 3) array
         Adjusted ECEF coordinates in file order; excluded check points are intersected, points
         without image observations nan.
@@ -94,8 +94,8 @@ class Solution(Adjusted):
         What a search for gross errors found, if the options ask for one.
     """
 
-    reason: str
-    ended: str
+    verdict: Finding
+    end: Finding
     backend: str
     solver: str
     optimizer: str
@@ -106,7 +106,7 @@ class Solution(Adjusted):
     residuals_px: Array
     observability: tuple[ImageObservability, ...]
     accuracy: Accuracy
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     block_view: BlockObservability | None = None
     memory: Need | None = None
     seconds: Seconds = field(default_factory=Seconds)
@@ -117,6 +117,21 @@ class Solution(Adjusted):
     def scale(self) -> float:
         """Factor from roots of cofactors to standard deviations: sigma0, or 1 (prior scale) under a loss."""
         return self.sigma0 if self.weights is None else 1.0
+
+    @property
+    def reason(self) -> str:
+        """The verdict in words."""
+        return str(self.verdict)
+
+    @property
+    def ended(self) -> str:
+        """Why the iteration ended, in words."""
+        return str(self.end)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the findings."""
+        return tuple(map(str, self.findings))
 
     @property
     def rank_defect(self) -> dict[str, int]:

@@ -125,7 +125,7 @@ class Checkpoint:
             raise InputError.of("checkpoint.unreadable", file=self.path, value=type(error).__name__) from error
         self._of, self._pending, self._fingerprint = problem, None, fingerprint(problem, self.scope)
         if found[0] != self._fingerprint:
-            raise InputError.of("checkpoint.other", file=self.path, place="--resume")
+            raise InputError.of("checkpoint.other", file=self.path, option="resume")
         return found[1:]
 
     def remove(self) -> None:

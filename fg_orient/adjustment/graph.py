@@ -325,7 +325,7 @@ def run_native(backend: GraphBackend, optimizer: str, max_iterations: int) -> tu
     """
     n = len(backend.problem.observations)
     if n > NATIVE_LIMIT:
-        raise InputError.of("adjust.native_limit", place="--optimizer", value=optimizer, count=n, limit=NATIVE_LIMIT)
+        raise InputError.of("adjust.native_limit", option="optimizer", value=optimizer, count=n, limit=NATIVE_LIMIT)
     kinds = {
         "native": (gtsam.GaussNewtonParams, gtsam.GaussNewtonOptimizer),
         "native-levenberg-marquardt": (gtsam.LevenbergMarquardtParams, gtsam.LevenbergMarquardtOptimizer),

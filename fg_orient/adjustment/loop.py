@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from factors._preparation import working_clock
+from fg_orient.errors import Finding, finding
 
 S = TypeVar("S")
 
@@ -32,7 +33,7 @@ MAX_REJECTED = 20
 #: The same for :func:`delayed_gratification`, whose damping only doubles.
 MAX_REJECTED_DOUBLING = 60
 LEAST_DAMPING = 1e-14
-SMALL = "the scaled step is below the tolerance"
+SMALL = finding("loop.small_step")
 
 
 class Step(Protocol):
@@ -157,8 +158,13 @@ class LoopResult(Generic[S]):
     error: float
     log: tuple[IterationRecord, ...]
     converged: bool
-    reason: str
+    end: Finding
     iterations: int = 0
+
+    @property
+    def reason(self) -> str:
+        """Why it ended, in words."""
+        return str(self.end)
 
 
 class Course(Generic[S]):
@@ -207,13 +213,13 @@ class Course(Generic[S]):
         if self._keep:
             self._keep(self.carried)
 
-    def end(self, state: S, error: float, converged: bool, reason: str) -> LoopResult[S]:
+    def end(self, state: S, error: float, converged: bool, end: Finding) -> LoopResult[S]:
         """End of the loop."""
-        return LoopResult(state, error, self.carried.log, converged, reason)
+        return LoopResult(state, error, self.carried.log, converged, end)
 
 
-def _exhausted(max_iterations: int) -> str:
-    return f"no convergence within {max_iterations} iteration(s): raise --max-iterations, or look at the start values"
+def _exhausted(max_iterations: int) -> Finding:
+    return finding("loop.iterations", iterations=max_iterations)
 
 
 def share_at_radius(across_squared: float, steepest_dot_across: float, length: float, radius: float) -> float:
@@ -258,10 +264,9 @@ def gauss_newton(
         course.judge(system.error, error, step, 0.0, always=True)
         rising = carried.rising + 1 if error > system.error * (1.0 + 1e-9) + 1e-9 else 0
         if not math.isfinite(error) or rising >= 3:
-            return course.end(state, error, False, "the error rises: try --optimizer levenberg-marquardt")
+            return course.end(state, error, False, finding("loop.error_rises"))
         if following is None:
-            reason = SMALL if rising == 0 else "the last step raised the error: try --optimizer levenberg-marquardt"
-            return course.end(state, error, rising == 0, reason)
+            return course.end(state, error, rising == 0, SMALL if rising == 0 else finding("loop.last_step"))
         system = following
         course.go_on(state=state, previous=step.length, rising=rising)
     return course.end(course.carried.state, system.error, False, _exhausted(max_iterations))
@@ -398,7 +403,7 @@ def _controlled(
         control, growth = rule.follow(carried.control, carried.growth, record)
         if not record.accepted:
             if carried.rejected + 1 >= rule.max_rejected:
-                return course.end(carried.state, system.error, False, "no step lowers the error")
+                return course.end(carried.state, system.error, False, finding("loop.no_step"))
             course.go_on(control=control, growth=growth, rejected=carried.rejected + 1)
             continue
         if _arrived(system, course.carried.log, _small(step.length, carried.previous, tolerance, shrink)):

@@ -21,7 +21,7 @@ from fg_orient.adjustment.point_cofactors import CHUNK, WHOLE_LIMIT, full_statis
 from fg_orient.adjustment.schur_structure import ALL_KEPT, LEAST_CHUNKS
 from fg_orient.adjustment.solve import suitable_backend
 from fg_orient.block import Block
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.names import Role
 
 #: Share of the available memory that a run may take unless told otherwise.
@@ -58,12 +58,12 @@ class Need:
         return self.allowed is None or self.needed <= self.allowed
 
     def as_dict(self) -> dict[str, object]:
-        """The record of ``--json``."""
+        """The record of a result."""
         return {"backend": self.backend, "needed_bytes": self.needed, "allowed_bytes": self.allowed}
 
-    def problem(self, name: str) -> Problem:
+    def problem(self, name: str) -> Finding:
         """What is said of a block of this name when it does not fit."""
-        return problem(
+        return finding(
             "adjust.memory", file=name, place=f"backend {self.backend}", value=f"{self.needed / GB:.3g} GB",
             allowed=f"{(self.allowed or 0) / GB:.3g} GB",
         )  # fmt: skip

@@ -31,7 +31,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
 from fg_orient.adjustment.rows import image_rows, linearised, rows_by_image
 from fg_orient.distributions import chi_square_median
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import InputError, finding
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -148,7 +148,7 @@ class _Pass:
             if not ready:
                 ids = [image.id for image in self.compiled.block.images]
                 raise InputError(*(
-                    problem("adjust.few_control", place=f"image {ids[k]}", value=len(own), least=least)
+                    finding("adjust.few_control", place=f"image {ids[k]}", value=len(own), least=least)
                     for k, own in left.items()
                 ))  # fmt: skip
             found = {k: _resect(self.compiled, self.state, self.cofactors, k, left[k], self.method, self.seed)

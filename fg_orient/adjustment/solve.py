@@ -36,7 +36,7 @@ from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, Weights, find_lo
 from fg_orient.adjustment.robust_scale import robust_scale
 from fg_orient.adjustment.stages import FROM_RESECTIONS, plan_of, run_stages
 from fg_orient.block import Block, Options
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.options import Backend
 
@@ -82,7 +82,7 @@ class Estimate:
     state: State
     chi2: float
     converged: bool
-    reason: str
+    end: Finding
     log: tuple[IterationRecord, ...]
     iterations: int
     backend: str
@@ -92,6 +92,11 @@ class Estimate:
     solve_s: float
     weights: Weights | None = None
     resumed_at: int = 0
+
+    @property
+    def reason(self) -> str:
+        """Why it ended, in words."""
+        return str(self.end)
 
 
 def solve(
@@ -137,8 +142,7 @@ def solve(
         done = None if checkpoint is None else checkpoint.write()
         if checkpoint is None or done is None:
             raise
-        kept = f"interrupted after iteration {done}, which {checkpoint.path.name} keeps: --resume goes on from there"
-        raise KeyboardInterrupt(kept) from None
+        raise KeyboardInterrupt(finding("loop.interrupted", iteration=done, kept=checkpoint.path.name)) from None
     except (NotFiniteError, RuntimeError) as error:
         raise NoSolutionError.of("adjust.broken_down", place=problem.block.name, why=first_sentence(error)) from error
 
@@ -290,7 +294,7 @@ class _Job:
             weights, error = replace(weights, scale=self._scale), error - excess
         structure, solved = np.diff(self._marks)
         return Estimate(
-            state, 2.0 * error, result.converged, result.reason, result.log, result.iterations or len(result.log),
+            state, 2.0 * error, result.converged, result.end, result.log, result.iterations or len(result.log),
             self.backend, solver, linear, float(structure), float(solved), weights,
             0 if self._found is None else len(self._found.log),
         )  # fmt: skip
@@ -344,9 +348,9 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
         lambda f: math.sqrt(f.chi2 / max(problem.redundancy, 1)), RULES[options.loss], DIMENSIONS,
     )  # fmt: skip
     end = anew(found.weights, found.fit.state, None)
-    done = end.reason if found.settled else f"the weights have not settled within {found.cycles} cycles"
+    done = end.end if found.settled else finding("loop.weights", cycles=found.cycles)
     return replace(
-        end, converged=end.converged and found.settled, reason=done, log=tuple(log), iterations=len(log),
+        end, converged=end.converged and found.settled, end=done, log=tuple(log), iterations=len(log),
         weights=weights_of(problem, found.weights), solve_s=working_clock() - begin - end.structure_s,
     )  # fmt: skip
 
@@ -369,8 +373,8 @@ def _native(backend: GraphBackend, options: Options) -> LoopResult[Any]:
 
     values, iterations, error = run_native(backend, options.optimizer, options.max_iterations)
     remaining = backend.linearise(values).solve(0.0).length
-    reason = f"GTSAM's own optimiser ended with a step of {remaining:.1e} left"
-    return LoopResult(values, error, (), remaining < ROUNDING_STEP, reason, iterations)
+    end = finding("loop.small_step_of_native", step=remaining)
+    return LoopResult(values, error, (), remaining < ROUNDING_STEP, end, iterations)
 
 
 def _run_dense(job: _Job) -> Estimate:

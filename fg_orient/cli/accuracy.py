@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, note, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Quiet, number, outcome, table
+from fg_orient.cli.output import emit, say, tell_findings
 from fg_orient.cli.progress import progress_bar
 
 
@@ -36,8 +37,9 @@ def accuracy(
         if as_json:
             emit(found)
             return
-        shift, warnings = found.pop("shift"), found.pop("warnings")
-        rows = [(key, str(value) if isinstance(value, int) else number(value)) for key, value in found.items()]
+        shift = found["shift"]
+        rows = [(key, str(value) if isinstance(value, int) else number(value)) for key, value in found.items()
+                if isinstance(value, (int, float))]  # fmt: skip
         table("adjusted minus reference height", ("figure", "value"), rows)
         if shift is not None:
             significant = shift["significant"]
@@ -48,5 +50,4 @@ def accuracy(
             table("shift of the points against the reference, m", ("axis", "shift", "sigma", "significant"), shifts)
             before, after = number(shift["rmse_before_m"]), number(shift["rmse_after_m"])
             say(f"RMSE of {shift['n']} points: {before} m, without the shift {after} m")
-        for text in warnings:
-            note(f"warning: {text}")
+        tell_findings(found)

@@ -16,18 +16,16 @@ from fg_orient.cli.common import (
     Overwrite,
     Quiet,
     VerticalCrs,
-    emit,
-    note,
     number,
     outcome,
     read_dem,
     require_project,
-    say,
     table,
 )
 from fg_orient.cli.options import flags, named_as_typed, with_options
+from fg_orient.cli.output import emit, folded, note, say, tell, tell_findings
 from fg_orient.cli.progress import progress
-from fg_orient.errors import InputError, Problem, folded
+from fg_orient.errors import InputError, read
 from fg_orient.names import EXIT_CODE, Status
 from fg_orient.options import Options, Reading
 
@@ -100,8 +98,8 @@ def adjust(
                 dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs),
                 dem_vertical_crs=dem_vertical_crs,
             )  # fmt: skip
-        for found in folded([Problem(**one) for one in record.get("errors", [])]):
-            note(f"error: {found}")
+        for found in folded([read(one) for one in record.get("errors", [])]):
+            tell("error", found)
         if as_json:
             emit(record)
         elif record["status"] == Status.RANK_DEFICIENT:
@@ -119,7 +117,7 @@ def _dem_control(path: Path | None, sigma_m: float | None, vertical_crs: str) ->
     if path is None and sigma_m is None:
         return None
     if path is None or sigma_m is None:
-        raise InputError.of("dem_control.both", place="--dem-control, --dem-sigma")
+        raise InputError.of("dem_control.both", option="dem_control, dem_sigma")
     surface = read_dem(path, vertical_crs)
     return surface, sigma_m
 
@@ -134,8 +132,7 @@ def load(backend: str | None = None) -> None:
 
 def show(record: dict[str, Any]) -> None:
     """Print warnings, verdict, accuracy and where the result lies."""
-    for text in record["warnings"]:
-        say(f"warning: {text}")
+    tell_findings(record, as_result=True)
     from fg_orient.report.words import orientation_words
 
     low, high = record["sigma0_interval_99_9"]

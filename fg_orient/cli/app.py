@@ -18,7 +18,8 @@ from typer.core import TyperCommand, TyperGroup
 
 import fg_orient
 from fg_orient.cli import completion
-from fg_orient.cli.common import INTERRUPTED, emit_errors, note, outcome
+from fg_orient.cli.common import INTERRUPTED, outcome
+from fg_orient.cli.output import emit_errors, note
 from fg_orient.errors import InputError
 
 #: Name of a command -> module of this package, and what in it declares the command: a function, or a group by itself.

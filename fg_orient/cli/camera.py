@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, say
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome
+from fg_orient.cli.output import emit, say
 from fg_orient.errors import InputError
 
 app = typer.Typer(
@@ -42,7 +43,7 @@ def convert(
         from fg_orient.sensors.interior import converted
 
         if out.exists() and (not overwrite or out.samefile(camera)):
-            raise InputError.of("output.exists", file=out, place="--out")
+            raise InputError.of("output.exists", file=out, option="out")
         interior = read_camera(camera)
         found = converted(interior, model)
         write_camera(out, found.interior)

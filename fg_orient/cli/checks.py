@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, fault, note, outcome, say, table
-from fg_orient.errors import FgOrientError, InputError
+from fg_orient.cli.common import Debug, Json, Log, Quiet, outcome, table
+from fg_orient.cli.output import emit, fault, flag, note, say, tell, tell_findings
+from fg_orient.errors import FgOrientError, Finding, InputError, Option
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.memory import Need
     from fg_orient.block import Block
-    from fg_orient.errors import Problem
     from fg_orient.interchange.registry import Format, Settings
 
 
@@ -44,7 +44,7 @@ def validate(
         project = sources[0]
         if len(sources) > 1:
             raise InputError.of("cli.one_project", file=sources[1], place="PROJECT.toml", value=f"{len(sources)} files")
-        from fg_orient.io.validate import checked_project, is_remark
+        from fg_orient.io.validate import checked_project
 
         block, found = checked_project(project)
         impossible = [] if block is None else _impossible(block, project)
@@ -52,16 +52,16 @@ def validate(
         need = None if block is None or impossible else _memory(block)
         if block is not None and need is not None and not need.fits:
             found.append(need.problem(str(project)))
-        errors = [p for p in found if not is_remark(p)]
-        remarks = [p for p in found if is_remark(p)]
+        errors = [p for p in found if p.severity == "failure"]
+        remarks = [p for p in found if p.severity != "failure"]
         if as_json:
-            emit({"errors": [p.as_dict() for p in errors], "remarks": [p.as_dict() for p in remarks],
+            emit({"errors": [p.as_dict(flag) for p in errors], "remarks": [p.as_dict(flag) for p in remarks],
                   "memory": None if need is None else need.as_dict()})  # fmt: skip
         for p in errors:
             fault(p)
         if not as_json:
             for p in remarks:
-                say(f"remark: {p}")
+                tell("remark", p, as_result=True)
             if need is not None:
                 limit = "" if need.allowed is None else f" of {need.allowed / 1e9:.3g} GB allowed"
                 say(f"memory: about {need.needed / 1e9:.2g} GB{limit}, backend {need.backend}")
@@ -78,21 +78,21 @@ def _validate_points(paths: list[Path], format_name: str, crs: str, as_json: boo
     """
     from fg_orient.interchange.registry import Settings, format_named
 
-    found = format_named(format_name, place="--format")
+    found = format_named(format_name, place=Option("format"))
     together = len(found.files) > 1
     checked = [_checked_points(part, found, Settings(crs)) for part in ([paths] if together else [[p] for p in paths])]
     errors = [p for c in checked for p in c.errors]
     remarks = [p for c in checked for p in c.remarks]
     if as_json:
         crs_of = {c.crs for c in checked}
-        emit({"errors": [p.as_dict() for p in errors], "remarks": [p.as_dict() for p in remarks],
+        emit({"errors": [p.as_dict(flag) for p in errors], "remarks": [p.as_dict(flag) for p in remarks],
               "points": sum(c.points for c in checked), "crs": crs_of.pop() if len(crs_of) == 1 else None,
               "files": [c.as_dict() for c in checked]})  # fmt: skip
     for p in errors:
         fault(p)
     for c in () if as_json else checked:
         for p in c.remarks:
-            say(f"remark: {p}")
+            tell("remark", p, as_result=True)
         if not c.errors:
             where = f"{c.files[0]}: " if len(checked) > 1 else ""
             say(f"{where}{c.points} points, {c.image_points} image points, no errors")
@@ -108,8 +108,8 @@ class _Checked:
     points: int = 0
     image_points: int = 0
     crs: str = ""
-    remarks: tuple[Problem, ...] = ()
-    errors: tuple[Problem, ...] = ()
+    remarks: tuple[Finding, ...] = ()
+    errors: tuple[Finding, ...] = ()
 
     def as_dict(self) -> dict[str, object]:
         return {"files": self.files, "points": self.points, "image_points": self.image_points, "crs": self.crs,
@@ -128,7 +128,7 @@ def _checked_points(paths: list[Path], found: Format, settings: Settings) -> _Ch
     return _Checked(names, len(survey.ids), len(survey.observed), survey.crs, remarks)
 
 
-def _impossible(block: Block, project: Path) -> list[Problem]:
+def _impossible(block: Block, project: Path) -> list[Finding]:
     """Options that ``adjust`` would refuse."""
     from fg_orient.run import require_possible_options
 
@@ -160,8 +160,7 @@ def doctor(quiet: Quiet = False, log: Log = None, as_json: Json = False, debug: 
             table("versions", ("name", "version"), [(k, v or "missing") for k, v in found["versions"].items()], left=2)
             checks = [(c["name"], "yes" if c["good"] else "NO", c["detail"]) for c in found["checks"]]
             table("checks", ("check", "good", "detail"), checks, left=3)
-            for text in found["warnings"]:
-                say(f"warning: {text}")
+            tell_findings(found, as_result=True)
             for c in found["checks"]:
                 if quiet and not c["good"]:
                     note(f"{c['name']}: {c['detail']}")

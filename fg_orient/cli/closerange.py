@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, note, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, number, outcome, table
+from fg_orient.cli.output import emit, say, tell, tell_findings
 from fg_orient.cli.progress import progress
 from fg_orient.errors import InputError
 
@@ -292,7 +293,7 @@ def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
                 raise ValueError
             out[name.strip()] = float(value), float(sigma)
         except ValueError:
-            raise InputError.of("closerange.prior_text", place="--prior", value=text) from None
+            raise InputError.of("closerange.prior_text", option="prior", value=text) from None
     return out
 
 
@@ -303,7 +304,7 @@ def _finish(record: dict[str, Any], as_json: bool, show: Any) -> None:
     show(record)
     _doubt(record)
     if record["weights"] == "relative":
-        note("note: no standard deviations were given: weights are relative, and m0 is the sigma of an observation")
+        tell("note", "no standard deviations were given: weights are relative, and m0 is the sigma of an observation")
     if record["out"]:
         say(f"written: {record['out']}")
     page = record["page"] or (record["out"] and str(Path(record["out"]) / "report.html"))
@@ -329,7 +330,7 @@ def _show_photos(record: dict[str, Any]) -> None:
                  zip("XYZ", outer["centre_m"], outer["sigma_centre_m"], strict=True)]  # fmt: skip
         rows += [(f"{name}, deg", f"{outer[f'{name}_deg']:.5f}", "") for name in ("omega", "phi", "kappa")]
         table("", ("", "value", "sigma"), rows)
-        _warn(photo)
+        tell_findings(photo)
 
 
 def _show_bundle(record: dict[str, Any]) -> None:
@@ -347,13 +348,13 @@ def _show_bundle(record: dict[str, Any]) -> None:
     if record["check"] is not None:
         along = ", ".join(f"{v:.3f}" for v in record["check"]["rms_mm"])
         say(f"{record['check']['n']} check points: rms along X, Y, Z {along} mm")
-    _warn(record)
+    tell_findings(record)
 
 
 def _show_points(record: dict[str, Any]) -> None:
     say(f"{len(record['points'])} points, redundancy {record['redundancy']}, m0 {_m0(record)}")
     _point_table(record)
-    _warn(record)
+    tell_findings(record)
 
 
 def _point_table(record: dict[str, Any]) -> None:
@@ -373,19 +374,14 @@ def _show_surface(record: dict[str, Any]) -> None:
     along = ", ".join(f"{1e3 * v:.2f}" for v in record["rms_deviation_m"])
     say(f"normal distances: rms {1e3 * record['rms_m']:.2f} mm, largest {1e3 * worst['distance_m']:.2f} mm at "
         f"{worst['id']}; rms along X, Y, Z {along} mm")  # fmt: skip
-    _warn(record)
+    tell_findings(record)
 
 
 def _short(value: Any) -> str:
     return "-" if value is None else f"{value:.2g}"
 
 
-def _warn(record: dict[str, Any]) -> None:
-    for text in record["warnings"]:
-        note(f"warning: {text}")
-
-
 def _doubt(record: dict[str, Any]) -> None:
     """Say what the first page of the report doubts; unlike tables it stays under ``--quiet``."""
     for text in record["doubts"]:
-        note(f"warning: {text}")
+        tell("warning", text)

@@ -13,9 +13,10 @@ import typer
 
 from factors._preparation import told_of_compilation
 from fg_orient.cli.log import COMPILING, COMPILING_IN_VAIN, opened, session
+from fg_orient.cli.output import emit_errors, fault, flag, folded, note, printable, tell
 from fg_orient.cli.tables import print_table
 from fg_orient.declaration import declared
-from fg_orient.errors import FgOrientError, InputError, Problem, folded
+from fg_orient.errors import FgOrientError, Finding, InputError, finding
 from fg_orient.options import MAX_EXTRAPOLATION_S, Reading
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 #: Faults of a user's own file, whose traceback --debug shows.
 PLUGINS = ("plugin.failed", "sensor.own_reader")
-#: Words before a colon that make a line one of the log.
-LOGGED = ("error", "warning", "note", "remark", "lost")
 
 EXTRAPOLATE = declared(Reading)["extrapolate_attitude_s"]
 
@@ -62,60 +61,6 @@ Overwrite = Annotated[
 ]
 
 
-def printable(text: object) -> str:
-    """Replace characters that a terminal could take as commands."""
-    return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in str(text))
-
-
-def note(text: object) -> None:
-    """Say something beside the result: on standard error; under ``--quiet`` not what begins with "note: "."""
-    _log(str(text))
-    if not (session().quiet and str(text).startswith("note: ")):
-        typer.echo(printable(text), err=True)
-
-
-def say(text: object = "") -> None:
-    """Print a line of the result for people; nothing under ``--quiet``."""
-    _log(str(text))
-    if not session().quiet:
-        typer.echo(printable(text))
-
-
-def fault(found: Problem) -> None:
-    """Say what is wrong with the input or the solution: on standard error."""
-    session().tell("error", **found.as_dict())
-    typer.echo(printable(f"error: {found}"), err=True)
-
-
-def _log(text: str) -> None:
-    """Put a warning or remark into the log; the word before its colon tells what it is."""
-    kind, colon, rest = text.partition(": ")
-    if colon and kind in LOGGED:
-        session().tell(kind, text=rest)
-
-
-def verdict(text: object, *, good: bool) -> None:
-    """Say how it ended; what is not good also under ``--quiet``."""
-    if session().quiet and not good:
-        note(text)
-    else:
-        say(text)
-
-
-def emit(record: object) -> None:
-    """Print one JSON object, nan as null."""
-    from fg_orient.run.json import dumps
-
-    for text in record.get("warnings", ()) if isinstance(record, dict) else ():
-        session().tell("warning", text=text)
-    typer.echo(dumps(record, indent=1))
-
-
-def emit_errors(*problems: Problem) -> None:
-    """Print the errors as JSON."""
-    emit({"errors": [p.as_dict() for p in problems]})
-
-
 @contextlib.contextmanager
 def outcome(as_json: bool, debug: bool = False, quiet: bool = False, log: Path | None = None) -> Iterator[None]:
     """Turn exceptions into one line per problem and an exit code; keep the log.
@@ -142,11 +87,11 @@ class _CompilationNote:
         self._said = True
         from factors._compile import cache_folder
 
-        text = "note: " + (COMPILING if cache_folder() is not None else COMPILING_IN_VAIN)
+        text = COMPILING if cache_folder() is not None else COMPILING_IN_VAIN
         if session().as_json:
             session().tell("note", text=text)
         else:
-            note(text)
+            tell("note", text)
 
 
 @contextlib.contextmanager
@@ -165,7 +110,8 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
             fault(found)
         raise typer.Exit(error.exit_code) from None
     except KeyboardInterrupt as stopped:
-        note(str(stopped) or "interrupted: nothing was written")
+        told = [one.text(flag) for one in stopped.args if isinstance(one, Finding)]
+        note("".join(told) or str(stopped) or "interrupted: nothing was written")
         raise typer.Exit(INTERRUPTED) from None
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone; nobody is left to be told
@@ -180,23 +126,23 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
         if own:
             fault(own)
             raise typer.Exit(InputError.exit_code) from None
-        session().tell("error", **found.as_dict())
-        note(found)
+        session().tell("error", **found.as_dict(flag))
+        note(found.text(flag))
         raise typer.Exit(1) from None
 
 
-def _of_a_plugin(error: Exception) -> Problem | None:
+def _of_a_plugin(error: Exception) -> Finding | None:
     """Describe an exception that a user's own file raised."""
     from fg_orient.plugins import fault_of
 
     return fault_of(error)
 
 
-def internal(error: Exception, debug: bool) -> Problem:
+def internal(error: Exception, debug: bool) -> Finding:
     """Describe an exception that should not have happened: a fault of the program, not of the input."""
     hint = "" if debug else " (the same command with --debug shows where)"
-    text = f"error of the program: {type(error).__name__}: {' '.join(str(error).split())[:300]}"
-    return Problem("internal", text, remedy=f"please report it{hint}")
+    text = " ".join(str(error).split())[:300]
+    return finding("internal", kind=type(error).__name__, text=text, hint=hint)
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, left: int = 1) -> None:
@@ -246,7 +192,7 @@ def read_dem(path: Path | None, vertical_crs: str) -> RasterDem | None:
     """Read a DEM as the options ``--dem`` and ``--dem-vertical-crs`` say."""
     if path is None:
         if vertical_crs:
-            raise InputError.of("dem.missing", place="--dem", value="none given")
+            raise InputError.of("dem.missing", option="dem", value="none given")
         return None
     from fg_orient.sensors.surface import RasterDem
 
@@ -267,7 +213,7 @@ def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str
     from fg_orient.io.atomic import write_text
 
     if path.exists() and not overwrite:
-        raise InputError.of("output.exists", file=path, place="--out")
+        raise InputError.of("output.exists", file=path, option="out")
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)

@@ -10,8 +10,9 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, require_project, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome, require_project, table
 from fg_orient.cli.options import flags, named_as_typed, with_options
+from fg_orient.cli.output import emit, say, tell_findings
 from fg_orient.cli.progress import progress_bar
 from fg_orient.options import Options
 
@@ -83,8 +84,7 @@ def compare(
 
 def show(record: dict[str, Any]) -> None:
     """Print warnings, the verdict, one line per solver and where the result lies."""
-    for text in record["warnings"]:
-        say(f"warning: {text}")
+    tell_findings(record, as_result=True)
     say(record["verdict"]["title"])
     for text in record["verdict"]["text"]:
         say(f"- {text}")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, note, outcome, say, table
-from fg_orient.errors import InputError
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome, table
+from fg_orient.cli.output import emit, flag, say, tell
+from fg_orient.errors import Finding, InputError, Option
 
 if TYPE_CHECKING:
-    from fg_orient.errors import Problem
     from fg_orient.interchange.registry import Format, Settings
     from fg_orient.interchange.survey import Survey
 
@@ -85,18 +85,18 @@ def convert(
         if not files or not out:
             raise InputError.of("cli.usage", place="fg-orient convert", text="Give IN, --out and the formats")
         if sigma_axes not in ("ecef", "enu"):
-            raise InputError.of("options.value", place="--sigma-axes", value=sigma_axes, expected="ecef or enu")
-        reader = format_named(source, place="--from") if source else format_of(files[0], place="--from")
-        writer = format_named(target, place="--to") if target else format_of(out[0], place="--to")
-        _require_crs(crs, "--crs")
-        _require_crs(to_crs, "--to-crs")
+            raise InputError.of("options.value", option="sigma_axes", value=sigma_axes, expected="ecef or enu")
+        reader = format_named(source, place=Option("from")) if source else format_of(files[0], place=Option("from"))
+        writer = format_named(target, place=Option("to")) if target else format_of(out[0], place=Option("to"))
+        _require_crs(crs, "crs")
+        _require_crs(to_crs, "to_crs")
         settings = Settings(crs, image, sigma_axes, _sizes(image_size or []))
         if reader.read_model is not None and writer.write_model is not None:
             _convert_model(files, reader, out[0], writer, settings, accept_unverified, overwrite, as_json)
             return
         if writer.write is None and writer.write_model is not None:
             known = ", ".join(name for name, f in all_formats().items() if f.read_model is not None)
-            raise InputError.of("interchange.needs_model", file=out[0], place="--to", value=writer.name,
+            raise InputError.of("interchange.needs_model", file=out[0], option="to", value=writer.name,
                                 source=reader.name, known=known)  # fmt: skip
         survey, remarks = read_survey(
             files, reader, settings, accept_unverified=accept_unverified, scenes=_scenes(metadata or [])
@@ -116,7 +116,7 @@ def _require_crs(crs: str, option: str) -> None:
         if crs:
             crs_kind(crs)
     except InputError as error:
-        raise InputError(*(replace(problem, place=option) for problem in error.problems)) from None
+        raise InputError(*(replace(problem, place="", option=option) for problem in error.problems)) from None
 
 
 def _convert_model(
@@ -141,7 +141,7 @@ def _sizes(words: list[str]) -> dict[str, tuple[int, int]]:
         name, _, size = word.rpartition("=")
         parts = size.split(",")
         if not name or len(parts) != 2 or not all(part.isdecimal() and int(part) > 0 for part in parts):
-            raise InputError.of("interchange.image_size", place="--image-size", value=word)
+            raise InputError.of("interchange.image_size", option="image_size", value=word)
         sizes[name] = int(parts[0]), int(parts[1])
     return sizes
 
@@ -157,8 +157,8 @@ def _show(
     survey: Survey,
     names: list[str],
     written: tuple[Path, ...],
-    remarks: tuple[Problem, ...],
-    lost: tuple[Problem, ...],
+    remarks: tuple[Finding, ...],
+    lost: tuple[Finding, ...],
     as_json: bool,
 ) -> None:
     counts = {
@@ -167,15 +167,15 @@ def _show(
     }  # fmt: skip
     if as_json:
         emit({"from": names[0], "to": names[1], "out": [str(path) for path in written], **counts,
-              "remarks": [p.as_dict() for p in remarks], "lost": [p.as_dict() for p in lost],
-              "notes": list(survey.notes)})  # fmt: skip
+              "remarks": [p.as_dict(flag) for p in remarks], "lost": [p.as_dict(flag) for p in lost],
+              "notes": list(map(str, survey.notes))})  # fmt: skip
         return
-    for text in survey.notes:
-        note(f"note: {text}")
+    for found in survey.notes:
+        tell("note", found)
     for found in remarks:
-        note(f"remark: {found}")
+        tell("remark", found)
     for found in lost:
-        note(f"lost: {found}")
+        tell("lost", found)
     say(", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items()))
     for path in written:
         say(f"written: {path}")

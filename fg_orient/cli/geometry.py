@@ -17,17 +17,15 @@ from fg_orient.cli.common import (
     Quiet,
     Result,
     VerticalCrs,
-    emit,
-    note,
     number,
     outcome,
     read_dem,
     read_image,
-    say,
     table,
     with_result,
     write_records,
 )
+from fg_orient.cli.output import emit, say, tell
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
@@ -85,7 +83,7 @@ def locate(
     with outcome(as_json, debug, quiet, log):
         _exclude({"--line": line, "--sample": sample}, {"--points": points}, {"--frame": frame or None})
         if height is not None and dem is not None:
-            raise InputError.of("cli.two_heights", file=image, place="--height, --dem")
+            raise InputError.of("cli.two_heights", file=image, option="height, dem")
         from fg_orient.ground import frame_records
 
         sensor = read_image(image, model, extrapolate_attitude, result)
@@ -121,11 +119,11 @@ def _located(
         if heights and given_height:
             raise InputError.of("cli.two_heights", file=points, place="column height_m")
     elif pixel[0] is None or pixel[1] is None:
-        raise InputError.of("cli.no_pixel", file=image, place="--line, --sample")
+        raise InputError.of("cli.no_pixel", file=image, option="line, sample")
     else:
         ids, heights, lines, samples = ["1"], [], np.array([pixel[0]]), np.array([pixel[1]])
     if not given_height and not heights:
-        raise InputError.of("cli.no_height", file=points or image, place="--height")
+        raise InputError.of("cli.no_height", file=points or image, option="height")
     if dem is not None:
         return ground_records(ids, lines, samples, sensor.locate(lines, samples, dem=dem))
     height_m = heights[0] if heights else np.full(len(ids), height)
@@ -167,7 +165,7 @@ def project(
         if points is not None:
             ids, columns = _columns(points, ("lon_deg", "lat_deg", "height_m"))
         elif lon is None or lat is None or height is None:
-            raise InputError.of("cli.no_ground", file=image, place="--lon, --lat, --height")
+            raise InputError.of("cli.no_ground", file=image, option="lon, lat, height")
         else:
             ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
         sensor = read_image(image, model, extrapolate_attitude, result)
@@ -216,7 +214,7 @@ def intersect(
         records = intersection_records(images, observations, ids)
         notes = [text for record in records if (text := _doubt(record))]
         for text in notes:
-            note(f"warning: {text}")
+            tell("warning", text)
         if out is not None:
             write_records(out, (*GROUND, "miss_m", *SIGMAS), records, overwrite)
         if as_json:
@@ -248,7 +246,7 @@ def _pixels_of(
     if len(sources) < 2:
         raise InputError.of("cli.one_image", file=sources[0], place="IMAGE", value=f"{len(sources)} file")
     if len(pixels) != len(sources):
-        raise InputError.of("cli.pixel_count", place="--pixel", pixels=len(pixels), images=len(sources))
+        raise InputError.of("cli.pixel_count", option="pixel", pixels=len(pixels), images=len(sources))
     values = np.array([_pixel(text) for text in pixels])
     images = tuple(Image(str(k + 1), read_image(path, model, extrapolate_s, result)) for k, path in enumerate(sources))
     for k, image in enumerate(images):
@@ -262,7 +260,7 @@ def _pixel(text: str) -> tuple[float, float]:
     try:
         line, sample = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError.of("cli.pixel", place="--pixel", value=text) from None
+        raise InputError.of("cli.pixel", option="pixel", value=text) from None
     return line, sample
 
 
@@ -297,11 +295,11 @@ def _publish(
         write_records(out, columns, records, overwrite)
     if as_json:
         where = None if out is None else str(out)
-        emit({"points": records, "image": Path(sensor.file).name, "notes": list(sensor.notes), "out": where})
+        emit({"points": records, "image": Path(sensor.file).name, "notes": list(map(str, sensor.notes)), "out": where})
         return
-    framed = {r["note"] for r in records if r.get("note")} if columns is FRAME else set()
-    for text in (*sensor.notes, *sorted(framed - set(sensor.notes))):
-        note(f"note: {text}")
+    framed = sensor.metadata.frame_note if columns is FRAME else None
+    for found in (*sensor.notes, *(() if framed is None or framed in sensor.notes else [framed])):
+        tell("note", found)
     shown = SHOWN_FRAME if columns is FRAME else tuple(name for name in columns if name not in ("x_m", "y_m", "z_m"))
     table("", shown, [_for_people(record, shown) for record in records])
     if out is not None:

@@ -52,7 +52,7 @@ class LogFile:
         try:
             self._descriptor: int | None = _open(path)
         except OSError as error:
-            raise InputError.of("output.unwritable", file=path, place="--log", value=error.strerror or error) from error
+            raise InputError.of("output.unwritable", file=path, option="log", value=error.strerror or error) from error
 
     def write(self, event: str, **fields: object) -> None:
         """Add a line; a log that can no longer be written does not stop the work."""
@@ -82,7 +82,7 @@ def _open(path: Path) -> int:
     try:
         found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode) or (found.st_size and os.pread(descriptor, len(MARK), 0) != MARK):
-            raise InputError.of("log.foreign", file=path, place="--log")
+            raise InputError.of("log.foreign", file=path, option="log")
     except BaseException:
         os.close(descriptor)
         raise

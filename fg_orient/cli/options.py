@@ -5,17 +5,20 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
+from fg_orient.cli.output import flag
 from fg_orient.declaration import Names, Option, Three, declared
 from fg_orient.errors import InputError
 
 #: Keyword argument of a command that receives the options that were given, by name.
 GIVEN = "options"
+_NAMED: Final = re.compile("`([a-z_]+)`")
 
 
 def with_options(*records: type, only: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -72,11 +75,13 @@ def _parameter(option: Option, name: str, kind: Any, flag: str, help: str = "") 
 
 
 def _help(option: Option) -> str:
-    """First sentence of the help, and the default as it is typed."""
+    """First sentence of the help, options as flags, and the default as it is typed."""
+    own = {option.name: option.flag}
+    text = _NAMED.sub(lambda found: own.get(found[1]) or flag(found[1]), option.short_help)
     default = ",".join(map(str, option.default)) if option.kind is Three else option.default_text
     if option.kind is bool:
         default = option.flag if option.default else ""
-    return f"{option.short_help[:-1]}; default: {default}." if default else option.short_help
+    return f"{text[:-1]}; default: {default}." if default else text
 
 
 def _usual(option: Option) -> str:

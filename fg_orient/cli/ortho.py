@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Extrapolate, Json, Log, Overwrite, Quiet, emit, outcome, say
+from fg_orient.cli.common import Debug, Extrapolate, Json, Log, Overwrite, Quiet, outcome
+from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
@@ -61,7 +62,7 @@ def ortho(
         options = OrthoOptions(resampling, allow_holes, cog)
         limits = _bounds(bounds) if bounds else None
         if dem is not None and height is not None:
-            raise InputError.of("cli.two_ways", place="--dem, --height", options="--dem, --height")
+            raise InputError.of("options.two_ways", option="dem, height")
         with progress_bar("rectifying") as progress:
             record = rectify_image(
                 image, model, out, dem=dem, height_m=height, result=result, image_id=image_id, crs=crs,
@@ -81,5 +82,5 @@ def _bounds(text: str) -> Bounds:
     try:
         left, bottom, right, top = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError.of("options.value", place="--bounds", value=text, expected="four numbers") from None
+        raise InputError.of("options.value", option="bounds", value=text, expected="four numbers") from None
     return left, bottom, right, top

@@ -9,8 +9,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, note, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, number, outcome, table
 from fg_orient.cli.ortho import ortho
+from fg_orient.cli.output import emit, note, say, tell, tell_findings
 from fg_orient.errors import InputError
 
 app = typer.Typer(help="Rectify images: by points or on a DEM; plan the points, check the accuracy of a map.")
@@ -89,8 +90,7 @@ def _show_fit(record: dict[str, Any]) -> None:
             f"{number(found['standard_deviation_m'])} m ({found['pairs']} pairs)")  # fmt: skip
     if record["pruning"]:
         say(f"left out: {', '.join(record['pruning']['dropped']) or 'none'}")
-    for text in record["warnings"]:
-        note(f"warning: {text}")
+    tell_findings(record)
     if record["out"]:
         say(f"written: {record['out']}")
 
@@ -202,4 +202,4 @@ def _show_check(record: dict[str, Any]) -> None:
     table("standards, m", ("standard", "measure", "value", "limit", "", "largest scale"), rows, left=2)
     for s in record["standards"]:
         for text in s["remarks"]:
-            note(f"note: {s['standard']}: {text}")
+            tell("note", f"{s['standard']}: {text}")

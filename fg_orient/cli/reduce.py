@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Quiet, emit, number, outcome, require_project, say, table
+from fg_orient.cli.common import Debug, Json, Log, Quiet, number, outcome, require_project, table
 from fg_orient.cli.options import flags, named_as_typed, with_options
+from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 from fg_orient.options import Options
@@ -45,7 +46,7 @@ def reduce(
         with named_as_typed(flags(Options)):
             block = read_project(project, **options)
         if direction not in ("backward", "forward"):
-            raise InputError.of("options.value", place="--direction", value=direction, expected="backward or forward")
+            raise InputError.of("options.value", option="direction", value=direction, expected="backward or forward")
         with progress_bar("adjusting") as callback:
             with named_as_typed({"folds": "--cross-validation", "level": "--level"}):
                 found = reduce_unknowns(
@@ -64,7 +65,7 @@ def _folds(text: str | None) -> int | None:
         return None if text is None else 0
     if text.isdecimal() and int(text) >= 2:
         return int(text)
-    raise InputError.of("options.value", place="--cross-validation", value=text, expected="loo or a number from 2")
+    raise InputError.of("options.value", option="cross_validation", value=text, expected="loo or a number from 2")
 
 
 def show(found: Reduction) -> None:

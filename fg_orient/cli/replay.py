@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fg_orient.cli.adjust import load
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, note, outcome, say, table, verdict
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome, table
+from fg_orient.cli.output import emit, say, tell, verdict
 from fg_orient.cli.progress import progress
 from fg_orient.names import EXIT_CODE, Status
 
@@ -61,7 +62,7 @@ def replay(
 def show(found: Replay) -> None:
     """Print what had changed, what differs and where the repeated result lies."""
     for problem in found.inputs:
-        note(f"warning: {problem.file}: {problem.message}")
+        tell("warning", f"{problem.file}: {problem.message}")
     for entry in found.versions:
         say(f"{entry['name']}: {entry['then'] or 'missing'} then, {entry['now'] or 'missing'} now")
     if found.differences:

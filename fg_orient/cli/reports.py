@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, number, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, number, outcome, table
+from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
 from fg_orient.errors import InputError
 
@@ -78,7 +79,7 @@ def _closerange(
     from fg_orient.closerange.report import write_report
 
     if foreign is not None:
-        raise InputError.of("closerange.no_layers", file=folder, place="--truth, --export", value=foreign)
+        raise InputError.of("closerange.no_layers", file=folder, option="truth, export", value=foreign)
     with progress_bar("writing the report"):
         record: dict[str, Any] = {"report": str(write_report(folder)), "truth": None}
     if figures or figures_out is not None:

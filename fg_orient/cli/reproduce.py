@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, say, table
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome, table
+from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
 
 if TYPE_CHECKING:

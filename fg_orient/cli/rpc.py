@@ -15,17 +15,14 @@ from fg_orient.cli.common import (
     Overwrite,
     Quiet,
     Result,
-    emit,
-    note,
     number,
     outcome,
     read_image,
-    say,
     table,
-    verdict,
 )
+from fg_orient.cli.output import emit, say, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, judged
 from fg_orient.names import EXIT_CODE, Status
 
 if TYPE_CHECKING:
@@ -84,7 +81,7 @@ def check(
     """
     with outcome(as_json, debug, quiet, log):
         if heights is not None and dem is not None:
-            raise InputError.of("cli.two_ways", place="--heights, --dem", options="--heights, --dem")
+            raise InputError.of("options.two_ways", option="heights, dem")
         from fg_orient.rpc.check import check_rpc
         from fg_orient.rpc.files import open_rpc
         from fg_orient.rpc.points import read_measured
@@ -124,7 +121,7 @@ def convert(
         target = target_of(to, out)
         found = open_rpc(file, order=order, first_pixel=first_pixel)
         record = {
-            "status": "good", "warnings": list(found.model.notes), "source": describe(found),
+            **judged(found.model.notes), "source": describe(found),
             "out": write_as(found.model, out, target, overwrite=overwrite),
         }  # fmt: skip
         _end(record, as_json, _show_convert)
@@ -264,13 +261,13 @@ def fit(
         given = {name: value for name, value in of_points.items() if value is not None}
         common = {"degree": degree, "denominators": denominators, "seed": seed}
         if source.suffix.lower() == ".csv":
-            of_sensor = {"--heights": heights, "--grid": grid, "--result": result}
+            of_sensor = {"heights": heights, "grid": grid, "result": result}
             _refuse(source, of_sensor, "control points")
             with progress_bar("fitting") as progress:
                 model, record = _fit_points(source, common | given, out, progress)
         else:
-            names = {"selection": "--select", "normalise": "--no-normalise"}
-            _refuse(source, {names.get(name, f"--{name}"): value for name, value in given.items()}, "a sensor")
+            names = {"selection": "select", "normalise": "no_normalise"}
+            _refuse(source, {names.get(name, name): value for name, value in given.items()}, "a sensor")
             sensor = read_image(source, "auto", extrapolate_attitude, result)
             with progress_bar("fitting"):
                 model, record = _fit_image(sensor, source, heights, grid, common)
@@ -286,7 +283,7 @@ def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
     """Refuse options that mean nothing for this source."""
     for name, value in options.items():
         if value is not None:
-            raise InputError.of("rpc.foreign_option", file=source, place=name, option=name, source=what)
+            raise InputError.of("rpc.foreign_option", file=source, option=name, source=what)
 
 
 def _fit_points(
@@ -297,7 +294,7 @@ def _fit_points(
 
     chosen: FitOptions = FitOptions(**options)
     if out is not None and not chosen.normalise:
-        raise InputError.of("rpc.unscaled", file=out, place="--no-normalise")
+        raise InputError.of("rpc.unscaled", file=out, option="no_normalise")
     return fit_points(read_measured(source), chosen, progress)
 
 
@@ -309,7 +306,7 @@ def _fit_image(
     from fg_orient.rpc.fitting import fit_image
 
     if heights is None:
-        raise InputError.of("rpc.no_heights", file=source, place="--heights")
+        raise InputError.of("rpc.no_heights", file=source, option="heights")
     shape = SHAPE if grid is None else grid
     return fit_image(sensor, heights, shape=shape, file=str(source), **options)
 
@@ -322,8 +319,7 @@ def _end(record: dict[str, Any], as_json: bool, show: Any) -> None:
     if as_json:
         emit(record)
     else:
-        for text in record["warnings"]:
-            note(f"warning: {text}")
+        tell_findings(record)
         show(record)
         verdict(record["status"].replace("_", " "), good=record["status"] != Status.NOT_TRUSTWORTHY)
     if record["status"] == Status.NOT_TRUSTWORTHY:
@@ -357,7 +353,7 @@ def _show_source(source: Mapping[str, Any]) -> None:
 
 def _show_check(record: dict[str, Any]) -> None:
     for text in record["notes"]:
-        note(f"note: {text}")
+        tell("note", text)
     _show_source(record)
     below = record["denominators"]
     say(f"heights {record['heights_m'][0]:g} .. {record['heights_m'][1]:g} m: least denominators "

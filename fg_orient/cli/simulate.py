@@ -8,8 +8,9 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, emit, outcome, say
+from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome
 from fg_orient.cli.options import flags, named_as_typed, with_options
+from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
 from fg_orient.simulate.options import BlockOptions, MixedOptions, ZonguldakOptions
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,16 +18,14 @@ from fg_orient.cli.common import (
     Quiet,
     Result,
     VerticalCrs,
-    emit,
-    note,
     number,
     outcome,
     read_dem,
     read_image,
-    say,
     table,
     with_result,
 )
+from fg_orient.cli.output import emit, say, tell
 from fg_orient.errors import InputError
 
 if TYPE_CHECKING:
@@ -63,21 +62,21 @@ def footprint(
 
         if (height is None) == (dem is None):
             code = "cli.no_height" if height is None else "cli.two_heights"
-            raise InputError.of(code, file=sources[0], place="--height, --dem")
+            raise InputError.of(code, file=sources[0], option="height, dem")
         if out is not None and out.exists() and not overwrite:
-            raise InputError.of("output.exists", file=out, place="--out")
+            raise InputError.of("output.exists", file=out, option="out")
         surface = read_dem(dem, dem_vertical_crs)
         images = _images(sources, model, extrapolate_attitude, result)
         views = [View(image, height or 0.0, surface) for image in images]
         records = viewing_records(views)
         if out is not None:
             _write(out, feature_collection(views, records["images"]))
-        notes = [f"image {view.image.id}: {text}" for view in views for text in view.image.sensor.notes]
+        notes = [replace(found, place=f"image {view.image.id}") for view in views for found in view.image.sensor.notes]
         if as_json:
-            emit({**records, "notes": notes, "out": None if out is None else str(out)})
+            emit({**records, "notes": list(map(str, notes)), "out": None if out is None else str(out)})
         else:
-            for text in notes:
-                note(f"note: {text}")
+            for found in notes:
+                tell("note", found)
             _show(records)
             if out is not None:
                 say(f"written: {out}")

@@ -19,7 +19,7 @@ from fg_orient.closerange.bundle_network import Built, build
 from fg_orient.closerange.bundle_quality import Quality, quality_of
 from fg_orient.closerange.consistent import HELD, missed_most, require_consistent, require_slopes
 from fg_orient.closerange.constraints import JUDGED, Constraint
-from fg_orient.closerange.fitting import as_points, plain_reason, require_sigmas, unit_weight
+from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.errors import FgOrientError, InputError, NoSolutionError
 from fg_orient.linear.system import MAX_UNKNOWNS
@@ -320,7 +320,7 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
             engine, network.start, MAX_ITERATIONS, callback, tolerance=TOLERANCE
         )
         if not found.converged:
-            raise _not_converged(network, plain_reason(found.reason))
+            raise _not_converged(network, found.end.message)
         rows = network.rows(found.state)
         if len(rows.condition) and np.abs(rows.condition).max() > HELD:
             raise _not_converged(network, "hard constraints are not met where the steps end")

@@ -11,7 +11,7 @@ from factors.extended_collinearity import EXTENDED_COLLINEARITY
 from fg_orient.adjustment.network import Rows
 from fg_orient.closerange.bundle_network import Built
 from fg_orient.closerange.fitting import RANK_LIMIT, UNDETERMINED
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import InputError, finding
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -48,7 +48,7 @@ def require_rays(built: Built, which: Index, of: Index) -> None:
         if len(photos) < 2 and variable not in told:
             where = f", photo {built.photos[photos[0]].name}" if len(photos) else ""
             code = "closerange.one_ray" if len(photos) else "closerange.no_ray"
-            faults.append(problem(code, place=f"point {built.ids[j]}{where}"))
+            faults.append(finding(code, place=f"point {built.ids[j]}{where}"))
     if faults:
         raise InputError(*faults)
 

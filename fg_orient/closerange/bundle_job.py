@@ -27,7 +27,7 @@ from fg_orient.closerange.job import (
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.resection import resect
 from fg_orient.closerange.stations import Station, read_stations, station_sigmas
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import Finding, InputError, Option, finding
 from fg_orient.io.constraints import ConstraintEntry, read_constraints
 from fg_orient.io.photos import read_photos
 from fg_orient.linear.threads import one_blas_thread
@@ -90,7 +90,7 @@ def run_bundle(
     tell = stage or (lambda name, count: None)
     tell("reading", 0)
     table = read_image_points(path)
-    own, common = parameters_of(unknown, "--unknown"), parameters_of(shared, "--shared")
+    own, common = parameters_of(unknown, Option("unknown")), parameters_of(shared, Option("shared"))
     known, begun = _control(control, sigma_control_m), _control(start, 0.0)
     places = begun | known
     names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys((*table.ids, *begun)))
@@ -123,8 +123,9 @@ def run_bundle(
     ]
     unit, weights = unit_of_weights(table, sigma), weights_of(table, sigma)
     judges = {name: at for name, (at, _) in withheld.items()}
-    record = unit | bundle_record(found, table, known, which, of, weights, unit["weights"] == "absolute", seen, judges)
-    record["warnings"] += doubts
+    record = unit | bundle_record(
+        found, table, known, which, of, weights, unit["weights"] == "absolute", seen, judges, doubts
+    )
     beside = (photos, control, check, start, constraints, stations)
     return finished(record, path, table, out, overwrite, command, texts, report, beside)
 
@@ -136,7 +137,7 @@ def _own_sigmas(
     for name, (_, sigma) in known.items():
         if sigma.any():
             own = (str(path), f"control {name}")
-            yield *(("", "--sigma-control") if (sigma == sigma_m).all() else own), float(sigma.max())
+            yield *(("", Option("sigma_control")) if (sigma == sigma_m).all() else own), float(sigma.max())
 
 
 def _stated(path: Path | None, entries: Sequence[ConstraintEntry]) -> Iterator[tuple[str, str, float]]:
@@ -169,13 +170,13 @@ Start = tuple[Interior, Array, Array]
 def _starts(
     path: Path, names: Sequence[str], table: Observed, which: Index, of: Index, ids: Sequence[str],
     known: Mapping[str, tuple[Array, Array]], sigma: Array, seen: Mapping[str, Station],
-) -> tuple[list[Start], list[str]]:  # fmt: skip
+) -> tuple[list[Start], list[Finding]]:  # fmt: skip
     """Interior, rotation and centre of each photo, and what to doubt there.
 
     An observed attitude begins as observed, the rest as the file says, else by resection.
     """
     file = read_photos(path)
-    cameras, out, doubts = interiors(file), list[Start](), list[str]()
+    cameras, out, doubts = interiors(file), list[Start](), list[Finding]()
     for k, name in enumerate(names):
         entry, interior = of_name(file.entries, name, path), of_name(cameras, name, path)
         turn = seen[name].rotation if name in seen else None
@@ -191,7 +192,8 @@ def _starts(
         ground = np.array([known[ids[of[a]]][0] for a in rows])
         found = resect(interior, ground, table.image[rows], sigma=sigma[rows], name=name)
         out.append((interior, found.rotation, found.photo.origin_m))
-        doubts += [] if found.rival is None else [f"the bundle begins with a resection of photo {name}: {found.rival}"]
+        if found.rival is not None:
+            doubts.append(found.rival.finding(f"the bundle begins with a resection of photo {name}"))
     return out, doubts
 
 
@@ -214,7 +216,7 @@ def _points(
     rays, free = np.bincount(of, minlength=len(ids)), np.isnan(out[:, 0])
     lost = [name for name, is_free, n in zip(ids, free, rays, strict=True) if is_free and n < 2]
     if lost:
-        raise InputError(*(problem("closerange.no_place", place=f"point {name}") for name in lost))
+        raise InputError(*(finding("closerange.no_place", place=f"point {name}") for name in lost))
     rows = np.flatnonzero(free[of])
     if len(rows):
         number = np.cumsum(free) - 1

@@ -15,8 +15,9 @@ from fg_orient.closerange.bundle_network import camera_of
 from fg_orient.closerange.bundle_quality import Quality
 from fg_orient.closerange.distortion import profile
 from fg_orient.closerange.files import Observed
-from fg_orient.closerange.job import NO_REDUNDANCY, Record, covariances, exterior_record, xyz
+from fg_orient.closerange.job import Record, covariances, exterior_record, no_redundancy, xyz
 from fg_orient.closerange.stations import Station, observed_record
+from fg_orient.errors import Finding, as_record, finding
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
 
 Array = npt.NDArray[np.float64]
@@ -31,7 +32,7 @@ _WEAK: Final = 5
 
 def bundle_record(
     found: Bundle, table: Observed, known: Known, which: Index, of: Index, sigma: Array, absolute: bool,
-    seen: Mapping[str, Station], check: Mapping[str, Array],
+    seen: Mapping[str, Station], check: Mapping[str, Array], started: Sequence[Finding] = (),
 ) -> Record:  # fmt: skip
     """Give the record of a bundle.
 
@@ -52,6 +53,8 @@ def bundle_record(
         Observed stations by photo.
     check : mapping
         Coordinates of points that took no part.
+    started : sequence of Finding
+        On the start values.
     """
     quality = found.quality
     unit = 1.0 if absolute else (found.m0 or 1.0)
@@ -64,7 +67,7 @@ def bundle_record(
         "distortion": _distortion(found, table, which), "observations": _others(quality, unit),
         "check": _check(found, check), "reliability": _reliability(quality),
         "correlations": _correlations(quality), "directions": _directions(quality), "history": _history(quality),
-        "warnings": _warnings(found, known, seen, check),
+        **as_record([*_findings(found, known, seen, check), *started]),
     }  # fmt: skip
 
 
@@ -224,17 +227,19 @@ def _history(quality: Quality) -> list[Record]:
             for i in quality.history]  # fmt: skip
 
 
-def _warnings(found: Bundle, known: Known, seen: Mapping[str, Station], check: Mapping[str, Array]) -> list[str]:
+def _findings(
+    found: Bundle, known: Known, seen: Mapping[str, Station], check: Mapping[str, Array]
+) -> list[Finding]:  # fmt: skip
     """What the user should know."""
-    out = [] if found.m0 is not None else [NO_REDUNDANCY]
-    for what, names, measured in (
-        ("control points measured in no photo", known, found.ids),
-        ("check points measured in no photo", check, found.ids),
-        ("stations of photos without image points", seen, [p.name for p in found.photos]),
+    out = no_redundancy(found.m0)
+    for code, names, measured in (
+        ("closerange.unseen_control", known, found.ids),
+        ("closerange.unseen_check", check, found.ids),
+        ("closerange.unseen_station", seen, [p.name for p in found.photos]),
     ):
         unseen = [name for name in names if name not in set(measured)]
         if unseen:
-            out.append(f"{what}: {', '.join(unseen)}")
+            out.append(finding(code, names=unseen))
     if found.beyond:
-        out.append(f"photos.toml is not written: it cannot hold {', '.join(found.beyond)}")
+        out.append(finding("closerange.no_photo_file", parameters=found.beyond))
     return out

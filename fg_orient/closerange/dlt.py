@@ -26,7 +26,7 @@ from fg_orient.closerange.fitting import (
 )
 from fg_orient.closerange.flatness import require_depth
 from fg_orient.closerange.photo import Photo, YAxis, corrections_of
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import Finding, InputError, NoSolutionError
 from fg_orient.rectification.transformation import Scaling
 
 Array = npt.NDArray[np.float64]
@@ -96,8 +96,8 @@ class DltFit(Deviations):
         Of the scaled design.
     recovered : Recovered
     iterations : int
-    doubt : str
-        Words on standard deviations that are too small, since the projection is hardly a central one; else "".
+    doubt : Finding or None
+        Standard deviations are too small, since the projection is hardly a central one.
     """
 
     photo: Photo
@@ -110,7 +110,7 @@ class DltFit(Deviations):
     condition: float
     recovered: Recovered
     iterations: int
-    doubt: str = ""
+    doubt: Finding | None = None
 
 
 def direct_dlt(ground: Array, image: Array) -> Array:

@@ -41,7 +41,7 @@ def write_figures(
     Parameters
     ----------
     folder : path
-        Written by ``closerange ... --out``.
+        Written by a command of close range.
     out : path, optional
         Folder to come; default ``figures`` inside it.
     overwrite : bool
@@ -62,7 +62,7 @@ def write_figures(
         The folder holds no result, matplotlib is missing, or the output may not be written.
     """
     if not style.available():
-        raise InputError.of("report.no_matplotlib", place="--figures")
+        raise InputError.of("report.no_matplotlib", option="figures")
     record = read_record(Path(folder))
     target = Path(folder) / FOLDER if out is None else Path(out)
     require_free(target, overwrite=overwrite, contents=FIGURES)

@@ -119,13 +119,8 @@ def adjust(rows: Rows, start: Array, what: str, *, moved: Callable[[Array, Array
     checked = finite_rows(rows, what)
     found = OPTIMIZERS["levenberg-marquardt"](RowsBackend(checked, moved or np.add), start, MAX_ITERATIONS)
     if not found.converged:
-        raise NoSolutionError.of("closerange.not_converged", place=what, reason=plain_reason(found.reason))
+        raise NoSolutionError.of("closerange.not_converged", place=what, reason=found.end.message)
     return Adjusted(found.state, *checked(found.state, True), found.log)
-
-
-def plain_reason(reason: str) -> str:
-    """Why a loop ended, without the options of ``adjust`` that it advises: close range has none of them."""
-    return reason.partition(": ")[0]
 
 
 @dataclass(frozen=True)

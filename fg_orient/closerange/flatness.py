@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.distributions import normal_quantile, t_quantile
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def limits(redundancy: int, *, known: bool) -> tuple[float, float]:
 
 def require_depth(
     ground: Array, parameters: Array, cofactors: Array, m0: float | None, redundancy: int, *, known: bool
-) -> str:
+) -> Finding | None:
     """Refuse points that are flat, or a projection that is parallel, within the noise.
 
     Parameters
@@ -68,8 +68,8 @@ def require_depth(
 
     Returns
     -------
-    str
-        Words on a projection that is hardly central, whose centre has standard deviations that are too small; else "".
+    Finding or None
+        Of a projection that is hardly central, whose centre has standard deviations that are too small.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def require_depth(
         Says how many standard deviations the determinant has, and how many it needs.
     """
     if not known and m0 is None:
-        return ""
+        return None
     unit = max(1.0, m0 or 0.0) if known else float(m0 or 0.0)
     matrix = np.append(parameters, 1.0).reshape(3, 4)[:, :3]
     slope = np.zeros((3, 4))
@@ -86,7 +86,7 @@ def require_depth(
     deviation = unit * float(np.sqrt(np.maximum(by_parameter @ cofactors[:11, :11] @ by_parameter, 0.0)))
     determinant, (noise, honest) = abs(float(np.linalg.det(matrix))), limits(redundancy, known=known)
     if determinant >= honest * deviation:
-        return ""
+        return None
     found, away = determinant / deviation, ground - ground.mean(axis=0)
     heights = np.linalg.svd(away, full_matrices=False)[2][2]
     shown = _heights_shown(heights, parameters, cofactors) / unit
@@ -97,10 +97,7 @@ def require_depth(
     if found < noise:
         raise InputError.of("closerange.parallel_noise", place="DLT",
                             value=f"{found:.2g} sigmas from parallel, {noise:.3g} needed")  # fmt: skip
-    return (
-        f"the projection is {found:.2g} sigmas from a parallel one: standard deviations of the centre and of "
-        f"the principal distances are too small (honest from {honest:.3g} on)"
-    )
+    return finding("closerange.nearly_parallel", sigmas=found, honest=honest)
 
 
 def _heights_shown(heights: Array, parameters: Array, cofactors: Array) -> float:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from fg_orient.closerange.files import GROUND, IMAGE, SIGMA_GROUND, SIGMA_IMAGE, photo_text
 from fg_orient.closerange.photo import Interior, Photo
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Option
 from fg_orient.interchange.dbat import read_centres, read_control
 from fg_orient.interchange.registry import Settings, format_named
 from fg_orient.io.folder import Contents, require_free, staged_folder, writing
@@ -58,9 +58,9 @@ def run_import(
         A file is faulty, or the camera's distortion leads from ideal to measured coordinates.
     """
     require_free(out, overwrite=overwrite, contents=CONTENTS)
-    format_ = format_named(source, place="--from")
+    format_ = format_named(source, place=Option("from"))
     if format_.read_model is None:
-        raise InputError.of("closerange.no_model", file=export, place="--from", value=source)
+        raise InputError.of("closerange.no_model", file=export, place=Option("from"), value=source)
     model = format_.read_model((export,), Settings())
     ids, known = read_control(control) if control else ([], np.empty((0, 6)))
     weighted = np.isfinite(known[:, 3])

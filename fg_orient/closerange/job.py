@@ -33,7 +33,7 @@ from fg_orient.closerange.report.words import doubts
 from fg_orient.closerange.resection import Resection, resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Method, Priors, fit_surface
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, Option, as_record, finding
 from fg_orient.io.atomic import write_text
 from fg_orient.io.folder import Contents, require_free, staged_folder, writing
 from fg_orient.io.photos import read_photos
@@ -59,11 +59,6 @@ CONTENTS: Final = Contents(
         "figures/captions.md",
     ),
 )  # fmt: skip
-NO_REDUNDANCY: Final = "no redundancy: standard deviations follow from nothing"
-LITTLE_REDUNDANCY: Final = (
-    "redundancy 1: m0, and standard deviations with it, are ten times too small in 8 of 100 sets, and 1 of 15 sets "
-    "that are flat within the noise passes; give --sigma"
-)
 
 
 def run_dlt(
@@ -98,10 +93,9 @@ def run_dlt(
         found = fit_dlt(table.ground[used], table.image[used], sigma=stated, distortion=distortion, name=name,
                         iterate=iterate)  # fmt: skip
         texts.append(photo_text(found.photo))
-        record = _dlt_record(found)
-        record["warnings"] += [found.doubt] if found.doubt else []
-        record["warnings"] += [LITTLE_REDUNDANCY] if found.redundancy == 1 and stated is None else []
-        return record | _photo_points(table, rows, found.photo, sigma)
+        little = found.redundancy == 1 and stated is None
+        told = [found.doubt, finding("closerange.little_redundancy") if little else None]
+        return _dlt_record(found, told) | _photo_points(table, rows, found.photo, sigma)
 
     photos = _each_photo(table, sigma, one)
     return finished(
@@ -110,11 +104,11 @@ def run_dlt(
     )  # fmt: skip
 
 
-def _dlt_record(found: DltFit) -> Record:
+def _dlt_record(found: DltFit, told: Sequence[Finding | None]) -> Record:
     r, sd = found.recovered, found.sigma
     s = r.sigma or dict.fromkeys(("x0", "y0", "cx", "cy", "skew", "X0", "Y0", "Z0", "turn_x", "turn_y", "turn_z"))
     return {
-        "photo": found.photo.name, **_fit_facts(found),
+        "photo": found.photo.name, **_fit_facts(found, told),
         "parameters": [
             {"name": n, "value": v, "sigma": None if sd is None else float(sd[k])}
             for k, (n, v) in enumerate(zip(found.names, found.values.tolist(), strict=True))
@@ -157,8 +151,7 @@ def run_resect(
 def _resection_record(found: Resection) -> Record:
     sd = found.sigma
     turns, centre = ([None] * 3, [None] * 3) if sd is None else (sd[:3].tolist(), sd[3:].tolist())
-    facts = _fit_facts(found)
-    facts["warnings"] += [] if found.rival is None else [str(found.rival)]
+    facts = _fit_facts(found, [None if found.rival is None else found.rival.finding()])
     return {"photo": found.photo.name, **facts,
             "exterior": exterior_record(found.rotation, found.centre_m, turns, centre)}  # fmt: skip
 
@@ -197,7 +190,7 @@ def run_intersect(
     record = {
         "kind": "intersection", **unit_of_weights(table, sigma), "m0": found.m0, "redundancy": found.redundancy,
         "iterations": found.iterations, "points": points, "residuals": residuals, "stations": centres,
-        "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
+        **as_record(no_redundancy(found.m0)),
     }  # fmt: skip
     return finished(record, path, table, out, overwrite, command, (), report, [photos])
 
@@ -216,7 +209,7 @@ def run_surface(
     """
     table = _begin(path, read_ground_points, out, report, overwrite)
     require_absolute(
-        path, table, sigma_m, [("", f"--prior {name}", value[1]) for name, value in (priors or {}).items()]
+        path, table, sigma_m, [("", Option(f"prior {name}"), value[1]) for name, value in (priors or {}).items()]
     )
     weights = sigma_m if table.sigma is None else table.sigma
     with one_blas_thread():
@@ -238,7 +231,7 @@ def run_surface(
              **({} if ratio is None else {"distance_over_sigma": float(ratio[k])})}
             for k, name in enumerate(table.ids)
         ],
-        "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
+        **as_record(no_redundancy(found.m0)),
     }  # fmt: skip
     return finished(record, path, table, out, overwrite, command, (), report)
 
@@ -259,9 +252,9 @@ def require_outputs(out: Path | None, report: Path | None, overwrite: bool) -> N
     if report is None:
         return
     if report.is_dir() or (report.exists() and not overwrite):
-        raise InputError.of("output.exists", file=report, place="--report")
+        raise InputError.of("output.exists", file=report, option="report")
     if not report.parent.is_dir():
-        raise InputError.of("output.unwritable", file=report, place="--report", value="no such folder")
+        raise InputError.of("output.unwritable", file=report, option="report", value="no such folder")
 
 
 def _begin(
@@ -331,10 +324,15 @@ def of_name(known: Mapping[str, T], name: str, path: Path) -> T:
     return known[name]
 
 
-def _fit_facts(found: DltFit | Resection) -> Record:
+def no_redundancy(m0: float | None) -> list[Finding]:
+    """Tell that standard deviations follow from nothing, where it is so."""
+    return [] if m0 is not None else [finding("closerange.no_redundancy")]
+
+
+def _fit_facts(found: DltFit | Resection, told: Sequence[Finding | None]) -> Record:
     return {
         "m0": found.m0, "redundancy": found.redundancy, "condition": found.condition, "iterations": found.iterations,
-        "warnings": [] if found.m0 is not None else [NO_REDUNDANCY],
+        **as_record([*no_redundancy(found.m0), *filter(None, told)]),
     }  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from fg_orient.closerange.fitting import (
 )
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.rivals import SAME, likeness, ratio_limit
-from fg_orient.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 
 Array = npt.NDArray[np.float64]
@@ -58,12 +58,10 @@ class Rival:
     ratio: float
     limit: float
 
-    def __str__(self) -> str:
-        centre = ", ".join(f"{v:.4g}" for v in self.centre_m)
-        return (
-            f"a second pose fits nearly as well, centre at {centre} m: weighted squares {self.ratio:.3g} times as "
-            f"large, an F test at 5 % tells poses apart from {self.limit:.3g}; add control points off the plane"
-        )
+    def finding(self, place: str = "") -> Finding:
+        """What a user should know of it."""
+        centre = self.centre_m.tolist()
+        return finding("closerange.second_pose", place=place, centre_m=centre, ratio=self.ratio, limit=self.limit)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from fg_orient.block import Block
 from fg_orient.classical.two_stage import Kind, TwoStage
 from fg_orient.classical.two_stage_results import Bundle
 from fg_orient.comparison.model import AXES, GRAPH_SOLVER, Curve, Direction, Row, Spectrum
-from fg_orient.errors import FgOrientError, problem
+from fg_orient.errors import FgOrientError, finding
 from fg_orient.linear import registry
 from fg_orient.linear.conditioning import numerical_rank, singular_values
 from fg_orient.linear.l_curve import l_curve_of
@@ -65,11 +65,11 @@ def _conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, An
 def _reason_to_leave_out(solver: str, order: int, *, iterated: bool) -> str:
     """Say why an adjustment is not tried; "" if it is."""
     if order > MAX_UNKNOWNS:
-        return str(problem("linear.too_large", place=solver, value=order, limit=MAX_UNKNOWNS))
+        return str(finding("linear.too_large", place=solver, value=order, limit=MAX_UNKNOWNS))
     if solver == "cramer_inverse" and order > CRAMER_LIMIT:
-        return str(problem("compare.slow", place=solver, value=order, limit=CRAMER_LIMIT))
+        return str(finding("compare.slow", place=solver, value=order, limit=CRAMER_LIMIT))
     if iterated and registry.solver(solver).family == "tikhonov":
-        return str(problem("compare.damped", place=solver))
+        return str(finding("compare.damped", place=solver))
     return ""
 
 

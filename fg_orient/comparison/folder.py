@@ -14,7 +14,7 @@ from fg_orient.comparison.compare import compare
 from fg_orient.comparison.model import COLUMNS, Comparison
 from fg_orient.comparison.report import render
 from fg_orient.comparison.words import summaries, verdict
-from fg_orient.errors import NoSolutionError
+from fg_orient.errors import NoSolutionError, as_record, finding
 from fg_orient.figures.style import available
 from fg_orient.io.folder import Contents, require_free, staged_folder, writing
 from fg_orient.io.project import read_project
@@ -33,7 +33,6 @@ SPECTRUM_COLUMNS: Final = ("eop_set", "system", "scaling", "index", "singular_va
 DIRECTION_COLUMNS: Final = ("eop_set", "image", "direction", "held_by")
 #: ``rule``: empty for a point of the curve, else the rule that chose this kappa.
 CURVE_COLUMNS: Final = ("eop_set", "type", "rule", "kappa", "residual_norm", "solution_norm")
-NO_FIGURES: Final = 'no figures: matplotlib is missing (pip install "fg-orient[report]")'
 
 
 def compare_project(
@@ -66,7 +65,7 @@ def compare_project(
     Returns
     -------
     dict
-        The record of ``compare --json``.
+        The record of the command ``compare``.
 
     Raises
     ------
@@ -159,7 +158,7 @@ def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[
         "as_run": comparison.as_run,
         "look_polynomial": comparison.block.options.look_polynomial,
         "summary": [asdict(line) for line in summaries(comparison)],
-        "warnings": [] if available() else [NO_FIGURES],
+        **as_record([] if available() else [finding("compare.no_figures")]),
         "rows": [row.as_dict() for row in comparison.rows],
         "directions": [asdict(found) for found in comparison.directions],
         "out": out.name,

@@ -11,6 +11,7 @@ from fg_orient.comparison import heat
 from fg_orient.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison, Direction
 from fg_orient.comparison.plots import row_name
 from fg_orient.comparison.words import ranges, summaries, verdict
+from fg_orient.errors import sentences
 from fg_orient.figures.style import INK, PAPER
 from fg_orient.report.page import environment
 
@@ -73,7 +74,7 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
     tables = [words for words, shown in TABLES.items() if {"directions": directions, "conditions": conditions}[shown]]
     reasons = [(id_, title, found) for id_, title, left_out in REASONS if (found := _reasons(comparison, left_out))]
     return shell.get_template("compare.html.j2").render(
-        r=record, verdict=verdict(comparison), problems=record["warnings"], figures=drawn, heats=heats,
+        r=record, verdict=verdict(comparison), problems=sentences(record), figures=drawn, heats=heats,
         summaries=summaries(comparison), sets=sets, conditions=conditions, reasons=reasons,
         condition_heads=condition_heads, directions=directions, outcomes=heat.OUTCOMES, counts=heat.counts(comparison),
         steps=heat.steps(comparison.target_m), 

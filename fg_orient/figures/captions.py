@@ -46,7 +46,7 @@ ABSENT: Final = {
     "correlations": "the covariances are withheld; the warnings of result.json say why",
     "singular_values": "no image has unknowns",
     "redundancy": "redundancy numbers are withheld; the warnings of result.json say why",
-    "l_curve": "no solver with a regularisation parameter was used (`--backend dense --solver tikhonov_l_curve`)",
+    "l_curve": "no solver with a regularisation parameter was used, such as tikhonov_l_curve of the dense backend",
     "iterations": "the optimiser keeps no log",
 }
 

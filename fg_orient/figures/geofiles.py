@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Option
 from fg_orient.figures.layers import Layer, read_layers
 from fg_orient.interchange.geopackage import GPKG_OPTIONS
 from fg_orient.io.atomic import staged_file, write_text
@@ -56,12 +56,12 @@ def export(
     """
     target = Path(out)
     if target.suffix.lower() not in SUFFIXES:
-        raise InputError.of("report.export_suffix", file=out, place="--export", value=target.suffix or "none")
+        raise InputError.of("report.export_suffix", file=out, option="export", value=target.suffix or "none")
     package = target.suffix.lower() == ".gpkg"
     if package and None in (find_spec("pyogrio"), find_spec("shapely")):
-        raise InputError.of("report.no_pyogrio", file=out, place="--export")
+        raise InputError.of("report.no_pyogrio", file=out, option="export")
     if target.exists() and not (overwrite and target.is_file()):
-        raise InputError.of("output.exists", file=out, place="--export")
+        raise InputError.of("output.exists", file=out, option="export")
     layers = read_layers(Path(folder), vector_scale)
     if package:
         made = json.loads((Path(folder) / "result.json").read_text("utf-8"))["provenance"]["date_time_utc"]
@@ -114,7 +114,7 @@ def write_geopackage(path: Path, layers: tuple[Layer, ...], made: str) -> None:
     with plain_case():
         import pyogrio
 
-    with staged_file(path, place="--export", suffix=".gpkg") as temporary, plain_case():
+    with staged_file(path, place=Option("export"), suffix=".gpkg") as temporary, plain_case():
         before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": f"{made[:19]}.000Z"})
         try:

@@ -72,7 +72,7 @@ def read_layers(folder: Path, vector_scale: float | None = None) -> tuple[Layer,
         No result, a damaged one, one without geographic coordinates, or a scale that is not positive.
     """
     if vector_scale is not None and not (math.isfinite(vector_scale) and vector_scale > 0.0):
-        raise InputError.of("options.value", place="--vector-scale", value=vector_scale, expected="a positive number")
+        raise InputError.of("options.value", option="vector_scale", value=vector_scale, expected="a positive number")
     result = read_result(folder)
     try:
         table = read_columns(folder / "points.csv")
@@ -81,7 +81,7 @@ def read_layers(folder: Path, vector_scale: float | None = None) -> tuple[Layer,
     place = table.numbers("lon_deg", "lat_deg")
     rows = np.flatnonzero(np.isfinite(place).all(axis=1))
     if not len(rows):
-        raise InputError.of("report.no_map", file=folder, place="--export")
+        raise InputError.of("report.no_map", file=folder, option="export")
     points = Layer("points", "Point", [_point(p) for p in place[rows].tolist()], _columns(table, rows))
     return points, error_vectors(table, vector_scale or default_scale(table)), footprints(result)
 

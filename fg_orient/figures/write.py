@@ -107,7 +107,7 @@ def write_figures(
     """
     target = Path(folder) / FOLDER if out is None else Path(out)
     if not style.available():
-        raise InputError.of("report.no_matplotlib", place="--figures")
+        raise InputError.of("report.no_matplotlib", option="figures")
     if unknown := [kind for kind in formats if kind not in FORMATS]:
         raise InputError.of("options.value", place="formats", value=unknown[0], expected=" or ".join(FORMATS))
     given = read_folder(Path(folder))

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.crs import WGS84, wkt
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, Option, finding
 from fg_orient.geodesy import crs_kind, enu_from_ecef
 from fg_orient.interchange.ground import decided_crs
 from fg_orient.interchange.registry import Format, Holds, Settings, register
@@ -46,7 +46,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
     crs = crs if settings.crs else _WITH_HEIGHTS.get(crs, crs)
     if crs_kind(crs) != "geographic":
-        place = "--crs" if settings.crs else "WKT"
+        place = Option("crs") if settings.crs else "WKT"
         raise InputError.of("interchange.geographic", file=path, place=place, value=crs)
     gathered = Gathering(faults)
     for n, cells in cells_of(path, faults, "either"):
@@ -84,11 +84,11 @@ def _ecef(survey: Survey, k: int, axes: str) -> Array:
     return np.asarray(np.sqrt(enu_from_ecef(*survey.coordinates[k, :2])[0].T ** 2 @ given**2))
 
 
-def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Problem, ...]:
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
     """Write the points with coordinates; those of the CRS of the file have to be geographic."""
     path, o = paths[0], survey.observed
     if crs_kind(survey.crs) != "geographic":
-        raise InputError.of("interchange.geographic", file=path, place="--to-crs", value=survey.crs)
+        raise InputError.of("interchange.geographic", file=path, option="to_crs", value=survey.crs)
     require_plain((*survey.ids, *survey.images), "name", path)
     marks: dict[int, list[str]] = {}
     for image, point, line, sample, along, across in zip(
@@ -108,7 +108,7 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[
     write_text(path, "\n".join([*lines, ""]))
     given = survey.sigma_enu_m[survey.located]
     turned = 0 if settings.sigma_axes == "enu" else int((np.ptp(given, axis=1) > 0.0).sum())
-    return (problem("lost.sigma_axes", file=path, value=f"{turned} point(s)"),) if turned else ()
+    return (finding("lost.sigma_axes", file=path, value=f"{turned} point(s)"),) if turned else ()
 
 
 FORMAT = register(

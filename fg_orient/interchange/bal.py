@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.interchange.files import require_free
 from fg_orient.interchange.registry import Format, Holds, Settings, register
 from fg_orient.interchange.survey import Survey
@@ -34,7 +34,7 @@ _BEYOND: Final = {2: "k3", 3: "p1", 4: "p2"}
 
 def frame_model_of(
     data: BalData, names: Sequence[str] | None = None, sizes: Sequence[tuple[int, int]] | None = None,
-    notes: tuple[str, ...] = (),
+    notes: tuple[Finding, ...] = (),
 ) -> FrameModel:  # fmt: skip
     """Give a file's numbers as a frame model; each image has a camera of its own.
 
@@ -45,7 +45,7 @@ def frame_model_of(
         Of the images; else they are counted from 0.
     sizes : sequence of (n_lines, n_samples), optional
         Of the images; else all are as large as the outermost image point of all demands, and square.
-    notes : tuple of str
+    notes : tuple of Finding
     """
     n = len(data.cameras)
     size = np.array(sizes if sizes is not None else [(assumed_side(data),) * 2] * n, int).reshape(n, 2)
@@ -122,20 +122,18 @@ def write_bal(path: str | Path, data: BalData, *, overwrite: bool = False) -> No
     write_bytes(path, bz2.compress(raw) if path.suffix == ".bz2" else raw)
 
 
-def sized_model(data: BalData, names: Sequence[str], settings: Settings, notes: tuple[str, ...] = ()) -> FrameModel:
+def sized_model(data: BalData, names: Sequence[str], settings: Settings, notes: tuple[Finding, ...] = ()) -> FrameModel:
     """Frame model of a bundle with the sizes of the settings; a note tells those that had to be assumed."""
     side = assumed_side(data)
     without = [name for name in names if name not in settings.image_sizes]
     if without:
-        listed = ", ".join(without[:5]) + (f" and {len(without) - 5} more" if len(without) > 5 else "")
-        told = (
-            f"the file holds no sizes of images: {side} x {side} pixels, out to the outermost image point, are assumed"
-        )
-        notes = (*notes, f"{told} for {listed}; --image-size NAME=LINES,SAMPLES gives a size")
+        notes = (*notes, finding("points.sizes_assumed", side=side, images=without))
     return frame_model_of(data, names, [settings.image_sizes.get(name, (side, side)) for name in names], notes)
 
 
-def bundle_survey(data: BalData, names: Sequence[str], settings: Settings, notes: tuple[str, ...], file: str) -> Survey:
+def bundle_survey(
+    data: BalData, names: Sequence[str], settings: Settings, notes: tuple[Finding, ...], file: str
+) -> Survey:
     """Tie points of a bundle; the sizes of its images are those of the settings.
 
     Raises
@@ -146,7 +144,7 @@ def bundle_survey(data: BalData, names: Sequence[str], settings: Settings, notes
     settings.require_images(names, file)
     for name in names:
         if name not in settings.image_sizes:
-            raise InputError.of("ties.size", file=file, place=name, option=f"--image-size {name}=LINES,SAMPLES")
+            raise InputError.of("ties.size", file=file, place=name)
     return model_survey(sized_model(data, names, settings, notes))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.interchange.bal import bal_data_of, bundle_survey, sized_model
 from fg_orient.interchange.files import read_lines, require_free
 from fg_orient.interchange.registry import Format, Holds, Settings, register
@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 HEAD: Final = "# Bundle file v0.3"
 
 
-def read_bundler(path: str | Path) -> tuple[BalData, tuple[int, ...], tuple[str, ...]]:
+def read_bundler(path: str | Path) -> tuple[BalData, tuple[int, ...], tuple[Finding, ...]]:
     """Read a file; images without orientation are left out.
 
     Returns
@@ -37,7 +37,7 @@ def read_bundler(path: str | Path) -> tuple[BalData, tuple[int, ...], tuple[str,
     data : BalData
     images : tuple of int
         Position in the file (and in Bundler's list of images) of each image kept, from 0.
-    notes : tuple of str
+    notes : tuple of Finding
 
     Raises
     ------
@@ -71,7 +71,7 @@ def read_bundler(path: str | Path) -> tuple[BalData, tuple[int, ...], tuple[str,
         number[views[seen, 0].astype(np.intp)], point[seen], views[seen, 2:].copy(), rows, points
     )  # fmt: skip
     n_out = int((~kept).sum())
-    notes = (f"{n_out} image(s) without orientation are left out",) if n_out else ()
+    notes = (finding("points.images_left_out", n=n_out),) if n_out else ()
     return data, tuple(np.flatnonzero(kept).tolist()), notes
 
 
@@ -147,7 +147,7 @@ def write_bundler(path: str | Path, data: BalData, *, overwrite: bool = False) -
     write_bytes(path, "\n".join([*lines, ""]).encode())
 
 
-def _named(paths: tuple[Path, ...]) -> tuple[BalData, list[str], tuple[str, ...]]:
+def _named(paths: tuple[Path, ...]) -> tuple[BalData, list[str], tuple[Finding, ...]]:
     """Numbers of a file, names of its images by the list, or by numbers from 0, and notes."""
     data, images, notes = read_bundler(paths[0])
     names = [str(k) for k in images]

@@ -18,7 +18,7 @@ from urllib.parse import quote
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.interchange.colmap_cameras import FIRST_PIXEL, MODEL_IDS, interior_of, parameters_of
 from fg_orient.interchange.registry import Format, Holds, Settings, register
 from fg_orient.interchange.survey import Survey
@@ -93,7 +93,7 @@ class ColmapDatabase:
     def survey(self) -> Survey:
         """Tie points of the matches."""
         kind = "geometrically verified" if self.verified else "unverified"
-        notes = (f"{len(self.matches)} {kind} matches",)
+        notes = (finding("points.matches", n=len(self.matches), kind=kind),)
         return matched_survey(self.images, self.image, self.line, self.sample, self.matches, notes)
 
 
@@ -243,7 +243,7 @@ def _camera_record(
         height, width = sizes[name]
         model, values, known = "SIMPLE_PINHOLE", (FOCAL_GUESS * max(width, height), width / 2, height / 2), 0
     else:
-        raise InputError.of("ties.size", file=file, place=name, option=f"--image-size {name}=LINES,SAMPLES")
+        raise InputError.of("ties.size", file=file, place=name)
     number = next(k for k, known_name in MODEL_IDS.items() if known_name == model)
     return number, width, height, np.array(values, "<f8").tobytes(), known
 
@@ -253,12 +253,12 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     return read_colmap_database(paths[0]).survey()
 
 
-def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Problem, ...]:
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
     """Write a database; what single precision rounds is lost."""
     rounding = write_colmap_database(paths[0], survey, settings.image_sizes, overwrite=True)
     if rounding == 0.0:
         return ()
-    return (problem("lost.single", file=paths[0], value=f"up to {rounding:.1g} px", format=FORMAT.name),)
+    return (finding("lost.single", file=paths[0], value=f"up to {rounding:.1g} px", format=FORMAT.name),)
 
 
 FORMAT: Final = register(

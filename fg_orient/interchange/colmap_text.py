@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, finding
 from fg_orient.interchange.colmap_cameras import FIRST_PIXEL, interior_of, parameters_of
 from fg_orient.interchange.files import make_folder, read_lines, require_free, whole
 from fg_orient.interchange.registry import Format, Holds, Settings, register
@@ -61,7 +61,7 @@ def read_colmap_text(folder: str | Path) -> FrameModel:
             "colmap.track", file=FILES[2], place=folder.name, n_tracks=n_tracked, n_images=len(rows)
         )  # fmt: skip
     left_out = int((~measured).sum())
-    notes = (f"{left_out} keypoint(s) without a point are left out",) if left_out else ()
+    notes = (finding("points.no_track", n=left_out),) if left_out else ()
     names = tuple(str(int(i)) for i in ids)
     return FrameModel(
         cameras, poses, names, points, image, point, rows[:, 1] - FIRST_PIXEL, rows[:, 0] - FIRST_PIXEL, notes

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from fg_orient.block import ImagePoints
 from fg_orient.crs import WGS84
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.interchange.ground import check_ground, transformed
 from fg_orient.interchange.losses import losses
 from fg_orient.interchange.registry import Format, Holds, Settings
@@ -36,7 +36,7 @@ class Fill:
 def read_survey(
     paths: Sequence[Path], format_: Format, settings: Settings, *, accept_unverified: bool = False,
     scenes: Sequence[Scene] = (),
-) -> tuple[Survey, tuple[Problem, ...]]:  # fmt: skip
+) -> tuple[Survey, tuple[Finding, ...]]:  # fmt: skip
     """Read the files of a format and check them.
 
     Parameters
@@ -64,13 +64,13 @@ def read_survey(
     """
     file = paths[0]
     if format_.read is None:
-        raise InputError.of("interchange.no_reader", file=file, place="--from", value=format_.name)
+        raise InputError.of("interchange.no_reader", file=file, option="from", value=format_.name)
     require_accepted(paths, format_, accept_unverified)
     survey = format_.read(tuple(paths), settings)
     settings.require_images(survey.images, file)
     remarks = check_ground(survey, str(file), scenes) if survey.crs else ()
     if not format_.verified:
-        remarks = (problem("remark.unverified", file=file, value=format_.name), *remarks)
+        remarks = (finding("remark.unverified", file=file, value=format_.name), *remarks)
     return survey, remarks
 
 
@@ -84,7 +84,7 @@ def require_accepted(paths: Sequence[Path], format_: Format, accept_unverified: 
     """
     _require_few(paths, format_)
     if not (format_.verified or accept_unverified):
-        raise InputError.of("interchange.unverified", file=paths[0], place="--from", value=format_.name)
+        raise InputError.of("interchange.unverified", file=paths[0], option="from", value=format_.name)
 
 
 def filled(survey: Survey, fill: Fill) -> Survey:
@@ -99,7 +99,7 @@ def filled(survey: Survey, fill: Fill) -> Survey:
     roles = list(survey.roles)
     for name in fill.check:
         if name not in survey.ids or not known[survey.ids.index(name)]:
-            raise InputError.of("interchange.no_such_point", place="--check", value=name)
+            raise InputError.of("interchange.no_such_point", option="check", value=name)
         roles[survey.ids.index(name)] = Role.CHECK
     coordinates, sigma = survey.coordinates.copy(), survey.sigma_enu_m.copy()
     if fill.height_m is not None:
@@ -124,7 +124,7 @@ def _with_sigmas(o: ImagePoints, sigma_px: Two | None) -> ImagePoints:
 
 def write_survey(
     survey: Survey, paths: Sequence[Path], format_: Format, settings: Settings, *, overwrite: bool = False
-) -> tuple[tuple[Path, ...], tuple[Problem, ...]]:
+) -> tuple[tuple[Path, ...], tuple[Finding, ...]]:
     """Write a survey in a format.
 
     Parameters
@@ -151,13 +151,13 @@ def write_survey(
         The format cannot be written, something that it needs is missing, or a file exists.
     """
     if format_.write is None:
-        raise InputError.of("interchange.no_writer", file=paths[0], place="--to", value=format_.name)
+        raise InputError.of("interchange.no_writer", file=paths[0], option="to", value=format_.name)
     _require_few(paths, format_)
     targets = tuple(paths) if len(paths) == len(format_.files) else format_.paths(paths[0])
     wanted = [path for path, used in zip(targets, _used(survey, format_), strict=True) if used]
     for path in wanted:
         if path.exists() and not overwrite:
-            raise InputError.of("output.exists", file=path, place="--out")
+            raise InputError.of("output.exists", file=path, option="out")
     survey = placed(survey, format_, settings.crs, str(paths[0]))
     _require(survey, format_, str(paths[0]))
     lost = losses(survey, format_, str(paths[0]))

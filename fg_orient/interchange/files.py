@@ -37,7 +37,7 @@ def require_free(*paths: Path, overwrite: bool) -> None:
     """
     for path in paths:
         if path.exists() and not overwrite:
-            raise InputError.of("output.exists", file=path, place="--out")
+            raise InputError.of("output.exists", file=path, option="out")
 
 
 def make_folder(folder: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.crs import epsg_code, from_ecef, same_horizontal
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.geodesy import area_of_use, crs_kind, to_ecef, to_ecef_with_operation, to_geographic
 from fg_orient.interchange.survey import Survey
 from fg_orient.io.scenes import Scene, check_positions
@@ -24,7 +24,7 @@ AREA_MARGIN_DEG: Final = 3.0
 _LONG: Final = 80
 
 
-def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[str, ...]]:
+def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[Finding, ...]]:
     """CRS of a file that may state one, and of a user who may give one.
 
     Parameters
@@ -53,7 +53,7 @@ def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[str, 
             raise InputError.of("interchange.crs_differs", file=file, place="CRS", value=found, given=given)
         replaced = "" if found else " ".join(stated.split())
         text = replaced if len(replaced) <= _LONG else replaced[: _LONG - 3] + "..."
-        return given, (f"the CRS of the file ({text}) is none of EPSG: {given} takes its place",) if replaced else ()
+        return given, (finding("points.crs_replaced", stated=text, crs=given),) if replaced else ()
     if not stated.strip():
         raise InputError.of("interchange.no_crs", file=file, place="CRS")
     if not found:
@@ -62,7 +62,7 @@ def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[str, 
     return found, ()
 
 
-def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tuple[Problem, ...]:
+def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tuple[Finding, ...]:
     """Refuse coordinates that cannot be true in their CRS, in the first place exchanged ones.
 
     Parameters
@@ -76,7 +76,7 @@ def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tup
 
     Returns
     -------
-    tuple of Problem
+    tuple of Finding
         Remarks.
 
     Raises
@@ -85,7 +85,7 @@ def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tup
         Latitude or longitude out of range, columns that look exchanged, points far from all images.
     """
     faults = Faults(file)
-    remarks: tuple[Problem, ...] = ()
+    remarks: tuple[Finding, ...] = ()
     rows = np.flatnonzero(survey.located)
     kind = crs_kind(survey.crs)
     if kind == "geographic":
@@ -111,7 +111,7 @@ def _check_ranges(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) ->
             faults.add("points.longitude", place=place, value=f"{lon:.10g}")
 
 
-def _check_area(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> tuple[Problem, ...]:
+def _check_area(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> tuple[Finding, ...]:
     """Judge projected coordinates by the area that their CRS was made for."""
     area = area_of_use(survey.crs)
     first, second = survey.coordinates[rows, :2].T
@@ -123,7 +123,7 @@ def _check_area(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> t
         faults.add("interchange.swapped", place=place, value=value, crs=survey.crs)
         return ()
     return (
-        problem("remark.outside_area", file=faults.file, place=place, value=value, crs=survey.crs,
+        finding("remark.outside_area", file=faults.file, place=place, value=value, crs=survey.crs,
                 count=int(outside.sum()), total=len(rows)),
     )  # fmt: skip
 
@@ -160,5 +160,6 @@ def transformed(survey: Survey, crs: str, file: str) -> Survey:
         labels = [f"point {survey.ids[k]}" for k in rows]
         xyz, there = to_ecef_with_operation(survey.crs, *survey.coordinates[rows].T, labels=labels)
         coordinates[rows], back = from_ecef(crs, xyz, labels)
-        notes = (*notes, f"coordinates: {there}", f"and from there to {crs} by the inverse of {back.name}")
+        done = finding("points.operation", place="coordinates", operation=there)
+        notes = (*notes, done, finding("points.back", crs=crs, operation=back.name))
     return replace(survey, crs=crs, coordinates=coordinates, notes=notes)

@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.errors import Problem, problem
+from fg_orient.errors import Finding, finding
 from fg_orient.interchange.registry import Format, Holds
 from fg_orient.interchange.survey import Survey
 from fg_orient.names import Role
 
 
-def losses(survey: Survey, format_: Format, file: str) -> tuple[Problem, ...]:
+def losses(survey: Survey, format_: Format, file: str) -> tuple[Finding, ...]:
     """List what the survey holds and the format does not.
 
     Parameters
@@ -32,11 +32,11 @@ def losses(survey: Survey, format_: Format, file: str) -> tuple[Problem, ...]:
             count = _no_numbers
         n = 0 if what in format_.holds or (implied and implied not in format_.holds) else count(survey)
         if n:
-            found.append(problem(code, file=file, value=f"{n} points" if n > 1 else "1 point", format=format_.name))
+            found.append(finding(code, file=file, value=f"{n} points" if n > 1 else "1 point", format=format_.name))
     if Holds.CRS not in format_.holds and Holds.GROUND in format_.holds and survey.crs:
-        found.append(problem("lost.crs", file=file, value=survey.crs, format=format_.name))
+        found.append(finding("lost.crs", file=file, value=survey.crs, format=format_.name))
     elif Holds.HEIGHTS in format_.holds and Holds.VERTICAL_CRS not in format_.holds and "+" in survey.crs:
-        found.append(problem("lost.vertical_crs", file=file, value=survey.crs, format=format_.name))
+        found.append(finding("lost.vertical_crs", file=file, value=survey.crs, format=format_.name))
     return tuple(found)
 
 

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from fg_orient.crs import wkt
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, finding
 from fg_orient.interchange.ground import decided_crs
 from fg_orient.interchange.registry import Format, Holds, Settings, register
 from fg_orient.interchange.survey import UNKNOWN, Gathering, Survey
@@ -65,7 +65,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             faults.add("interchange.cell_count", place=f"line {n}", value=value, expected=f"up to {len(columns)}")
         elif cells:
             _take(gathered, named(n, cells, columns))
-    notes += (f"columns not read: {', '.join(ignored)}",) if ignored else ()
+    notes += (finding("points.columns_ignored", columns=ignored),) if ignored else ()
     return gathered.finished(crs, notes=notes)
 
 

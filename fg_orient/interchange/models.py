@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.interchange.convert import require_accepted
 from fg_orient.interchange.registry import Format, Settings
 from fg_orient.io.frame_model import FrameModel
@@ -17,7 +17,7 @@ from fg_orient.io.frame_model import FrameModel
 def convert_model(
     paths: Sequence[Path], reader: Format, out: Path, writer: Format, settings: Settings, *,
     accept_unverified: bool = False, overwrite: bool = False,
-) -> tuple[FrameModel, tuple[Problem, ...]]:  # fmt: skip
+) -> tuple[FrameModel, tuple[Finding, ...]]:  # fmt: skip
     """Read a frame model and write it in another format.
 
     Parameters
@@ -35,7 +35,7 @@ def convert_model(
     Returns
     -------
     model : FrameModel
-    lost : tuple of Problem
+    lost : tuple of Finding
         What the new format cannot hold.
 
     Raises
@@ -44,9 +44,9 @@ def convert_model(
         A file is unusable, the new format cannot hold a camera, or the output exists.
     """
     if reader.read_model is None or writer.write_model is None:
-        raise InputError.of("interchange.no_writer", file=out, place="--to", value=writer.name)
+        raise InputError.of("interchange.no_writer", file=out, option="to", value=writer.name)
     require_accepted(paths, reader, accept_unverified)
     model = reader.read_model(tuple(paths), settings)
     settings.require_images([pose.name for pose in model.poses], paths[0])
     told = writer.write_model(out, model, overwrite)
-    return model, tuple(problem("lost.model", file=out, value=text, format=writer.name) for text in told)
+    return model, tuple(finding("lost.model", file=out, value=text, format=writer.name) for text in told)

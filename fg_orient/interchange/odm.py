@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, finding
 from fg_orient.interchange.ground import decided_crs
 from fg_orient.interchange.registry import Format, Holds, Settings, register
 from fg_orient.interchange.survey import Gathering, Survey
@@ -55,7 +55,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
             gathered.point(name, Role.CONTROL, _coordinates(row, faults), line=n)
         x, y = numbers(row, ("im_x", "im_y"), faults)
         gathered.measure(row.cells["image"], name, y, x, line=n)
-    notes += (f"{len(numbered)} points without a name are numbered in their order",) if numbered else ()
+    notes += (finding("points.numbered", n=len(numbered)),) if numbered else ()
     return gathered.finished(crs, notes=notes)
 
 

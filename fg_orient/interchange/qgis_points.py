@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from fg_orient.crs import wkt
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.interchange.ground import decided_crs
 from fg_orient.interchange.registry import Format, Holds, Settings, register
 from fg_orient.interchange.survey import Gathering, Survey
@@ -71,14 +71,14 @@ def _take(gathered: Gathering, row: Row, name: str, image: str) -> None:
     gathered.measure(image, name, -y - CENTRE_PX, x - CENTRE_PX, line=row.line)
 
 
-def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Problem, ...]:
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
     """Write the points of one image, the one of the settings if there are several."""
     o, image = survey.observed, settings.image
     if not image and len(survey.images) == 1:
         image = survey.images[0]
     if image not in survey.images:
         raise InputError.of(
-            "interchange.which_image", file=paths[0], place="--image", value=image, count=len(survey.images)
+            "interchange.which_image", file=paths[0], option="image", value=image, count=len(survey.images)
         )
     lines, mine = [f"#CRS: {wkt(survey.crs.partition('+')[0])}", ",".join(COLUMNS)], survey.images.index(image)
     known = survey.located
@@ -89,7 +89,7 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[
             lines.append(row_of([*map(digits, survey.coordinates[p, :2]), *pixel, enable, "0", "0", "0"]))
     write_text(paths[0], "\n".join([*lines, ""]))
     others = int((o.image != mine).sum())
-    return (problem("lost.images", file=paths[0], value=f"{others} points", format=FORMAT.name),) if others else ()
+    return (finding("lost.images", file=paths[0], value=f"{others} points", format=FORMAT.name),) if others else ()
 
 
 FORMAT = register(

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from fg_orient.errors import InputError, Problem
+from fg_orient.errors import Finding, InputError
 from fg_orient.interchange.survey import Survey
 from fg_orient.io.frame_model import FrameModel
 from fg_orient.io.tables import did_you_mean
@@ -96,12 +96,12 @@ class Settings:
         for name in self.image_sizes:
             if name not in names:
                 known = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
-                raise InputError.of("interchange.no_image", file=file, place="--image-size", value=name, known=known)
+                raise InputError.of("interchange.no_image", file=file, option="image_size", value=name, known=known)
 
 
 Reader = Callable[[tuple[Path, ...], Settings], Survey]
 #: A writer may give further losses, of which only it knows.
-Writer = Callable[[Survey, tuple[Path, ...], Settings], "Sequence[Problem] | None"]
+Writer = Callable[[Survey, tuple[Path, ...], Settings], "Sequence[Finding] | None"]
 ModelReader = Callable[[tuple[Path, ...], Settings], FrameModel]
 #: Gives what the format cannot hold, in words; the flag allows to overwrite.
 ModelWriter = Callable[[Path, FrameModel, bool], tuple[str, ...]]

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import ImagePoints, Index
+from fg_orient.errors import Finding
 from fg_orient.io.tables import Faults
 from fg_orient.names import Role
 
@@ -51,7 +52,7 @@ class Survey:
         Image points: positions in ``images`` and ``ids``, pixels and sigmas (nan where unknown).
     lines : (n,) int array
         Line of each ground point in its file, for messages; 0 where there is none.
-    notes : tuple of str
+    notes : tuple of Finding
         What a user should know about the reading.
     """
 
@@ -64,7 +65,7 @@ class Survey:
     images: tuple[str, ...] = ()
     observed: ImagePoints = field(default_factory=no_image_points)
     lines: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         if not len(self.lines):
@@ -151,7 +152,7 @@ class Gathering:
         else:
             self._measured[key] = ((line_px, sample_px), sigma, line)
 
-    def finished(self, crs: str, *, notes: Sequence[str] = ()) -> Survey:
+    def finished(self, crs: str, *, notes: Sequence[Finding] = ()) -> Survey:
         """Give what was taken.
 
         Raises

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import ImagePoints
+from fg_orient.errors import Finding, finding
 from fg_orient.interchange.survey import Survey
-from fg_orient.interchange.tracks import conflict_words, join
+from fg_orient.interchange.tracks import conflicts, join
 from fg_orient.io.frame_model import FrameModel
 from fg_orient.names import Role
 
@@ -19,7 +20,7 @@ Index = npt.NDArray[np.intp]
 
 def tie_survey(
     images: Sequence[str], ids: Sequence[str], image: Index, point: Index, line: Array, sample: Array,
-    notes: Sequence[str] = (), sigma_px: Array | None = None,
+    notes: Sequence[Finding] = (), sigma_px: Array | None = None,
 ) -> Survey:  # fmt: skip
     """Make the survey of tie points.
 
@@ -31,7 +32,7 @@ def tie_survey(
         Positions in these.
     line, sample : (n,) arrays
         Pixels, (0, 0) in the centre of the first one.
-    notes : sequence of str
+    notes : sequence of Finding
     sigma_px : (n,) array, optional
         Standard deviation of line and sample; unknown if left out.
     """
@@ -44,14 +45,14 @@ def tie_survey(
 
 
 def matched_survey(
-    images: Sequence[str], image: Index, line: Array, sample: Array, matches: Index, notes: Sequence[str] = ()
+    images: Sequence[str], image: Index, line: Array, sample: Array, matches: Index, notes: Sequence[Finding] = ()
 ) -> Survey:
     """Make the survey of matched keypoints; see :func:`fg_orient.interchange.tracks.join`.
 
     Tie points are named by numbers from 1; those with two places in one image are left out, and a note says so.
     """
     tracks = join(image, line, sample, matches)
-    told = conflict_words(tracks, images, image, line, sample)
+    told = conflicts(tracks, images, image, line, sample)
     k = tracks.keypoint
     ids = tuple(map(str, range(1, tracks.n_tracks + 1)))
     return tie_survey(images, ids, image[k], tracks.track, line[k], sample[k], (*notes, *told))
@@ -88,11 +89,9 @@ def pairs_of(image: Index, point: Index) -> dict[tuple[int, int], Index]:
 
 def model_survey(model: FrameModel) -> Survey:
     """Tie points of a frame model; its cameras, poses and coordinates have no place in a survey."""
-    left_out = (
-        f"{len(model.poses)} poses with {len(model.cameras)} cameras and the local coordinates of "
-        f"{len(model.point_ids)} points are left out",
-    )
+    left_out = finding("points.model_left_out", poses=len(model.poses), cameras=len(model.cameras),
+                       points=len(model.point_ids))  # fmt: skip
     return tie_survey(
         tuple(pose.name for pose in model.poses), model.point_ids, model.image, model.point, model.line, model.sample,
-        (*model.notes, *left_out),
+        (*model.notes, left_out),
     )  # fmt: skip

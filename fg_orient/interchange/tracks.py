@@ -15,6 +15,8 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from fg_orient.errors import Finding, finding
+
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
@@ -86,8 +88,8 @@ def join(image: Index, line: Array, sample: Array, matches: Index) -> Tracks:
     )  # fmt: skip
 
 
-def conflict_words(tracks: Tracks, names: Sequence[str], image: Index, line: Array, sample: Array) -> tuple[str, ...]:
-    """Say how many tie points were left out, and show the first; nothing if there was no conflict.
+def conflicts(tracks: Tracks, names: Sequence[str], image: Index, line: Array, sample: Array) -> tuple[Finding, ...]:
+    """Tell how many tie points were left out, and show the first; nothing if there was no conflict.
 
     Parameters
     ----------
@@ -101,12 +103,12 @@ def conflict_words(tracks: Tracks, names: Sequence[str], image: Index, line: Arr
         return ()
     first = tracks.conflict_keypoint[tracks.conflict == 0]
     doubled = int(np.flatnonzero(image[first][1:] == image[first][:-1])[0])
-    places = " and ".join(f"({line[k]:g}, {sample[k]:g})" for k in first[doubled : doubled + 2])
+    places = [(line[k], sample[k]) for k in first[doubled : doubled + 2]]
+    n = tracks.n_conflicts
     return (
-        f"{tracks.n_conflicts} of {tracks.n_conflicts + tracks.n_tracks} tie point(s) left out "
-        f"({len(tracks.conflict_keypoint)} image points): their matches chain two places of one image, the first "
-        f"{places} of {names[int(image[first[doubled]])]}",
-    )
+        finding("points.conflicts", n=n, total=n + tracks.n_tracks, image_points=len(tracks.conflict_keypoint),
+                first=places[0], second=places[1], image=names[int(image[first[doubled]])]),
+    )  # fmt: skip
 
 
 def _places(image: Index, line: Array, sample: Array) -> Index:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fg_orient.block import GroundPoints, ImagePoints, WithheldCoordinates
-from fg_orient.errors import Problem, problem
+from fg_orient.errors import Finding, finding
 from fg_orient.io.observations import ObservationFile
 from fg_orient.io.points import PointFile, take_points
 from fg_orient.names import Role
@@ -24,8 +24,8 @@ class Assembly:
     points: GroundPoints
     observations: ImagePoints
     withheld: WithheldCoordinates
-    problems: tuple[Problem, ...]
-    remarks: tuple[Problem, ...]
+    problems: tuple[Finding, ...]
+    remarks: tuple[Finding, ...]
 
 
 def assemble(
@@ -37,8 +37,8 @@ def assemble(
     any measured point is refused, and so is a block without measured control, unless the
     adjustment is to be ``relative``.
     """
-    problems: list[Problem] = []
-    remarks: list[Problem] = []
+    problems: list[Finding] = []
+    remarks: list[Finding] = []
     rays = np.bincount(observations.observations.point, minlength=len(points.points.ids))
     control = np.zeros(len(rays), bool)
     control[points.points.where(Role.CONTROL)] = True
@@ -47,20 +47,20 @@ def assemble(
     if lonely.any():
         code, found = ("remark.seen_once", remarks) if drop else ("observations.seen_once", problems)
         named = _named(_with_image(points.points.ids, image_ids, observations.observations), np.flatnonzero(lonely))
-        found.append(problem(code, file=file, place="column id", value=named, count=int(lonely.sum())))
+        found.append(finding(code, file=file, place="column id", value=named, count=int(lonely.sum())))
     unmeasured = np.flatnonzero(rays == 0)
     if len(unmeasured):
         named = _named(points.points.ids, unmeasured)
         remarks.append(
-            problem("remark.not_measured", file=point_file, place="column id", value=named, count=len(unmeasured))
+            finding("remark.not_measured", file=point_file, place="column id", value=named, count=len(unmeasured))
         )
     if not relative and not (control & (rays > 0)).any():
         value = f"{control.sum()} control points in the file, 0 measured"
-        problems.append(problem("block.no_control", file=point_file, place="column role", value=value))
+        problems.append(finding("block.no_control", file=point_file, place="column role", value=value))
     kept = np.flatnonzero((rays > 0) & ~lonely)
     taken = _renumber(observations.observations, kept, len(rays))
     for k in np.flatnonzero(np.bincount(taken.image, minlength=len(image_ids)) == 0).tolist():
-        problems.append(problem("observations.image_unused", file=file, place="column image", value=image_ids[k]))
+        problems.append(finding("observations.image_unused", file=file, place="column image", value=image_ids[k]))
     left = take_points(points.points, kept)
     withheld = points.withheld([left.ids[k] for k in left.where(Role.CHECK)])
     return Assembly(left, taken, withheld, tuple(problems), tuple(remarks))

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from factors import frame_camera
 from fg_orient.block import Block, Image, ImagePoints, Source
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, finding
 from fg_orient.io.frame_model import free_block, in_one_image, in_pixels
 from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
 
@@ -111,11 +111,8 @@ def bal_block(data: BalData, name: str, sources: tuple[Source, ...] = (), *, kee
         ))
         for k, camera in enumerate(cameras)
     )  # fmt: skip
-    told = (
-        f"{alone.sum()} point(s) measured in one image only are left out",
-        f"{behind.sum()} point(s) begin behind a camera",
-    )
-    notes = tuple(text for text, which in zip(told, (alone, behind), strict=True) if which.any())
+    left_out = (("points.alone", int(alone.sum())), ("points.behind", int(behind.sum())))
+    notes = tuple(finding(code, n=n) for code, n in left_out if n)
     return free_block(name, images, tuple(map(str, range(len(data.points)))), data.points, observations, sources, notes)
 
 

@@ -35,7 +35,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import OutOfTimeRange, problem
+from fg_orient.errors import Finding, OutOfTimeRange, finding
 from fg_orient.io import dimap_checks as checks
 from fg_orient.io.dimap_checks import DIMAP_FIRST_PIXEL
 from fg_orient.io.xml import METRES, METRES_PER_SECOND, RADIANS, RADIANS_PER_SECOND, SECONDS, Quantity, XmlNode
@@ -58,10 +58,6 @@ SPEED_HOLD_S = 0.2
 #: Dataset_Frame and tie points lie on the ellipsoid.
 FRAME_HEIGHT_M = 0.0
 _FRAME_TAGS = ("FRAME_ROW", "FRAME_COL", "FRAME_LON", "FRAME_LAT")
-_FRAME_NOTE = (
-    "the producer computed the frame points of SPOT 1 to 4 without attitudes: "
-    "with the attitudes they are missed by metres (up to 25 m in known files)"
-)
 
 
 def read_dimap1(root: XmlNode) -> PushbroomMetadata:
@@ -87,7 +83,7 @@ def read_dimap1(root: XmlNode) -> PushbroomMetadata:
     ends = timing.reference_time_s + timing.line_period_s * (np.array([0.0, n_lines - 1.0]) - timing.reference_line)
     attitude, attitude_notes = _attitude(root, epoch, index, ends)
     look, look_notes = _look_angles(root, n_samples)
-    frame_note = "" if index == 5 else _FRAME_NOTE
+    frame_note = None if index == 5 else finding("image.frame_without_attitudes")
     return PushbroomMetadata(
         file=root.file,
         mission=f"SPOT {index}",
@@ -124,15 +120,15 @@ def _ephemeris(root: XmlNode, epoch: np.datetime64) -> Ephemeris:
     return checks.ephemeris(points, time_s, position, velocity)
 
 
-def _look_angles(root: XmlNode, n_samples: int) -> tuple[LookAngleTable, tuple[str, ...]]:
+def _look_angles(root: XmlNode, n_samples: int) -> tuple[LookAngleTable, tuple[Finding, ...]]:
     bands = root.every("Data_Strip/Sensor_Configuration/Instrument_Look_Angles_List/Instrument_Look_Angles")
     detector, psi_x, psi_y = _plain_angles(bands[0], n_samples) or _checked_angles(bands[0], n_samples)
     if detector[0] != DIMAP_FIRST_PIXEL or detector[-1] != n_samples:
         seen = f"detectors {detector[0]:.0f} to {detector[-1]:.0f}"
         raise bands[0].fault("dimap.detectors_cover", seen, first=DIMAP_FIRST_PIXEL, last=n_samples)
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     if len(bands) > 1:
-        notes = (f"look angles of the first of {len(bands)} bands are used (BAND_INDEX {_band(bands[0])})",)
+        notes = (finding("image.first_band", n=len(bands), band=_band(bands[0])),)
     return straight_line(detector - DIMAP_FIRST_PIXEL, psi_x, psi_y), notes
 
 
@@ -206,7 +202,9 @@ def _frame_points(root: XmlNode) -> tuple[FramePoint, ...]:
 # --- attitude --------------------------------------------------------------------------------
 
 
-def _attitude(root: XmlNode, epoch: np.datetime64, index: int, ends_s: Array) -> tuple[AngleAttitude, tuple[str, ...]]:
+def _attitude(
+    root: XmlNode, epoch: np.datetime64, index: int, ends_s: Array
+) -> tuple[AngleAttitude, tuple[Finding, ...]]:
     source = root.one("Data_Strip/Satellite_Attitudes")
     if index == 5:
         nodes = source.every("Corrected_Attitudes/Corrected_Attitude/Angles", 2)
@@ -227,16 +225,15 @@ def _rows(nodes: list[XmlNode], epoch: np.datetime64, quantity: Quantity) -> tup
     return time_s, np.array([[n.one(tag).number(quantity, -limit, limit) for tag in tags] for n in nodes])
 
 
-def _flagged(nodes: list[XmlNode]) -> tuple[str, ...]:
+def _flagged(nodes: list[XmlNode]) -> tuple[Finding, ...]:
     flags = [node.maybe("OUT_OF_RANGE") for node in nodes]
     count = sum(flag is not None and flag.text() != "N" for flag in flags)
-    note = f"{count} of {len(nodes)} attitude samples are flagged OUT_OF_RANGE and used all the same"
-    return (note,) if count else ()
+    return (finding("image.attitude_flags", count=count, n=len(nodes)),) if count else ()
 
 
 def _integrate(
     speed_nodes: list[XmlNode], angle_nodes: list[XmlNode], epoch: np.datetime64, ends_s: Array
-) -> tuple[Array, Array, tuple[str, ...]]:
+) -> tuple[Array, Array, tuple[Finding, ...]]:
     """Angles (n, 3) as in the file from angular speeds and the first absolute angle."""
     speed_time, speeds = _rows(speed_nodes, epoch, RADIANS_PER_SECOND)
     angle_time, absolute = _rows(angle_nodes, epoch, RADIANS)
@@ -248,17 +245,17 @@ def _integrate(
     of_interval = np.concatenate([speeds[:head], speeds[1:], speeds[len(speeds) - tail :]])
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(of_interval * np.diff(time_s)[:, None], axis=0)])
     anchor, last = (np.array([np.interp(t, time_s, column) for column in sums.T]) for t in angle_time[[0, -1]])
-    notes = [f"angular speeds are held for {before:.3f} s before and {after:.3f} s after their list"]
+    notes = [finding("image.speeds_held", before_s=before, after_s=after)]
     if len(angle_time) > 1:
         closing = np.abs(absolute[-1] - absolute[0] - (last - anchor)).max()
-        notes.append(f"integrated speeds meet the last absolute attitude within {closing * 1e6:.2f} microrad")
+        notes.append(finding("image.speeds_closing", closing_microrad=closing * 1e6))
     return time_s, absolute[0] + sums - anchor, tuple(notes)
 
 
 def _held(node: XmlNode, speed_time: Array, angle_time: Array, ends_s: Array) -> tuple[float, float]:
     """Seconds for which the first and the last speed are held to reach image and absolute angles."""
     if max(speed_time[0] - ends_s[0], ends_s[1] - speed_time[-1]) > SPEED_HOLD_S:
-        raise OutOfTimeRange(problem(
+        raise OutOfTimeRange(finding(
             "dimap.speed_span", file=node.file, place=node.place, hold=SPEED_HOLD_S,
             value=f"image {ends_s[0]:.3f} .. {ends_s[1]:.3f} s", first=speed_time[0], last=speed_time[-1],
         ))  # fmt: skip

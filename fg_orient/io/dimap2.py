@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.attitude import sign_aligned
+from fg_orient.errors import Finding, finding
 from fg_orient.io import dimap_checks as checks
 from fg_orient.io.dimap_checks import DIMAP_FIRST_PIXEL
 from fg_orient.io.xml import METRES, METRES_PER_SECOND, MILLISECONDS, RADIANS, SECONDS, XmlNode
@@ -42,13 +43,6 @@ MAX_SCALED_TIME = 2.0
 MAX_DURATION_RATIO = 2.0
 MAX_DEGREE = 10
 _FRAME_TAGS = ("ROW", "COL", "LON", "LAT")
-
-
-#: Said when frame points are compared with the model.
-FRAME_NOTE = (
-    "the file states no heights for its frame points, which lie on the terrain: without --height or --dem "
-    "the height of each is solved, and the misfit is what no height explains"
-)
 
 
 def read_dimap2(root: XmlNode) -> PushbroomMetadata:
@@ -88,7 +82,7 @@ def read_dimap2(root: XmlNode) -> PushbroomMetadata:
         look=look,
         frame_points=frame_points,
         notes=attitude_notes + look_notes + _bias_note(model),
-        frame_note=FRAME_NOTE if frame_points else "",
+        frame_note=finding("image.frame_without_heights") if frame_points else None,
     )
 
 
@@ -137,17 +131,17 @@ def _ephemeris(model: XmlNode, epoch: np.datetime64) -> Ephemeris:
 
 def _attitude(
     source: XmlNode, epoch: np.datetime64, span_s: Array
-) -> tuple[QuaternionList | QuaternionPolynomial, tuple[str, ...]]:
+) -> tuple[QuaternionList | QuaternionPolynomial, tuple[Finding, ...]]:
     polynomial = source.maybe("Polynomial_Quaternions")
     if polynomial is None:
         return _quaternion_list(source, epoch)
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     if source.maybe("Quaternion_List"):
-        notes = ("the file holds polynomial and sampled quaternions: the polynomials are used",)
+        notes = (finding("image.two_attitudes"),)
     return quaternion_polynomial(polynomial, polynomial, span_s), notes
 
 
-def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionList, tuple[str, ...]]:
+def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionList, tuple[Finding, ...]]:
     """Read sampled quaternions, normalised, signs turned so that neighbours have a positive product."""
     nodes = source.every("Quaternion_List/Quaternion", 2)
     time_s = checks.times([n.one("TIME") for n in nodes], epoch)
@@ -155,7 +149,7 @@ def _quaternion_list(source: XmlNode, epoch: np.datetime64) -> tuple[QuaternionL
     checks.require_unit_quaternions(nodes, quaternion)
     flags = [node.maybe("Q_STATUS") for node in nodes]
     count = sum(flag is not None and flag.text() != "NOMINAL" for flag in flags)
-    notes = (f"{count} of {len(nodes)} quaternions are not flagged NOMINAL and used all the same",) if count else ()
+    notes = (finding("image.quaternion_flags", count=count, n=len(nodes)),) if count else ()
     return QuaternionList(time_s, sign_aligned(quaternion)), notes
 
 
@@ -190,7 +184,7 @@ def quaternion_polynomial(node: XmlNode, models: XmlNode, span_s: Array) -> Quat
 # --- look angles -----------------------------------------------------------------------------
 
 
-def _look_angles(model: XmlNode, n_samples: int) -> tuple[LookAnglePolynomial, tuple[str, ...]]:
+def _look_angles(model: XmlNode, n_samples: int) -> tuple[LookAnglePolynomial, tuple[Finding, ...]]:
     """Look polynomials of the panchromatic band, of the first band if there is none."""
     calibration = model.one("Geometric_Calibration/Instrument_Calibration")
     if calibration.maybe("Band_Calibration_List") is None:
@@ -202,7 +196,7 @@ def _look_angles(model: XmlNode, n_samples: int) -> tuple[LookAnglePolynomial, t
     others = [_look_polynomial(band, n_samples) for k, band in enumerate(bands) if k != chosen]
     if all(_same(look, other) for other in others):
         return look, ()
-    return look, (f"look angles of band {names[chosen]} are used; other bands of the file have others",)
+    return look, (finding("image.one_band", band=names[chosen]),)
 
 
 def _same(a: LookAnglePolynomial, b: LookAnglePolynomial) -> bool:
@@ -243,15 +237,14 @@ def _coefficients(node: XmlNode, name: str, at_least: int) -> Array:
 # --- the rest --------------------------------------------------------------------------------
 
 
-def _bias_note(model: XmlNode) -> tuple[str, ...]:
+def _bias_note(model: XmlNode) -> tuple[Finding, ...]:
     biases = model.maybe("Geometric_Calibration/Instrument_Calibration/Instrument_Biases")
     if biases is None:
         return ()
     angles = [biases.one(name).number(RADIANS) for name in ("YAW", "PITCH", "ROLL")]
     if not any(angles):
         return ()
-    seen = ", ".join(f"{angle:.6g}" for angle in angles)
-    return (f"Instrument_Biases yaw, pitch, roll = {seen} rad are in the file and not applied",)
+    return (finding("image.biases", biases_rad=angles),)
 
 
 def _frame_points(root: XmlNode) -> tuple[FramePoint, ...]:

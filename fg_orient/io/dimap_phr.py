@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.errors import finding
 from fg_orient.io import dimap2
 from fg_orient.io import dimap_checks as checks
 from fg_orient.io.dimap_checks import DIMAP_FIRST_PIXEL
@@ -69,7 +70,7 @@ def read_dimap_phr(root: XmlNode) -> PushbroomMetadata:
         attitude=dimap2.quaternion_polynomial(attitudes, attitudes.one("Polynomial_Models"), span_s),
         look=_look_angles(model.one("Sensor_Viewing_Model"), n_samples),
         frame_points=frame_points,
-        frame_note=dimap2.FRAME_NOTE if frame_points else "",
+        frame_note=finding("image.frame_without_heights") if frame_points else None,
     )
 
 

@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import InputError, finding
 from fg_orient.io.atomic import write_text
 from fg_orient.io.dimap1 import ATTITUDE_SIGN, FRAME_HEIGHT_M
 from fg_orient.io.dimap_checks import DIMAP_FIRST_PIXEL
@@ -166,7 +166,7 @@ def _time(epoch: np.datetime64, seconds: float) -> str:
 
 def _misfit(path: str | os.PathLike[str], metadata: PushbroomMetadata, target: str, needed: str) -> InputError:
     kinds = f"{metadata.mission}, {type(metadata.attitude).__name__}, {type(metadata.look).__name__}"
-    return InputError(problem("dimap.not_writable", file=os.fspath(path), value=kinds, target=target, needed=needed))
+    return InputError(finding("dimap.not_writable", file=os.fspath(path), value=kinds, target=target, needed=needed))
 
 
 def _states(metadata: PushbroomMetadata) -> tuple[list[str], Array, Array]:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.sensors.earth_rotation import EarthOrientation
 
 _ARC_SECOND: Final = np.pi / 180.0 / 3600.0
@@ -46,9 +46,9 @@ def read_earth_orientation(path: str | Path) -> EarthOrientation:
     bad = np.flatnonzero((np.abs(table[:, 1:4]) > _LIMITS).any(axis=1))
     if len(bad):
         raise InputError.of("earth.value", file=path, place=f"line {found[bad[0]][0]}", value=table[bad[0], 1:4])
-    offset, notes = table[:, 4:6] * _ARC_SECOND, tuple[str, ...]()
+    offset, notes = table[:, 4:6] * _ARC_SECOND, tuple[Finding, ...]()
     if "dpsi" in text[:5000].lower():
-        offset, notes = 0.0 * offset, ("pole offsets against IAU 1980 (dPsi, dEps) are left out: up to 3 cm",)
+        offset, notes = 0.0 * offset, (finding("image.pole_offsets"),)
     return EarthOrientation(str(path), table[:, 0], table[:, 1:3] * _ARC_SECOND, table[:, 3], offset, notes)
 
 

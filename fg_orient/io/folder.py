@@ -1,7 +1,7 @@
 """Folders written whole or not at all: a hidden sibling is filled, then renamed.
 
 An existing folder is kept until the new one is complete, and only a folder that holds an
-output of ours and nothing else may be replaced: ``--out`` pointing at a home directory by
+output of ours and nothing else may be replaced: ``out`` pointing at a home directory by
 mistake, or a result kept inside a simulated project, must not cost anything.
 """
 
@@ -73,14 +73,14 @@ def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> 
     if not (out.exists() or out.is_symlink()):
         return
     if out.is_symlink() or not out.is_dir():
-        raise InputError.of("output.not_a_folder", file=out, place="--out")
+        raise InputError.of("output.not_a_folder", file=out, option="out")
     if not overwrite:
-        raise InputError.of("output.exists", file=out, place="--out")
+        raise InputError.of("output.exists", file=out, option="out")
     foreign = contents.first_foreign(out)
     unmarked = any(out.iterdir()) and not (out / contents.mark).is_file()
     if foreign or unmarked:
         value = foreign or f"no {contents.mark}"
-        raise InputError.of("output.foreign", file=out, place="--out", value=value, mark=contents.mark)
+        raise InputError.of("output.foreign", file=out, option="out", value=value, mark=contents.mark)
 
 
 @contextlib.contextmanager
@@ -89,7 +89,7 @@ def writing(out: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError.of("output.unwritable", file=out, place="--out", value=error.strerror or error) from error
+        raise InputError.of("output.unwritable", file=out, option="out", value=error.strerror or error) from error
 
 
 @contextlib.contextmanager

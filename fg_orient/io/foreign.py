@@ -7,7 +7,6 @@ own tables; coordinates of check points stay sealed until the file is read again
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import Coordinates, GroundPoints, ImagePoints
-from fg_orient.errors import InputError, Problem
+from fg_orient.errors import Finding, InputError
 from fg_orient.interchange.convert import Fill, filled, read_survey
 from fg_orient.interchange.registry import Holds, Settings, format_named
 from fg_orient.interchange.survey import Survey
@@ -32,9 +31,7 @@ if TYPE_CHECKING:
     from fg_orient.io.schema import ObservationsEntry, PointsEntry
 
 #: Options of ``convert`` that messages name, and the entries of a project that take their place.
-_ENTRIES = {"--from": "format", "--accept-unverified": "accept_unverified = true", "--crs": "crs", "--check": "check"}
-#: A remedy that a project has no entry for: its points stay in the CRS of their file.
-_TRANSFORMS: Final = "; --to-crs transforms"
+_ENTRIES: Final = {"from": "format", "accept_unverified": "accept_unverified = true"}
 
 
 @dataclass(frozen=True)
@@ -93,11 +90,10 @@ class Table:
         return Fill(getattr(entry, "sigma_m", None), getattr(entry, "sigma_px", None),
                     getattr(entry, "height_m", None), tuple(getattr(entry, "check", ())))  # fmt: skip
 
-    def _in_project(self, found: Problem, project: str) -> Problem:
-        place = f"{self.name}.{_ENTRIES[found.place].partition(' ')[0]}" if found.place in _ENTRIES else found.place
-        remedy = re.sub("|".join(_ENTRIES), lambda m: _ENTRIES[m[0]], found.remedy.replace(_TRANSFORMS, ""))
+    def _in_project(self, found: Finding, project: str) -> Finding:
+        place = f"{self.name}.{_ENTRIES.get(found.option, found.option)}" if found.option else found.place
         named = dict(zip(map(str, self.absolute), map(str, self.paths), strict=True))
-        return replace(found, file=named.get(found.file, found.file) or project, place=place, remedy=remedy)
+        return replace(found, file=named.get(found.file, found.file) or project, option="", place=place, names=_ENTRIES)
 
 
 def sha256_of(paths: tuple[Path, ...]) -> str:

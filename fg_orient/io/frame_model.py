@@ -18,6 +18,7 @@ import numpy.typing as npt
 from factors.batch import batch
 from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED
 from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, Source, WithheldCoordinates
+from fg_orient.errors import Finding, finding
 from fg_orient.names import Role
 from fg_orient.sensors.frame import UNKNOWNS, FrameCamera, FrameSensor
 from fg_orient.sensors.interior import Interior
@@ -64,7 +65,7 @@ class FrameModel:
         Positions in ``poses`` and the points.
     line, sample : (n,) arrays
         Pixels.
-    notes : tuple of str
+    notes : tuple of Finding
         Remarks of the reader.
     """
 
@@ -76,7 +77,7 @@ class FrameModel:
     point: Index
     line: Array
     sample: Array
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     @cached_property
     def sensors(self) -> tuple[FrameSensor, ...]:
@@ -127,7 +128,7 @@ def frame_block(
     seen = ImagePoints(
         model.image[usable], model.point[usable], model.line[usable], model.sample[usable], sigma, sigma
     )  # fmt: skip
-    told = (f"{int(alone.sum())} point(s) measured in one image only are left out",) if alone.any() else ()
+    told = (finding("points.alone", n=alone.sum()),) if alone.any() else ()
     return free_block(name, tuple(images), model.point_ids, model.points_m, seen, sources, (*model.notes, *told))
 
 
@@ -158,7 +159,7 @@ def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Ar
     used = {pose.camera for pose in poses}
     known = np.asarray(np.isfinite(ground_m).all(axis=1), bool)
     seen, number = known[model.point], np.cumsum(known) - 1
-    left_out = (f"{int((~known).sum())} point(s) that were not adjusted are left out",) if not known.all() else ()
+    left_out = () if known.all() else (finding("points.not_adjusted", n=(~known).sum()),)
     return FrameModel(
         {name: camera for name, camera in cameras.items() if name in used}, tuple(poses),
         tuple(i for i, k in zip(model.point_ids, known.tolist(), strict=True) if k), ground_m[known],
@@ -168,7 +169,7 @@ def adjusted_model(model: FrameModel, corrections: Sequence[Array], ground_m: Ar
 
 def free_block(
     name: str, images: tuple[Image, ...], point_ids: tuple[str, ...], points_m: Array, observations: ImagePoints,
-    sources: tuple[Source, ...], notes: tuple[str, ...],
+    sources: tuple[Source, ...], notes: tuple[Finding, ...],
 ) -> Block:  # fmt: skip
     """Block of tie points (N, 3) m with start values in a local system: free datum, no priors, Levenberg-Marquardt."""
     n = len(points_m)

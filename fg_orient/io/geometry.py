@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from fg_orient.block import GroundPoints, Image, ImagePoints
-from fg_orient.errors import Problem, problem
+from fg_orient.errors import Finding, finding
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.names import Role
 
@@ -28,7 +28,7 @@ CLUSTER_SPAN: Final = 0.25
 
 def geometry_remarks(
     images: Sequence[Image], points: GroundPoints, observations: ImagePoints, file: str
-) -> tuple[Problem, ...]:
+) -> tuple[Finding, ...]:
     """Give remarks on number and distribution of control and check points.
 
     Parameters
@@ -40,22 +40,22 @@ def geometry_remarks(
 
     Returns
     -------
-    tuple of Problem
+    tuple of Finding
         Codes ``remark.*``; empty if there is nothing to say.
     """
     control, n_check = points.where(Role.CONTROL), len(points.where(Role.CHECK))
-    remarks: list[Problem] = []
+    remarks: list[Finding] = []
     if len(control) < FEW_CONTROL:
         value = ", ".join(points.ids[k] for k in control)
-        remarks.append(problem("remark.few_control", file=file, place="column role", value=value, count=len(control)))
+        remarks.append(finding("remark.few_control", file=file, place="column role", value=value, count=len(control)))
     remarks += _line(points, file)
     remarks += _clusters(images, control, observations, file)
     if n_check < FEW_CHECK:
-        remarks.append(problem("remark.few_check", file=file, place="column role", value=n_check, count=n_check))
+        remarks.append(finding("remark.few_check", file=file, place="column role", value=n_check, count=n_check))
     return tuple(remarks)
 
 
-def _line(points: GroundPoints, file: str) -> list[Problem]:
+def _line(points: GroundPoints, file: str) -> list[Finding]:
     """Horizontal spread of control: the ratio of its principal standard deviations."""
     control = points.where(Role.CONTROL)
     if len(control) < 3:
@@ -67,26 +67,26 @@ def _line(points: GroundPoints, file: str) -> list[Problem]:
     if across >= LINE_RATIO * along:
         return []
     value = f"{len(control)} control points"
-    return [problem("remark.control_line", file=file, place="coordinates", value=value, across_m=across, along_m=along)]
+    return [finding("remark.control_line", file=file, place="coordinates", value=value, across_m=across, along_m=along)]
 
 
 def _clusters(
     images: Sequence[Image], control: np.ndarray[tuple[int], np.dtype[np.intp]], o: ImagePoints, file: str
-) -> list[Problem]:
+) -> list[Finding]:
     """Images in which control covers a small part only, and blocks with control in one image."""
-    remarks: list[Problem] = []
+    remarks: list[Finding] = []
     is_control = np.isin(o.point, control)
     seen_in = sorted(set(o.image[is_control].tolist()))
     if len(seen_in) == 1 and len(images) > 1:
         name = images[seen_in[0]].id
-        remarks.append(problem("remark.control_one_image", file=file, place="control points", value=name, image=name))
+        remarks.append(finding("remark.control_one_image", file=file, place="control points", value=name, image=name))
     for k in seen_in:
         rows = is_control & (o.image == k)
         lines = float(np.ptp(o.line[rows])) / images[k].sensor.n_lines
         samples = float(np.ptp(o.sample[rows])) / images[k].sensor.n_samples
         if rows.sum() > 1 and max(lines, samples) < CLUSTER_SPAN:
             remarks.append(
-                problem(
+                finding(
                     "remark.control_clustered", file=file, place="control points", value=f"{rows.sum()} points",
                     image=images[k].id, lines=lines, samples=samples,
                 )

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import ImagePoints, Index
-from fg_orient.errors import Problem, problem
+from fg_orient.errors import Finding, finding
 from fg_orient.io.tables import Faults, Row, Table, did_you_mean, number, read_table
 
 COLUMNS: Final = ("image", "id", "line", "sample", "sigma_line_px", "sigma_sample_px")
@@ -30,7 +30,7 @@ class ObservationFile:
     path: Path
     sha256: str
     observations: ImagePoints
-    remarks: tuple[Problem, ...]
+    remarks: tuple[Finding, ...]
 
 
 def read_observations(
@@ -142,16 +142,16 @@ def _check_values(row: Row, size: tuple[int, int] | None, faults: Faults) -> Non
             faults.add("observations.sigma_not_positive", place=row.place(column), value=row.cells[column])
 
 
-def _remarks(file: str, table: Table, o: ImagePoints) -> tuple[Problem, ...]:
+def _remarks(file: str, table: Table, o: ImagePoints) -> tuple[Finding, ...]:
     sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
     return remarks_on_sigmas(file, sigma, lambda k: table.row(k).place())
 
 
-def remarks_on_sigmas(file: str, sigma: npt.NDArray[np.float64], place_of: Callable[[int], str]) -> tuple[Problem, ...]:
+def remarks_on_sigmas(file: str, sigma: npt.NDArray[np.float64], place_of: Callable[[int], str]) -> tuple[Finding, ...]:
     """Remark on implausible standard deviations (n, 2), px; ``place_of`` names the place of a row."""
     low, high = PLAUSIBLE_SIGMA_PX
     odd = np.flatnonzero(((sigma < low) | (sigma > high)).any(axis=1))
     if not len(odd):
         return ()
     place, value = f"{place_of(int(odd[0]))}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
-    return (problem("remark.sigma_image", file=file, place=place, value=value, low=low, high=high, count=len(odd)),)
+    return (finding("remark.sigma_image", file=file, place=place, value=value, low=low, high=high, count=len(odd)),)

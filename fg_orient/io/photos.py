@@ -13,7 +13,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import InputError, finding
 from fg_orient.io.project import parse_toml
 from fg_orient.io.schema import Text, problems_of
 from fg_orient.io.schema import _Table as Table
@@ -98,7 +98,7 @@ def read_photos(path: Path) -> Photos:
     entries: dict[str, PhotoEntry] = {}
     for k, entry in enumerate(found.photos):
         if entry.name in entries:
-            raise InputError(problem("project.image_twice", file=path, place=f"photos[{k + 1}].name", value=entry.name))
+            raise InputError(finding("project.image_twice", file=path, place=f"photos[{k + 1}].name", value=entry.name))
         _require_rotation(entry, f"photos[{k + 1}].rotation of {entry.name}", path)
         entries[entry.name] = entry
     return Photos(str(path), entries)

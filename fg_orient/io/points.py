@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import Coordinates, GroundPoints, WithheldCoordinates
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind, Operation, crs_kind, to_ecef_with_operation
 from fg_orient.io.scenes import Scene, check_positions
 from fg_orient.io.tables import Faults, Row, Table, number, read_table
@@ -80,7 +80,7 @@ class PointFile:
         All points of the file in its order.
     operation : Operation or None
         How the coordinates became ECEF; None if no point has coordinates.
-    remarks : tuple of Problem
+    remarks : tuple of Finding
         What a user should know, but need not mend.
     parse : callable
         Reads the file again, for the coordinates of check points.
@@ -91,7 +91,7 @@ class PointFile:
     sha256: str
     points: GroundPoints
     operation: Operation | None
-    remarks: tuple[Problem, ...]
+    remarks: tuple[Finding, ...]
     parse: Parse
 
     def withheld(self, ids: Sequence[str]) -> WithheldCoordinates:
@@ -392,7 +392,7 @@ def take_points(points: GroundPoints, rows: npt.NDArray[np.int_]) -> GroundPoint
     )
 
 
-def _remarks(file: str, parsed: Record) -> tuple[Problem, ...]:
+def _remarks(file: str, parsed: Record) -> tuple[Finding, ...]:
     remarks = []
     low, high = PLAUSIBLE_SIGMA_M
     sigma = parsed.coordinates.sigma_enu_m
@@ -400,13 +400,13 @@ def _remarks(file: str, parsed: Record) -> tuple[Problem, ...]:
     if len(odd):
         place, value = f"line {parsed.lines[odd[0]]}, sigma", " ".join(f"{s:g}" for s in sigma[odd[0]])
         remarks.append(
-            problem("remark.sigma_ground", file=file, place=place, value=value, low=low, high=high, count=len(odd))
+            finding("remark.sigma_ground", file=file, place=place, value=value, low=low, high=high, count=len(odd))
         )
     operation = parsed.operation
     if operation is not None and operation.missing_grids:
         accuracy = "an unknown accuracy" if np.isnan(operation.accuracy_m) else f"{operation.accuracy_m:g} m"
         grids = ", ".join(operation.missing_grids)
         remarks.append(
-            problem("remark.grid_missing", file=file, place="crs", value=operation.crs, accuracy=accuracy, grids=grids)
+            finding("remark.grid_missing", file=file, place="crs", value=operation.crs, accuracy=accuracy, grids=grids)
         )
     return tuple(remarks)

@@ -10,13 +10,13 @@ import dataclasses
 import hashlib
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.block import Block, Image, Options, Source
 from fg_orient.declaration import declared, require_declared
-from fg_orient.errors import FgOrientError, InputError, Problem, problem
+from fg_orient.errors import FgOrientError, Finding, InputError, finding
 from fg_orient.geodesy import crs_kind
 from fg_orient.interchange.registry import format_named
 from fg_orient.io.assemble import assemble
@@ -70,7 +70,7 @@ def read_project(path: str | Path, **overrides: object) -> Block:
     return read_project_with_remarks(path, **overrides)[0]
 
 
-def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Block, tuple[Problem, ...]]:
+def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Block, tuple[Finding, ...]]:
     """Do :func:`read_project` and give the remarks as records, too."""
     path = Path(path)
     project = _read_toml(path, overrides)
@@ -152,7 +152,7 @@ def _table_of(name: str) -> str:
     return declared(Options, Reading)[name].group.table
 
 
-def _blame(found: Problem, overrides: Mapping[str, object]) -> Problem:
+def _blame(found: Finding, overrides: Mapping[str, object]) -> Finding:
     """Put a fault of an overriding option on the option: the file is not to blame."""
     for name, value in overrides.items():
         place = f"{_table_of(name)}.{name}"
@@ -194,9 +194,9 @@ def parse_toml(path: Path) -> dict[str, Any]:
         raise InputError.of("project.syntax", file=path, place=place, value=message or place) from None
 
 
-def _options(project: ProjectFile, file: str) -> tuple[Options, list[Problem]]:
+def _options(project: ProjectFile, file: str) -> tuple[Options, list[Finding]]:
     """Options of the block; problems that the schema cannot see."""
-    problems: list[Problem] = []
+    problems: list[Finding] = []
     values = project.values_of(Options)
     try:
         values["eop_set"] = eop_set_number(values["eop_set"])
@@ -206,7 +206,7 @@ def _options(project: ProjectFile, file: str) -> tuple[Options, list[Problem]]:
     ids = [entry.id for entry in project.images]
     for k, name in enumerate(ids):
         if name in ids[:k]:
-            problems.append(problem("project.image_twice", file=file, place=f"images[{k + 1}].id", value=name))
+            problems.append(finding("project.image_twice", file=file, place=f"images[{k + 1}].id", value=name))
     return Options(**values), problems
 
 
@@ -215,20 +215,20 @@ def _options(project: ProjectFile, file: str) -> tuple[Options, list[Problem]]:
 
 def _images(
     project: ProjectFile, folder: Path, file: str
-) -> tuple[dict[str, Image | None], list[Source], list[Problem]]:
+) -> tuple[dict[str, Image | None], list[Source], list[Finding]]:
     """Images by id, None where the metadata file is unusable."""
     import fg_orient.io.sensor as sensor_reader
 
     images: dict[str, Image | None] = {}
     sources: list[Source] = []
-    problems: list[Problem] = []
+    problems: list[Finding] = []
     for k, entry in enumerate(project.images):
         images.setdefault(entry.id, None)
         metadata = folder / entry.metadata
         if not metadata.is_file():
             place = f"images[{k + 1}].metadata"
             problems.append(
-                problem("project.missing_file", file=file, place=place, value=entry.metadata, folder=folder)
+                finding("project.missing_file", file=file, place=place, value=entry.metadata, folder=folder)
             )
             continue
         try:
@@ -245,7 +245,7 @@ def _images(
 class _Tables:
     points: PointFile | None
     observations: ObservationFile | None
-    problems: tuple[Problem, ...]
+    problems: tuple[Finding, ...]
 
 
 def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, Image | None]) -> _Tables:
@@ -298,16 +298,16 @@ def _foreign(project: ProjectFile, folder: Path, name: str) -> Table:
     return Table(name, paths, entry)
 
 
-def _entry_problems(project: ProjectFile, file: str) -> list[Problem]:
+def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:
     """Faults of the entries ``[points]`` and ``[observations]`` that their types do not show."""
     found = []
     for name, entry in (("points", project.points), ("observations", project.observations)):
         if entry.format == OWN:
             given = entry.model_fields_set - {"file", "format"} - ({"crs"} if name == "points" else set())
-            found += [problem("project.own_table", file=file, place=f"{name}.{key}") for key in sorted(given)]
+            found += [finding("project.own_table", file=file, place=f"{name}.{key}") for key in sorted(given)]
     if project.points.crs is None and project.points.format == OWN:
         expected = 'an EPSG code in quotes, such as "EPSG:4979"'
-        found.append(problem("project.missing", file=file, place="points.crs", expected=expected))
+        found.append(finding("project.missing", file=file, place="points.crs", expected=expected))
     for name, crs in (("points", project.points.crs), ("observations", project.observations.crs)):
         try:
             if crs is not None:
@@ -330,8 +330,9 @@ def _table_sources(
     )
 
 
-def _notes(images: Sequence[Image], points: PointFile, remarks: Sequence[Problem]) -> tuple[str, ...]:
+def _notes(images: Sequence[Image], points: PointFile, remarks: Sequence[Finding]) -> tuple[Finding, ...]:
     """Everything worth a line in the report: remarks first, then how coordinates were converted."""
-    sensor = [f"image {image.id}: {note}" for image in images for note in image.sensor.notes]
-    operation = [] if points.operation is None else [f"coordinates of {points.path.name}: {points.operation}"]
-    return (*(str(p) for p in remarks), *sensor, *operation)
+    sensor = [replace(note, place=f"image {image.id}") for image in images for note in image.sensor.notes]
+    place = f"coordinates of {points.path.name}"
+    done = points.operation
+    return (*remarks, *sensor, *([] if done is None else [finding("points.operation", place=place, operation=done)]))

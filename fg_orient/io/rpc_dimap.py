@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from factors.rfm_project import RANGE
 from factors.rfm_terms import permutation
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.io.rpc_fields import AXES, USUAL_ORDER, Reading, RpcFields, build, require_order, validity
 from fg_orient.io.xml import XmlNode, read_xml
 from fg_orient.sensors.rpc import RpcModel
@@ -105,15 +105,14 @@ def _of_unit_constant(rows: Array, node: XmlNode) -> Array:
     return rows
 
 
-def _origin(profile: str, domain: XmlNode) -> tuple[float, float, tuple[str, ...]]:
+def _origin(profile: str, domain: XmlNode) -> tuple[float, float, tuple[Finding, ...]]:
     """First pixel of the model and of its domain, and what to say about it."""
     for prefix, (model, of_domain) in FIRST_PIXEL.items():
         if profile.upper().startswith(prefix):
             return model, of_domain, ()
     first = domain.one("FIRST_ROW").number()
     first = first if first in (0.0, 1.0) else 1.0
-    note = f"profile {profile}: the first pixel is taken as ({first:g}, {first:g}); read_rpc(first_pixel=) sets another"
-    return first, first, (note,)
+    return first, first, (finding("rpc.first_pixel_assumed", profile=profile, first=first),)
 
 
 def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first: float) -> RpcModel:
@@ -130,12 +129,12 @@ def _with_domain(model: RpcModel, ranges: XmlNode, names: tuple[str, str], first
     lon, lat = float(model.offsets[RANGE.lon]), float(model.offsets[RANGE.lat])
     if not _holds(domain, lon, lat) and _holds(domain, lat, lon):
         domain["lon"], domain["lat"] = domain["lat"], domain["lon"]
-        notes += ("longitude and latitude of the validity domain are exchanged in the file: put right",)
+        notes += (finding("rpc.domain_exchanged"),)
     whole = replace(model, stated_validity=validity(model.offsets, model.scales, domain))
     return replace(whole, notes=notes + _contradiction(whole))
 
 
-def _contradiction(model: RpcModel) -> tuple[str, ...]:
+def _contradiction(model: RpcModel) -> tuple[Finding, ...]:
     """Say by how much the file's two models disagree inside the image, if that can be seen in pixels."""
     if model.direct is None:
         return ()
@@ -146,7 +145,7 @@ def _contradiction(model: RpcModel) -> tuple[str, ...]:
     worst = float(np.nanmax(np.abs(back - [line, sample])))
     if worst <= AGREEMENT_PX:
         return ()
-    return (f"the file's models to the ground and to the image disagree by up to {worst:.1f} px; the latter is used",)
+    return (finding("rpc.contradiction", largest_px=worst),)
 
 
 def _holds(domain: dict[str, tuple[float, float]], lon: float, lat: float) -> bool:

@@ -6,7 +6,7 @@ import os
 import re
 from typing import Any, Final
 
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.io.rpc_fields import AXES, Reading, RpcFields, build, read_text, require_order
 from fg_orient.sensors.rpc import RpcModel
 
@@ -72,19 +72,19 @@ def _count(file: str, other: dict[str, tuple[str, str]], key: str) -> int | None
     return int(text)
 
 
-def _spot_origin(fields: RpcFields, other: dict[str, tuple[str, str]]) -> tuple[float | None, tuple[str, ...]]:
+def _spot_origin(fields: RpcFields, other: dict[str, tuple[str, str]]) -> tuple[float | None, tuple[Finding, ...]]:
     """First pixel of SPOT 6/7: the vendor's offsets equal the scales; one less was taken off by OSSIM."""
     if other.get("type", ("", ""))[0] != "ossimSpot6Model":
         return None, ()
     if all(fields.number(f"{axis}_OFF") == fields.number(f"{axis}_SCALE") - 1.0 for axis in ("LINE", "SAMP")):
-        return SPOT_FIRST_PIXEL, ("OSSIM took 1 off the offsets of SPOT 6/7, which count from 0: put back",)
+        return SPOT_FIRST_PIXEL, (finding("rpc.offsets_put_back"),)
     return None, ()
 
 
-def _adjustment(other: dict[str, tuple[str, str]]) -> tuple[str, ...]:
+def _adjustment(other: dict[str, tuple[str, str]]) -> tuple[Finding, ...]:
     values = [
         text for key, (text, _) in other.items() if re.fullmatch(r"adjustment_\d+\.adj_param_\d+\.parameter", key)
     ]
     if any(text.strip("0.+-") for text in values):
-        return ("the adjustment parameters of OSSIM in the file are not applied",)
+        return (finding("rpc.adjustment_ignored"),)
     return ()

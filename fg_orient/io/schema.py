@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from fg_orient import declaration as option_types
 from fg_orient.declaration import Option, declared, toml
-from fg_orient.errors import Problem, problem
+from fg_orient.errors import Finding, finding
 from fg_orient.io.tables import did_you_mean
 from fg_orient.options import Options, Reading
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation
@@ -145,7 +145,7 @@ class ProjectFile(_Table):
         return {name: values[name] for name in declared(record)}
 
 
-def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Problem, ...]:
+def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Finding, ...]:
     """Check the parsed TOML; give the project, or every fault with its place and remedy."""
     try:
         return ProjectFile.model_validate(content)
@@ -153,9 +153,9 @@ def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Problem,
         return problems_of(error, file, ProjectFile)
 
 
-def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tuple[Problem, ...]:
+def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tuple[Finding, ...]:
     """Every fault of a file that should have been a ``root``, with its place and remedy."""
-    places: dict[str, Problem] = {}
+    places: dict[str, Finding] = {}
     details = error.errors(include_url=False, include_context=False)
     for detail in details:
         if detail["type"] == "too_short" and any(_inside(other["loc"], detail["loc"]) for other in details):
@@ -170,19 +170,19 @@ def _inside(loc: tuple[int | str, ...], outer: tuple[int | str, ...]) -> bool:
     return len(loc) > len(outer) and loc[: len(outer)] == outer
 
 
-def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, root: type[BaseModel]) -> Problem:
+def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, root: type[BaseModel]) -> Finding:
     path, field, siblings = _walk(loc, root)
     if kind == "extra_forbidden" and path == "constraints":
-        return problem("project.constraints", file=file, place=path)
+        return finding("project.constraints", file=file, place=path)
     if kind == "extra_forbidden":
         hint = did_you_mean(path.rpartition(".")[2], siblings)
-        return problem("project.unknown_key", file=file, place=path, value=value, hint=hint)
+        return finding("project.unknown_key", file=file, place=path, value=value, hint=hint)
     expected = field.description if field is not None else "a value of the right type"
     if path == "schema" and kind != "missing":
-        return problem("project.schema", file=file, place=path, value=value)
+        return finding("project.schema", file=file, place=path, value=value)
     if kind == "missing":
-        return problem("project.missing", file=file, place=path, expected=expected)
-    return problem("project.value", file=file, place=path, value=repr(value), expected=expected)
+        return finding("project.missing", file=file, place=path, expected=expected)
+    return finding("project.value", file=file, place=path, value=repr(value), expected=expected)
 
 
 def _walk(loc: tuple[int | str, ...], root: type[BaseModel]) -> tuple[str, FieldInfo | None, list[str]]:

@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError
 
 from factors import kepler
 from factors.attitude import sign_aligned
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.io.earth_orientation import read_earth_orientation
 from fg_orient.io.project import parse_toml
 from fg_orient.io.schema import Positive, Switch, Text, problems_of
@@ -269,17 +269,17 @@ def _attitude(table: AttitudeTable, path: Path) -> Attitude:
 
 def _earth(
     found: SensorFile, epoch: np.datetime64, orbit: Orbit, attitude: Attitude, path: Path
-) -> tuple[EarthRotation | None, tuple[str, ...]]:
+) -> tuple[EarthRotation | None, tuple[Finding, ...]]:
     """Orientation of the Earth where a frame needs it, and what is to be said of it."""
     inertial = {f for f in (orbit.frame, attitude.frame) if f in ("GCRS", "EME2000")}
     if not inertial:
-        unused = () if found.earth is None else ("the Earth orientation file is not needed: no frame is inertial",)
+        unused = () if found.earth is None else (finding("image.earth_not_needed"),)
         return None, unused
     if len(inertial) > 1:
         raise InputError.of("earth.two_frames", file=path, place="attitude.frame", value=", ".join(sorted(inertial)))
     span = (float(orbit.time_s[0]), float(orbit.time_s[-1]))
     if span[0] < -DAY_S or span[1] > 2.0 * DAY_S:
-        raise InputError(problem("earth.seconds", file=path, place="orbit.file", value=f"{span[0]:g} .. {span[1]:g} s"))
+        raise InputError(finding("earth.seconds", file=path, place="orbit.file", value=f"{span[0]:g} .. {span[1]:g} s"))
     frame: Literal["GCRS", "EME2000"] = "GCRS" if "GCRS" in inertial else "EME2000"
     if found.earth is None:
         ground_side = orbit.position_m[len(orbit.position_m) // 2]

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 
@@ -54,15 +54,15 @@ class Faults:
 
     def __init__(self, file: str) -> None:
         self.file = file
-        self._problems: list[Problem] = []
+        self._problems: list[Finding] = []
         self._dropped = 0
         self.codes: set[str] = set()
 
     def add(self, code: str, *, place: object = "", value: object = "", **fields: object) -> None:
         """Note one fault from the message catalogue."""
-        self.take(problem(code, file=self.file, place=place, value=value, **fields))
+        self.take(finding(code, file=self.file, place=place, value=value, **fields))
 
-    def take(self, *found: Problem) -> None:
+    def take(self, *found: Finding) -> None:
         """Note faults that somebody else built."""
         self.codes.update(p.code for p in found)
         room = MAX_FAULTS - len(self._problems)
@@ -73,11 +73,11 @@ class Faults:
         return bool(self._problems)
 
     @property
-    def problems(self) -> tuple[Problem, ...]:
+    def problems(self) -> tuple[Finding, ...]:
         """The faults noted, and one line that counts those left out."""
         if not self._dropped:
             return tuple(self._problems)
-        more = problem("table.more_faults", file=self.file, value=f"{self._dropped} more")
+        more = finding("table.more_faults", file=self.file, value=f"{self._dropped} more")
         return (*self._problems, more)
 
     def raise_if_any(self) -> None:

@@ -5,21 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from fg_orient.block import Block
-from fg_orient.errors import InputError, Problem
+from fg_orient.errors import Finding, InputError
 from fg_orient.io.project import read_project_with_remarks
 
 
-def is_remark(found: Problem) -> bool:
-    """Tell a remark, which stops nothing, from an error."""
-    return found.code.startswith("remark.")
-
-
-def validate_project(path: str | Path, **overrides: object) -> list[Problem]:
+def validate_project(path: str | Path, **overrides: object) -> list[Finding]:
     """Read a project with all its files and list what is found; see :func:`checked_project`."""
     return checked_project(path, **overrides)[1]
 
 
-def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None, list[Problem]]:
+def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None, list[Finding]]:
     """Read a project with all its files and list what is found.
 
     Parameters
@@ -33,9 +28,8 @@ def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None
     -------
     block : Block or None
         None with errors.
-    problems : list of Problem
-        Either errors, with which ``adjust`` would refuse the project, or remarks
-        (:func:`is_remark`); empty if all is well.
+    problems : list of Finding
+        Either failures, with which ``adjust`` would refuse the project, or notes; empty if all is well.
     """
     try:
         block, remarks = read_project_with_remarks(path, **overrides)

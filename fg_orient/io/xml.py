@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from lxml import etree
 
-from fg_orient.errors import InputError, problem
+from fg_orient.errors import InputError, finding
 
 Array = npt.NDArray[np.float64]
 
@@ -92,7 +92,7 @@ class XmlNode:
 
     def fault(self, code: str, value: object = "", **fields: object) -> InputError:
         """Build the error of this element."""
-        return InputError(problem(code, file=self.file, place=self.place, value=value, **fields))
+        return InputError(finding(code, file=self.file, place=self.place, value=value, **fields))
 
     # --- finding -----------------------------------------------------------------------------
 

@@ -163,7 +163,7 @@ def _folder_of(source: str, folder: Path) -> Path:
     inner = folder / source
     found = inner if inner.is_dir() else folder
     if not found.is_dir():
-        raise InputError.of("published.folder", file=folder, place="--published")
+        raise InputError.of("published.folder", file=folder, option="published")
     return found
 
 

@@ -126,7 +126,7 @@ class PointDifferences:
             return np.asarray(np.abs(self.enu_m) / np.hypot(self.predicted_sigma_enu_m, self.own_sigma_enu_m))
 
     def statistics(self) -> dict[str, float | int]:
-        """Figures under the keys of ``--json``: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90*, le90*, ce95*, le95*.
+        """Figures under the keys of the record: n, n_fixed, rmse_*, mean_*, sd_*, max_*, ce90*, le90*, ce95*, le95*.
 
         ``horizontal`` is East and North together (2-D), ``3d`` all three. Figures that the number of points does not
         support (none; sd, CE90 and LE90 of one) are absent.

@@ -8,6 +8,7 @@ import numpy as np
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.solve import Estimate
+from fg_orient.errors import Finding, finding
 from fg_orient.linear.threads import one_blas_thread
 
 #: Beyond this condition solutions of different solvers agree to 5 or 6 digits only (eps times condition is 2e-6).
@@ -43,15 +44,12 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
         return float("inf")
 
 
-def sentences(problem: Problem, estimate: Estimate) -> list[str]:
-    """Say that the normal equations are ill-conditioned, and what that means; nothing if they are not."""
+def findings(problem: Problem, estimate: Estimate) -> list[Finding]:
+    """Tell that the normal equations are ill-conditioned, and how many digits are left; nothing if they are not."""
     found = condition(problem, estimate)
     if found is None or found <= ILL_CONDITIONED:
         return []
     if not np.isfinite(found):
-        return ["the normal equations are ill-conditioned: to working precision they are singular"]
+        return [finding("solution.singular")]
     digits = max(0, int(-np.log10(np.finfo(float).eps * found)))
-    return [
-        f"the normal equations are ill-conditioned (condition {found:.0e} with scaled unknowns, the limit is "
-        f"{ILL_CONDITIONED:.0e}): solvers agree to about {digits} digits of the image unknowns only"
-    ]
+    return [finding("solution.ill_conditioned", condition=found, limit=ILL_CONDITIONED, digits=digits)]

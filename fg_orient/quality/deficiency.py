@@ -15,8 +15,7 @@ import numpy as np
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.rows import image_rows, rows_by_image
 from fg_orient.block import Block
-from fg_orient.errors import FgOrientError, InputError, RankDeficientError, problem
-from fg_orient.errors import Problem as Fault
+from fg_orient.errors import FgOrientError, Finding, InputError, RankDeficientError, finding
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.quality.observability import (
     BlockObservability,
@@ -71,7 +70,7 @@ def compiled_problem(block: Block, like: Problem | None = None) -> Problem:
         raise InputError(*error.problems, *_motions_without_control(block)) from None
 
 
-def _motions_without_control(block: Block) -> list[Fault]:
+def _motions_without_control(block: Block) -> list[Finding]:
     """One fault per part of a block without control points; none if the block has other faults, too."""
     loose = replace(block, options=replace(block.options, datum="free", priors=False))
     try:
@@ -143,16 +142,18 @@ def _thinned(compiled: Problem) -> Problem:
     return replace(compiled, observations=o.take(rows), records=compiled.records[rows])
 
 
-def _structural(compiled: Problem, structure: Structure, observability: tuple[ImageObservability, ...]) -> list[Fault]:
+def _structural(
+    compiled: Problem, structure: Structure, observability: tuple[ImageObservability, ...]
+) -> list[Finding]:
     """Faults of structure and of single images; damped steps need neither points nor all images determined."""
     floating = compiled.least_damping > 0.0 and compiled.redundancy >= 0
     lacks = () if floating else structure.lacks
-    out = [problem("statistics.too_few", place=lack.sentence, remedy=lack.remedy) for lack in lacks]
+    out = [finding("statistics.too_few", place=lack.sentence, remedy=lack.remedy) for lack in lacks]
     if compiled.block.options.priors:
         return out
     seen = [o for o in observability if lacks == () or o.rank_defect < len(o.singular_values)]
     sentences = [sentence for o in seen for sentence in o.sentences]
-    return out + [problem(_code(compiled), place=sentence) for sentence in sentences]
+    return out + [finding(_code(compiled), place=sentence) for sentence in sentences]
 
 
 def _code(compiled: Problem) -> str:
@@ -160,27 +161,27 @@ def _code(compiled: Problem) -> str:
     return "adjust.rank_deficient" if compiled.has_control else "adjust.rank_without_control"
 
 
-def _numerical(compiled: Problem, view: BlockObservability) -> list[Fault]:
+def _numerical(compiled: Problem, view: BlockObservability) -> list[Finding]:
     """Faults of the block as a whole; a datum that may be free has its motions."""
     loose = compiled.block.options.datum in ("free", "inner")
     dead = sum(int(m.unobservable.sum()) for m in view.motions)
     out = [] if loose or not dead else _motion_faults(view)
     if compiled.block.options.datum == "inner":
         near = [m for m in view.motions if not m.unobservable.all()]
-        out += [problem("statistics.datum_near", place=part_sentence(m, priors=False), value=len(m)) for m in near]
+        out += [finding("statistics.datum_near", place=part_sentence(m, priors=False), value=len(m)) for m in near]
     others = view.sentences[len(view.sentences) - view.unexplained :]
-    return out + [problem(_code(compiled), place=sentence) for sentence in others]
+    return out + [finding(_code(compiled), place=sentence) for sentence in others]
 
 
-def _motion_faults(view: BlockObservability) -> list[Fault]:
+def _motion_faults(view: BlockObservability) -> list[Finding]:
     return [
-        problem("statistics.motions", place=part_sentence(m, priors=False), value=len(m), remedy=m.remedy)
+        finding("statistics.motions", place=part_sentence(m, priors=False), value=len(m), remedy=m.remedy)
         for m in view.motions
     ]
 
 
 def _refuse(
-    compiled: Problem, observability: tuple[ImageObservability, ...], faults: Sequence[Fault],
+    compiled: Problem, observability: tuple[ImageObservability, ...], faults: Sequence[Finding],
     view: BlockObservability | None = None,
 ) -> None:  # fmt: skip
     if not faults:

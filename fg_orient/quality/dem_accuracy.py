@@ -19,7 +19,7 @@ import numpy.typing as npt
 from factors import ellipsoid
 from fg_orient.block import Block
 from fg_orient.distributions import t_quantile
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, as_record, finding
 from fg_orient.geodesy import enu_from_ecef
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.surface import RasterDem
@@ -86,10 +86,10 @@ class DemComparison:
     difference_m: Array
     n_outside: int
     shift: Shift | None
-    withheld: str = ""
+    withheld: Finding | None = None
 
     def statistics(self) -> dict[str, float | int]:
-        """Figures under the keys of ``--json``; those that the number of points does not support are absent."""
+        """Figures under the keys of the record; those that the number of points does not support are absent."""
         d = self.difference_m
         out: dict[str, float | int] = {"n": len(d), "n_outside": self.n_outside}
         if not len(d):
@@ -102,7 +102,7 @@ class DemComparison:
         return out
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the record of ``--json``."""
+        """Give the record as plain values."""
         s, axes = self.shift, ("east", "north", "up")
         shift = None if s is None else {
             **{f"{a}_m": float(v) for a, v in zip(axes, s.enu_m, strict=True)},
@@ -110,7 +110,7 @@ class DemComparison:
             "significant": [a for a, yes in zip(axes, s.significant, strict=True) if yes],
             "n": s.n, "rmse_before_m": s.rmse_before_m, "rmse_after_m": s.rmse_after_m,
         }  # fmt: skip
-        return {**self.statistics(), "shift": shift, "warnings": [self.withheld] if self.withheld else []}
+        return {**self.statistics(), "shift": shift, **as_record([self.withheld] if self.withheld else [])}
 
 
 def nmad(values: Array) -> float:
@@ -201,7 +201,7 @@ def _near(d: Array, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     return np.asarray(known & (np.abs(d - np.median(d[known])) <= reach))
 
 
-def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, str]:
+def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, Finding | None]:
     """Shift by Gauss-Newton, blunders left out by their NMAD at each step; None and the reason."""
     axes, shift, kept = _axes(ground), np.zeros(3), np.zeros(len(ground), bool)
     for k in range(MAX_STEPS):
@@ -211,18 +211,18 @@ def _shift(ground: Array, dem: HeightSurface) -> tuple[Shift | None, str]:
         kept = _near(d, known) if k < CHOOSING_STEPS else kept & known
         n = int(kept.sum())
         if n < LEAST_POINTS:
-            return None, f"shift withheld: {n} points over slopes of the model, {LEAST_POINTS} are needed"
+            return None, finding("withheld.slopes", n=n, least=LEAST_POINTS)
         length = np.linalg.norm(a[kept], axis=0)
         if not length.all() or np.linalg.cond(a[kept] / length) > CONDITION:
-            return None, "shift withheld: the terrain has not enough slopes of different aspect to tell East and North"
+            return None, finding("withheld.aspects")
         step = np.linalg.lstsq(a[kept], d[kept], rcond=None)[0]
         shift = shift + step
         if k >= CHOOSING_STEPS and np.abs(step).max() < STEP_M:
             break
     else:
-        return None, f"shift withheld: it does not stand after {MAX_STEPS} steps"
+        return None, finding("withheld.steps", steps=MAX_STEPS)
     rest = d[kept] - a[kept] @ step
     sigma = np.sqrt(rest @ rest / (n - 3) * np.linalg.inv(a[kept].T @ a[kept]).diagonal())
     before = _differences(ground, dem)[kept]
     return Shift(shift, sigma, n, float(t_quantile(n - 3, 0.5 + CONFIDENCE / 2.0)),
-                 float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(rest**2)))), ""  # fmt: skip
+                 float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(rest**2)))), None  # fmt: skip

@@ -25,7 +25,7 @@ from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.block import Block, ExtraObservation
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, finding
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.quality.covariance import Cofactors, Indeterminate, MatrixCofactors, NamedMatrix
 from fg_orient.quality.datum import datum_step, s_transform
@@ -150,7 +150,7 @@ def to_inner_datum(
         at = _holding(_undamped(replace(at, start=columns.moved(estimate.state, step))), chosen)
         estimate = run(at)
     else:
-        estimate = replace(estimate, converged=False, reason="the datum of the free network is not reached")
+        estimate = replace(estimate, converged=False, end=finding("loop.free_datum"))
     whole = replace(estimate, log=first.log, iterations=first.iterations, structure_s=first.structure_s,
                     solve_s=first.solve_s + (estimate.solve_s if estimate is not first else 0.0))  # fmt: skip
     block = replace(at.block, options=problem.block.options)

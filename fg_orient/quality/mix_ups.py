@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.block import Block
-from fg_orient.errors import FgOrientError
+from fg_orient.errors import FgOrientError, Finding, finding
 
 Array = npt.NDArray[np.float64]
 
@@ -31,7 +31,7 @@ READINGS: Final[dict[str, Reading]] = {
 }  # fmt: skip
 
 
-def mix_ups(block: Block) -> tuple[str, ...]:
+def mix_ups(block: Block) -> tuple[Finding, ...]:
     """Name images whose control points fit far better when their image coordinates are read in another way.
 
     Parameters
@@ -40,8 +40,8 @@ def mix_ups(block: Block) -> tuple[str, ...]:
 
     Returns
     -------
-    tuple of str
-        A sentence per image; median distances are those between the points measured and the points projected with
+    tuple of Finding
+        One per image; median distances are those between the points measured and the points projected with
         the orientation of the metadata, in pixels.
     """
     out = []
@@ -52,10 +52,7 @@ def mix_ups(block: Block) -> tuple[str, ...]:
         given = distances.pop("")
         name, best = min(distances.items(), key=lambda item: item[1])
         if BETTER * best < given:
-            out.append(
-                f"image {image.id}: its control points lie {best:.3g} px beside their places in the image with {name}, "
-                f"and {given:.3g} px as they stand (medians): look at the columns of the table"
-            )
+            out.append(finding("solution.mix_up", image=image.id, best_px=best, given_px=given, reading=name))
     return tuple(out)
 
 

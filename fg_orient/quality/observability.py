@@ -25,6 +25,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
+from fg_orient.errors import Finding, finding
 from fg_orient.linear.system import MAX_UNKNOWNS
 from fg_orient.parameters import ImageParameters
 from fg_orient.quality.elimination import eliminated, eliminated_with_own
@@ -265,16 +266,17 @@ class BlockObservability:
             "free_motions": self.n_free_motions, "motions": motions, "sentences": list(self.sentences),
         }  # fmt: skip
 
-    def deficiencies(self, problem: Problem) -> tuple[str, ...]:
-        """One sentence per part with free motions, and one that names the parts, each with its remedy."""
+    def deficiencies(self, problem: Problem) -> tuple[Finding, ...]:
+        """One per part with free motions, and one that names the parts."""
         options = problem.block.options
-        carried = "inner constraints on the ground points carry them: standard deviations are relative"
+        code = "solution.motions_inner" if options.datum == "inner" else "solution.motions"
         out = [
-            f"{part_sentence(m, priors=options.priors)}; {carried if options.datum == 'inner' else m.remedy}"
+            finding(code, direction=part_sentence(m, priors=options.priors), remedy=m.remedy, images=m.images,
+                    control=m.control, motions=m.words)
             for m in self.motions
-        ]
+        ]  # fmt: skip
         if self.structure.n_parts > 1 and (self.motions or not self._each_part_has_control(problem)):
-            out.append(_parts_sentence(problem, self.structure))
+            out.append(_parts(problem, self.structure))
         return tuple(out)
 
     def _each_part_has_control(self, problem: Problem) -> bool:
@@ -396,20 +398,17 @@ def part_sentence(m: FreeMotions, *, priors: bool) -> str:
     return f"images {named(m.images)}, {_control_words(m)}: {many} {by} ({', '.join(m.words)})"
 
 
-def _parts_sentence(problem: Problem, structure: Structure) -> str:
-    """Name the parts of the block that no ground point links."""
+def _parts(problem: Problem, structure: Structure) -> Finding:
+    """Parts of the block that no ground point links."""
     ids = problem.block.points.ids
-    told = []
+    parts = []
     for p in range(structure.n_parts):
         images = [problem.block.images[k].id for k in np.flatnonzero(structure.part == p)]
         points = np.flatnonzero(structure.point_part == p)
         control = [ids[j] for j in points[problem.observed[points] | ~problem.active[points]]]
         known = f"control points {named(control)}" if control else "no control point"
-        told.append(f"images {named(images)} ({len(points)} points, {known})")
-    return (
-        f"the block falls into {structure.n_parts} parts that no point links: {' | '.join(told[:10])}"
-        f"{' ...' if len(told) > 10 else ''}; measure points in images of both"
-    )
+        parts.append(f"images {named(images)} ({len(points)} points, {known})")
+    return finding("solution.parts", n=structure.n_parts, parts=parts)
 
 
 def _block_sentence(direction: Array, names: list[tuple[str, str]], *, control: bool) -> str:

@@ -76,7 +76,7 @@ class PredictionTest:
         return f"the predicted accuracy is too {'optimistic' if self.factor > 1.0 else 'pessimistic'}: {size}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the record of ``--json``."""
+        """Give the record as plain values."""
         names = ("within_1_sigma", "within_2_sigma", "within_3_sigma")
         counts = {axis: dict(zip(names, row.tolist(), strict=True))
                   for axis, row in zip(AXES[:3], self.within, strict=True)}  # fmt: skip

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
+from fg_orient.errors import Finding, finding
 from fg_orient.quality.outliers import GroupTest
 from fg_orient.quality.prediction import Fit
-
-#: Names of observations left out that a warning holds.
-NAMED: Final = 5
 
 
 @dataclass(frozen=True)
@@ -78,8 +74,8 @@ class Search:
     rounds : tuple of Round
     found : tuple of Found
         All that was ever left out, in the order of the rounds.
-    given_up : str
-        Why the search ended although something is suspicious; "" if it came to its end.
+    given_up : Finding or None
+        Why the search ended although something is suspicious; None if it came to its end.
     went_with : tuple of str
         Image points that stay out because they would be the single ray of a point.
     check_points : tuple of str
@@ -88,7 +84,7 @@ class Search:
 
     rounds: tuple[Round, ...]
     found: tuple[Found, ...]
-    given_up: str = ""
+    given_up: Finding | None = None
     went_with: tuple[str, ...] = ()
     check_points: tuple[str, ...] = ()
 
@@ -97,22 +93,13 @@ class Search:
         """What stays out."""
         return tuple(found for found in self.found if found.readmitted is None)
 
-    def sentences(self) -> tuple[str, ...]:
-        """Warnings: what was left out, and whether the search came to an end."""
-        out, count = self.left_out, len(self.left_out)
-        if not count and not self.given_up:
-            return ()
-        names = _named([found.test.name for found in out])
-        also = f"; with them, as single rays of their points: {_named(self.went_with)}" if self.went_with else ""
-        head = f"snooping left out {count} observation(s) in {len(self.rounds)} rounds"
-        texts = [f"{head}: {names}{also}"] if count else []
-        if self.check_points:
-            texts.append(
-                f"{len(self.check_points)} check point(s) are not in the accuracy, as snooping left them no two rays: "
-                f"{_named(self.check_points)}"
-            )
-        return (*texts, f"snooping was given up: {self.given_up}") if self.given_up else tuple(texts)
-
-
-def _named(names: Sequence[str]) -> str:
-    return ", ".join(names[:NAMED]) + (f" ... ({len(names)})" if len(names) > NAMED else "")
+    def findings(self) -> tuple[Finding, ...]:
+        """What was left out, and whether the search came to an end."""
+        out = []
+        if self.left_out:
+            names = [found.test.name for found in self.left_out]
+            out.append(finding("search.left_out", n=len(names), rounds=len(self.rounds), names=names,
+                               with_them=self.went_with))  # fmt: skip
+            if self.check_points:
+                out.append(finding("search.check_points", n=len(self.check_points), points=self.check_points))
+        return (*out, self.given_up) if self.given_up else tuple(out)

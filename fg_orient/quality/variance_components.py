@@ -31,7 +31,7 @@ from factors.control import POINT
 from fg_orient.adjustment.problem import Problem, State, participates
 from fg_orient.adjustment.rows import residuals
 from fg_orient.distributions import chi_square_median
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.options import USUAL_GROUPS
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.group_cofactors import LARGEST, GroupCofactors, cost
@@ -109,18 +109,12 @@ class VarianceComponents:
         return {c.group: c.factor for c in self.components}[group]
 
     @property
-    def sentences(self) -> tuple[str, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """What was held, and what the standard deviations are."""
-        said = [
-            f"variance component of {c.group} is held at the given sigma: {c.held}" for c in self.components if c.held
-        ]
+        out = [finding("components.held", group=c.group, why=c.held) for c in self.components if c.held]
         if not self.exact and self.method == "helmert":
-            said.append(
-                "standard deviations of variance components are lower bounds: image unknowns and groups are too many "
-                "to form what groups share; outlier tests take the degrees of freedom of each observation's own group, "
-                "which gives too many false alarms (any in 18 % of simulated blocks instead of 5 %)"
-            )
-        return tuple(said)
+            out.append(finding("components.lower_bounds"))
+        return tuple(out)
 
     def as_dict(self) -> dict[str, Any]:
         """For the record of a run."""

@@ -87,17 +87,17 @@ def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, ima
             if (known == digest if known and digest else file == metadata.name)]  # fmt: skip
     if image in files:
         if image not in same:
-            raise InputError.of("ortho.other_image", file=metadata, place="--image-id", image=image,
+            raise InputError.of("ortho.other_image", file=metadata, option="image_id", image=image,
                                 known=files[image][0])  # fmt: skip
         return image
     named = [key for key, (file, _) in files.items() if file == metadata.name]
     if image or not (same or named):
         raise InputError.of("ortho.result", file=folder, value=image or metadata.name, known=", ".join(files))
     if not same:
-        raise InputError.of("ortho.other_image", file=metadata, place="--result", image=named[0],
+        raise InputError.of("ortho.other_image", file=metadata, option="result", image=named[0],
                             known=f"{files[named[0]][0]} of another content")  # fmt: skip
     if len(same) > 1:
-        raise InputError.of("ortho.which_image", file=metadata, place="--image-id", known=" or ".join(same))
+        raise InputError.of("ortho.which_image", file=metadata, option="image_id", known=" or ".join(same))
     return same[0]
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Option
 from fg_orient.rectification.arguments import finite, positive
 
 Array = npt.NDArray[np.float64]
@@ -50,13 +50,13 @@ class MapGrid:
         InputError
             Bounds without area, a resolution that is not above 0, or more than a million pixels along an axis.
         """
-        if finite("--bounds", bounds).shape != (4,):
-            raise InputError.of("rectify.numbers", place="--bounds", value=f"{len(bounds)} numbers")
+        if finite(Option("bounds"), bounds).shape != (4,):
+            raise InputError.of("rectify.numbers", option="bounds", value=f"{len(bounds)} numbers")
         left, bottom, right, top = bounds
-        positive("--resolution", resolution, "units of the map")
+        positive(Option("resolution"), resolution, "units of the map")
         sides = right - left, top - bottom
         if not all(math.isfinite(side) and 0.0 < side <= LARGEST * resolution for side in sides):
-            raise InputError.of("ortho.grid", place="--bounds, --resolution", value=f"{sides[0]:g} x {sides[1]:g}",
+            raise InputError.of("ortho.grid", option="bounds, resolution", value=f"{sides[0]:g} x {sides[1]:g}",
                                 resolution=resolution, most=LARGEST)  # fmt: skip
         # bounds given as multiples must not gain a pixel by rounding
         west, south = (math.floor(v / resolution + 1e-6) for v in (left, bottom))

@@ -64,28 +64,28 @@ def rectify_image(
         surface = LevelSurface(height_m)
     if model.is_dir() or model.suffix.lower() == ".json":
         if result is not None:
-            raise InputError.of("cli.two_ways", place="--result", options="--result, a transformation by points")
+            raise InputError.of("ortho.points_and_result", option="result")
         return _by_points(image, model, out, surface, crs, resolution, bounds, options, overwrite, progress)
     if surface is None:
-        raise InputError.of("ortho.no_heights", file=model, place="--dem")
+        raise InputError.of("ortho.no_heights", file=model, option="dem")
     chosen = _system(crs or (surface.crs if isinstance(surface, RasterDem) else ""), image)
     sensor = read_sensor(model, extrapolate_attitude_s=extrapolate_attitude_s)
     correction = None if result is None else read_correction(result, sensor, image_id)
     bound = SensorModel(sensor, correction, chosen, surface.range_m[1])
     record = orthorectify(image, bound, surface, out, crs=chosen, resolution=resolution, bounds=bounds, options=options,
                           overwrite=overwrite, progress=progress)  # fmt: skip
-    return {**record, "notes": list(sensor.notes)}
+    return {**record, "notes": list(map(str, sensor.notes))}
 
 
 def _require_other(out: Path, *inputs: Path) -> None:
     """Refuse to write over what is read, or over a file that is no raster, whatever ``overwrite`` says."""
     if any(path.resolve() == out.resolve() for path in inputs):
-        raise InputError.of("ortho.over_input", file=out, place="--out")
+        raise InputError.of("ortho.over_input", file=out, option="out")
     if out.is_file():
         with out.open("rb") as stream:
             mark = stream.read(4)
         if mark not in TIFF_MARKS:
-            raise InputError.of("ortho.foreign", file=out, place="--out")
+            raise InputError.of("ortho.foreign", file=out, option="out")
 
 
 def _by_points(
@@ -96,7 +96,7 @@ def _by_points(
     chosen = _system(crs or found.crs, image)
     bound = point_model(found, chosen)
     if bound.needs_heights and surface is None:
-        raise InputError.of("ortho.no_heights", file=model, place="--dem")
+        raise InputError.of("ortho.no_heights", file=model, option="dem")
     # a plane transformation knows no heights: a DEM would only cut the map
     over = surface if bound.needs_heights and surface is not None else LevelSurface(0.0)
     return orthorectify(image, bound, over, out, crs=chosen, resolution=resolution, bounds=bounds, options=options,
@@ -112,9 +112,9 @@ def _system(crs: str, image: Path) -> str:
         None is given, or rasterio does not know it.
     """
     if not crs:
-        raise InputError.of("ortho.no_crs", place="--crs")
+        raise InputError.of("ortho.no_crs", option="crs")
     rasterio = rasterio_of(image)
     try:
         return str(rasterio.crs.CRS.from_user_input(crs).to_wkt())
     except rasterio.errors.CRSError:
-        raise InputError.of("geodesy.unknown_crs", place="--crs", value=crs) from None
+        raise InputError.of("geodesy.unknown_crs", option="crs", value=crs) from None

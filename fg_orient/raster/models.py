@@ -210,5 +210,5 @@ def point_model(transformation: Transformation, crs: str) -> PointModel:
         It was fitted in another coordinate system.
     """
     if transformation.crs and not same_crs(transformation.crs, crs):
-        raise InputError.of("ortho.other_crs", place="--crs", fitted=transformation.crs)
+        raise InputError.of("ortho.other_crs", option="crs", fitted=transformation.crs)
     return PointModel(transformation)

@@ -72,7 +72,7 @@ class OrthoOptions:
 
     def __post_init__(self) -> None:
         if self.resampling not in RESAMPLING:
-            raise InputError.of("ortho.resampling", place="--resampling", value=self.resampling,
+            raise InputError.of("ortho.resampling", option="resampling", value=self.resampling,
                                 known=", ".join(RESAMPLING))  # fmt: skip
         if self.compress not in COMPRESSIONS:
             raise InputError.of("options.value", place="compress", value=self.compress,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Option
 from fg_orient.io import atomic
 from fg_orient.raster.grid import MapGrid
 
@@ -27,10 +27,10 @@ def staged_file(out: Path, *, overwrite: bool) -> Iterator[Path]:
         ``out`` exists (without ``overwrite``), or cannot be written.
     """
     if out.exists() and not overwrite:
-        raise InputError.of("output.exists", file=out, place="--out")
+        raise InputError.of("output.exists", file=out, option="out")
     if out.is_dir() or not out.absolute().parent.is_dir():
-        raise InputError.of("output.unwritable", file=out, place="--out")
-    with atomic.staged_file(out, place="--out", suffix=".tif") as temporary:
+        raise InputError.of("output.unwritable", file=out, option="out")
+    with atomic.staged_file(out, place=Option("out"), suffix=".tif") as temporary:
         yield temporary
 
 

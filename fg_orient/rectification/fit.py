@@ -244,7 +244,7 @@ def fit(
     name = optimizer or ("gauss-newton" if model.linear else "levenberg-marquardt")
     found = OPTIMIZERS[name](RowsBackend(rows), start, MAX_ITERATIONS)
     if not found.converged:
-        raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=found.reason)
+        raise NoSolutionError.of("rectify.not_converged", place=model.title, reason=found.end.message)
     below = model.denominator(records[:, RECORD.source], found.state)
     if not (below > 0.0).all():
         raise NoSolutionError.of("rectify.pole", place=model.title, value=points.ids[int(np.argmin(below))])

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from fg_orient.errors import sentences
 from fg_orient.io.folder import Contents
 from fg_orient.rectification.figure import residual_figure
 from fg_orient.rectification.points import PointFit
@@ -58,7 +59,7 @@ def _report(record: dict[str, Any], figure: str) -> str:
 
     heads = [f"residual {axis}, {record['unit']}" for axis in record["axes"]]
     return environment("fg_orient.rectification").get_template("rectify.html.j2").render(
-        r=record, figure=Markup(figure), heads=heads, verdict=_verdict(record), problems=record["warnings"],
+        r=record, figure=Markup(figure), heads=heads, verdict=_verdict(record), problems=sentences(record),
         sections=SECTIONS,
     )  # fmt: skip
 
@@ -71,7 +72,7 @@ def _verdict(record: dict[str, Any]) -> dict[str, str]:
         "m0 is per coordinate and divided by the redundancy; RMSE is divided by the number of points."
     )
     found = f"m0 {scientific(record['m0'])}{unit}; {text}"
-    if not record["warnings"]:
+    if not sentences(record):
         return {"kind": "good", "title": "Fitted, nothing stands out", "text": found}
     title = "Fitted, with doubts" if record["redundancy"] else "Fitted, unchecked"
     return {"kind": "warn", "title": title, "text": found}

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Option
 from fg_orient.io.folder import require_free, staged_folder, writing
 from fg_orient.io.tables import Faults, number, read_table
 from fg_orient.linear.threads import one_blas_thread
@@ -78,9 +78,9 @@ def rectify_fit(
     InputError, NoSolutionError
         See :func:`fg_orient.rectification.points.read_map_points` and ``fit``.
     """
-    for place, value, unit in (("--pixel-size", pixel_size_m, "m"), ("--prune-to", prune_to, "the target's unit")):
+    for place, value, unit in (("pixel_size", pixel_size_m, "m"), ("prune_to", prune_to, "the target's unit")):
         if value is not None:
-            positive(place, value, unit)
+            positive(Option(place), value, unit)
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
     points = read_map_points(path, crs)

@@ -15,7 +15,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Option
 from fg_orient.geodesy import crs_kind, from_geographic
 from fg_orient.io.tables import Faults, Row, number, read_table
 from fg_orient.rectification.fit import Fit, Observations, fit, plain_rmse
@@ -84,14 +84,14 @@ def read_map_points(path: Path, crs: str = "") -> MapPoints:
         All faults of the file; a coordinate system that is none, is not projected, or is missing.
     """
     if crs and crs_kind(crs) != "projected":
-        raise InputError.of("rectify.crs_not_projected", place="--crs", value=crs)
+        raise InputError.of("rectify.crs_not_projected", option="crs", value=crs)
     faults = Faults(str(path))
     table = read_table(path, _layouts(), faults)
     rows = () if table is None else table.rows
     columns = () if table is None else table.columns
     geographic = GEOGRAPHIC[0] in columns
     if geographic and not crs:
-        faults.add("rectify.no_crs", place="--crs")
+        faults.add("rectify.no_crs", option="crs")
     plane = GEOGRAPHIC if geographic else MAP
     heights = ("height_m",) if "height_m" in columns else ()
     image, ground = _numbers(rows, IMAGE, faults), _numbers(rows, (*plane, *heights), faults)
@@ -166,7 +166,7 @@ def require_direction(model: Model, direction: str | None) -> Direction:
             return known
     if direction is None:
         return usual
-    raise InputError.of("rectify.direction", place=f"--direction with {model.name}", value=direction)
+    raise InputError.of("rectify.direction", place=Option(f"direction with {model.name}"), value=direction)
 
 
 def observations(points: MapPoints, model: Model, direction: Direction) -> Observations:

@@ -1,4 +1,4 @@
-"""What a fit of points says, as plain values: the content of ``result.json`` and of ``--json``."""
+"""What a fit of points says, as plain values: the content of ``result.json`` and of what the command prints as JSON."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.errors import as_record
 from fg_orient.rectification.distances import PairDistances
 from fg_orient.rectification.fit import Observations
 from fg_orient.rectification.outliers import PointTests, Pruning, check_tests, point_tests
 from fg_orient.rectification.points import PointFit
-from fg_orient.rectification.remarks import warnings_of
+from fg_orient.rectification.remarks import findings_on
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +51,7 @@ def record_of(
             "pairs": len(distances.differences),
             "of_point_m": dict(zip(fit.points.ids, distances.of_point.tolist(), strict=True)),
         },
-        "warnings": warnings_of(found, tests, checks, pruning),
+        **as_record(findings_on(found, tests, checks, pruning)),
     }  # fmt: skip
 
 

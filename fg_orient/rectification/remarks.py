@@ -1,4 +1,4 @@
-"""What a reader of a fit's figures must know, in sentences."""
+"""Findings on a fit that a reader of its figures must know."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.distributions import f_tail
+from fg_orient.errors import Finding, finding
 from fg_orient.geodesy import area_of_use, to_geographic
 from fg_orient.rectification.outliers import PointTests, Pruning
 from fg_orient.rectification.points import DIRECTIONS, PointFit
@@ -31,8 +32,10 @@ NO_SAY: Final = 1e4
 FAR: Final = 0.5
 
 
-def warnings_of(found: PointFit, tests: PointTests, checks: PointTests | None, pruning: Pruning | None) -> list[str]:
-    """Say in sentences what a reader of the figures must know.
+def findings_on(
+    found: PointFit, tests: PointTests, checks: PointTests | None, pruning: Pruning | None
+) -> list[Finding]:  # fmt: skip
+    """Give what a reader of the figures must know.
 
     Parameters
     ----------
@@ -45,60 +48,55 @@ def warnings_of(found: PointFit, tests: PointTests, checks: PointTests | None, p
     out = _suspicious("point", found.fit.points.ids, tests, found.unit)
     out += _layout(found) + _sigmas(found) + _far_from_zone(found)
     if pruning is not None and pruning.dropped:
-        out.append("points were left out until the RMSE was small: it is no measure of accuracy any more")
+        out.append(finding("rectify.rmse_after_pruning"))
     if found.check is None or checks is None:
-        return [*out, "no check points: residuals of control points are smaller than errors elsewhere"]
+        return [*out, finding("rectify.no_check")]
     return out + _suspicious("check point", found.check.ids, checks, found.unit) + _worse(found)
 
 
-def _suspicious(kind: str, ids: tuple[str, ...], tests: PointTests, unit: str) -> list[str]:
+def _suspicious(kind: str, ids: tuple[str, ...], tests: PointTests, unit: str) -> list[Finding]:
     """Each point beyond its limit, with the size of its error."""
-    out = []
-    for k in np.flatnonzero(tests.suspicious):
-        error = ", ".join(f"{value:+.2f}" for value in tests.error[k])
-        out.append(f"{kind} {ids[k]}: gross error of about {error} {unit}; F = {tests.statistic[k]:.1f}, limit "
-                   f"{tests.critical[k]:.1f}")  # fmt: skip
-    return out
+    return [
+        finding("rectify.gross_error", kind=kind, point=ids[k], error=list(tests.error[k]), unit=unit,
+                statistic=tests.statistic[k], limit=tests.critical[k])
+        for k in np.flatnonzero(tests.suspicious)
+    ]  # fmt: skip
 
 
-def _layout(found: PointFit) -> list[str]:
+def _layout(found: PointFit) -> list[Finding]:
     """Points that nothing checks, and directions in which the points hardly reach."""
-    fit, out = found.fit, list[str]()
+    fit, out = found.fit, list[Finding]()
     weak = [name for name, r in zip(fit.points.ids, fit.redundancy_numbers.mean(axis=1), strict=True)
             if r < HARDLY_CHECKED]  # fmt: skip
     if weak:
-        out.append(f"hardly checked by the others (redundancy below {HARDLY_CHECKED}): {', '.join(weak)}")
+        out.append(finding("rectify.hardly_checked", limit=HARDLY_CHECKED, points=weak))
     names, spatial = fit.transformation.source_names, fit.model.dimension == 3
     for reach in fit.reaches:
         # heights always reach less far than the plan: there only what they fail to determine is worth a word
         if reach.is_unknown or (reach.is_weak and not spatial):
-            out.append(
-                f"the control points reach little along {reach.words(names)}: the scale there is known "
-                f"{reach.ratio:.0f} times worse than along them, to {100.0 * reach.sigma:.2g} %"
-            )
+            out.append(finding("rectify.little_reach", direction=reach.words(names), ratio=reach.ratio,
+                               percent=100.0 * reach.sigma))  # fmt: skip
     typical = TYPICAL_CONDITION.get(fit.model.degree, WEAK_CONDITION / WEAK_FACTOR)
     if fit.condition > WEAK_FACTOR * typical and not out[bool(weak) :]:
-        out.append(
-            f"the points hardly determine the transformation: condition {fit.condition:.2g}, usual is {typical:g}: "
-            f"they lie near {'a surface' if spatial else 'a curve'} of its form"
-        )
+        out.append(finding("rectify.hardly_determined", condition=fit.condition, typical=typical,
+                           what="a surface" if spatial else "a curve"))  # fmt: skip
     return out
 
 
-def _sigmas(found: PointFit) -> list[str]:
+def _sigmas(found: PointFit) -> list[Finding]:
     """Sigmas that the residuals contradict by orders of magnitude, or that leave points without a say."""
-    sigma, m0, out = found.fit.points.sigma, found.fit.m0, list[str]()
+    sigma, m0, out = found.fit.points.sigma, found.fit.m0, list[Finding]()
     if not (sigma != 1.0).any():
         return out
     if m0 > SIGMA_FACTOR or m0 < 1.0 / SIGMA_FACTOR:
-        out.append(f"the residuals are {m0:.2g} times what the sigmas say: sigmas of another unit or size?")
+        out.append(finding("rectify.sigma_size", m0=m0))
     span = float(sigma.max() / sigma.min())
     if span > NO_SAY:
-        out.append(f"one sigma is {span:.1g} times another: points with large ones have no say")
+        out.append(finding("rectify.sigma_span", span=span))
     return out
 
 
-def _far_from_zone(found: PointFit) -> list[str]:
+def _far_from_zone(found: PointFit) -> list[Finding]:
     """Points far outside the area for which the map projection was made."""
     t, fit = found.fit.transformation, found.fit
     area = area_of_use(t.crs) if t.crs else None
@@ -115,13 +113,11 @@ def _far_from_zone(found: PointFit) -> list[str]:
         return []
     k = int(np.argmax(np.where(np.isnan(beyond), np.inf, beyond)))
     where = f"longitude {lon[k]:.1f}, latitude {lat[k]:.1f}" if np.isfinite(lon[k] + lat[k]) else "no place on Earth"
-    return [
-        f"{int(far.sum())} control point(s) lie far outside the area of {t.crs} ({west:g} to {east:g} degrees east, "
-        f"{south:g} to {north:g} north), such as {fit.points.ids[k]} ({where}): another zone, or swapped coordinates?"
-    ]
+    return [finding("rectify.far_from_zone", n=far.sum(), crs=t.crs, west=west, east=east, south=south, north=north,
+                    point=fit.points.ids[k], where=where)]  # fmt: skip
 
 
-def _worse(found: PointFit) -> list[str]:
+def _worse(found: PointFit) -> list[Finding]:
     """F test of the check points' squares, with the variance of the prediction, against m0."""
     fit, check = found.fit, found.check
     assert check is not None
@@ -130,5 +126,4 @@ def _worse(found: PointFit) -> list[str]:
     statistic = float(np.sum(found.check_residuals**2 / variance)) / n
     if f_tail(n, fit.redundancy, statistic) >= WORSE:
         return []
-    ratio = np.sqrt(statistic)
-    return [f"check points are {ratio:.1f} times worse than control points predict: too high a degree, or gross errors"]
+    return [finding("rectify.check_worse", ratio=np.sqrt(statistic))]

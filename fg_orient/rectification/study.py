@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.distributions import f_tail
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, Option
 from fg_orient.rectification.arguments import finite, positive, whole
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
 from fg_orient.rectification.models import find_model
@@ -88,10 +88,10 @@ def design_study(
     most = len(control)
     for count in counts:
         if not 1 <= count <= most:
-            raise InputError.of("rectify.counts", place="--counts", value=count, most=most)
+            raise InputError.of("rectify.counts", option="counts", value=count, most=most)
     if seed < 0:
-        raise InputError.of("rectify.seed", place="--seed", value=seed)
-    whole("--layouts", layouts, 1)
+        raise InputError.of("rectify.seed", option="seed", value=seed)
+    whole(Option("layouts"), layouts, 1)
     rng, out = np.random.default_rng(seed), list[Cell]()
     for count in counts:
         n = 1 if count == most else layouts

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from fg_orient.errors import DECISIVE, findings_of
 from fg_orient.report.charts import correction_chart, heat_maps, iteration_charts, redundancy_chart
 from fg_orient.report.data import Result, residual_summary
 from fg_orient.report.extent import view_of
@@ -15,7 +16,7 @@ from fg_orient.report.page import environment
 from fg_orient.report.payload import payload
 from fg_orient.report.residual_plots import largest_residuals, normalised, residual_panels
 from fg_orient.report.svg import point_map, singular_values
-from fg_orient.report.words import accuracy_words, in_words, orientation_words, verdict
+from fg_orient.report.words import accuracy_words, orientation_words, verdict
 
 #: Rows of a table, and images, that the page shows; the files hold all.
 MANY: Final = {"rows": 100, "images": 40, "terms": 1500}
@@ -36,7 +37,7 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     found, kept = verdict(record), record.get("regularisation")
     return environment().get_template("report.html.j2").render(
         r=record, verdict={**found, "text": [found["text"], *accuracy_words(record)]}, axes=_AXES, many=MANY,
-        problems=_problems(record, found["text"]), sections=SECTIONS, what=orientation_words(record),
+        problems=_problems(record), sections=SECTIONS, what=orientation_words(record),
         payload=payload(result), clipped=view_of(record, result.points.numbers("lon_deg", "lat_deg")) is not None,
         point_map=point_map(result), up_map=point_map(result, up=True),
         residuals=summaries, panels=residual_panels(result, summaries), outliers=largest_residuals(result),
@@ -49,9 +50,9 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     )  # fmt: skip
 
 
-def _problems(record: dict[str, Any], verdict_words: str) -> list[str]:
-    """Warnings that the verdict does not say already, after the observations that a test names."""
-    texts = [in_words(text) for text in record["warnings"] if text != verdict_words]
+def _problems(record: dict[str, Any]) -> list[str]:
+    """Findings that did not decide on the verdict, after the observations that a test names."""
+    texts = [str(found) for found in findings_of(record) if found.severity not in DECISIVE]
     suspects = record.get("suspicious_observations") or []
     named = [f"look at {suspect['sentence']}" for suspect in suspects[:SUSPECTS]]
     left = len(suspects) - len(named)

@@ -42,7 +42,7 @@ def compare(result: Result, truth: Path) -> dict[str, Any]:
     """
     for name in ("eop.csv", "points.csv"):
         if not (truth / name).is_file():
-            raise InputError.of("report.no_truth", file=truth, place="--truth", value=f"no {name}")
+            raise InputError.of("report.no_truth", file=truth, option="truth", value=f"no {name}")
     eop = _compare_eop(result, _read(truth / "eop.csv"), str(truth / "eop.csv"))
     points, normalised = _compare_points(result, _read(truth / "points.csv"), str(truth / "points.csv"))
     groups = [_group(f"orientation of image {image}", np.array([r["normalised"] for r in eop if r["image"] == image]))

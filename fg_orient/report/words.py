@@ -3,17 +3,9 @@
 from __future__ import annotations
 
 import math
-import re
-from typing import Any, Final
+from typing import Any
 
-#: Figures of the record in words, for reasons why they are absent.
-_FIGURES: Final = {
-    "sigma0_interval_99_9": "the interval of sigma0", "global_test": "the global test",
-    "outlier_tests": "tests of single observations", "suspicious_observations": "suspicious observations",
-    "reliability": "redundancy numbers and minimal detectable biases",
-    "correlations": "correlations of the orientation",
-    "us_per_observation_iteration": "the time per image point and iteration",
-}  # fmt: skip
+from fg_orient.errors import findings_of
 
 
 def orientation_words(record: dict[str, Any]) -> str:
@@ -30,18 +22,6 @@ def orientation_words(record: dict[str, Any]) -> str:
         words.append(f"RPC compensation: {record['rpc_compensation'].replace('_', ' and ')}")
     words += [f"{kind} images" for kind in sorted(kinds - {"pushbroom", "RPC"})]
     return " · ".join(words)
-
-
-def in_words(warning: str) -> str:
-    """Say a warning about absent figures without the keys of result.json."""
-    keys, found, why = re.match(r"(?:([a-z0-9_, ]*?) (is|are) null: )?(.*)", warning, re.DOTALL).groups()  # type: ignore[union-attr]
-    if found is None:
-        if warning.startswith("the counts of block_observability are null: "):
-            return warning.replace("block_observability are null", "directions of the whole block are not given", 1)
-        return warning
-    names = [_FIGURES.get(key, key.replace("_", " ")) for key in re.split(r", | and ", keys)]
-    listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-    return f"Not given: {listed}; {why}"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -91,7 +71,7 @@ def verdict(record: dict[str, Any]) -> dict[str, str]:
         fit = "The standard deviations were estimated from these residuals, so the fit does not test the model."
     elif low is not None and sigma0 < low:
         fit = "The observations fit the model better than they should; see the warnings."
-    return {"kind": "warn" if record["warnings"] else "good", "title": "Converged", "text": fit}
+    return {"kind": "warn" if findings_of(record) else "good", "title": "Converged", "text": fit}
 
 
 def accuracy_words(record: dict[str, Any]) -> list[str]:

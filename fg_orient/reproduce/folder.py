@@ -46,7 +46,7 @@ def reproduce_to(
     Returns
     -------
     Reproduction, dict
-        All rows and claims, and the record that ``--json`` prints.
+        All rows and claims, and the record that the command prints as JSON.
 
     Raises
     ------

@@ -134,10 +134,10 @@ def reproduce(
         Unknown publication or table, number of seeds out of range, damaged tables.
     """
     if not 1 <= n_seeds <= MAX_SEEDS:
-        raise InputError.of("options.value", place="--seeds", value=n_seeds, expected=f"1 to {MAX_SEEDS}")
+        raise InputError.of("options.value", option="seeds", value=n_seeds, expected=f"1 to {MAX_SEEDS}")
     printed = load(name, published)
     if not 1 <= permutations <= MAX_SEEDS:
-        raise InputError.of("options.value", place="--permutations", value=permutations, expected=f"1 to {MAX_SEEDS}")
+        raise InputError.of("options.value", option="permutations", value=permutations, expected=f"1 to {MAX_SEEDS}")
     source, chosen = SOURCES[name], select(tables, tuple(printed.titles))
     seeds = range(1, n_seeds + 1)
 
@@ -185,7 +185,7 @@ def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
         unknown = [name for name in ends if name not in tables]
         if unknown or tables.index(ends[0]) > tables.index(ends[1]):
             value = unknown[0] if unknown else part
-            raise InputError.of("reproduce.table", place="--tables", value=value, known=", ".join(tables))
+            raise InputError.of("reproduce.table", option="tables", value=value, known=", ".join(tables))
         chosen |= set(tables[tables.index(ends[0]) : tables.index(ends[1]) + 1])
     return tuple(name for name in tables if name in chosen)
 

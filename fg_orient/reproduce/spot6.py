@@ -46,7 +46,7 @@ INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_
 VV_TOLERANCE_PX2: Final = 0.2
 #: What these 0.2 px^2 make of m0, beside the rounding of its print.
 M0_TOLERANCE_PX: Final = 0.0044 + 0.005
-NO_POINTS: Final = f"the 99 control points are not here: give --data FILE, or a folder of real data in {VARIABLE}"
+NO_POINTS: Final = f"the 99 control points are not here: give them as data, or a folder of real data in {VARIABLE}"
 
 
 def control_points(data: Path | None) -> ControlPoints | None:

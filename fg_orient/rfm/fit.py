@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.rfm_project import RANGE
-from fg_orient.errors import NoSolutionError
+from fg_orient.errors import NoSolutionError, finding
 from fg_orient.linear.conditioning import Conditioning, diagnose
 from fg_orient.linear.system import LinearSystem
 from fg_orient.rfm.form import RfmForm
@@ -100,7 +100,7 @@ class RfmFit:
         ranges = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
         return RpcModel(
             self.scaling.offsets, self.scaling.scales, self.coefficients, RpcValidity(*ranges), n_lines, n_samples,
-            file=file, notes=self.notes,
+            file=file, notes=tuple(finding("rpc.of_solver", note=note) for note in self.notes),
         )  # fmt: skip
 
     def residuals_px(self, points: ControlPoints | None = None) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import ellipsoid
-from fg_orient.errors import InputError
+from fg_orient.errors import InputError, finding
 from fg_orient.linear.threads import one_blas_thread
 from fg_orient.rfm.estimate import fit_true
 from fg_orient.rfm.fit import RfmFit, rms
@@ -93,8 +93,8 @@ class SensorRfm:
 
     def model(self, file: str = "") -> RpcModel:
         """Model with validity range and inverse coefficients, for projection and files."""
-        largest = ", ".join(f"{value:.3f}" for value in self.check_px.largest)
-        note = f"fitted to a sensor: largest errors {largest} px (line, sample) at {self.check_px.points} other points"
+        errors = [float(value) for value in self.check_px.largest]
+        note = finding("rpc.fitted_to_sensor", errors_px=errors, n=self.check_px.points)
         scaling = self.forward.scaling
         return RpcModel(
             scaling.offsets, scaling.scales, self.forward.coefficients, self.validity,

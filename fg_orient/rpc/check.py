@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from factors import ellipsoid, rfm
 from factors.rfm_project import RANGE
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding, judged
 from fg_orient.io.rpc_dimap import AGREEMENT_PX
 from fg_orient.io.sensor import read_sensor
 from fg_orient.rpc.compensate import residuals
@@ -52,7 +52,7 @@ def check_rpc(
     -------
     dict
         Of :func:`fg_orient.rpc.files.describe`, and heights_m, denominators, image_to_ground, extrapolation, points,
-        against; status "good" or "not_trustworthy" with ``warnings``.
+        against; status "good" or "not_trustworthy" with ``findings``.
 
     Raises
     ------
@@ -69,14 +69,13 @@ def check_rpc(
         "points": None if points is None else point_residuals(model, points),
         "against": None if against is None else differences(model, against, heights),
     }
-    doubts = _doubts(record)
-    return {"status": "not_trustworthy" if doubts else "good", "warnings": doubts + _remarks(record), **record}
+    return {**judged(_doubts(record) + _remarks(record)), **record}
 
 
 def _heights(model: RpcModel, given: Range | None) -> Range:
     heights = model.validity.height_m if given is None else given
     if not (np.isfinite(heights).all() and heights[0] < heights[1]):
-        raise InputError.of("rpc.heights", file=model.file, place="--heights", value=f"{heights[0]:g} {heights[1]:g}")
+        raise InputError.of("rpc.heights", file=model.file, option="heights", value=f"{heights[0]:g} {heights[1]:g}")
     return heights
 
 
@@ -178,36 +177,32 @@ def differences(model: RpcModel, other: Path, heights_m: Range) -> dict[str, Any
     }  # fmt: skip
 
 
-def _doubts(record: dict[str, Any]) -> list[str]:
+def _doubts(record: dict[str, Any]) -> list[Finding]:
     """What makes a model unfit for use."""
     out, below = [], record["denominators"]
+    least = min(below["least_line"], below["least_sample"])
     if below["pole"] is not None:
-        out.append(f"a denominator is not positive everywhere inside the image: {below['pole']}")
-    elif min(below["least_line"], below["least_sample"]) < NEAR_ZERO:
-        least = min(below["least_line"], below["least_sample"])
-        out.append(f"a denominator comes near zero inside the image: {least:.3g}")
+        out.append(finding("rpc.pole_inside", where=below["pole"]))
+    elif least < NEAR_ZERO:
+        out.append(finding("rpc.near_zero_inside", least=least))
     if below["pixels_without_ground"]:
-        out.append(f"{below['pixels_without_ground']} of {below['pixels']} pixels have no ground point at their height")
+        out.append(finding("rpc.pixels_without_ground", n=below["pixels_without_ground"], pixels=below["pixels"]))
     back = record["image_to_ground"]
     if back is not None:
         largest = max(back["max_line_px"], back["max_sample_px"])
         if not largest <= AGREEMENT_PX:
-            out.append(f"the file's models to the ground and to the image disagree by up to {largest:.1f} px")
+            out.append(finding("rpc.directions_disagree", largest_px=largest))
     points = record["points"]
     if points is not None and points["outside"]:
-        names = ", ".join(points["outside"][:5]) + (" ..." if len(points["outside"]) > 5 else "")
-        out.append(f"{len(points['outside'])} point(s) outside the validity range: {names}")
+        out.append(finding("rpc.points_outside", n=len(points["outside"]), points=points["outside"]))
     return out
 
 
-def _remarks(record: dict[str, Any]) -> list[str]:
+def _remarks(record: dict[str, Any]) -> list[Finding]:
     """What a user should know beside."""
-    out = [
-        f"the {name} is extrapolated: {value:.2f} of the model's range is used"
-        for name, value in record["extrapolation"].items()
-        if value > EXTRAPOLATED
-    ]
+    used = record["extrapolation"].items()
+    out = [finding("rpc.extrapolated", coordinate=name, used=value) for name, value in used if value > EXTRAPOLATED]
     low, high = record["validity"]["height_m"]
     if record["heights_m"][0] < low or record["heights_m"][1] > high:
-        out.append(f"heights beyond the validity range {low:g} .. {high:g} m")
+        out.append(finding("rpc.heights_beyond", low=low, high=high))
     return out

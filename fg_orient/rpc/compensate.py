@@ -20,7 +20,7 @@ from factors import rfm
 from factors.rfm_equation import COMPENSATION, COMPENSATIONS
 from factors.rfm_project import RANGE
 from fg_orient.distributions import f_quantile
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import Finding, InputError, NoSolutionError, Option, finding
 from fg_orient.quality.hypotheses import f_statistics
 from fg_orient.quality.rejection import MOST, reject
 from fg_orient.rpc.points import MeasuredPoints
@@ -48,13 +48,11 @@ class Suspect:
     limit: float
     error_px: tuple[float, float]
 
-    def sentence(self) -> str:
+    def finding(self) -> Finding:
         """Name the point, its error and the test."""
         line, sample = self.error_px
-        return (
-            f"point {self.id}: gross error of about {line:+.2f} px in line, {sample:+.2f} px in sample; "
-            f"F = {self.statistic:.1f}, limit {self.limit:.1f}"
-        )
+        return finding("rpc.gross_error", point=self.id, line_px=line, sample_px=sample, statistic=self.statistic,
+                       limit=self.limit)  # fmt: skip
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
@@ -143,7 +141,7 @@ def compensate(model: RpcModel, control: MeasuredPoints, kind: str = "shift", *,
         The points do not determine the terms: they lie on one line of the image.
     """
     if kind not in KINDS:
-        raise InputError.of("rpc.compensation_kind", place="--compensation", value=kind, known=", ".join(KINDS))
+        raise InputError.of("rpc.compensation_kind", option="compensation", value=kind, known=", ".join(KINDS))
 
     def adjusted(out: Sequence[Suspect], _: object) -> tuple[dict[str, Any], Suspect | None]:
         gone = {suspect.id for suspect in out}
@@ -179,7 +177,7 @@ def _adjusted(
     a, l = design(model, measured, kind), misclosures(model, measured)  # noqa: E741
     n, k = a.shape
     if n < k:
-        raise InputError.of("rpc.few_control", place=f"--compensation {kind}", value=n, least=k)
+        raise InputError.of("rpc.few_control", place=Option(f"compensation {kind}"), value=n, least=k)
     values, cofactors = np.zeros(COMPENSATION.size), np.zeros((COMPENSATION.size,) * 2)
     free = np.empty((n, 2))
     for axis in (0, 1):
@@ -206,7 +204,7 @@ def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, 
     length = np.linalg.norm(rows, axis=0)
     left, size, right = np.linalg.svd(rows / length, full_matrices=False)
     if size[-1] < RANK * size[0]:
-        raise NoSolutionError.of("rpc.control_spread", place=f"--compensation {kind}", value=f"{len(a)} points")
+        raise NoSolutionError.of("rpc.control_spread", place=Option(f"compensation {kind}"), value=f"{len(a)} points")
     inverse = right.T / size / length[:, None]
     return inverse @ (left.T @ (l / sigma)), inverse @ inverse.T, 1.0 - np.sum(left**2, axis=1)
 

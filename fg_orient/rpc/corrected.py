@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from factors.rfm_project import COMPENSATION, RANGE
 from factors.rfm_terms import terms
+from fg_orient.errors import finding
 from fg_orient.rpc.points import statistics
 from fg_orient.sensors.rpc import RpcModel
 
@@ -71,7 +72,7 @@ def corrected(model: RpcModel, values: Array, *, seed: int = 1) -> Corrected:
     direct = None if model.direct is None else _direct(model, values)
     new = replace(
         model, offsets=offsets, coefficients=c, direct=direct, err_bias_m=None, err_rand_m=None,
-        notes=(*model.notes, "compensated with control points"),
+        notes=(*model.notes, finding("rpc.compensated")),
     )  # fmt: skip
     exact = common or not values[[COMPENSATION.sample_l, COMPENSATION.line_s]].any()
     return Corrected(new, exact, _errors(model, values, new, seed))

@@ -76,7 +76,7 @@ def target_of(name: str | None, out: Path) -> str:
             raise InputError.of("rpc.target", file=out, value=out.name)
         return found
     if name not in TARGETS:
-        raise InputError.of("rpc.target_name", place="--to", value=name, known=", ".join(TARGETS))
+        raise InputError.of("rpc.target_name", option="to", value=name, known=", ".join(TARGETS))
     return name
 
 
@@ -89,7 +89,7 @@ def require_free(out: Path, overwrite: bool) -> None:
         It exists and ``overwrite`` is False.
     """
     if out.exists() and not overwrite:
-        raise InputError.of("output.exists", file=out, place="--out")
+        raise InputError.of("output.exists", file=out, option="out")
 
 
 def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False) -> dict[str, Any]:
@@ -183,7 +183,7 @@ def describe(file: RpcFile) -> dict[str, Any]:
         "err_bias_m": m.err_bias_m, "err_rand_m": m.err_rand_m,
         "image_to_ground": m.direct is not None,
         "common_denominator": bool(np.array_equal(m.coefficients[1], m.coefficients[3])),
-        "notes": list(m.notes),
+        "notes": list(map(str, m.notes)),
     }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding, judged
 from fg_orient.names import Progress
 from fg_orient.rfm.estimate import SOLVER, Penalty, fit_linear, fit_true, fit_weighted
 from fg_orient.rfm.fit import RfmFit
@@ -72,17 +72,17 @@ class FitOptions:
 
     def __post_init__(self) -> None:
         if self.equations not in EQUATIONS:
-            raise InputError.of("rpc.equations", place="--equations", value=self.equations, known=", ".join(EQUATIONS))
+            raise InputError.of("rpc.equations", option="equations", value=self.equations, known=", ".join(EQUATIONS))
         if self.selection not in (None, NO_SELECTION):
             clashes = {
-                "--kappa": self.kappa is not None, "--equations": self.equations != "true",
-                "--no-normalise": not self.normalise,
+                "kappa": self.kappa is not None, "equations": self.equations != "true",
+                "no_normalise": not self.normalise,
             }  # fmt: skip
             for name, clash in clashes.items():
                 if clash:
-                    raise InputError.of("cli.two_ways", place=f"--select, {name}", options=f"--select, {name}")
+                    raise InputError.of("options.two_ways", option=f"select, {name}")
         if self.solver is not None and self.equations != "linear":
-            raise InputError.of("rpc.solver_form", place="--solver", value=self.solver)
+            raise InputError.of("rpc.solver_form", option="solver", value=self.solver)
 
     @property
     def selector(self) -> str | None:
@@ -143,9 +143,8 @@ def fit_points(
         "check": None if not len(check) else statistics(fit.residuals_px(check.points)),
         "cross_validation": _validation_record(validation),
     }  # fmt: skip
-    doubts = _doubts(fit, validation)
-    status = "not_trustworthy" if doubts else "good"
-    return fit.model(), {"status": status, "warnings": doubts + list(fit.notes), **record}
+    model = fit.model()
+    return model, {**judged([*_doubts(fit, validation), *model.notes]), **record}
 
 
 def _require_enough(control: ControlPoints, options: FitOptions) -> None:
@@ -184,27 +183,22 @@ def _validation_record(found: CrossValidation | None) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _doubts(fit: RfmFit, validation: CrossValidation | None) -> list[str]:
+def _doubts(fit: RfmFit, validation: CrossValidation | None) -> list[Finding]:
     """What makes a fit unfit for use."""
     out, least = [], float(fit.least_denominators.min())
     if fit.has_pole:
-        out.append(f"a denominator changes its sign among the points (least {least:.3g}): the model fails near there")
+        out.append(finding("rpc.sign_change", least=least))
     elif least < NEAR_ZERO:
-        out.append(f"a denominator comes near zero among the points: {least:.3g}")
+        out.append(finding("rpc.near_zero_among", least=least))
     if fit.m0_px > OVERFITTED * fit.m0_linear_px:
-        out.append(
-            f"m0 of the linear form, {fit.m0_linear_px:.2f} px, is not the accuracy of the image: {fit.m0_px:.2f} px"
-        )
+        out.append(finding("rpc.linear_m0", linear_px=fit.m0_linear_px, true_px=fit.m0_px))
     if validation is None:
-        out.append("too few points to leave some out: nothing says how good the model is between them")
-        return out
+        return [*out, finding("rpc.not_validated")]
     left_out, own = validation.rms_px, fit.rms_px
     if validation.failures:
-        out.append(f"{len(validation.failures)} of {len(validation.fits)} folds have no solution")
+        out.append(finding("rpc.folds_failed", failed=len(validation.failures), folds=len(validation.fits)))
     elif not (left_out <= OVERFITTED * np.maximum(own, 1e-6)).all():
-        line, sample = left_out
-        out.append(f"at points left out the RMS is {line:.2f}, {sample:.2f} px (line, sample), in the fit "
-                   f"{own[0]:.2f}, {own[1]:.2f}: more coefficients than the points carry")  # fmt: skip
+        out.append(finding("rpc.overfitted", left_out_px=list(left_out), fit_px=list(own)))
     return out
 
 
@@ -237,11 +231,9 @@ def fit_image(
     found = fit_sensor(sensor, heights_m, shape=shape, degree=degree, denominators=denominators, seed=seed)
     model = found.model(file)
     least = found.forward.least_denominators
-    doubts = []
-    if float(least.min()) < NEAR_ZERO:
-        doubts.append(f"a denominator comes near zero: {float(least.min()):.3g}")
+    small = float(least.min()) < NEAR_ZERO
     record = {
-        "status": "not_trustworthy" if doubts else "good", "warnings": doubts,
+        **judged([finding("rpc.near_zero", least=least.min())] if small else []),
         "source": "sensor", "degree": degree, "denominators": denominators, "grid": list(shape),
         "heights_m": list(heights_m),
         "least_denominator_line": float(least[0]), "least_denominator_sample": float(least[1]),

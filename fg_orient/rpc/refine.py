@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.distributions import f_quantile
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding, judged
 from fg_orient.rpc.compensate import LEVEL, RANK, Compensation, compensate, design, misclosures, residuals
 from fg_orient.rpc.points import MeasuredPoints, statistics
 from fg_orient.sensors.rpc import RpcModel, span
@@ -52,10 +52,8 @@ def refine(model: RpcModel, measured: MeasuredPoints, kind: str, *, extrapolate:
     found = compensate(model, control, kind)
     used = control.take(np.isin(control.ids, found.used))
     suspicious, height = _suspicious(model, used, check, found), height_dependence(model, used)
-    doubts = _doubts(found)
     return {
-        "status": "not_trustworthy" if doubts else "good",
-        "warnings": doubts + _remarks(found, suspicious, height),
+        **judged(_doubts(found) + _remarks(found, suspicious, height)),
         "compensation": kind, "terms": found.terms(), "values_px": found.values.tolist(),
         "covariance_px2": found.covariance[np.ix_(found.codes, found.codes)].tolist(),
         "sigma0": found.sigma0, "redundancy": found.redundancy, "height_dependence": height,
@@ -121,20 +119,10 @@ def _residuals(model: RpcModel, measured: MeasuredPoints, found: Compensation) -
     ]  # fmt: skip
 
 
-def _doubts(found: Compensation) -> list[str]:
+def _doubts(found: Compensation) -> list[Finding]:
     """What makes a compensation unfit for use."""
-    out = []
-    if not found.complete:
-        out.append(
-            f"{len(found.suspects)} control points were left out and more are suspicious: too many for gross errors; "
-            "take another compensation, or check coordinates, heights and order of the file"
-        )
-    if found.sigma0 > LARGEST_SIGMA0:
-        out.append(
-            f"sigma0 is {found.sigma0:.1f}: the points do not fit the model; is it the RPC of this image, "
-            "and do its pixels and heights mean what they should?"
-        )
-    return out
+    out = [] if found.complete else [finding("rpc.too_many_left_out", n=len(found.suspects))]
+    return [*out, finding("rpc.no_fit", sigma0=found.sigma0)] if found.sigma0 > LARGEST_SIGMA0 else out
 
 
 def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] | None:
@@ -161,15 +149,14 @@ def height_dependence(model: RpcModel, used: MeasuredPoints) -> dict[str, Any] |
     return {"line_px_per_km": slopes[0], "sample_px_per_km": slopes[1], "statistic": float(statistic)}
 
 
-def _remarks(found: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[str]:
+def _remarks(found: Compensation, suspicious: list[str], height: dict[str, Any] | None) -> list[Finding]:
     """What a user should know beside."""
-    out = [suspect.sentence() for suspect in found.suspects]
+    out = [suspect.finding() for suspect in found.suspects]
     if found.redundancy == 0:
-        out.append("no redundancy: standard deviations are null and gross errors cannot be found")
+        out.append(finding("rpc.no_redundancy"))
     if height is not None:
         line, sample = height["line_px_per_km"], height["sample_px_per_km"]
-        out.append(f"misclosures change with the height by {line:+.1f} (line), {sample:+.1f} (sample) px per 1000 m: "
-                   "a wrong height system, or the RPC of another image?")  # fmt: skip
+        out.append(finding("rpc.heights_system", line=line, sample=sample))
     if suspicious:
-        out.append(f"check points that do not fit: {', '.join(suspicious)}")
+        out.append(finding("rpc.check_points", points=suspicious))
     return out

@@ -90,8 +90,8 @@ def run_project(
     Returns
     -------
     dict
-        The record of ``adjust --json``. With status ``rank_deficient`` the folder holds the record, the start values
-        of the points and a report of what is not determined.
+        The record of the command ``adjust``. With status ``rank_deficient`` the folder holds the record, the start
+        values of the points and a report of what is not determined.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def _record(
         "name": solution.block.name,
         **record,
         "out": about["out"],
-        "notes": [*about["notes"], *fitted_notes(models)],
+        "notes": [*about["notes"], *map(str, fitted_notes(models))],
         "images": about["images"],
         "observability": plain([o.as_dict() for o in solution.observability]),
         "block_observability": plain(None if view is None else view.as_dict()),
@@ -225,10 +225,13 @@ def _about(problem: Problem, project: Path, out: Path, command: Sequence[str]) -
     folder, block = project.parent, problem.block
     return {
         "out": out.name,
-        "notes": [note.replace(f"{folder}/", "").replace(f"{folder.absolute()}/", "") for note in block.notes],
+        "notes": [
+            str(replace(note, file=note.file.removeprefix(f"{folder.absolute()}/").removeprefix(f"{folder}/")))
+            for note in block.notes
+        ],
         "images": [
             {"id": image.id, "file": Path(image.sensor.file).name, "n_lines": image.sensor.n_lines,
-             "n_samples": image.sensor.n_samples, "notes": list(image.sensor.notes),
+             "n_samples": image.sensor.n_samples, "notes": list(map(str, image.sensor.notes)),
              "footprint_lon_lat_deg": image.sensor.footprint().tolist(), **model.facts()}
             for image, model in zip(block.images, problem.models, strict=True)
         ],

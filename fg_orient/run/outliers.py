@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from fg_orient.errors import Finding, finding
 from fg_orient.run.statistics import withheld
 
 if TYPE_CHECKING:
@@ -46,16 +47,16 @@ def outlier_records(solution: Solution) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def missing(solution: Solution) -> list[str]:
-    """Say why figures of this module are null."""
-    names = "outlier_tests and suspicious_observations are null"
+def missing(solution: Solution) -> list[Finding]:
+    """Tell why figures of this module are null."""
+    whole, single = "global_test", ("outlier_tests", "suspicious_observations")
     if solution.weights is not None:
-        return [f"global_test, {names}: the weights of the loss change them"]
-    judged = np.isfinite(solution.sigma0_interval[0])
-    why = "there is no redundancy" if solution.redundancy <= 0 else "the adjustment did not converge"
-    why = why if solution.components is None else "with estimated variance components sigma0 is 1 by construction"
-    out = [] if judged else [f"global_test is null: {why}"]
-    return out + ([f"{names}: {withheld(solution)}"] if withheld(solution) else [])
+        return [finding("absent.loss", figures=[whole, *single])]
+    why = "absent.no_unit_weight" if solution.redundancy <= 0 else "absent.not_converged"
+    why = why if solution.components is None else "absent.components"
+    out = [] if np.isfinite(solution.sigma0_interval[0]) else [finding(why, figures=[whole])]
+    tests = withheld(solution, *single)
+    return out if tests is None else [*out, tests]
 
 
 def _record(test: GroupTest) -> dict[str, Any]:
@@ -73,7 +74,7 @@ def _search_record(solution: Solution) -> dict[str, Any] | None:
     if search is None:
         return None
     return {
-        "n_left_out": len(search.left_out), "given_up": search.given_up or None,
+        "n_left_out": len(search.left_out), "given_up": search.given_up and search.given_up.message,
         "went_with": list(search.went_with), "check_points_lost": list(search.check_points),
         "rounds": [asdict(r) | {"left_out": r.left_out or None, "put_back": r.put_back or None} for r in search.rounds],
         "found": [

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fg_orient.errors import InputError, Problem, problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.run import RESULT_FILE, run_project
 from fg_orient.run.provenance import relative, sha256_of
 from fg_orient.versions import versions
@@ -44,7 +44,7 @@ class Replay:
         Result folder of the repeated run; None if it had no solution.
     status : str
         Of the repeated run.
-    inputs : tuple of Problem
+    inputs : tuple of Finding
         Inputs that changed, are missing or are new; empty unless they were allowed.
     n_inputs : int
         Inputs of the first run.
@@ -60,7 +60,7 @@ class Replay:
 
     out: str | None
     status: str
-    inputs: tuple[Problem, ...]
+    inputs: tuple[Finding, ...]
     n_inputs: int
     n_compared: int
     differences: tuple[Record, ...]
@@ -73,7 +73,7 @@ class Replay:
         return not self.differences and all(self.tables.values())
 
     def as_dict(self) -> Record:
-        """Give the record of ``replay --json``."""
+        """Give the record of the command ``replay``."""
         return {
             "equal": self.equal, "status": self.status, "out": self.out, "n_inputs": self.n_inputs,
             "inputs": [p.as_dict() for p in self.inputs], "versions": list(self.versions),
@@ -122,7 +122,7 @@ def replay(
     out = out or folder.with_name(f"{folder.name}-replay")
     path = _project_file(folder, old, project)
     if out.absolute() == folder.absolute() or (out.exists() and out.samefile(folder)):
-        raise InputError.of("replay.same_folder", file=out, place="--out")
+        raise InputError.of("replay.same_folder", file=out, option="out")
     recorded = {entry["file"]: entry["sha256"] for entry in old["provenance"]["inputs"]}
     dem = repeat["dem_control"]
     known = recorded if dem is None else {**recorded, dem["file"]: dem["sha256"]}
@@ -170,11 +170,11 @@ def _project_file(folder: Path, old: Mapping[str, Any], given: Path | None) -> P
     name = old["provenance"]["inputs"][0]["file"]
     path = folder.parent / name if given is None else given
     if not path.is_file():
-        raise InputError.of("replay.project", file=path, place="--project", name=name)
+        raise InputError.of("replay.project", file=path, option="project", name=name)
     return path
 
 
-def _changed_files(folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Problem]]:
+def _changed_files(folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Finding]]:
     """Inputs in the project's folder whose content is another one, before anything is read from them."""
     for name, digest in recorded.items():
         path = folder / name
@@ -182,24 +182,24 @@ def _changed_files(folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[
             yield name, _changed(path, digest, now)
 
 
-def changed_sources(block: Block, folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Problem]]:
+def changed_sources(block: Block, folder: Path, recorded: Mapping[str, str]) -> Iterator[tuple[str, Finding]]:
     """Inputs that a block was read from against those of the run."""
     now = {relative(source.path, folder): source for source in block.sources}
     for name, source in now.items():
         if name not in recorded:
-            yield name, problem("replay.new", file=source.path)
+            yield name, finding("replay.new", file=source.path)
         elif source.sha256 != recorded[name]:
             yield name, _changed(Path(source.path), recorded[name], source.sha256)
     for name in recorded:
         if name not in now:
-            yield name, problem("replay.missing", file=folder / name)
+            yield name, finding("replay.missing", file=folder / name)
 
 
-def _changed(path: Path, then: str, now: str) -> Problem:
-    return problem("replay.changed", file=path, then=f"{then[:12]}...", now=f"{now[:12]}...")
+def _changed(path: Path, then: str, now: str) -> Finding:
+    return finding("replay.changed", file=path, then=f"{then[:12]}...", now=f"{now[:12]}...")
 
 
-def _refuse(found: Mapping[str, Problem], allowed: bool) -> None:
+def _refuse(found: Mapping[str, Finding], allowed: bool) -> None:
     if found and not allowed:
         raise InputError(*found.values())
 

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fg_orient.errors import Finding, finding
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
 if TYPE_CHECKING:
@@ -42,11 +43,11 @@ def write_corrected_rpc(folder: Path, models: dict[str, Corrected]) -> None:
         write_rpc(folder / f"{stem}_RPC.TXT", found.model)
 
 
-def fitted_notes(models: dict[str, Corrected]) -> list[str]:
-    """Say of models that hold their compensation approximately only how well they do."""
+def fitted_notes(models: dict[str, Corrected]) -> list[Finding]:
+    """Tell of models that hold their compensation approximately only how well they do."""
     return [
-        f"image {name}: its corrected RPC is fitted, it differs from model and compensation by up to "
-        f"{found.errors['max_line_px']:.2g} px in line, {found.errors['max_sample_px']:.2g} px in sample"
+        finding("rpc.fitted_correction", place=f"image {name}", line_px=found.errors["max_line_px"],
+                sample_px=found.errors["max_sample_px"])
         for name, found in models.items()
         if not found.exact
-    ]
+    ]  # fmt: skip

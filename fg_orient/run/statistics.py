@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.point_cofactors import AUTO_LIMIT, full_statistics
+from fg_orient.errors import Finding, finding
 from fg_orient.quality.reliability import CHECKABLE, noncentrality
 
 if TYPE_CHECKING:
@@ -26,16 +27,16 @@ HIGH: Final = 0.95
 JOINT_UNKNOWNS: Final = 600
 
 
-def withheld(solution: Solution) -> str:
-    """Why there are no redundancy numbers; empty if there are."""
+def withheld(solution: Solution, *figures: str) -> Finding | None:
+    """Why there are no redundancy numbers and figures that need them; None if there are."""
     problem, chosen = solution.problem, solution.block.options.statistics
     if solution.cofactors is None:
-        return "it needs the covariance"
+        return finding("absent.covariance", figures=figures)
     if full_statistics(solution.block.options, len(problem.observations), problem.n_image_unknowns):
-        return ""
+        return None
     if chosen == "basic":
-        return 'the option statistics is "basic"'
-    return f'the block has more than {AUTO_LIMIT} image points, or too many image unknowns; ask with statistics "full"'
+        return finding("absent.basic", figures=figures)
+    return finding("absent.large", figures=figures, limit=AUTO_LIMIT)
 
 
 def reliability_of(solution: Solution) -> BlockReliability | None:
@@ -43,16 +44,14 @@ def reliability_of(solution: Solution) -> BlockReliability | None:
     return None if withheld(solution) or solution.weights is not None else solution.reliability()
 
 
-def missing(solution: Solution) -> list[str]:
-    """Say why figures of this module are null."""
-    why = withheld(solution)
-    if why:
-        out = [f"reliability is null: {why}"]
-    elif solution.weights is not None:
-        out = ["reliability is null: the weights of the loss change it; residuals.csv holds the redundancy numbers"]
-    else:
-        out = []
-    return out + (["correlations is null: it needs the covariance"] if solution.cofactors is None else [])
+def missing(solution: Solution) -> list[Finding]:
+    """Tell why figures of this module are null."""
+    if solution.cofactors is None:
+        return [finding("absent.covariance", figures=["reliability", "correlations"])]
+    why = withheld(solution, "reliability")
+    if why is None and solution.weights is not None:
+        why = finding("absent.loss_but_redundancy", figures=["reliability"])
+    return [] if why is None else [why]
 
 
 def reliability_record(solution: Solution) -> dict[str, Any] | None:

@@ -1,7 +1,7 @@
-"""The record of an adjustment: the keys of ``adjust --json`` and ``result.json``.
+"""The record of an adjustment: the keys of ``result.json``.
 
 The keys are stable (docs/results.md); lengths are metres, times seconds. A figure that does not
-exist is null and a warning says why.
+exist is null and a finding says why.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from fg_orient.errors import Finding, as_record, finding
 from fg_orient.names import Status
 from fg_orient.parameters import EOP_SETS
 from fg_orient.quality.deficiency import DEFICIENT
@@ -40,7 +41,7 @@ def summary(solution: Solution) -> dict[str, Any]:
     Returns
     -------
     dict
-        The keys of ``adjust --json``; numbers may be nan, which :mod:`fg_orient.run.json`
+        The keys of ``result.json``; numbers may be nan, which :mod:`fg_orient.run.json`
         turns into null.
     """
     problem, options = solution.problem, solution.block.options
@@ -50,13 +51,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "status": str(solution.status),
         "reason": solution.reason,
         "ended": solution.ended,
-        "warnings": [
-            *solution.warnings,
-            *solution.withheld,
-            *_missing(solution),
-            *outliers.missing(solution),
-            *missing(solution),
-        ],
+        **as_record([*solution.findings, *solution.withheld, *_missing(solution)]),
         "backend": solution.backend,
         "solver": solution.solver or None,
         **_choices(options),
@@ -136,22 +131,22 @@ def _check(points: PointDifferences) -> dict[str, Any]:
     return {**points.statistics(), "suspicious": suspicious, "beyond_3_sigma": beyond, "largest": largest}
 
 
-def _missing(solution: Solution) -> list[str]:
-    """Say why a figure is null."""
-    out = []
+def _missing(solution: Solution) -> list[Finding]:
+    """Tell why a figure is null."""
+    out, interval = [], ["sigma0_interval_99_9"]
     if solution.redundancy <= 0:
-        out.append("sigma0 is null: there is no redundancy; standard deviations are in prior scale")
+        out.append(finding("absent.no_redundancy", figures=["sigma0"]))
     elif solution.weights is not None:
-        out.append("sigma0_interval_99_9 is null: the weights of the loss change it")
+        out.append(finding("absent.loss", figures=interval))
     elif solution.components is not None:
-        out.append("sigma0_interval_99_9 is null: with estimated variance components sigma0 is 1 by construction")
+        out.append(finding("absent.components", figures=interval))
     elif not np.isfinite(solution.sigma0_interval[0]):
-        out.append("sigma0_interval_99_9 is null: the adjustment did not converge")
+        out.append(finding("absent.not_converged", figures=interval))
     if solution.block_view is not None and solution.block_view.counts is None:
-        out.append("the counts of block_observability are null: the block is too large to be decomposed as a whole")
+        out.append(finding("absent.whole_block", figures=["block_observability"]))
     if not solution.problem.n_images * solution.iterations:
-        out.append("us_per_observation_iteration is null: nothing was iterated")
-    return out
+        out.append(finding("absent.no_iteration", figures=["us_per_observation_iteration"]))
+    return [*out, *outliers.missing(solution), *missing(solution)]
 
 
 def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]:
@@ -173,7 +168,7 @@ def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]
     return {
         "status": str(Status.RANK_DEFICIENT),
         "reason": "some unknowns are determined neither by observations nor by priors",
-        "warnings": ["sigma0 and accuracy are null: nothing was adjusted"],
+        **as_record([finding("absent.nothing_adjusted", figures=["sigma0", "accuracy"])]),
         **_choices(block.options),
         "backend": block.options.backend,
         "solver": block.options.solver,

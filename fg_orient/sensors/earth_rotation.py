@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from factors import ephemeris
 from factors.light import EARTH_RATE_RAD_S
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 InertialFrame = Literal["GCRS", "EME2000"]
@@ -58,7 +58,7 @@ class EarthOrientation:
     ut1_utc_s : (n,) array
     offset_rad : (n, 2) array
         Celestial pole offsets dX, dY against IAU 2006/2000A.
-    notes : tuple of str
+    notes : tuple of Finding
     """
 
     file: str
@@ -66,7 +66,7 @@ class EarthOrientation:
     pole_rad: Array
     ut1_utc_s: Array
     offset_rad: Array
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     def at(self, mjd: float) -> tuple[Array, float, Array]:
         """Pole (2,), UT1 - UTC (s) and offsets (2,) at one time: a cubic through the four nearest days.
@@ -160,15 +160,12 @@ class EarthRotation:
         return 2.0 * np.pi * _TURNS_PER_DAY / DAY_S * ut1_rate
 
 
-def neglected(position_m: Array) -> str:
-    """Say what a missing C04 file may cost on the ground below a position (3,) m."""
+def neglected(position_m: Array) -> Finding:
+    """Give what a missing C04 file may cost on the ground below a position (3,) m."""
     cosine = float(np.hypot(position_m[0], position_m[1]) / np.linalg.norm(position_m))
     turn = MOST_UT1_S * EARTH_RATE_RAD_S * _EARTH_RADIUS_M * cosine
     pole = MOST_POLE_RAD * _EARTH_RADIUS_M
-    return (
-        f"no Earth orientation file: UT1 = UTC and no polar motion; neglected are at most {turn:.0f} m east-west "
-        f"(UT1 - UTC up to {MOST_UT1_S} s) and {pole:.0f} m (pole up to 0.6 arc seconds)"
-    )
+    return finding("image.no_earth_orientation", turn_m=turn, most_s=MOST_UT1_S, pole_m=pole)
 
 
 def _tai_utc(mjd: float) -> float:

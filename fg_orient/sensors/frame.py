@@ -19,7 +19,7 @@ from factors import ellipsoid, frame, frame_camera, frame_measured
 from factors.frame import RECORD
 from factors.frame_camera import CAMERA
 from factors.records import Record
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.pixels import PixelRange, same_length
@@ -229,12 +229,12 @@ class FrameSensor(PixelRange):
     georeferenced : bool, optional
         False for a local coordinate system: there are no heights to locate at.
     file : str, optional
-    notes : tuple of str, optional
+    notes : tuple of Finding, optional
     """
 
     def __init__(
         self, camera: FrameCamera, n_lines: int, n_samples: int, *, first_line: float = 0.0, first_sample: float = 0.0,
-        georeferenced: bool = True, file: str = "", notes: tuple[str, ...] = (),
+        georeferenced: bool = True, file: str = "", notes: tuple[Finding, ...] = (),
     ) -> None:  # fmt: skip
         self.camera, self.n_lines, self.n_samples = camera, n_lines, n_samples
         self.first_line, self.last_line = first_line, first_line + n_lines - 1.0

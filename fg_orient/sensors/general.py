@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from factors import attitude, ellipsoid, ephemeris, kepler, light, look, polynomials, rotations
 from factors.pushbroom import RECORD
-from fg_orient.errors import InputError, OutOfTimeRange, problem
+from fg_orient.errors import InputError, OutOfTimeRange, finding
 from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.general_metadata import GeneralMetadata
 from fg_orient.sensors.pixels import same_length
@@ -85,7 +85,7 @@ class GeneralPushbroom(PushbroomSensor):
         beyond = gap > TIME_PRINT_S + 0.51 * abs(self._general.timing.line_period_s)
         if beyond.any():
             place = f"[{what}], line {line[beyond][0]:.2f}"
-            raise OutOfTimeRange(problem(
+            raise OutOfTimeRange(finding(
                 "earth.list_span", file=self.file, place=place, value=f"{t[beyond][0]:.6f} s", what=what,
                 first=time_s[0], last=time_s[-1],
             ))  # fmt: skip

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import polynomials
+from fg_orient.errors import Finding
 from fg_orient.sensors.earth_rotation import EarthTurn
 from fg_orient.sensors.metadata import FramePoint, LineTiming
 
@@ -154,7 +155,7 @@ class GeneralMetadata:
     orbital_frame: OrbitalFrame = "earth-fixed velocity"
     earth: EarthTurn | None = None
     effects: LightEffects = LightEffects()
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     format: str = "sensor description"
     frame_points: tuple[FramePoint, ...] = ()
-    frame_note: str = ""
+    frame_note: Finding | None = None

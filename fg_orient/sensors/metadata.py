@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.errors import Finding
+
 Array = npt.NDArray[np.float64]
 
 
@@ -120,5 +122,5 @@ class PushbroomMetadata:
     attitude: AngleAttitude | QuaternionList | QuaternionPolynomial
     look: LookAngleTable | LookAnglePolynomial
     frame_points: tuple[FramePoint, ...] = ()
-    notes: tuple[str, ...] = field(default=())
-    frame_note: str = ""  # why the frame points need not agree with the model; among the notes, too
+    notes: tuple[Finding, ...] = field(default=())
+    frame_note: Finding | None = None  # why the frame points need not agree with the model; among the notes, too

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.errors import Finding, finding
 from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +25,7 @@ class OrientedSensor:
 
     def __init__(self, sensor: Any, correction: Any) -> None:
         self.sensor, self.correction = sensor, correction
-        self.notes: tuple[str, ...] = (*sensor.notes, "the adjusted orientation is used")
+        self.notes: tuple[Finding, ...] = (*sensor.notes, finding("image.adjusted"))
 
     def __getattr__(self, name: str) -> Any:
         """Give what the sensor has."""

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import OutOfImage, problem
+from fg_orient.errors import OutOfImage, finding
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class PixelRange(ABC):
         """
         bad = np.flatnonzero(~self.is_inside(line, sample))
         if len(bad):
-            raise OutOfImage(problem(
+            raise OutOfImage(finding(
                 "sensor.pixel_outside", file=self.file, place=f"line {line[bad[0]]:g}, sample {sample[bad[0]]:g}",
                 value=f"{len(bad)} pixel(s)", first_line=self.first_line - 0.5, last_line=self.last_line + 0.5,
                 first_sample=self.first_sample - 0.5, last_sample=self.last_sample + 0.5,

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from factors import attitude, ellipsoid, ephemeris, look, polynomials, rotations
 from factors.pushbroom import RECORD
-from fg_orient.errors import InputError, OutOfTimeRange, problem
+from fg_orient.errors import Finding, InputError, OutOfTimeRange, finding
 from fg_orient.options import MAX_EXTRAPOLATION_S
 from fg_orient.sensors import projection
 from fg_orient.sensors.correction import Correction, HeightSurface
@@ -92,7 +92,7 @@ class PushbroomSensor(PixelRange):
         self.follows_orbit = isinstance(metadata.attitude, AngleAttitude)
         self._check_field_of_view()
         self._check_ephemeris()
-        self.notes: tuple[str, ...] = metadata.notes + self._bind_attitude(extrapolate_attitude_s)
+        self.notes: tuple[Finding, ...] = metadata.notes + self._bind_attitude(extrapolate_attitude_s)
 
     @property
     def file(self) -> str:
@@ -106,7 +106,7 @@ class PushbroomSensor(PixelRange):
     def _check_field_of_view(self) -> None:
         _, across = self.look_angles([self.first_sample, self.last_sample])
         if abs(across[1] - across[0]) < MIN_FIELD_RAD:
-            raise InputError(problem(
+            raise InputError(finding(
                 "sensor.no_field", file=self.file, place="look angles", value=f"{abs(across[1] - across[0]):.3g} rad",
                 least=MIN_FIELD_RAD,
             ))  # fmt: skip
@@ -115,12 +115,12 @@ class PushbroomSensor(PixelRange):
         times = self._line_time(np.array([0.0, self.n_lines - 1.0]))
         covered = self.metadata.ephemeris.time_s
         if times.min() < covered[0] - TIME_PRINT_S or times.max() > covered[-1] + TIME_PRINT_S:
-            raise OutOfTimeRange(problem(
+            raise OutOfTimeRange(finding(
                 "sensor.ephemeris_span", file=self.file, place="ephemeris",
                 value=f"image {times.min():.6f} .. {times.max():.6f} s", first=covered[0], last=covered[-1],
             ))  # fmt: skip
 
-    def _bind_attitude(self, seconds: float) -> tuple[str, ...]:
+    def _bind_attitude(self, seconds: float) -> tuple[Finding, ...]:
         """Extrapolate the attitudes, find the lines that they cover, and say what was done or is missing."""
         if not 0.0 <= seconds <= MAX_EXTRAPOLATION_S:
             raise InputError.of("sensor.extrapolation", file=self.file, place="extrapolate attitude", value=seconds,
@@ -134,14 +134,12 @@ class PushbroomSensor(PixelRange):
         added = np.minimum(open_s, seconds)
         self.attitude = _extended(self.attitude, added)
         self._cover_lines()
-        words = ("attitudes {} the image by {:.3f} s: extrapolated with the last rate by {:.3f} s",
-                 "the attitudes do not cover lines {} to {}: they are refused")  # fmt: skip
-        where = ("start later than", "end before")
-        notes = [words[0].format(where[k], open_s[k], added[k]) for k in (0, 1) if added[k]]
+        codes = ("image.attitude_starts_late", "image.attitude_ends_early")
+        notes = [finding(codes[k], open_s=open_s[k], added_s=added[k]) for k in (0, 1) if added[k]]
         if self.first_line > 0.0:
-            notes.append(words[1].format(0, int(self.first_line) - 1))
+            notes.append(finding("image.lines_refused", first=0, last=int(self.first_line) - 1))
         if self.last_line < self.n_lines - 1.0:
-            notes.append(words[1].format(int(self.last_line) + 1, self.n_lines - 1))
+            notes.append(finding("image.lines_refused", first=int(self.last_line) + 1, last=self.n_lines - 1))
         return tuple(notes)
 
     def _cover_lines(self) -> None:
@@ -159,7 +157,7 @@ class PushbroomSensor(PixelRange):
         listed = self.attitude.time_s  # type: ignore[union-attr]
         gap = float(np.maximum(listed[0] - t, t - listed[-1]).max())
         lines = f"lines {self.first_line:.0f} to {self.last_line:.0f}" if self.first_line <= self.last_line else "them"
-        return OutOfTimeRange(problem("sensor.attitude_span", file=self.file, place=place, value=value,
+        return OutOfTimeRange(finding("sensor.attitude_span", file=self.file, place=place, value=value,
                                       first=listed[0], last=listed[-1], gap=gap, lines=lines))  # fmt: skip
 
     def require_inside(self, line: Array, sample: Array) -> None:
@@ -211,7 +209,7 @@ class PushbroomSensor(PixelRange):
         gap = np.maximum(listed[0] - t, t - listed[-1])
         beyond = gap > TIME_PRINT_S + 0.51 * abs(self.metadata.timing.line_period_s)
         if beyond.any():
-            raise OutOfTimeRange(problem(
+            raise OutOfTimeRange(finding(
                 "sensor.ephemeris_span", file=self.file, place=f"line {line[beyond][0]:.2f}",
                 value=f"{t[beyond][0]:.6f} s", first=listed[0], last=listed[-1],
             ))  # fmt: skip

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from factors import rfm, rfm_project
 from factors.rfm_project import COMPENSATION, RANGE
-from fg_orient.errors import InputError
+from fg_orient.errors import Finding, InputError
 from fg_orient.sensors.pixels import same_length
 
 Array = npt.NDArray[np.float64]
@@ -66,7 +66,7 @@ class RpcModel:
         of normalised (sample, line, height).
     file, format : str
         Where the model comes from.
-    notes : tuple of str
+    notes : tuple of Finding
         What the user should know about it.
 
     Raises
@@ -87,7 +87,7 @@ class RpcModel:
     direct: Array | None = None
     file: str = ""
     format: str = ""
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         for name, shape in (("offsets", (5,)), ("scales", (5,)), ("coefficients", (4, 20)), ("direct", (4, 20))):
@@ -98,7 +98,9 @@ class RpcModel:
     def _checked(self, name: str, shape: tuple[int, ...]) -> Array:
         values = np.array(getattr(self, name), dtype=float, order="C")
         if values.shape != shape:
-            raise InputError.of("rpc.shape", file=self.file, place=name, value=f"shape {values.shape}", shape=shape)
+            raise InputError.of(
+                "rpc.shape", file=self.file, place=name, value=f"shape {values.shape}", shape=str(shape)
+            )
         if not np.isfinite(values).all():
             raise InputError.of("rpc.not_finite", file=self.file, place=name)
         values.setflags(write=False)

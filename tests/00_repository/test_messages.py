@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import ast
 import functools
+import inspect
 import re
 import string
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from fg_orient.errors import FgOrientError, InputError, problem
-from fg_orient.messages import CATALOGUE
+from fg_orient.errors import FgOrientError, InputError, finding
+from fg_orient.messages import CATALOGUE, MODULES
+from fg_orient.messages.entry import Entry, words
 from tests.support.syntax import nodes
 
-ALWAYS = {"file", "place", "value"}
+ALWAYS = {"file", "place", "value", "option"}
+FORMAT = string.Formatter()
+OPTION = re.compile(r"<([a-z_]+)>")
 DOMAINS = {code.split(".")[0] for code in CATALOGUE}
 FILE_SUFFIXES = {"csv", "toml", "json", "jsonl", "html", "npz", "txt", "py", "xml", "tif"}
-CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$")
+CODE = re.compile(r"^[a-z0-9_]+\.[a-z0-9_]+$|^internal$")
 
 
 @functools.cache
@@ -26,7 +31,7 @@ def sources(repository: Path) -> dict[str, list[ast.AST]]:
     return {
         path.relative_to(repository).as_posix(): nodes(path)
         for path in sorted((repository / "fg_orient").rglob("*.py"))
-        if path.parent.name != "messages"
+        if path.parent.name != "messages" or path.name == "finding.py"
     }
 
 
@@ -41,14 +46,14 @@ def literal_codes(expression: ast.expr) -> list[str]:
 
 @functools.cache
 def calls(repository: Path) -> list[tuple[str, str, set[str] | None]]:
-    """Every ``problem("code", ...)`` and ``SomeError.of("code", ...)``: place, code, keywords (None = ``**``)."""
+    """Every ``finding("code", ...)`` and ``SomeError.of("code", ...)``: place, code, keywords (None = ``**``)."""
     found = []
     for module, own in sources(repository).items():
         for node in own:
             if not (isinstance(node, ast.Call) and node.args):
                 continue
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            if name not in {"problem", "of"}:
+            if name not in {"finding", "of"}:
                 continue
             keywords = {k.arg for k in node.keywords if k.arg} if all(k.arg for k in node.keywords) else None
             place = f"{module}:{node.lineno}"
@@ -56,9 +61,15 @@ def calls(repository: Path) -> list[tuple[str, str, set[str] | None]]:
     return found
 
 
+def texts(code: str) -> tuple[str, ...]:
+    """Parts of a message, and the remedy."""
+    message, remedy, _ = CATALOGUE[code]
+    return (*message, remedy)
+
+
 def fields(code: str) -> set[str]:
     """Names of the format fields of a catalogue entry."""
-    return {name.split(".")[0] for text in CATALOGUE[code] for _, name, _, _ in string.Formatter().parse(text) if name}
+    return {re.split(r"[.\[]", name)[0] for text in texts(code) for _, name, _, _ in FORMAT.parse(text) if name}
 
 
 @functools.cache
@@ -88,7 +99,7 @@ def test_every_literal_that_looks_like_a_code_is_in_the_catalogue(repository: Pa
     alike = {
         text
         for text in literals(repository)
-        if CODE.match(text) and text.split(".")[0] in DOMAINS and text.split(".")[1] not in FILE_SUFFIXES
+        if CODE.match(text) and text.split(".")[0] in DOMAINS and text.rpartition(".")[2] not in FILE_SUFFIXES
     }
     assert sorted(alike - set(CATALOGUE)) == []
 
@@ -108,42 +119,63 @@ def test_every_code_of_the_catalogue_is_used(repository: Path) -> None:
 
 @pytest.mark.parametrize("code", sorted(CATALOGUE))
 def test_entry_is_well_formed(code: str) -> None:
-    message, remedy = CATALOGUE[code]
+    *message, remedy = texts(code)
     assert CODE.match(code)
-    assert message and remedy
-    assert "\n" not in message + remedy
-    assert not message.endswith(".") and (not remedy.endswith(".") or remedy.endswith("..."))
-    assert [message, remedy] == [" ".join(text.split()) for text in (message, remedy)]
+    assert all(message) and (remedy or CATALOGUE[code].severity != "failure")
+    assert "\n" not in "".join(message) + remedy
+    assert not message[-1].endswith(".") and (not remedy.endswith(".") or remedy.endswith("..."))
+    assert [*message, remedy] == [" ".join(text.split()) for text in (*message, remedy)]
 
 
 def test_entries_format_with_values_of_their_fields() -> None:
     """Each field takes what its format asks for, and no other word of the entry is lost."""
-    for code, texts in CATALOGUE.items():
-        parts = [p for text in texts for p in string.Formatter().parse(text)]
-        values = {name: 1.5 if kind else "WORD" for _, name, kind, _ in parts if name}
-        found = problem(code, **values)
+    for code in CATALOGUE:
+        parts = [p for text in texts(code) for p in FORMAT.parse(OPTION.sub(r"option \1", text))]
+        values: dict[str, object] = {name: 1.5 if kind else "WORD" for _, name, kind, _ in parts if name}
+        lists = {name for _, name, kind, how in parts if name and (how or (kind and kind.isdecimal()))}
+        values |= {name: ["WORD"] for name in lists} | {
+            name.partition("[")[0]: [1.5] * 3 for name in values if "[" in name
+        }
+        found = finding(code, **values)
         shown = f"{found.message} {found.remedy}"
         assert "{" not in shown and "}" not in shown, code
         assert all(before in shown for before, *_ in parts), code
-        assert shown.count("WORD") == sum(1 for _, name, kind, _ in parts if name and not kind), code
+        words = [name for _, name, kind, _ in parts if name and (not kind or name in lists)]
+        assert shown.count("WORD") == len(words), code
+
+
+def test_no_code_has_two_entries() -> None:
+    heads = re.compile(r"^([a-z0-9_.]+)(?: \(\w+\))?: ", re.M)
+    modules = [import_module(f"fg_orient.messages.{name}") for name in MODULES]
+    codes = [code for module in modules for code in heads.findall(inspect.getsource(module)) if code in CATALOGUE]
+    assert len(codes) == len(set(codes)) == len(CATALOGUE)
+
+
+def test_an_entry_has_parts_a_remedy_and_a_severity() -> None:
+    """Lines are joined; further parts begin with +, the remedy with ->; without a severity it is a failure."""
+    table = "a.b (note): one\n    two: three\n    + , {four}\n    -> do\n    it\nc.d: five\n    -> six\n"
+    assert words(table) == {
+        "a.b": Entry(("one two: three", ", {four}"), "do it", "note"),
+        "c.d": Entry(("five",), "six"),
+    }
 
 
 def test_choices_are_offered_in_the_same_words() -> None:
     """A list of what is known is introduced alike everywhere."""
     others = re.compile(r"choose among|use one of|give one of \{|^known: \{known\}$|choose one of: ")
-    assert [code for code, texts in CATALOGUE.items() if any(others.search(text) for text in texts)] == []
+    assert [code for code in CATALOGUE if any(others.search(text) for text in texts(code))] == []
 
 
 def test_one_problem_is_one_line_with_file_place_value_and_remedy() -> None:
-    text = str(InputError.of("output.exists", file="out", place="--out", value="two\nlines"))
-    assert text.startswith("out, --out: ")
+    text = str(InputError.of("output.exists", file="out", option="out", value="two\nlines"))
+    assert text.startswith("out, option out: ")
     assert "(found two lines)" in text
-    assert text.endswith("; give another --out or add --overwrite")
+    assert text.endswith("; give another option out or add option overwrite")
     assert "\n" not in text
 
 
 def test_problems_of_one_error_are_listed_line_by_line() -> None:
-    first, second = problem("output.exists", file="a"), problem("output.exists", file="b")
+    first, second = finding("output.exists", file="a"), finding("output.exists", file="b")
     error = FgOrientError(first, second)
     assert [line[0] for line in str(error).splitlines()] == ["a", "b"]
     assert [record["file"] for record in (p.as_dict() for p in error.problems)] == ["a", "b"]

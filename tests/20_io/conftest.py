@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError, Problem
+from fg_orient.errors import Finding, InputError, finding
 from fg_orient.io.dimap import read_dimap
-from fg_orient.io.dimap2 import FRAME_NOTE
 from fg_orient.io.dimap_write import write_dimap1, write_dimap2
 from fg_orient.sensors.metadata import (
     AngleAttitude,
@@ -74,7 +73,7 @@ def pleiades(spot5: PushbroomMetadata) -> PushbroomMetadata:
         attitude=QuaternionPolynomial(T0_S, 1.6875, half),
         look=LookAnglePolynomial(0.0, np.array([8e-5]), np.array([-0.014222, 7.113e-7])),
         frame_points=tuple(corners),
-        frame_note=FRAME_NOTE,
+        frame_note=finding("image.frame_without_heights"),
     )  # fmt: skip
 
 
@@ -112,12 +111,12 @@ def dim6(spot6: PushbroomMetadata, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def refused() -> Callable[..., Problem]:
+def refused() -> Callable[..., Finding]:
     """Give the function that reads a bad file and checks the one-line refusal."""
     return refusal
 
 
-def refusal(path: Path, code: str, place: str = "", value: str = "", **options: int) -> Problem:
+def refusal(path: Path, code: str, place: str = "", value: str = "", **options: int) -> Finding:
     """One InputError with one problem: code, file, place, value and remedy, in one line."""
     with pytest.raises(InputError) as caught:
         read_dimap(path, **options)

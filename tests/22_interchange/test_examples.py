@@ -105,7 +105,7 @@ def test_metashape_csv(tmp_path: Path) -> None:
     assert_ground(found)
     assert found.roles == (Role.CONTROL, Role.CHECK, Role.TIE)
     np.testing.assert_array_equal(found.sigma_enu_m, [[0.02, 0.02, 0.05], [0.03] * 3, [np.nan] * 3])
-    assert found.notes == ("columns not read: Error_(m)",)
+    assert tuple(map(str, found.notes)) == ("columns not read: Error_(m)",)
 
 
 def test_a_crs_that_the_users_replaces_is_told(tmp_path: Path) -> None:
@@ -114,12 +114,12 @@ def test_a_crs_that_the_users_replaces_is_told(tmp_path: Path) -> None:
     local = re.sub("(?<=# CoordinateSystem: ).*", grid, METASHAPE_CSV, count=1)
     found = read(tmp_path, "metashape-csv", local, crs="EPSG:32636")
     told = 'the CRS of the file (LOCAL_CS["Quarry grid", UNIT["metre",1]]) is none of EPSG: EPSG:32636 takes its place'
-    assert found.crs == "EPSG:32636" and found.notes == (told, "columns not read: Error_(m)")
+    assert found.crs == "EPSG:32636" and [*map(str, found.notes)] == [told, "columns not read: Error_(m)"]
     assert read(tmp_path, "metashape-csv", METASHAPE_CSV, crs="EPSG:32636").notes == found.notes[1:]
     for stated in ("", "EPSG:32636", "EPSG:32636+5773"):
         assert decided_crs(stated, "EPSG:32636", "f")[1] == ()
     (long,) = decided_crs("x y " * 50, "EPSG:32636", "f")[1]
-    assert "x y x..." in long and len(long) < 150
+    assert "x y x..." in str(long) and len(str(long)) < 150
 
 
 @pytest.mark.parametrize("mark", [";", "\t"])

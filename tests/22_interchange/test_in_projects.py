@@ -142,7 +142,7 @@ def test_another_crs_than_the_file_says_is_one_fault_with_a_remedy_of_projects(f
     ended = in_process("validate", path, "--json")
     (found,) = ended.json["errors"]
     assert (ended.code, found["code"]) == (2, "interchange.crs_differs")
-    assert found["remedy"] == "leave crs out, or give the same with a vertical CRS"
+    assert found["remedy"] == "leave crs out, or give the same with a vertical CRS; the command convert transforms"
 
 
 def test_our_points_with_tie_points_of_another_program(folder: Path, own: Block) -> None:

@@ -146,14 +146,14 @@ def test_what_a_format_needs_is_asked_for_by_option(tmp_path: Path) -> None:
     survey, _ = read(tmp_path, "pix4d", ROW, "a.tif,P,1,2\n", crs=UTM)
     out = [tmp_path / "a.csv"]
     for fill, option in (
-        (Fill(), "--sigma-ground"), (Fill((1.0, 1.0, 1.0)), "--sigma-image"),
+        (Fill(), "option sigma_ground"), (Fill((1.0, 1.0, 1.0)), "option sigma_image"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=option):
             write_survey(filled(survey, fill), out, formats()["csv"], Settings())
     flat = "#CRS: EPSG:32636\nmapX,mapY,sourceX,sourceY\n4e5,4.58e6,10,-20\n"
     points, _ = read(tmp_path, "qgis-points", flat)
-    with pytest.raises(InputError, match="--height"):
+    with pytest.raises(InputError, match="option height"):
         write_survey(points, out, formats()["csv"], Settings())
-    with pytest.raises(InputError, match="--height"):
+    with pytest.raises(InputError, match="option height"):
         write_survey(points, out, formats()["csv"], Settings(crs="EPSG:4979"))
     assert not out[0].exists()

@@ -57,7 +57,7 @@ def test_unverified_formats_ask_before_they_are_read(tmp_path: Path, rng: np.ran
     format_ = formats()["asp-gcp"]
     path = tmp_path / "a.gcp"
     write_survey(random_survey(rng, format_, "EPSG:4979", plain=True), [path], format_, Settings())
-    with pytest.raises(InputError, match="--accept-unverified"):
+    with pytest.raises(InputError, match="option accept_unverified"):
         read_survey([path], format_, Settings(crs="EPSG:4979"))
     remarks = read_survey([path], format_, Settings(crs="EPSG:4979"), accept_unverified=True)[1]
     assert [p.code for p in remarks] == ["remark.unverified"]

@@ -83,7 +83,7 @@ def test_a_model_goes_from_colmap_to_bundler_and_back_with_its_residuals(tmp_pat
     ended = in_process(*back, "--accept-unverified", "--json")
     assert ended.code == 0
     (note,) = (text for text in ended.json["notes"] if "the file holds no sizes of images" in text)
-    assert "are assumed for 0, 1, 2; --image-size" in note
+    assert "are assumed for 0, 1, 2; option image_size" in note
     again = read_colmap_text(tmp_path / "back")
     assert np.sum(again.residuals_px() ** 2) == pytest.approx(np.sum(model.residuals_px() ** 2), rel=1e-9)
 

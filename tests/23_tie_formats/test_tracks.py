@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fg_orient.interchange.tracks import Tracks, conflict_words, join
+from fg_orient.interchange.tracks import Tracks, conflicts, join
 from tests.support.work import counted
 
 
@@ -62,12 +62,13 @@ def test_a_conflict_is_told_with_its_image_and_places() -> None:
     line, sample = np.array([1.5, 2, 3, 4, 8, 9]), np.array([10.0, 20, 30, 40, 80, 90])
     found = join(image, line, sample, np.array([[0, 1], [1, 2], [2, 3], [4, 5]]))
     assert members(found) == [{4, 5}]
-    assert conflict_words(found, ["a", "b", "c"], image, line, sample) == (
+    (told,) = conflicts(found, ["a", "b", "c"], image, line, sample)
+    assert str(told) == (
         "1 of 2 tie point(s) left out (4 image points): their matches chain two places of one image, the first "
-        "(1.5, 10) and (4, 40) of a",
+        "(1.5, 10) and (4, 40) of a"
     )
     good = join(image, line, sample, np.array([[4, 5]]))
-    assert conflict_words(good, ["a", "b", "c"], image, line, sample) == ()
+    assert conflicts(good, ["a", "b", "c"], image, line, sample) == ()
 
 
 def test_nothing_matched_is_no_tie_point() -> None:

@@ -10,7 +10,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.block import Coordinates
 from fg_orient.declaration import declared
-from fg_orient.errors import InputError, Problem
+from fg_orient.errors import Finding, InputError
 from fg_orient.io.schema import Adjustment, Orientation, validate
 from fg_orient.options import Options
 
@@ -65,7 +65,7 @@ def test_the_project_file_has_the_same_bounds(name: str, value: object) -> None:
     found = validate(content, "project.toml")
     assert isinstance(found, tuple)
     assert [(p.place, declared(Options)[name].expected in p.remedy) for p in found] == [(f"{table}.{name}", True)]
-    assert isinstance(found[0], Problem)
+    assert isinstance(found[0], Finding)
 
 
 def test_arrays_are_copies_that_cannot_be_changed() -> None:

@@ -149,7 +149,7 @@ def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path
     assert run("adjust", short, "--extrapolate-attitude", 9, "--out", tmp_path / "x", "--json").code == 2
     text = short.read_text("utf-8").replace("[orientation]", "[orientation]\nextrapolate_attitude_s = 0.2")
     short.write_text(text, encoding="utf-8")
-    assert any("extrapolated" in note for note in read_project(short).images[0].sensor.notes)
+    assert any("extrapolated" in str(note) for note in read_project(short).images[0].sensor.notes)
     with pytest.raises(InputError, match="a number from 0 to 5 in s"):
         read_project(short, extrapolate_attitude_s=-1.0)
 

@@ -105,7 +105,7 @@ def test_adjusted_orientation_moves_the_footprint() -> None:
     turned = View(Image(image.id, OrientedSensor(image.sensor, truth.corrections[0])), 300.0)
     apart = (footprint(plain) - footprint(turned)) * [83e3, 111e3]
     assert 5.0 < np.linalg.norm(apart, axis=1).max() < 200.0
-    assert turned.sensor.notes[-1] == "the adjusted orientation is used"
+    assert str(turned.sensor.notes[-1]) == "the adjusted orientation is used"
     assert image_record(turned)["incidence_deg"] == pytest.approx(image_record(plain)["incidence_deg"], abs=0.01)
 
 

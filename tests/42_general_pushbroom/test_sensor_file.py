@@ -43,7 +43,7 @@ def test_every_frame_gives_the_rays_of_the_dimap_sensor(
     assert isinstance(ours, GeneralPushbroom)
     at = pixels(sensor)
     assert np.linalg.norm(ours.locate(*at, height_m=500.0) - sensor.locate(*at, height_m=500.0), axis=1).max() < 1e-3
-    said = any("UT1 = UTC" in note and " m east-west" in note for note in ours.notes)
+    said = any("UT1 = UTC" in str(note) and " m east-west" in str(note) for note in ours.notes)
     assert said == (orbit != "ITRF" or attitude not in ("orbital", "ITRF"))
 
 

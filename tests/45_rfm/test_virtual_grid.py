@@ -64,7 +64,7 @@ def test_validity_is_that_of_the_grid(fitted: SensorRfm) -> None:
     model = fitted.model()
     assert model.n_lines == model.n_samples == 12000
     assert not model.inside(31.85, 41.3, 2001.0)[0]
-    assert "largest errors" in model.notes[0]
+    assert "largest errors" in str(model.notes[0])
 
 
 @pytest.mark.parametrize(

@@ -563,7 +563,7 @@ def test_an_ill_conditioned_system_is_reported_by_all_backends(monkeypatch: pyte
         found = conditioning.condition(problem, estimate)
         assert found is not None
         assert 0.3 * expected <= found <= 1.001 * expected
-        assert not conditioning.sentences(problem, estimate)
+        assert not conditioning.findings(problem, estimate)
     monkeypatch.setattr(conditioning, "ILL_CONDITIONED", 0.2 * expected)
     said = {fg.adjust(block, eop_set=15, backend=name).warnings[0] for name in ("schur", "graph", "dense")}
     assert len(said) == 1

@@ -192,7 +192,7 @@ def test_a_part_file_that_is_not_whole_is_named(problem: Problem, tmp_path: Path
         with pytest.raises(fg.InputError) as caught:
             read_part(str(tmp_path), number)
         assert caught.value.problems[0].code == "parallel.folder"
-        assert "--work-dir" in caught.value.problems[0].remedy
+        assert "option work_dir" in caught.value.problems[0].remedy
 
 
 def test_a_worker_of_another_version_is_refused(

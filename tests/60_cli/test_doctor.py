@@ -78,7 +78,7 @@ def test_no_cache_is_a_warning_with_a_remedy(run: Any, monkeypatch: pytest.Monke
 def test_cache_that_is_not_made_yet(cache: Path) -> None:
     found = doctor.examine_cache(cache / "deep" / "er")
     assert (found["exists"], found["files"], found["bytes"], found["rights"]) == (False, 0, 0, "rwxr-xr-x")
-    assert doctor.cache_warnings(cache / "deep" / "er") == []
+    assert doctor.cache_findings(cache / "deep" / "er") == []
 
 
 def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,12 +92,12 @@ def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "stat", refused)
-        found, warnings = doctor.examine_cache(cache), doctor.cache_warnings(cache)
+        found, warnings = doctor.examine_cache(cache), doctor.cache_findings(cache)
     assert (found["exists"], found["files"], warnings) == (False, 0, [])
 
 
 def test_cache_of_the_user_alone_is_no_reason_to_warn(cache: Path) -> None:
-    assert doctor.cache_warnings(cache) == []
+    assert doctor.cache_findings(cache) == []
 
 
 @pytest.mark.parametrize(
@@ -124,13 +124,13 @@ def test_cache_that_others_can_write_to(run: Any, cache: Path, place: str, mode:
 def test_all_open_places_are_counted(cache: Path) -> None:
     for name in ("a.nbi", "a.1.nbc"):
         (cache / "factors_1" / name).chmod(0o666)
-    (warning,) = doctor.cache_warnings(cache)
-    assert warning.startswith(f"{cache / 'factors_1' / 'a.1.nbc'} and 1 more: ")
+    (warning,) = doctor.cache_findings(cache)
+    assert str(warning).startswith(f"{cache / 'factors_1' / 'a.1.nbc'} and 1 more: ")
 
 
 def test_sticky_folder_above_is_as_good_as_tmp(cache: Path) -> None:
     cache.parent.chmod(0o1777)
-    assert doctor.cache_warnings(cache) == []
+    assert doctor.cache_findings(cache) == []
 
 
 def status(mode: int, user: int, group: int) -> os.stat_result:

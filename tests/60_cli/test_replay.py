@@ -13,7 +13,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.cli.replay import show
-from fg_orient.errors import problem
+from fg_orient.errors import finding
 from fg_orient.run import run_project
 from fg_orient.run.replay import OCCASION, Replay, changed_sources, compare_records, compare_tables
 
@@ -133,7 +133,7 @@ def test_tables_are_compared_byte_by_byte(tmp_path: Path) -> None:
 
 
 def test_what_people_read(capsys: pytest.CaptureFixture[str]) -> None:
-    changed = problem("replay.changed", file="points.csv", then="1", now="2")
+    changed = finding("replay.changed", file="points.csv", then="1", now="2")
     differences = tuple({"key": f"a[{k}]", "then": 0.1, "now": None} for k in range(30))
     version = {"name": "numpy", "then": "2.0.0", "now": "2.1.0"}
     show(Replay("again", "converged", (changed,), 5, 100, differences, {"eop.csv": False}, (version,)))

@@ -258,7 +258,11 @@ def test_failure_of_the_program_is_short_and_leaves_nothing(
     assert "Traceback" in run("adjust", twin, "--debug").stderr
     told = run("adjust", twin, "--json")
     (error,) = told.json["errors"]
-    assert (told.code, error["code"], set(error)) == (1, "internal", {*"code message file place value remedy".split()})
+    assert (told.code, error["code"], set(error)) == (
+        1,
+        "internal",
+        {*"code severity message file place value remedy data".split()},
+    )
     assert "ZeroDivisionError: planted" in error["message"] and "report" in error["remedy"]
     assert len(told.stderr.splitlines()) == 1
 

@@ -577,7 +577,7 @@ def test_fewer_points_than_coefficients(run: Run, model: RpcModel, tmp_path: Pat
 @pytest.mark.parametrize(
     ("words", "code"),
     [(("--equations", "cubic"), "rpc.equations"), (("--select", "best"), "rfm.selector"),
-     (("--select", "lasso", "--kappa", "1"), "cli.two_ways"), (("--solver", "qr"), "rpc.solver_form"),
+     (("--select", "lasso", "--kappa", "1"), "options.two_ways"), (("--solver", "qr"), "rpc.solver_form"),
      (("--degree", "4"), "rfm.degree"), (("--denominators", "two"), "rfm.denominators"),
      (("--heights", "0", "1"), "rpc.foreign_option"), (("--folds", "1"), "rfm.folds"),
      (("--no-normalise", "--out", "a.RPB"), "rpc.unscaled"), (("--kappa", "-1"), "linear.kappa_value"),

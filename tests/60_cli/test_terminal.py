@@ -20,8 +20,9 @@ import typer
 from fg_orient.cli import app
 from fg_orient.cli.app import COMMANDS, declared, help_of
 from fg_orient.cli.app import app as application
-from fg_orient.cli.common import LOGGED, emit, table
+from fg_orient.cli.common import table
 from fg_orient.cli.log import LogFile, opened, session
+from fg_orient.cli.output import emit
 from fg_orient.cli.progress import describe_steps, duration, progress_bar
 from fg_orient.errors import InputError
 from tests.support.command import Run, entry_point
@@ -366,10 +367,6 @@ def test_completion_of_shells(run: Any) -> None:
     assert run("completion", "fish").stdout.startswith("complete --command fg-orient ")
     ended = run("completion", "tcsh")
     assert ended.code == 2 and "choose one of bash, zsh, fish" in ended.stderr
-
-
-def test_log_kinds_are_the_prefixes_of_the_output() -> None:
-    assert {"error", "warning", "note", "remark", "lost"} == set(LOGGED)
 
 
 def test_refused_log_is_an_input_error(tmp_path: Path) -> None:

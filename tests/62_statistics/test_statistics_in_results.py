@@ -88,7 +88,8 @@ def test_basic_leaves_them_out_and_says_so(project: Path) -> None:
     record, out = run(project, "basic", statistics="basic")
     assert record["reliability"] is None
     assert record["correlations"] is not None
-    assert 'reliability is null: the option statistics is "basic"' in record["warnings"]
+    told = 'not given: redundancy numbers and minimal detectable biases; option statistics is "basic"'
+    assert told in record["warnings"]
     assert not set(IMAGE) & set(table(out / "residuals.csv"))
     assert "w_east" not in table(out / "points.csv")
 
@@ -96,7 +97,7 @@ def test_basic_leaves_them_out_and_says_so(project: Path) -> None:
 def test_a_loss_leaves_the_redundancy_numbers(project: Path) -> None:
     record, out = run(project, "huber", loss="huber")
     assert record["reliability"] is None
-    assert any(text.startswith("reliability is null: the weights of the loss") for text in record["warnings"])
+    assert "absent.loss_but_redundancy" in [found["code"] for found in record["findings"]]
     rays = table(out / "residuals.csv")
     assert "redundancy_line" in rays and "mdb_line_px" not in rays
 
@@ -105,9 +106,8 @@ def test_without_covariance_there_is_a_reason(grid: Block) -> None:
     solution = fg.adjust(grid, datum="free", priors=False, eop_set=2)
     assert statistics.reliability_record(solution) is None
     assert statistics.correlation_record(solution) is None
-    assert statistics.missing(solution) == [
-        "reliability is null: it needs the covariance", "correlations is null: it needs the covariance",
-    ]  # fmt: skip
+    (why,) = statistics.missing(solution)
+    assert (why.code, why.data["figures"]) == ("absent.covariance", ["reliability", "correlations"])
 
 
 def test_large_blocks_are_asked_for() -> None:
@@ -122,7 +122,7 @@ def test_limit_is_said(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fg_orient.adjustment.point_cofactors.AUTO_LIMIT", 10)
     solution = fg.adjust(grid)
     assert statistics.image_columns(solution) == {}
-    assert 'ask with statistics "full"' in statistics.missing(solution)[0]
+    assert 'ask with option statistics "full"' in str(statistics.missing(solution)[0])
 
 
 def test_correlations_are_those_of_the_covariance(grid: Block) -> None:

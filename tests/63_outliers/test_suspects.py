@@ -10,7 +10,7 @@ import pytest
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.block import Block
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.errors import InputError, NoSolutionError, finding
 from fg_orient.quality import prediction
 from fg_orient.quality.outliers import judge
 from fg_orient.quality.suspects import Kind, suspects
@@ -108,7 +108,9 @@ def test_what_is_not_tested_has_no_figures() -> None:
 
 
 def test_no_covariance_no_test() -> None:
-    solution = replace(linear_twin().solution, cofactors=None, withheld=("singular",))
+    solution = replace(
+        linear_twin().solution, cofactors=None, withheld=(finding("withheld.indeterminate", why="singular"),)
+    )
     with pytest.raises(NoSolutionError, match="no covariance"):
         solution.outlier_tests()
 

@@ -144,7 +144,7 @@ def test_all_backends_and_both_equations_have_one_fixed_point(monkeypatch: pytes
     found = estimated(block).components
     assert found is not None and not found.exact
     assert [c.factor for c in found.components] == pytest.approx(factors[0], rel=1e-4)
-    assert "lower bounds" in found.sentences[-1] and "too many false alarms" in found.sentences[-1]
+    assert "lower bounds" in str(found.findings[-1]) and "too many false alarms" in str(found.findings[-1])
 
 
 def test_groups_by_image_and_of_priors() -> None:

@@ -14,7 +14,7 @@ from fg_orient.distributions import binomial_limit
 from fg_orient.errors import NoSolutionError
 from fg_orient.quality.accuracy import BEYOND, CHANCE, PointDifferences
 from fg_orient.quality.prediction_test import PredictionTest, bias_test, prediction_test
-from fg_orient.quality.verdict import beyond_sentences
+from fg_orient.quality.verdict import of_check_points
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.solution import Solution
 
@@ -70,18 +70,18 @@ def test_as_many_differences_beyond_three_as_chance_gives_are_no_warning() -> No
     d = np.random.default_rng(4).normal(0.0, np.hypot(1.0, 0.5), (3120, 3))
     found = points(d).beyond()
     assert (found.n, found.limit, found.far) == (9360, 42, ()) and found.expected == pytest.approx(25.27, abs=0.01)
-    assert 10 < found.count <= 42 and found.by_chance and beyond_sentences(points(d)) == []
+    assert 10 < found.count <= 42 and found.by_chance and of_check_points(points(d)) == []
     assert found.sentence.startswith(f"{found.count} of 9360 check coordinates lie beyond 3 standard deviations")
     assert "as many as chance gives (25.3 expected" in found.sentence
 
     many = points(1.15 * d)
-    (told,) = beyond_sentences(many)
+    (told,) = map(str, of_check_points(many))
     assert many.beyond().count > 42 and "of 9360 check coordinates, 25.3 expected by chance, up to 42" in told
     assert told.startswith(f"check points beyond 3 standard deviations of the difference: {many.suspicious()[0][0]}, ")
 
     far = d.copy()
     far[70, 1] = 6.0 * np.hypot(1.0, 0.5)
-    (told,) = beyond_sentences(points(far))
+    (told,) = map(str, of_check_points(points(far)))
     assert told.endswith("standard deviations of the difference, which chance hardly gives among 9360 coordinates: c70")
     assert "beyond 5.3 " in told
 
@@ -91,13 +91,13 @@ def test_few_check_points_are_named_by_number_or_size() -> None:
     d = np.zeros((10, 3))
     scale = np.hypot(1.0, 0.5)
     d[[1, 4], [0, 2]] = 3.1 * scale
-    assert points(d).beyond().by_chance and beyond_sentences(points(d)) == []
+    assert points(d).beyond().by_chance and of_check_points(points(d)) == []
     d[6, 1] = -3.2 * scale
-    (told,) = beyond_sentences(points(d))
+    (told,) = map(str, of_check_points(points(d)))
     assert told.startswith("check points beyond 3 standard deviations of the difference: c6, c1, c4; 3 of 30 check")
     d[[1, 4]] = 0.0
     d[6, 1] = -5.0 * scale
-    assert "4.1 standard deviations" in beyond_sentences(points(d))[0]
+    assert "4.1 standard deviations" in str(of_check_points(points(d))[0])
     withheld = replace(points(d), predicted_sigma_enu_m=np.full((10, 3), np.nan)).beyond()
     assert (withheld.n, withheld.by_chance, withheld.sentence) == (0, True, "")
 

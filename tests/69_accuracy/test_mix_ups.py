@@ -35,7 +35,7 @@ def misread(block: Block, kind: str) -> Block:
 
 @pytest.mark.parametrize("kind", ["exchanged", "lines counted", "samples counted"])
 def test_what_fits_is_named(block: Block, kind: str) -> None:
-    (sentence,) = mix_ups(misread(block, kind))
+    (sentence,) = map(str, mix_ups(misread(block, kind)))
     assert kind in sentence
     assert f"image {block.images[0].id}:" in sentence
 

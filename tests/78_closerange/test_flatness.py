@@ -110,8 +110,8 @@ def test_a_projection_parallel_within_the_noise_is_called_so() -> None:
         points, _, image = scene(1, 1.0, 20, distance_m=distance_m, sigma=0.05)
         found = tried(points, image, 0.05)
         said.append(found if isinstance(found, str) else found.doubt)
-    assert said[0] == "closerange.parallel_noise" and said[2] == ""
-    assert "sigmas from a parallel one: standard deviations of the centre" in said[1]
+    assert said[0] == "closerange.parallel_noise" and said[2] is None
+    assert "sigmas from a parallel one: standard deviations of the centre" in str(said[1])
 
 
 def test_the_command_names_the_flatness_and_asks_for_sigma(tmp_path: Path) -> None:

@@ -282,7 +282,7 @@ def test_far_control_in_a_plane_tells_its_second_pose() -> None:
         assert found.rival is not None and 1.0 <= found.rival.ratio <= found.rival.limit
         apart = [float(np.linalg.norm(c - photo.origin_m)) for c in (found.centre_m, found.rival.centre_m)]
         assert min(apart) < 0.25 * max(apart)
-        assert "a second pose fits nearly as well, centre at" in str(found.rival)
+        assert "a second pose fits nearly as well, centre at" in str(found.rival.finding())
         camera, _, _, points, image = flat_scene(seed, 3.0, 6, 0.001, 20.0)
         assert resect(camera, points, image, sigma=0.001).rival is None
 

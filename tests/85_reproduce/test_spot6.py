@@ -176,7 +176,7 @@ def test_without_points_the_command_works_and_says_so(monkeypatch: pytest.Monkey
     assert done.exit_code == 0, done.output
     found = reproduce("terlemezoglu2019", tables="4.35-4.55", claims=False)
     assert {row.verdict for row in found.rows} == {"not_reproducible"}
-    assert "--data" in found.rows[0].reason
+    assert "give them as data" in found.rows[0].reason
     monkeypatch.setenv(spot6.VARIABLE, str(tmp_path))
     assert spot6.control_points(None) is None
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fg_orient.errors import InputError, Problem
+from fg_orient.errors import Finding, InputError
 from fg_orient.io.project import read_project
 from fg_orient.io.validate import validate_project
 from tests.support.command import in_process
@@ -107,7 +107,7 @@ CASES = {
 }  # fmt: skip
 
 
-def refused(folder: ProjectFolder) -> tuple[Problem, ...]:
+def refused(folder: ProjectFolder) -> tuple[Finding, ...]:
     """Problems of the project; the same from reading and from validating, one printable line each."""
     with pytest.raises(InputError) as caught:
         read_project(folder.project)

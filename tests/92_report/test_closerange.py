@@ -18,6 +18,7 @@ from fg_orient.closerange.distortion import profile
 from fg_orient.closerange.report import maps, plots, surface, words
 from fg_orient.closerange.report.html import render
 from fg_orient.closerange.surface import Surface
+from fg_orient.errors import as_record, finding
 from fg_orient.report.page import script
 from tests.support import page_files
 from tests.support.browser import Page
@@ -115,7 +116,7 @@ def test_first_page_says_the_accuracy_at_check_points(record: dict[str, Any]) ->
         ({"m0": 0.05}, "warn", "the given standard deviations are too large"),
         ({"m0": None}, "warn", "Without redundancy nothing was checked"),
         ({"m0": 0.02, "weights": "relative"}, "good", "standard deviation of one observation, is 0.0200, in the unit"),
-        ({"m0": 1.0, "warnings": ["beware"]}, "warn", "within their standard deviations"),
+        ({"m0": 1.0, **as_record([finding("closerange.no_redundancy")])}, "warn", "within their standard deviations"),
     ],
 )  # fmt: skip
 def test_verdict(record: dict[str, Any], change: dict[str, Any], kind: str, said: str) -> None:

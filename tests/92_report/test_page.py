@@ -15,6 +15,7 @@ import pytest
 from scipy import stats
 
 from fg_orient.cli.common import number
+from fg_orient.errors import as_record, finding
 from fg_orient.report import charts, payload, residual_plots, svg
 from fg_orient.report.data import Result, residual_summary
 from fg_orient.report.extent import first_view
@@ -316,12 +317,15 @@ def test_a_folder_without_arrays_has_no_heat_map(result: Result, folder: Path) -
 def test_first_page_names_what_a_test_suspects_and_repeats_no_verdict(result: Result) -> None:
     said = "sigma0 = 51.14 lies above 1.19"
     suspects = [{"sentence": f"point {k} in image right: gross error"} for k in ("a<b", "c", "d", "e", "f")]
-    record = {**result.record, "status": "not_trustworthy", "reason": said, "warnings": [said, "few check points"],
-              "suspicious_observations": suspects}  # fmt: skip
+    decided = finding("verdict.sigma0", sigma0=51.14, limit=1.19)
+    told = as_record([decided, finding("solution.no_check")])
+    verdict = {"status": "not_trustworthy", "reason": said, "suspicious_observations": suspects}
+    record = {**result.record, **told, **verdict}
     page = render(dataclasses.replace(result, record=record))
     problems = page[page.index('id="problems"') : page.index("<nav")]
     assert re.findall("<li>(.*?)</li>", problems) == [
         *(f"look at point {k} in image right: gross error" for k in ("a&lt;b", "c", "d")),
-        "2 more observations to look at are listed with the residuals", "few check points",
+        "2 more observations to look at are listed with the residuals",
+        "no check points: the accuracy is not verified independently",
     ]  # fmt: skip
     assert page.count(said) == 1

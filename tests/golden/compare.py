@@ -84,11 +84,11 @@ def _different(case: str, file: str, one: Path, other: Path, within: float, sign
     old, new = columns(one), columns(other)
     for column in sorted({*old, *new}):
         values = old.get(column, []), new.get(column, [])
-        if len(values[0]) != len(values[1]):
-            yield Difference(case, file, column, f"{len(values[0])} values", f"{len(values[1])} values")
-            continue
         change = signs.change(case, file, column)
         if change == "redrawn":
+            continue
+        if len(values[0]) != len(values[1]):
+            yield Difference(case, file, column, f"{len(values[0])} values", f"{len(values[1])} values")
             continue
         numbers = [abs(v) for v in values[0] if isinstance(v, float) and np.isfinite(v)]
         scale = max(numbers, default=0.0) or 1.0

@@ -45,7 +45,7 @@ def write_report(folder: str | Path) -> Path:
     Parameters
     ----------
     folder : path
-        Written by ``closerange ... --out``.
+        Written by a command of close range.
 
     Returns
     -------

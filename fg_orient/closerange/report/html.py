@@ -50,7 +50,7 @@ def render(record: dict[str, Any]) -> str:
 
 def _complete(record: dict[str, Any]) -> dict[str, Any]:
     """Give every kind of record the parts that others have, empty."""
-    lists = ("photos", "cameras", "points", "figures", "residuals", "observations", "distortion", "history", "warnings")
+    lists = ("photos", "cameras", "points", "figures", "residuals", "observations", "distortion", "history")
     photo: dict[str, Any] = {"parameters": [], "interior": None, "observed": None}
     photos = [photo | one for one in record.get("photos", [])]
     return {name: [] for name in lists} | {"check": None} | record | {"photos": photos}

@@ -9,6 +9,7 @@ import numpy as np
 
 from fg_orient.closerange.report.outlying import Group, outlying
 from fg_orient.distributions import chi_square_interval, normal_quantile, sidak
+from fg_orient.errors import sentences
 from fg_orient.report.words import number
 
 #: Level of the test of m0, and of the search for the worst residual among all.
@@ -206,7 +207,7 @@ def problems(record: dict[str, Any]) -> list[str]:
             out.append(
                 f"hardly determined: {one['words']} (standard deviation {times} times what one image point tells)"
             )
-    out += record["warnings"]
+    out += sentences(record)
     for photo in record.get("photos", []):
-        out += [f"photo {photo['photo'] or '-'}: {text}" for text in photo.get("warnings", [])]
+        out += [f"photo {photo['photo'] or '-'}: {text}" for text in sentences(photo)]
     return out

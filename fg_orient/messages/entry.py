@@ -1,0 +1,43 @@
+"""Entries of the catalogue: message, remedy and severity of a code."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, cast
+
+Severity = Literal["note", "warning", "doubt", "failure"]
+
+
+class Entry(NamedTuple):
+    """Words of a code, format strings of its data.
+
+    ``message`` has one part or more: one with an empty field is left out, but the first.
+    """
+
+    message: tuple[str, ...]
+    remedy: str = ""
+    severity: Severity = "failure"
+
+
+def words(table: str) -> dict[str, Entry]:
+    """Read a table of the catalogue.
+
+    An entry begins with ``code: message`` or ``code (severity): message`` and goes on in indented lines: further parts
+    of the message begin with ``+``, the remedy with ``->``. Without a severity it is a failure.
+    """
+    found: list[list[str]] = []
+    for line in table.split("\n"):
+        text = line.strip()
+        if line[:1] not in (" ", ""):
+            found.append([text])
+        elif text.startswith(("+ ", "-> ")):
+            found[-1].append(text)
+        elif text:
+            found[-1][-1] += f" {text}"
+    entries = {}
+    for head, *rest in found:
+        name, _, message = head.partition(": ")
+        code, _, severity = name.partition(" ")
+        parts = [text[2:] for text in rest if text.startswith("+ ")]
+        remedy = "".join(text[3:] for text in rest if text.startswith("-> "))
+        entries[code] = Entry((message, *parts), remedy, cast(Severity, severity.strip("()") or "failure"))
+    return entries

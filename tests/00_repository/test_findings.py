@@ -1,0 +1,140 @@
+"""Warnings are codes with data: one record, words in the catalogue only, options without flags."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fg_orient.cli.output import flag, tell_findings
+from fg_orient.closerange.report.words import problems
+from fg_orient.errors import as_record, finding, findings_of, judged, read
+from fg_orient.messages import CATALOGUE
+from fg_orient.messages.entry import words
+from tests.support.syntax import nodes
+
+FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
+#: Flags of other programs: pip, and bundle_adjust of the Ames Stereo Pipeline.
+OF_OTHERS = {"fg_orient/messages/installation.py", "fg_orient/interchange/asp_gcp.py"}
+#: The record, and where sentences for people are made of results: reports and the command line.
+SHOWING = ("fg_orient/cli/", "fg_orient/messages/", "fg_orient/report/", "fg_orient/closerange/report/")
+
+
+def library(repository: Path) -> Iterator[tuple[str, list[ast.AST]]]:
+    """Name and nodes of every module but those of the command line."""
+    for path in sorted((*(repository / "fg_orient").rglob("*.py"), *(repository / "factors").rglob("*.py"))):
+        name = path.relative_to(repository).as_posix()
+        if not name.startswith("fg_orient/cli/"):
+            yield name, nodes(path)
+
+
+def texts(tree: ast.AST) -> list[str]:
+    """String literals below a node."""
+    return [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+
+
+def test_no_module_outside_the_command_line_names_a_flag(repository: Path) -> None:
+    found = [
+        (name, node.lineno, FLAG.findall(node.value))
+        for name, own in library(repository)
+        for node in own
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and FLAG.search(node.value)
+    ]
+    assert {name for name, *_ in found if name in OF_OTHERS} == OF_OTHERS
+    assert [place for place in found if place[0] not in OF_OTHERS] == []
+
+
+def test_only_the_record_writes_and_reads_warnings(repository: Path) -> None:
+    """The key ``warnings`` of a result is written by ``as_record`` and read by ``findings_of``."""
+    named = {
+        name
+        for name, own in library(repository)
+        for node in own
+        if isinstance(node, ast.Constant) and node.value in ("warnings", "findings")
+    }
+    assert named == {"fg_orient/errors.py"}
+
+
+def test_no_sentence_is_given_as_a_warning_or_as_its_data(repository: Path) -> None:
+    """Neither ``warnings=``, ``notes=``, ``withheld=`` nor a datum of a finding holds text of four words or more."""
+    given = []
+    for name, own in library(repository):
+        if name.startswith(SHOWING):
+            continue
+        for node in own:
+            if not isinstance(node, ast.Call):
+                continue
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            for keyword in node.keywords:
+                told = keyword.arg in ("warnings", "findings", "withheld") or (
+                    called == "finding" and keyword.arg not in ("place", "value", "file")
+                )
+                if told and any(len(text.split()) > 3 for text in texts(keyword.value)):
+                    given.append((name, node.lineno, keyword.arg))
+    assert given == []
+
+
+@pytest.fixture
+def planted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two entries of a catalogue that knows nothing of them elsewhere."""
+    table = words("""
+outside.planted (warning): image {image} is upside down
+    + , like {others:2}
+    -> turn it with <turn_by> {angle:g}
+outside.doubt (doubt): {n} images are missing
+""")
+    for code, entry in table.items():
+        monkeypatch.setitem(CATALOGUE, code, entry)
+
+
+@pytest.mark.usefixtures("planted")
+def test_a_warning_from_outside_is_one_entry_and_one_call(capsys: pytest.CaptureFixture[str]) -> None:
+    found = finding("outside.planted", image="left", others=["a", "b", "c"], angle=180.0)
+    told = "image left is upside down, like a, b ...; turn it with {} 180"
+    assert (str(found), found.text(flag)) == (told.format("option turn_by"), told.format("--turn-by"))
+    alone = finding("outside.planted", image="left", others=[], angle=90.0)
+    assert str(alone) == "image left is upside down; turn it with option turn_by 90"
+
+    record = json.loads(json.dumps(as_record([found])))
+    assert record["warnings"] == [str(found)]
+    assert record["findings"][0]["data"] == {"image": "left", "others": ["a", "b", "c"], "angle": 180.0}
+    assert findings_of(record) == (found,)
+    assert problems(record | {"weights": "relative", "kind": "bundle"}) == [str(found)]
+    tell_findings(record)
+    assert capsys.readouterr().err == f"warning: {found.text(flag)}\n"
+
+
+@pytest.mark.usefixtures("planted")
+def test_doubts_decide_on_the_status() -> None:
+    alone = finding("outside.planted", image="left", others=[], angle=90.0)
+    assert judged([alone])["status"] == "good"
+    assert judged([alone, finding("outside.doubt", n=2)])["status"] == "not_trustworthy"
+
+
+def test_results_of_earlier_and_later_versions_are_read() -> None:
+    """Sentences only; a code without words here, or one whose words ask for other data, keeps those of the record."""
+    first, second = findings_of({"warnings": ["few points", "no fit"], "reason": "no fit"})
+    assert [(str(one), one.severity) for one in (first, second)] == [("few points", "warning"), ("no fit", "doubt")]
+    assert findings_of({}) == ()
+    later: dict[str, Any] = {"code": "later.code", "severity": "note", "message": "said then", "remedy": "do so"}
+    assert (str(read(later)), read(later).severity) == ("said then; do so", "note")
+    assert str(read(later | {"code": "solution.few_check", "data": {"n": 1}})) == "said then; do so"
+
+
+def test_a_finding_shows_where_what_and_the_remedy_on_one_line() -> None:
+    found = replace(finding("solution.no_check"), file="a.csv", place="line\n3", value="7")
+    told = "a.csv, line 3: no check points: the accuracy is not verified independently (found 7)"
+    assert str(found) == told and hash(found) == hash(replace(found))
+    assert found.as_dict()["severity"] == "warning"
+
+
+def test_data_are_plain_and_lists_are_short() -> None:
+    found = finding("solution.outside_validity", image=Path("left"), n=80, points=tuple(map(str, range(80))))
+    assert found.data == {"image": "left", "n": 80, "points": [str(k) for k in range(50)]}
+    assert str(found).endswith("left: 80 point(s): 0, 1, 2, 3, 4, 5, 6, 7, 8, 9 ...")
