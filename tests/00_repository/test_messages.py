@@ -77,12 +77,14 @@ def literals(repository: Path) -> set[str]:
     return found
 
 
+@pytest.mark.repository
 def test_every_code_in_the_sources_is_in_the_catalogue(repository: Path) -> None:
     used = calls(repository)
     assert used
     assert [(place, code) for place, code, _ in used if code not in CATALOGUE] == []
 
 
+@pytest.mark.repository
 def test_every_literal_that_looks_like_a_code_is_in_the_catalogue(repository: Path) -> None:
     """``domain.word`` of a known domain, unless the word is the suffix of a file name."""
     alike = {
@@ -93,6 +95,7 @@ def test_every_literal_that_looks_like_a_code_is_in_the_catalogue(repository: Pa
     assert sorted(alike - set(CATALOGUE)) == []
 
 
+@pytest.mark.repository
 def test_every_field_of_a_message_is_given(repository: Path) -> None:
     lacking = [
         (place, code, fields(code) - ALWAYS - keywords)
@@ -102,10 +105,12 @@ def test_every_field_of_a_message_is_given(repository: Path) -> None:
     assert lacking == []
 
 
+@pytest.mark.repository
 def test_every_code_of_the_catalogue_is_used(repository: Path) -> None:
     assert sorted(set(CATALOGUE) - literals(repository)) == []
 
 
+@pytest.mark.repository
 @pytest.mark.parametrize("code", sorted(CATALOGUE))
 def test_entry_is_well_formed(code: str) -> None:
     message, remedy = CATALOGUE[code]
@@ -116,6 +121,7 @@ def test_entry_is_well_formed(code: str) -> None:
     assert [message, remedy] == [" ".join(text.split()) for text in (message, remedy)]
 
 
+@pytest.mark.behaviour
 def test_entries_format_with_values_of_their_fields() -> None:
     """Each field takes what its format asks for, and no other word of the entry is lost."""
     for code, texts in CATALOGUE.items():
@@ -128,12 +134,14 @@ def test_entries_format_with_values_of_their_fields() -> None:
         assert shown.count("WORD") == sum(1 for _, name, kind, _ in parts if name and not kind), code
 
 
+@pytest.mark.repository
 def test_choices_are_offered_in_the_same_words() -> None:
     """A list of what is known is introduced alike everywhere."""
     others = re.compile(r"choose among|use one of|give one of \{|^known: \{known\}$|choose one of: ")
     assert [code for code, texts in CATALOGUE.items() if any(others.search(text) for text in texts)] == []
 
 
+@pytest.mark.behaviour
 def test_one_problem_is_one_line_with_file_place_value_and_remedy() -> None:
     text = str(InputError.of("output.exists", file="out", place="--out", value="two\nlines"))
     assert text.startswith("out, --out: ")
@@ -142,6 +150,7 @@ def test_one_problem_is_one_line_with_file_place_value_and_remedy() -> None:
     assert "\n" not in text
 
 
+@pytest.mark.behaviour
 def test_problems_of_one_error_are_listed_line_by_line() -> None:
     first, second = problem("output.exists", file="a"), problem("output.exists", file="b")
     error = FgOrientError(first, second)
