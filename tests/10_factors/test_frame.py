@@ -18,6 +18,7 @@ def camera_of(rng: np.random.Generator, distortion: np.ndarray) -> np.ndarray:
     return out
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 9.9e-3, 1.01e-2, 0.5, 3.1, 6.0])
 def test_rotation_equals_scipy(angle: float) -> None:
     """Series and closed form, across their limit at 0.01 rad, up to nearly a full turn."""
@@ -35,6 +36,7 @@ def test_rotation_equals_scipy(angle: float) -> None:
     assert np.abs(out[20:].reshape(3, 3) - np.stack(ends, axis=1)).max() < 1e-8
 
 
+@pytest.mark.oracle
 def test_residual_equals_the_printed_formulas() -> None:
     """OpenCV's documentation written with numpy: 16 digits of some thousand pixels."""
     rng = np.random.default_rng(3)
@@ -55,6 +57,7 @@ def test_residual_equals_the_printed_formulas() -> None:
         assert np.abs(found - expected).max() < 1e-11 * max(1.0, float(np.abs([line, sample]).max() * weight.max()))
 
 
+@pytest.mark.consistency
 def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
     rng = np.random.default_rng(4)
     camera = camera_of(rng, np.array([-0.2, 0.05, -0.01, 1e-3, -2e-3]))
@@ -102,6 +105,7 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
     return np.concatenate([value, d_image.reshape(n, -1), d_ground.reshape(n, -1)], axis=1), found
 
 
+@pytest.mark.consistency
 def test_batch_rows_equal_the_equation_and_do_not_depend_on_the_parts() -> None:
     assert has_batch(frame.FRAME_BROWN_IDEAL_TO_MEASURED)
     whole, found = rows_of([(0, 30)])
@@ -111,5 +115,6 @@ def test_batch_rows_equal_the_equation_and_do_not_depend_on_the_parts() -> None:
     assert np.array_equal(whole, parts)
 
 
+@pytest.mark.behaviour
 def test_batch_rows_report_the_first_ray_that_is_not_finite() -> None:
     assert rows_of([(0, 13), (13, 30)], spoil=True)[1] == [12, 13]

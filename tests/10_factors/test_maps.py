@@ -18,6 +18,7 @@ def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return p, 7400.0 * v / np.linalg.norm(v) + 10.0 * p / 7.2e6
 
 
+@pytest.mark.oracle
 def test_orbital_frame_is_convention_b(rng: np.random.Generator) -> None:
     """X = V x Z right of flight, Y forward, Z outward, as columns, determinant +1."""
     for _ in range(20):
@@ -31,6 +32,7 @@ def test_orbital_frame_is_convention_b(rng: np.random.Generator) -> None:
         assert r[:, 1] @ v > 7000.0
 
 
+@pytest.mark.oracle
 def test_attitude_equals_scipy(rng: np.random.Generator) -> None:
     """Active Rx(pitch) Ry(roll) Rz(yaw): scipy's intrinsic XYZ sequence."""
     for roll, pitch, yaw in rng.uniform(-1.0, 1.0, (20, 3)):
@@ -39,6 +41,7 @@ def test_attitude_equals_scipy(rng: np.random.Generator) -> None:
         assert np.abs(ours - theirs).max() < 1e-15
 
 
+@pytest.mark.consistency
 def test_small_angle_form_agrees_to_first_order() -> None:
     a = np.array([[3e-5, -2e-5, 4e-5]])
     full, small = (rotations.attitude_matrices(a, s)[0] for s in (False, True))
@@ -46,6 +49,7 @@ def test_small_angle_form_agrees_to_first_order() -> None:
     assert np.abs(full - small).max() > 1e-11
 
 
+@pytest.mark.oracle
 def test_quaternions_equal_scipy_and_ignore_the_sign(rng: np.random.Generator) -> None:
     q = rng.normal(size=(20, 4))
     ours = rotations.quaternion_matrices(q)
@@ -54,6 +58,7 @@ def test_quaternions_equal_scipy_and_ignore_the_sign(rng: np.random.Generator) -
     assert np.array_equal(ours, rotations.quaternion_matrices(-q))
 
 
+@pytest.mark.consistency
 def test_sign_flips_are_aligned_before_interpolation() -> None:
     t = np.linspace(0.0, 1.0, 5)
     q = Rotation.from_euler("XYZ", np.stack([0.1 * t, 0.2 * t, 0.3 * t], axis=1)).as_quat()[:, [3, 0, 1, 2]]
@@ -67,6 +72,7 @@ def test_sign_flips_are_aligned_before_interpolation() -> None:
     assert np.abs(a - raw).max() > 0.1  # without it the interpolation goes through anything
 
 
+@pytest.mark.oracle
 def test_lagrange_is_exact_for_degree_seven(rng: np.random.Generator) -> None:
     t = np.linspace(-120.0, 120.0, 9)
     c = rng.normal(size=(8, 3))
@@ -78,6 +84,7 @@ def test_lagrange_is_exact_for_degree_seven(rng: np.random.Generator) -> None:
     assert np.abs(nodes - poly(t / 120.0, c).T).max() < 1e-14
 
 
+@pytest.mark.consistency
 def test_polynomials_fit_and_transformation_to_lines(rng: np.random.Generator) -> None:
     n_lines = 12000
     line = np.linspace(0, n_lines - 1, 50)
@@ -93,6 +100,7 @@ def test_polynomials_fit_and_transformation_to_lines(rng: np.random.Generator) -
     assert np.abs(polynomials.evaluate(per_line, distance) - polynomials.evaluate(c, tau)).max() < 1e-12
 
 
+@pytest.mark.oracle
 def test_geodetic_equals_proj(rng: np.random.Generator) -> None:
     to_geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
     lon, lat, h = rng.uniform(-180, 180, 200), rng.uniform(-89, 89, 200), rng.uniform(-400, 9000, 200)
@@ -105,6 +113,7 @@ def test_geodetic_equals_proj(rng: np.random.Generator) -> None:
     assert np.abs(np.degrees(ours[:, :2]) - theirs[:, :2]).max() < 1e-9
 
 
+@pytest.mark.consistency
 def test_intersection_lies_at_the_height_and_is_the_nearest() -> None:
     p = np.array([[7.2e6, 0.0, 0.0]])
     u = np.array([[-1.0, 0.05, 0.1]])
@@ -118,6 +127,7 @@ def test_intersection_lies_at_the_height_and_is_the_nearest() -> None:
     assert np.isnan(ellipsoid.intersect(p, np.array([[0.0, 1.0, 0.0]]), np.array([0.0]))).all()  # misses
 
 
+@pytest.mark.truth
 def test_look_direction_points_to_the_earth(rng: np.random.Generator) -> None:
     """Third component -1 (erratum of both sources): with +1 both roots of the ellipsoid are negative."""
     d = look.direction(np.array([0.01]), np.array([0.3]))
@@ -133,6 +143,7 @@ def test_look_direction_points_to_the_earth(rng: np.random.Generator) -> None:
     assert np.isfinite(ellipsoid.intersect(p[None], -up, sea_level)).all()  # it meets the Earth, but behind
 
 
+@pytest.mark.truth
 def test_look_table_is_linear_in_the_tangent() -> None:
     grid, psi = np.array([0.0, 5999.0]), np.array([0.43, 0.50])
     _, psi_y = look.from_table(grid, np.zeros(2), psi, np.array([0.0, 2999.5, 5999.0]))
@@ -140,6 +151,7 @@ def test_look_table_is_linear_in_the_tangent() -> None:
     assert psi_y[[0, 2]] == pytest.approx(psi, abs=1e-15)
 
 
+@pytest.mark.oracle
 def test_sines_equal_those_of_extended_precision(rng: np.random.Generator) -> None:
     """Over many turns within rounding of one, small angles within rounding of themselves."""
     for size in (1e-9, 1e-4, 0.5, 0.78, 2.0, 10.0, 1e6):
@@ -153,6 +165,7 @@ def test_sines_equal_those_of_extended_precision(rng: np.random.Generator) -> No
             assert np.abs((less - exact_less) / exact_less).max() < 6e-16
 
 
+@pytest.mark.oracle
 def test_sines_of_complex_angles_give_derivatives(rng: np.random.Generator) -> None:
     for x in rng.uniform(-7.0, 7.0, 50):
         sine, less = sine_cosine(complex(x, 1e-30))
@@ -160,6 +173,7 @@ def test_sines_of_complex_angles_give_derivatives(rng: np.random.Generator) -> N
         assert less.imag / 1e-30 == pytest.approx(-np.sin(x), abs=4e-16)
 
 
+@pytest.mark.consistency
 def test_frame_difference_equals_the_plain_one_and_keeps_digits(rng: np.random.Generator) -> None:
     for size in (1e5, 10.0, 1e-6):
         p, v = state(rng)
@@ -183,6 +197,7 @@ def test_frame_difference_equals_the_plain_one_and_keeps_digits(rng: np.random.G
         assert np.abs(ours - linear).max() <= 2.0 * (size / 1e6) ** 2 + 2e-15 * np.abs(linear).max()
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("follows", [0.0, 1.0])
 def test_derivatives_of_orbital_coordinates(follows: float, rng: np.random.Generator) -> None:
     """Against complex step of the plain product."""
@@ -200,6 +215,7 @@ def test_derivatives_of_orbital_coordinates(follows: float, rng: np.random.Gener
             assert abs(ours[k] - numeric) <= 1e-14 * np.abs(ours).max()
 
 
+@pytest.mark.oracle
 def test_pair_rotation_sums_to_the_plain_product(rng: np.random.Generator) -> None:
     for form, pair in (
         (rotations.orbital_from_body, differences.body_from_orbital_pair),
