@@ -14,6 +14,8 @@ from fg_orient.errors import InputError, Problem
 from fg_orient.io.dimap import read_dimap
 from fg_orient.sensors.metadata import PushbroomMetadata
 
+pytestmark = pytest.mark.behaviour
+
 Refused = Callable[..., Problem]
 
 # old text (regular expression, first hit), new text, code, place, value

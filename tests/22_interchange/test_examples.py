@@ -15,6 +15,8 @@ from fg_orient.interchange.registry import Settings, formats
 from fg_orient.interchange.survey import Survey
 from fg_orient.names import Role
 
+pytestmark = pytest.mark.behaviour
+
 UTM = wkt("EPSG:32636")
 
 METASHAPE_CSV = f"""\

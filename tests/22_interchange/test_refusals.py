@@ -15,6 +15,8 @@ from fg_orient.interchange.survey import Survey
 from fg_orient.io.scenes import Scene
 from fg_orient.names import Role
 
+pytestmark = pytest.mark.behaviour
+
 UTM = "EPSG:32636"
 ZONGULDAK = Scene.from_footprint("left", np.array([[31.5, 41.6], [32.2, 41.6], [32.2, 41.0], [31.5, 41.0]], float))
 

@@ -51,6 +51,7 @@ def written(folder: Path, old: str = "", new: str = "") -> Path:
     return path
 
 
+@pytest.mark.oracle
 def test_pixels_are_those_of_the_printed_formula_and_images_without_orientation_are_left_out(tmp_path: Path) -> None:
     data, images, notes = read_bundler(written(tmp_path))
     assert (images, notes) == ((1,), ("1 image(s) without orientation are left out",))
@@ -66,6 +67,7 @@ def model_numbers(data: BalData) -> list[np.ndarray]:
     return [data.camera, data.point, data.xy, data.cameras, data.points]
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", ["bundle.txt", "bundle.txt.gz", "bundle.txt.bz2"])
 def test_bal_is_written_and_read_again(name: str, tmp_path: Path) -> None:
     data, lost = bal_data_of(frame_model(("none", "k1", "radial")))
@@ -78,6 +80,7 @@ def test_bal_is_written_and_read_again(name: str, tmp_path: Path) -> None:
         write_bal(tmp_path / name, data)
 
 
+@pytest.mark.consistency
 def test_bundler_is_written_and_read_again(tmp_path: Path) -> None:
     data, _ = bal_data_of(frame_model(("none", "k1", "radial")))
     write_bundler(tmp_path / "bundle.out", data)
@@ -92,6 +95,7 @@ def test_bundler_is_written_and_read_again(tmp_path: Path) -> None:
         write_bundler(tmp_path / "bundle.out", data)
 
 
+@pytest.mark.consistency
 def test_residuals_survive_the_way_there_and_back() -> None:
     model = frame_model(("none", "k1", "radial"))
     back = frame_model_of(bal_data_of(model)[0])
@@ -102,6 +106,7 @@ def test_residuals_survive_the_way_there_and_back() -> None:
     assert np.abs(same.sample - centred.sample).max() < 1e-12
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("camera", "value"), [("k3", "k3 -0.004 p1 0.0003 p2 -0.0002"), ("brown", "p1 0.0003 p2 -0.0002")]
 )
@@ -127,6 +132,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("old", "new", "code", "place"), FAULTS)
 def test_faults_name_their_line(old: str, new: str, code: str, place: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
@@ -135,6 +141,7 @@ def test_faults_name_their_line(old: str, new: str, code: str, place: str, tmp_p
     assert (found.code, found.place, found.file) == (code, place, "bundle.out")
 
 
+@pytest.mark.consistency
 @pytest.mark.real_data
 def test_ladybug_is_a_frame_model_and_comes_back(real_data: Path, tmp_path: Path) -> None:
     data = read_bal_data(real_data / "bal" / "problem-49-7776-pre.txt.gz")
