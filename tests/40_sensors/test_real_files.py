@@ -37,6 +37,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("name", V1_FILES)
 def test_frame_points(real_data: Path, name: str) -> None:
     s = sensor(real_data / "geocosicorr3d", name)
@@ -48,6 +49,7 @@ def test_frame_points(real_data: Path, name: str) -> None:
     assert missed.max() <= FRAME_LIMIT_M[name]
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("height_m", [0.0, 5000.0])
 @pytest.mark.parametrize(
     "name", [f"geocosicorr3d/{n}" for n in [*V1_FILES, "SPOT6.XML"]] + [f"geoetrim-pleiades/{n}" for n in PLEIADES]
@@ -67,6 +69,7 @@ def test_round_trip_over_the_whole_scene(real_data: Path, name: str, height_m: f
         assert np.abs(s_back - sample).max() <= 1e-6
 
 
+@pytest.mark.truth
 def test_spot5_equals_two_independent_programs(real_data: Path) -> None:
     """Rugged within 1 cm, geoCosiCorr3D within 5 cm, on the ellipsoid (docs/equations.md 2)."""
     s = sensor(real_data / "geocosicorr3d", "SPOT5.DIM")
@@ -82,6 +85,7 @@ def test_spot5_equals_two_independent_programs(real_data: Path) -> None:
         assert horizontal_m(s.locate(line - 1, sample - 1, height_m=0.0), lon, lat).max() <= limit
 
 
+@pytest.mark.truth
 def test_spot6_equals_an_independent_program(real_data: Path) -> None:
     """16 rows of geoCosiCorr3D within 1 cm: sampled quaternions, START-based times, band calibration."""
     s = sensor(real_data / "geocosicorr3d", "SPOT6.XML")
@@ -110,6 +114,7 @@ def rpc_project(
     return line, sample
 
 
+@pytest.mark.truth
 def test_pleiades_equals_the_vendor_rpc(real_data: Path) -> None:
     """Rigorous projection of image 1 against the RPC of the same file at all 86 points: 0.01 px."""
     folder = real_data / "geoetrim-pleiades"
@@ -126,6 +131,7 @@ def test_pleiades_equals_the_vendor_rpc(real_data: Path) -> None:
     assert abs(np.mean(rpc_sample - observed[:, 1])) == pytest.approx(16.3, abs=0.2)  # the known vendor bias
 
 
+@pytest.mark.consistency
 def test_eop_polynomials_and_their_residuals(real_data: Path) -> None:
     """A parabola describes position to 3 cm and velocity to 3e-5 m/s over 12000 lines."""
     s = sensor(real_data / "geocosicorr3d", "SPOT5.DIM")
@@ -140,6 +146,7 @@ def test_eop_polynomials_and_their_residuals(real_data: Path) -> None:
     assert 1e-8 < fit.largest[6:].max() < 1e-4
 
 
+@pytest.mark.consistency
 def test_v2_attitude_angles_rebuild_the_mounting(real_data: Path) -> None:
     from factors.rotations import attitude_matrices
 

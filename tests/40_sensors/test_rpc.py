@@ -47,6 +47,7 @@ class Slope:
         return np.asarray(300.0 + 800.0 * (lon_deg - 31.8) + 900.0 * (lat_deg - 41.4))
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("compensation", [None, COMPENSATION])
 @pytest.mark.parametrize("height_m", [0.0, 480.0, 1000.0])
 def test_locate_and_project_return_the_pixel(
@@ -63,6 +64,7 @@ def test_locate_and_project_return_the_pixel(
     assert np.abs(ellipsoid.geodetic_array(ground)[:, 2] - height_m).max() < 1e-8
 
 
+@pytest.mark.oracle
 def test_projection_of_ecef_points_equals_an_independent_one(sensor: RpcSensor) -> None:
     lon, lat, h = ground_points(sensor.model)
     line, sample = sensor.project(geodetic_to_ecef(lon, lat, h))
@@ -70,6 +72,7 @@ def test_projection_of_ecef_points_equals_an_independent_one(sensor: RpcSensor) 
     assert max(np.abs(line - l_ref).max(), np.abs(sample - s_ref).max()) < 1e-7
 
 
+@pytest.mark.consistency
 def test_vendor_inverse_serves_as_a_guess_and_is_given_on_request() -> None:
     """A good guess, a useless one and none give the same point."""
     model = synthetic_model()
@@ -87,6 +90,7 @@ def test_vendor_inverse_serves_as_a_guess_and_is_given_on_request() -> None:
     assert lat == pytest.approx(41.4 - 0.045 * (line - 10000.0) / 10000.0)
 
 
+@pytest.mark.consistency
 def test_location_across_the_date_line() -> None:
     model = synthetic_model(offsets=[10000.0, 12000.0, 179.99, 10.0, 500.0])
     lon, lat = model.locate(10000.0, 23000.0, 500.0)
@@ -99,6 +103,7 @@ def test_location_across_the_date_line() -> None:
     )
 
 
+@pytest.mark.consistency
 def test_located_on_a_dem(sensor: RpcSensor) -> None:
     """The pixel is kept to 1e-7, the DEM is met to 0.2 mm, though the lines of sight are bent by a metre."""
     line, sample = grid(sensor, 7)
@@ -110,6 +115,7 @@ def test_located_on_a_dem(sensor: RpcSensor) -> None:
     assert max(np.abs(l_back - line).max(), np.abs(s_back - sample).max()) < 1e-7
 
 
+@pytest.mark.consistency
 def test_rays_pass_through_the_located_points(sensor: RpcSensor) -> None:
     """At the lowest and the highest valid height; between them lines of sight are bent."""
     line, sample = grid(sensor, 5)
@@ -122,6 +128,7 @@ def test_rays_pass_through_the_located_points(sensor: RpcSensor) -> None:
         assert np.linalg.norm(to - along[:, None] * direction, axis=1).max() < 1e-6
 
 
+@pytest.mark.consistency
 def test_footprint_and_centre(sensor: RpcSensor) -> None:
     corners = sensor.footprint()
     line = [sensor.first_line, sensor.first_line, sensor.last_line, sensor.last_line]
@@ -132,6 +139,7 @@ def test_footprint_and_centre(sensor: RpcSensor) -> None:
     assert np.stack(sensor.project(sensor.centre_m)).ravel() == pytest.approx([10000.0, 12000.0], abs=1e-6)
 
 
+@pytest.mark.behaviour
 def test_size_of_the_image() -> None:
     """From the file, from its validity, or from offset and scale."""
     assert (RpcSensor(synthetic_model()).n_lines, RpcSensor(synthetic_model()).n_samples) == (20001, 24001)
@@ -143,6 +151,7 @@ def test_size_of_the_image() -> None:
     assert partial.is_inside(np.array([-27.5, -27.6]), np.zeros(2)).tolist() == [True, False]
 
 
+@pytest.mark.behaviour
 def test_pixels_outside_are_refused(sensor: RpcSensor) -> None:
     with pytest.raises(
         OutOfImage, match=r"synthetic, line 20000\.6, sample 0: pixel outside.*lines run from -0\.5 to 20000\.5"
@@ -150,6 +159,7 @@ def test_pixels_outside_are_refused(sensor: RpcSensor) -> None:
         sensor.locate([0.0, 20000.6], [0.0, 0.0], height_m=0.0)
 
 
+@pytest.mark.behaviour
 def test_ground_points_outside_the_validity_are_flagged_and_refused(sensor: RpcSensor) -> None:
     lon, lat, h = [31.8, 31.8, 41.4], [41.4, 41.4, 31.8], [500.0, 1000.5, 500.0]
     assert sensor.model.inside(lon, lat, h).tolist() == [True, False, False]
@@ -158,6 +168,7 @@ def test_ground_points_outside_the_validity_are_flagged_and_refused(sensor: RpcS
         sensor.model.require_valid(lon, lat, h)
 
 
+@pytest.mark.behaviour
 def test_a_pixel_without_ground_is_refused() -> None:
     """l = x^2 + z: the pixel lies below its lowest value at great heights."""
     c = np.zeros((4, 20))
@@ -170,6 +181,7 @@ def test_a_pixel_without_ground_is_refused() -> None:
 # --- soundness -------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_arrays_are_read_only_copies() -> None:
     given = synthetic_model().coefficients.copy()
     model = synthetic_model(coefficients=given)
@@ -179,6 +191,7 @@ def test_arrays_are_read_only_copies() -> None:
         model.offsets[0] = 1.0
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
@@ -195,12 +208,14 @@ def test_unsound_models_are_refused(fields: dict[str, object], message: str) -> 
         synthetic_model(**fields)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("compensation", [[1.0, 2.0], [0.0, 0.0, 0.0, 0.0, 0.0, np.nan]])
 def test_wrong_compensation_is_refused(sensor: RpcSensor, compensation: list[float]) -> None:
     with pytest.raises(InputError, match="6 finite numbers"):
         sensor.project(sensor.centre_m, compensation)
 
 
+@pytest.mark.behaviour
 def test_a_pole_inside_the_image_is_refused_unless_taken() -> None:
     c = synthetic_model().coefficients.copy()
     c[3, 1] = -2.0  # sample denominator 1 - 2 x
@@ -213,6 +228,7 @@ def test_a_pole_inside_the_image_is_refused_unless_taken() -> None:
     assert np.isfinite([line[0], sample[0]]).all()
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("seed", "row", "term", "value"), [(51, 1, 2, -1.1), (50, 3, 1, 1.7), (53, 3, 1, 1.1)])
 def test_a_pole_before_a_corner_is_refused(seed: int, row: int, term: int, value: float) -> None:
     """Newton steps over the pole and finds corners 20 to 130 times the model's range away, denominators positive."""
@@ -222,6 +238,7 @@ def test_a_pole_before_a_corner_is_refused(seed: int, row: int, term: int, value
         RpcSensor(synthetic_model(coefficients=c))
 
 
+@pytest.mark.behaviour
 def test_a_pole_outside_the_image_does_no_harm() -> None:
     """The cube of normalised coordinates may be wider than the image: the pole lies where no pixel looks."""
     c = np.zeros((4, 20))
@@ -233,6 +250,7 @@ def test_a_pole_outside_the_image_does_no_harm() -> None:
 # --- the equation ----------------------------------------------------------------------------
 
 
+@pytest.mark.consistency
 def test_the_equation_gives_the_projection(sensor: RpcSensor, rng: np.random.Generator) -> None:
     """Residual = projected + compensation - observed, from references up to 300 m off: 1e-7 px beside `project`."""
     lon, lat, h = ground_points(sensor.model, 50)
@@ -252,6 +270,7 @@ def run(*words: object) -> tuple[int, str]:
     return done.exit_code, done.stdout
 
 
+@pytest.mark.behaviour
 def test_commands_take_rpc_files(tmp_path: Path) -> None:
     path = tmp_path / "scene_RPC.TXT"
     write_rpc(path, synthetic_model())

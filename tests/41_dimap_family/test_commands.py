@@ -60,6 +60,7 @@ def short(twin: Path, tmp_path: Path) -> Path:
     return tmp_path / "short" / "project.toml"
 
 
+@pytest.mark.consistency
 def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
     image = twin / "left.DIM"
     pixel = ("--line", 6000, "--sample", 3000, "--height", 400, "--json")
@@ -73,6 +74,7 @@ def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
     assert (back["line"], back["sample"]) == pytest.approx((6000.0, 3000.0), abs=1e-5)
 
 
+@pytest.mark.behaviour
 def test_intersection_with_a_result(twin: Path, result: Path) -> None:
     """Rays miss by metres only: with the metadata by 45 m."""
     project = twin / "project.toml"
@@ -81,6 +83,7 @@ def test_intersection_with_a_result(twin: Path, result: Path) -> None:
     assert all(0.5 < p["sigma_up_m"] < 5.0 for p in after["points"])
 
 
+@pytest.mark.behaviour
 def test_footprint_of_a_project_and_of_files(twin: Path, result: Path, tmp_path: Path) -> None:
     out = tmp_path / "f.geojson"
     ended = run("footprint", twin / "project.toml", "--height", 300, "--result", result, "--out", out, "--json")
@@ -98,6 +101,7 @@ def test_footprint_of_a_project_and_of_files(twin: Path, result: Path, tmp_path:
         assert (ended.code, [e["code"] for e in ended.json["errors"]]) == (2, [code])
 
 
+@pytest.mark.consistency
 def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: Path) -> None:
     """Its error at independent points stands in the record; the file is the adjusted model, not the metadata's."""
     out = tmp_path / "left_RPC.TXT"
@@ -118,6 +122,7 @@ def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: P
     assert ended.code == 2 and "--result" in ended.json["errors"][0]["place"]
 
 
+@pytest.mark.behaviour
 def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Refused without the option; with it the model that fills the map has all lines, and the record says so."""
     lines = []
@@ -136,6 +141,7 @@ def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, m
     assert lines == [11999.0]
 
 
+@pytest.mark.behaviour
 def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path) -> None:
     """Refused with the line and the remedy; with the option the notes of the result say what was done."""
     ended = run("locate", short.parent / "left.DIM", "--line", 11999, "--sample", 5, "--height", 0, "--json")
@@ -154,6 +160,7 @@ def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path
         read_project(short, extrapolate_attitude_s=-1.0)
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 def test_models_of_one_file(real_data: Path) -> None:
     """PHR_DIMAP holds both: the rigorous one is used, --model rpc takes the other."""
@@ -167,6 +174,7 @@ def test_models_of_one_file(real_data: Path) -> None:
     assert [e["code"] for e in ended.json["errors"]] == ["sensor.only_rpc"]
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 def test_frame_of_spot6_is_printed_with_its_heights(real_data: Path) -> None:
     ended = run("locate", real_data / "geocosicorr3d/SPOT6.XML", "--frame")
@@ -175,6 +183,7 @@ def test_frame_of_spot6_is_printed_with_its_heights(real_data: Path) -> None:
     assert "height of each is solved" in ended.stderr
 
 
+@pytest.mark.behaviour
 def test_adjust_with_a_dem_as_control(twin: Path, tmp_path: Path) -> None:
     """Check points as tie points on a level DEM: the record holds what was observed, the redundancy grows by it."""
     rasterio = pytest.importorskip("rasterio")

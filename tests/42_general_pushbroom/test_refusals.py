@@ -14,6 +14,8 @@ from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.sensor_description import describe
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.fixture(scope="module")
 def sensor() -> PushbroomSensor:

@@ -31,6 +31,7 @@ def pixels(sensor: PushbroomSensor, n: int = 9) -> tuple[np.ndarray, np.ndarray]
     return grid[0].ravel(), grid[1].ravel()
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(("orbit", "attitude"), [
     ("ITRF", "orbital"), ("ITRF", "ITRF"), ("GCRS", "orbital"), ("EME2000", "EME2000"), ("ITRF", "GCRS"),
 ])  # fmt: skip
@@ -47,6 +48,7 @@ def test_every_frame_gives_the_rays_of_the_dimap_sensor(
     assert said == (orbit != "ITRF" or attitude not in ("orbital", "ITRF"))
 
 
+@pytest.mark.consistency
 def test_kepler_and_inertial_velocity_are_one_frame(block: Block, tmp_path: Path) -> None:
     """They turn against the Earth-fixed one by the Earth's rotation across the track: degrees of yaw."""
     sensor, at = block.images[0].sensor, ([10.0], [20.0])
@@ -60,6 +62,7 @@ def test_kepler_and_inertial_velocity_are_one_frame(block: Block, tmp_path: Path
     assert np.linalg.norm(found["kepler"] - found["earth-fixed velocity"]) > 1000.0
 
 
+@pytest.mark.consistency
 def test_round_trips_with_light(block: Block, tmp_path: Path) -> None:
     """Below 1e-6 px from 0 to 5000 m, every effect on; each effect has its documented size."""
     sensor = block.images[0].sensor
@@ -80,6 +83,7 @@ def test_round_trips_with_light(block: Block, tmp_path: Path) -> None:
     assert moved["refraction"].max() < 3.0
 
 
+@pytest.mark.oracle
 def test_offset_and_mounting(block: Block, tmp_path: Path) -> None:
     """The projection centre moves with the offset; a mounting turns the camera before the attitude does."""
     sensor = block.images[0].sensor
@@ -98,6 +102,7 @@ def test_offset_and_mounting(block: Block, tmp_path: Path) -> None:
         assert np.abs(turn.states(100.0).mount - expected).max() < 1e-14
 
 
+@pytest.mark.oracle
 def test_a_lens_is_the_table_of_its_directions(block: Block, tmp_path: Path) -> None:
     """p = (0, y, 0) - (x_s, y_s, c) + delta, with the numbers written out here."""
     path = describe(block.images[0].sensor, tmp_path)
@@ -112,6 +117,7 @@ def test_a_lens_is_the_table_of_its_directions(block: Block, tmp_path: Path) -> 
     assert np.tan(psi_y) == pytest.approx((-1e-5 * (y - 100.5) + 1e-6 + 2e-6 * s) / 2.0, rel=1e-12)
 
 
+@pytest.mark.consistency
 def test_the_adjustment_is_that_of_the_dimap_sensors(block: Block, tmp_path: Path) -> None:
     """The same observations, the same unknowns: the same ground points and sigma0."""
     images = tuple(Image(i.id, read_sensor(describe(i.sensor, tmp_path / i.id))) for i in block.images)
@@ -122,6 +128,7 @@ def test_the_adjustment_is_that_of_the_dimap_sensors(block: Block, tmp_path: Pat
     assert np.nanmax(np.abs(found.ground_m - expected.ground_m)) < 1e-3
 
 
+@pytest.mark.consistency
 def test_a_block_with_light_is_adjusted(block: Block, tmp_path: Path) -> None:
     """Pixels projected with every effect: no residuals, no corrections left; without the effects there are some."""
     images = tuple(Image(i.id, read_sensor(describe(i.sensor, tmp_path / i.id, extra=ALL_LIGHT))) for i in block.images)
@@ -139,6 +146,7 @@ def test_a_block_with_light_is_adjusted(block: Block, tmp_path: Path) -> None:
     assert fg.adjust(replace(exact, images=block.images)).sigma0 > 1e-2
 
 
+@pytest.mark.consistency
 def test_the_rate_of_the_earth_is_one(block: Block) -> None:
     from fg_orient.sensors.earth_rotation import EarthRotation
 

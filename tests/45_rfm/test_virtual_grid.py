@@ -30,6 +30,7 @@ def fitted(sensor: PushbroomSensor) -> SensorRfm:
     return fit_sensor(sensor, (0.0, 2000.0), shape=SHAPE)
 
 
+@pytest.mark.consistency
 def test_stated_errors_are_those_against_the_sensor(sensor: PushbroomSensor, fitted: SensorRfm) -> None:
     assert fitted.check_px.rms.max() < 1e-3, "a smooth orbit and no attitude: a cubic rational function is enough"
     assert fitted.check_px.points == np.prod(SHAPE)
@@ -44,6 +45,7 @@ def test_stated_errors_are_those_against_the_sensor(sensor: PushbroomSensor, fit
     assert fitted.fit_px.largest.max() < 3.0 * fitted.check_px.largest.max() + 1e-6
 
 
+@pytest.mark.consistency
 def test_inverse_model_locates(sensor: PushbroomSensor, fitted: SensorRfm) -> None:
     inverse, scale = fitted.inverse, fitted.inverse_m
     lat, lon = inverse.project(np.array([[6000.0, 3000.0, 700.0]]))  # sample, line, height
@@ -56,6 +58,7 @@ def test_inverse_model_locates(sensor: PushbroomSensor, fitted: SensorRfm) -> No
     np.testing.assert_array_equal(model.direct, inverse.coefficients[[2, 3, 0, 1]])
 
 
+@pytest.mark.behaviour
 def test_validity_is_that_of_the_grid(fitted: SensorRfm) -> None:
     v = fitted.validity
     assert v.line == v.sample == (0.0, 11999.0)
@@ -67,6 +70,7 @@ def test_validity_is_that_of_the_grid(fitted: SensorRfm) -> None:
     assert "largest errors" in model.notes[0]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("heights", "shape", "said"),
     [
@@ -83,6 +87,7 @@ def test_bad_grids_are_refused(
         fit_sensor(sensor, heights, shape=shape)
 
 
+@pytest.mark.consistency
 @pytest.mark.real_data
 def test_real_spot5_scene(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """RMS <= 0.035 px and largest error <= 0.12 px per axis: the attitude of 8 Hz is not smooth enough for 0.05 px."""

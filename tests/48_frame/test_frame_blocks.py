@@ -57,6 +57,7 @@ def largest(problem: Problem, a: State, b: State) -> tuple[float, float]:
     return float(np.abs(a.image - b.image).max()), float(ground.max())
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", ["nine", "fourteen", "beside pushbroom"])
 @pytest.mark.parametrize("optimizer", OPTIMIZERS)
 def test_three_backends_agree(name: str, optimizer: str) -> None:
@@ -98,6 +99,7 @@ def independent(block: Block) -> Callable[[np.ndarray], np.ndarray]:
     return residuals
 
 
+@pytest.mark.oracle
 def test_solution_is_the_minimum_of_an_independent_cost() -> None:
     """The Gauss-Newton step left there, with numeric derivatives (1e-10 of their size), is below 1e-7."""
     block, _ = small()
@@ -116,6 +118,7 @@ def test_solution_is_the_minimum_of_an_independent_cost() -> None:
     assert np.abs(step).max() < 1e-7
 
 
+@pytest.mark.oracle
 def test_truth_lies_within_its_standard_deviations() -> None:
     block, truth = pinhole_block(6, 60, seed=5)
     solution = fg.adjust(block)
@@ -131,6 +134,7 @@ def test_truth_lies_within_its_standard_deviations() -> None:
     assert 0.8 < np.sqrt(solution.chi2 / solution.problem.redundancy) < 1.2
 
 
+@pytest.mark.behaviour
 def test_relative_block_names_the_seven_motions_of_its_datum() -> None:
     solution = fg.adjust(small()[0])
     datum = [text for text in solution.unobservable if text.startswith("block: the images may be")]
@@ -140,6 +144,7 @@ def test_relative_block_names_the_seven_motions_of_its_datum() -> None:
     assert any("m X, Y, Z" in text for text in solution.warnings)
 
 
+@pytest.mark.consistency
 def test_free_datum_needs_no_prior_and_is_not_trusted() -> None:
     """The same shape by all backends; every one steps although its equations are singular."""
     block = with_options(pinhole_block(4, 60, seed=2)[0], datum="free", priors=False)
@@ -158,6 +163,7 @@ def test_free_datum_needs_no_prior_and_is_not_trusted() -> None:
     assert caught.value.problems[0].code == "block.no_control"
 
 
+@pytest.mark.oracle
 def test_control_points_of_a_local_system_fix_the_datum() -> None:
     """Sigmas are along X, Y, Z; differences, too."""
     block, truth = small()
@@ -176,6 +182,7 @@ def test_control_points_of_a_local_system_fix_the_datum() -> None:
     assert np.allclose(records, np.diag([100.0, 50.0, 100.0 / 3.0]))
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("arguments", "place"), [((1, 5), "n_images"), ((3, 5, 4), "views"), ((3, 0, 2), "n_points")])
 def test_impossible_simulations_are_refused(arguments: tuple[int, ...], place: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -183,6 +190,7 @@ def test_impossible_simulations_are_refused(arguments: tuple[int, ...], place: s
     assert caught.value.problems[0].place == place
 
 
+@pytest.mark.consistency
 def test_simulation_without_noise_fits_its_truth() -> None:
     block, truth = pinhole_block(5, 40, seed=9, noise_px=0.0)
     problem = compile_problem(block)

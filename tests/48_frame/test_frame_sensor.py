@@ -30,6 +30,7 @@ def aerial(**changes: object) -> FrameSensor:
     return FrameSensor(FrameCamera(**(values | changes)), 8000, 6000, file="camera.toml")  # type: ignore[arg-type]
 
 
+@pytest.mark.consistency
 def test_located_points_project_back_and_lie_at_their_height() -> None:
     sensor, rng = aerial(), np.random.default_rng(1)
     line, sample, h = rng.uniform(0, 7999, 30), rng.uniform(0, 5999, 30), rng.uniform(0.0, 800.0, 30)
@@ -42,6 +43,7 @@ def test_located_points_project_back_and_lie_at_their_height() -> None:
     assert np.abs(feet - ground).max() < 1e-6
 
 
+@pytest.mark.truth
 def test_axes_point_as_the_documentation_says() -> None:
     """A point East of nadir has the larger sample, one South of it the larger line."""
     sensor = aerial()
@@ -55,6 +57,7 @@ def test_axes_point_as_the_documentation_says() -> None:
     assert corners[3, 1] < LAT < corners[0, 1]
 
 
+@pytest.mark.consistency
 def test_correction_moves_the_pixels() -> None:
     sensor = aerial()
     change = np.zeros(14)
@@ -64,6 +67,7 @@ def test_correction_moves_the_pixels() -> None:
     assert sensor.rays(4000.0, 3000.0, change)[1] == pytest.approx(sensor.rays(4000.0, 2997.0)[1], abs=1e-12)
 
 
+@pytest.mark.behaviour
 def test_points_behind_the_camera_have_no_pixel() -> None:
     sensor = aerial()
     line, sample = sensor.project(geodetic_to_ecef(LON, LAT, HEIGHT + 1000.0))
@@ -76,6 +80,7 @@ def test_points_behind_the_camera_have_no_pixel() -> None:
     assert np.isnan(model.per_line()[0]).all()
 
 
+@pytest.mark.behaviour
 def test_centre_of_an_image_that_sees_no_ground_is_the_camera() -> None:
     up = aerial(rotation=enu_from_ecef(LON, LAT)[0])
     assert np.array_equal(up.centre_m, up.camera.centre_m)
@@ -86,6 +91,7 @@ def code(caught: pytest.ExceptionInfo[InputError]) -> str:
     return caught.value.problems[0].code
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -105,6 +111,7 @@ def test_impossible_cameras_are_refused(change: dict[str, object], expected: str
     assert code(caught) == expected
 
 
+@pytest.mark.behaviour
 def test_what_cannot_be_asked_is_refused() -> None:
     with pytest.raises(OutOfImage) as outside:
         aerial().locate(-3.0, 0.0)

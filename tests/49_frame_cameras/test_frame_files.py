@@ -89,6 +89,7 @@ def _write_tables(folder: Path, truth: dict[str, FrameSensor], ground: np.ndarra
                        np.full_like(pixels, NOISE_PX))  # fmt: skip
 
 
+@pytest.mark.consistency
 def test_a_file_survives_writing(written: Written) -> None:
     block = fg.read_project(written.project)
     for image in block.images:
@@ -99,6 +100,7 @@ def test_a_file_survives_writing(written: Written) -> None:
         assert again.sigma["centre_y"] == 0.5
 
 
+@pytest.mark.oracle
 def test_the_adjustment_finds_the_cameras(written: Written, tmp_path: Path) -> None:
     """By the command, with result folder and report; then the commands of geometry on its orientation."""
     out = tmp_path / "result"
@@ -144,6 +146,7 @@ def _recomputed(record: dict, out: Path) -> None:
     assert sum((float(v) / float(s)) ** 2 for v, s in pairs) == pytest.approx(record["chi2"], rel=1e-9)
 
 
+@pytest.mark.oracle
 def test_errors_are_those_of_the_covariance(written: Written) -> None:
     """Squares of the true errors of rotation, centre and focal length over their covariance, all images."""
     solution = fg.adjust(fg.read_project(written.project, backend="graph"))
@@ -157,6 +160,7 @@ def test_errors_are_those_of_the_covariance(written: Written) -> None:
         assert 0.7 < error @ np.linalg.solve(covariance, error) < 24.3  # 99.8 % of chi-square of 7
 
 
+@pytest.mark.consistency
 def test_backends_agree(written: Written) -> None:
     found = [fg.adjust(fg.read_project(written.project, backend=name)) for name in ("graph", "schur", "dense")]
     for other in found[1:]:
@@ -182,6 +186,7 @@ def frame_file(folder: Path, text: str = TEXT) -> Path:
     return folder / "image.toml"
 
 
+@pytest.mark.oracle
 def test_angles_turn_east_north_up(tmp_path: Path) -> None:
     """Of a point in East, North, Up about the projection centre, by scipy's rotations."""
     sensor = read_sensor(frame_file(tmp_path))
@@ -199,6 +204,7 @@ def test_angles_turn_east_north_up(tmp_path: Path) -> None:
     assert np.array(sensor.project(ground)).ravel() == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "place"),
     [
