@@ -64,6 +64,7 @@ def unflat(problem: Problem, x: np.ndarray) -> State:
     return State(x[:size].reshape(problem.start.image.shape), ground)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", [2, 15, 20])
 def test_graph_equals_dense_normal_equations(twin: Block, eop_set: int) -> None:
     """One step of the graph against numpy's QR of the stacked rows: 1e-9 of the step."""
@@ -77,6 +78,7 @@ def test_graph_equals_dense_normal_equations(twin: Block, eop_set: int) -> None:
     assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected - flat(problem, problem.start)).max()
 
 
+@pytest.mark.oracle
 def test_solution_equals_scipy(twin: Block) -> None:
     """scipy's trust-region solver from the same start, our residuals, its own derivatives of nothing."""
     solution = fg.adjust(twin, eop_set=16)
@@ -91,6 +93,7 @@ def test_solution_equals_scipy(twin: Block) -> None:
     assert np.abs(result.x - flat(problem, solution.state)).max() < 1e-6  # scipy's own stopping, not ours
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", [1, 10, 15, 20])
 @pytest.mark.parametrize("look", [None, 2])
 def test_own_and_native_optimisers_agree(twin: Block, eop_set: int, look: int | None) -> None:
@@ -103,6 +106,7 @@ def test_own_and_native_optimisers_agree(twin: Block, eop_set: int, look: int | 
         assert np.abs(other.ground_m - base.ground_m).max() <= 1e-7, optimizer
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "schur"])
 def test_cofactors_equal_the_dense_inverse(twin: Block, backend: str) -> None:
     """GTSAM Marginals or the reduced system, joint over both images and three points, against inv(A^T A)."""
@@ -132,6 +136,7 @@ def test_cofactors_equal_the_dense_inverse(twin: Block, backend: str) -> None:
     assert np.allclose(posterior.values, solution.cofactor_matrix("image:left").values * solution.sigma0**2)
 
 
+@pytest.mark.consistency
 def test_points_one_by_one_equal_points_at_once(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     """Large blocks ask GTSAM for each point; the answer is the same."""
     at_once = fg.adjust(twin, eop_set=15).cofactors
@@ -142,6 +147,7 @@ def test_points_one_by_one_equal_points_at_once(twin: Block, monkeypatch: pytest
     assert np.allclose(one_by_one.image(1), at_once.image(1), rtol=1e-8, atol=1e-12)
 
 
+@pytest.mark.behaviour
 def test_indeterminate_covariance_is_withheld_with_a_reason(twin: Block) -> None:
     """One control and two check points, no priors: solvable, but GTSAM's Cholesky gives no covariance."""
     keep = [int(twin.points.where(Role.CONTROL)[0]), *(int(j) for j in twin.points.where(Role.CHECK)[:2])]
@@ -154,6 +160,7 @@ def test_indeterminate_covariance_is_withheld_with_a_reason(twin: Block) -> None
         solution.covariance("image:left")
 
 
+@pytest.mark.truth
 def test_counts_and_redundancy(twin: Block) -> None:
     """Observations: 2 x 94 image, 3 x 37 control, 54 priors; unknowns: 54 and 3 x 47."""
     solution = fg.adjust(twin, eop_set=20)
@@ -166,6 +173,7 @@ def test_counts_and_redundancy(twin: Block) -> None:
     assert without.redundancy == 158 - 6
 
 
+@pytest.mark.oracle
 def test_sigma0_is_the_root_of_all_weighted_squares(twin: Block) -> None:
     solution = fg.adjust(twin, eop_set=15)
     r = residual_vector(solution.problem, solution.state)
@@ -175,6 +183,7 @@ def test_sigma0_is_the_root_of_all_weighted_squares(twin: Block) -> None:
     assert low < 1.0 < high
 
 
+@pytest.mark.oracle
 def test_gradient_vanishes_at_the_solution(twin: Block) -> None:
     """A^T r = 0 in scaled unknowns: the minimum, not only the end of a loop."""
     solution = fg.adjust(twin, eop_set=20, look_polynomial=1)
@@ -183,6 +192,7 @@ def test_gradient_vanishes_at_the_solution(twin: Block) -> None:
     assert np.abs(a.T @ r).max() < 1e-6 * np.abs(a).max()
 
 
+@pytest.mark.consistency
 def test_pixel_residuals_are_adjusted_minus_observed(twin: Block) -> None:
     """v = project(adjusted point) - observation to second order: 1e-3 px."""
     solution = fg.adjust(twin, eop_set=15)
@@ -194,6 +204,7 @@ def test_pixel_residuals_are_adjusted_minus_observed(twin: Block) -> None:
         assert np.abs(sample - o.sample[rows] - solution.residuals_px[rows, 1]).max() < 1e-3
 
 
+@pytest.mark.consistency
 def test_fixed_control_points_are_constants(twin: Block) -> None:
     """Fixed points leave the unknowns; very small sigmas give the same answer."""
     control = twin.points.where(Role.CONTROL)
@@ -211,6 +222,7 @@ def test_fixed_control_points_are_constants(twin: Block) -> None:
     assert a.redundancy == b.redundancy
 
 
+@pytest.mark.consistency
 def test_excluded_check_points_are_intersected_afterwards(twin: Block) -> None:
     """Left out, a check point has no influence; its predicted sigma covers image and orientation."""
     used, excluded = (fg.adjust(twin, eop_set=15, check_points=c) for c in ("use", "exclude"))
@@ -222,6 +234,7 @@ def test_excluded_check_points_are_intersected_afterwards(twin: Block) -> None:
     assert 0.0 < d.max() < 3.0
 
 
+@pytest.mark.behaviour
 def test_more_iterations_change_nothing(twin: Block) -> None:
     a = fg.adjust(twin, eop_set=20)
     assert a.iterations <= 5
@@ -231,6 +244,7 @@ def test_more_iterations_change_nothing(twin: Block) -> None:
     assert "no convergence within 1 iteration" in short.reason
 
 
+@pytest.mark.behaviour
 def test_callback_sees_every_iteration(twin: Block) -> None:
     seen = []
     solution = fg.adjust(twin, eop_set=10, callback=seen.append)

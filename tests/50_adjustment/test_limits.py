@@ -29,6 +29,7 @@ def with_control(block: Block, count: int) -> Block:
     return replace(block, points=replace(block.points, roles=roles, known=known))
 
 
+@pytest.mark.behaviour
 def test_without_priors_the_control_must_fix_the_block(twin: Block) -> None:
     """Two control points leave 9 position unknowns of two images open; each direction is a sentence."""
     with pytest.raises(fg.RankDeficientError, match="the control points do not fix this combination"):
@@ -40,6 +41,7 @@ def test_without_priors_the_control_must_fix_the_block(twin: Block) -> None:
     assert not any("not reliable" in w for w in strong.warnings)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("eop_set", [2, 16])
 def test_block_singular_values_equal_the_covariance(twin: Block, eop_set: int) -> None:
     """R^T R of the eliminated block is the inverse cofactor matrix of the images without priors."""
@@ -51,6 +53,7 @@ def test_block_singular_values_equal_the_covariance(twin: Block, eop_set: int) -
     assert np.sort(1.0 / np.sqrt(np.linalg.eigvalsh(q)))[::-1] == pytest.approx(s, rel=1e-2)
 
 
+@pytest.mark.oracle
 def test_excluded_check_points_of_many_rays_are_calibrated() -> None:
     """Unequal sigmas, two to four rays: errors over predicted sigmas are near 1, as when the points take part.
 
@@ -79,6 +82,7 @@ def test_excluded_check_points_of_many_rays_are_calibrated() -> None:
         assert np.mean(np.concatenate(values)) == pytest.approx(1.0, abs=0.25), mode
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("fault", ["line", "sigma_sample_px", "control coordinate", "control sigma"])
 def test_values_that_are_not_finite_are_refused_at_the_python_border(twin: Block, fault: str) -> None:
     """Files are checked by the readers; a block made by hand is checked here."""
@@ -100,6 +104,7 @@ def test_values_that_are_not_finite_are_refused_at_the_python_border(twin: Block
     assert "\n" not in str(caught.value.problems[0])
 
 
+@pytest.mark.behaviour
 def test_a_breakdown_on_the_way_is_one_line_and_exit_code_three(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     from fg_orient.adjustment import graph
 
@@ -113,6 +118,7 @@ def test_a_breakdown_on_the_way_is_one_line_and_exit_code_three(twin: Block, mon
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("backend", ["graph", "schur"])
 def test_badly_scaled_systems_are_solved(twin: Block, backend: str) -> None:
     """Sigmas of 0.0003 px: GTSAM's Cholesky gives up, its QR does not; the answer exists."""
@@ -123,6 +129,7 @@ def test_badly_scaled_systems_are_solved(twin: Block, backend: str) -> None:
     assert np.isfinite(solution.state.image).all()
 
 
+@pytest.mark.behaviour
 def test_sigmas_that_are_too_large_are_said(twin: Block) -> None:
     o = twin.observations
     coarse = replace(o, sigma_line_px=10.0 * o.sigma_line_px, sigma_sample_px=10.0 * o.sigma_sample_px)
@@ -131,6 +138,7 @@ def test_sigmas_that_are_too_large_are_said(twin: Block) -> None:
     assert any("sigmas are too large" in w for w in solution.warnings)
 
 
+@pytest.mark.behaviour
 def test_verdict_and_end_are_two_things(twin: Block) -> None:
     solution = fg.adjust(twin, eop_set=5)
     assert solution.status is fg.Status.NOT_TRUSTWORTHY
@@ -138,6 +146,7 @@ def test_verdict_and_end_are_two_things(twin: Block) -> None:
     assert solution.ended == "the scaled step is below the tolerance"
 
 
+@pytest.mark.behaviour
 def test_no_such_image(twin: Block) -> None:
     with pytest.raises(fg.InputError, match="nope"):
         fg.adjust(twin, eop_set=10).correction("nope")
@@ -148,6 +157,7 @@ def extra(unknowns: tuple[str, ...], equation: object = CONTROL_POINT) -> ExtraO
     return ExtraObservation(equation, unknowns, record, np.zeros((2, 0)), 3, "own observation 1")
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("observation", "message"),
     [
@@ -161,6 +171,7 @@ def test_own_observations_that_do_not_fit(twin: Block, observation: ExtraObserva
         fg.adjust(replace(twin, extra=(observation,)), eop_set=10)
 
 
+@pytest.mark.behaviour
 def test_own_observation_of_an_excluded_check_point(twin: Block) -> None:
     check = twin.points.ids[int(twin.points.where(Role.CHECK)[0])]
     with pytest.raises(fg.InputError, match="takes no part"):
@@ -174,6 +185,7 @@ class Step:
         self.data, self.length, self.predicted_error = data, abs(data), predicted_error
 
 
+@pytest.mark.truth
 def test_a_step_that_is_small_by_damping_only_is_no_convergence() -> None:
     """After twelve rejections the damped step is below 1e-8 although the minimum is 1 away."""
 

@@ -57,6 +57,7 @@ def relative(block: Block) -> Block:
     return replace(free, options=replace(free.options, datum="priors"))
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(
     "name", ["shift", "shift_drift", "affine", "mixed", "mixed shift", "fixed", "excluded", "relative"]
 )
@@ -80,6 +81,7 @@ def test_graph_and_schur_equal_dense(name: str, backend: str) -> None:
     assert np.allclose(c, d, rtol=1e-6, atol=0.0)
 
 
+@pytest.mark.behaviour
 def test_images_of_different_kinds_keep_their_own_unknowns() -> None:
     """18 and 4 unknowns: the rest of the row is zero, matrices and names have the right sizes, labels hold."""
     solution = fg.adjust(mixed())
@@ -98,6 +100,7 @@ def test_images_of_different_kinds_keep_their_own_unknowns() -> None:
     assert set(solution.rank_defect) == {"left", "right"}
 
 
+@pytest.mark.oracle
 def test_optimisers_agree() -> None:
     """Gauss-Newton, Levenberg-Marquardt, Dogleg and GTSAM's own on a mixed block."""
     block = mixed()
@@ -107,6 +110,7 @@ def test_optimisers_agree() -> None:
         assert np.abs(other.state.image - base.state.image).max() <= 1e-9, optimizer
 
 
+@pytest.mark.oracle
 def test_estimate_of_scipy() -> None:
     """Own residuals (pyproj, the model term by term), own optimiser: the same compensation and points."""
     block = few_points(rpc_twin("affine", seed=3).block)
@@ -145,6 +149,7 @@ def few_points(block: Block, count: int = 9) -> Block:
     return replace(block, observations=block.observations.take(block.observations.point % 5 == 0))
 
 
+@pytest.mark.consistency
 def test_residuals_are_those_of_the_corrected_sensor() -> None:
     """Adjusted minus observed pixels, with the compensation that the solution hands out."""
     block = mixed("affine")
@@ -158,6 +163,7 @@ def test_residuals_are_those_of_the_corrected_sensor() -> None:
         assert np.abs(v - solution.residuals_px[rows]).max() < (1e-9 if k == 1 else 1e-4)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_truth_is_met_within_the_covariance(kind: str) -> None:
     """Ten blocks with compensation from the priors: squares of normalised errors inside chi2 at 99.9 %."""
@@ -188,6 +194,7 @@ def _error(twin: RpcTwin, solution: fg.Solution) -> tuple[np.ndarray, np.ndarray
 # --- datum --------------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_block_without_control_is_refused_unless_it_may_be_relative() -> None:
     free = without_control(rpc_twin("shift").block)
     with pytest.raises(InputError) as caught:
@@ -198,6 +205,7 @@ def test_block_without_control_is_refused_unless_it_may_be_relative() -> None:
     assert caught.value.problems[0].code == "adjust.relative_priors"
 
 
+@pytest.mark.oracle
 def test_relative_adjustment_names_its_datum_and_removes_parallax() -> None:
     """Three common shifts, with words; y-parallax falls from pixels to noise; no figure of accuracy."""
     twin = rpc_twin("shift", seed=5)
@@ -214,6 +222,7 @@ def test_relative_adjustment_names_its_datum_and_removes_parallax() -> None:
     assert len(solution.accuracy.control) == len(solution.accuracy.check) == 0
 
 
+@pytest.mark.oracle
 def test_parallax_is_what_one_image_is_off() -> None:
     """Noise-free block, right image moved across its epipolar lines: the parallax is that movement."""
     twin = rpc_twin("shift", noise_px=0.0)
@@ -230,6 +239,7 @@ def test_parallax_is_what_one_image_is_off() -> None:
     assert parallax == pytest.approx(np.full(len(parallax), 2.0), rel=0.05)
 
 
+@pytest.mark.consistency
 def test_control_fixes_the_datum_also_when_priors_may_hold_it() -> None:
     block = rpc_twin("shift").block
     solution = fg.adjust(block, datum="priors")
@@ -247,6 +257,7 @@ def with_control(block: Block, keep: tuple[int, ...]) -> Block:
     return replace(block, points=points, withheld=replace(block.withheld, ids=()))
 
 
+@pytest.mark.behaviour
 def test_without_priors_what_an_image_cannot_show_is_refused_in_words() -> None:
     """Two control points in one image carry four of six terms; the sentences name the others."""
     block = rpc_twin("affine").block
@@ -263,6 +274,7 @@ def test_without_priors_what_an_image_cannot_show_is_refused_in_words() -> None:
     assert fg.adjust(few).rank_defect == {"left": 2}  # with priors it is said, and solved
 
 
+@pytest.mark.behaviour
 def test_without_priors_weak_directions_are_pointed_out() -> None:
     """One control point in both images holds twelve unknowns by the curvature of the models only."""
     block = rpc_twin("affine").block
@@ -274,6 +286,7 @@ def test_without_priors_weak_directions_are_pointed_out() -> None:
     assert np.abs(free.correction("left") - fg.adjust(block).correction("left")).max() < 0.5
 
 
+@pytest.mark.behaviour
 def test_sensor_without_model_is_refused() -> None:
     block = rpc_twin("shift").block
 
@@ -288,6 +301,7 @@ def test_sensor_without_model_is_refused() -> None:
     assert caught.value.problems[0].place == "image right"
 
 
+@pytest.mark.oracle
 def test_cofactors_are_the_inverse_of_the_normal_matrix() -> None:
     """Mixed block: the joint cofactors of all unknowns against numpy, with the dense rows."""
     from fg_orient.adjustment.dense import DenseBackend, assemble

@@ -12,6 +12,8 @@ from fg_orient.block import Block
 from fg_orient.names import Role
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
+pytestmark = pytest.mark.consistency
+
 
 @pytest.fixture(scope="module")
 def twin() -> Block:

@@ -10,6 +10,8 @@ import pytest
 
 from fg_orient.adjustment.allocation import calm_memory, keep_freed_memory
 
+pytestmark = pytest.mark.behaviour
+
 CHUNKS, CHUNK_BYTES = 4000, 4096
 
 

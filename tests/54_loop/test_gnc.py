@@ -27,6 +27,7 @@ def adjusted(block: fg.Block, **options: object) -> Estimate:
     return solve(compile_problem(with_options(block, **{"backend": "schur", "gnc": True, **options})))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_a_quarter_of_gross_errors_is_found(loss: str) -> None:
     """One ray in four, 5 to 60 px off; all are found, the result is the clean run's within three sigmas."""
@@ -52,6 +53,7 @@ def test_a_quarter_of_gross_errors_is_found(loss: str) -> None:
     )
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_graph_and_schur_alike(loss: str) -> None:
     block, _ = spoiled_block((3.0, 6.0), 2, 2, 40)
@@ -62,6 +64,7 @@ def test_graph_and_schur_alike(loss: str) -> None:
     assert a.chi2 == pytest.approx(b.chi2, rel=1e-10)
 
 
+@pytest.mark.oracle
 def test_truncated_weights_are_all_or_nothing_and_limits_are_quantiles() -> None:
     block, _ = spoiled_block((5.0, 30.0))
     found = adjusted(block, loss="tls", inlier_probability=0.95)
@@ -74,6 +77,7 @@ def test_truncated_weights_are_all_or_nothing_and_limits_are_quantiles() -> None
     assert plan.control_limit == pytest.approx(np.sqrt(chi2.ppf(0.99, 3)), rel=1e-12)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_without_gross_errors_it_stays_least_squares(loss: str) -> None:
     """Limits far beyond all residuals: one plain stage and the loss itself."""
@@ -85,6 +89,7 @@ def test_without_gross_errors_it_stays_least_squares(loss: str) -> None:
     assert np.abs(found.state.image - plain.state.image).max() <= limit
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", SCHEDULES)
 def test_surrogates_start_where_all_count_and_end_at_the_loss(name: str) -> None:
     u, schedule = np.linspace(1e-3, 50.0, 4001), SCHEDULES[name]
@@ -98,6 +103,7 @@ def test_surrogates_start_where_all_count_and_end_at_the_loss(name: str) -> None
     assert schedule.first(0.4) == EXACT
 
 
+@pytest.mark.behaviour
 def test_stages_left() -> None:
     rising, falling = [PLAIN, 1.0, 1.4], [PLAIN, 8.0, 8.0 / 1.4]
     assert stages_left(rising[:2]) is None
@@ -106,6 +112,7 @@ def test_stages_left() -> None:
     assert stages_left(falling) == np.ceil(np.log(8.0 / 1.4) / np.log(1.4))
 
 
+@pytest.mark.behaviour
 def test_refusals() -> None:
     block = clean_block(2, 2, 40)
     for options, words in (
@@ -120,6 +127,7 @@ def test_refusals() -> None:
         with_options(block, inlier_probability=1.0)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("loss", ["geman_mcclure", "welsch", "tukey", "tls"])
 def test_bounded_losses_start_from_least_squares(loss: str) -> None:
     """At the metadata most residuals lie beyond c: without the plain stage they would have no weight."""
@@ -133,6 +141,7 @@ def test_bounded_losses_start_from_least_squares(loss: str) -> None:
     assert np.median(np.linalg.norm(residual, axis=1)) > 10.0
 
 
+@pytest.mark.behaviour
 def test_solution_says_what_its_figures_are() -> None:
     block, bad = spoiled_block((5.0, 30.0))
     solution = fg.adjust(block, loss="tls", gnc=True)
@@ -149,6 +158,7 @@ def test_solution_says_what_its_figures_are() -> None:
         solution.outlier_tests()
 
 
+@pytest.mark.behaviour
 def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
     """Sigmas fifty times too small: nothing fits."""
     block = clean_block(2, 2, 40)
@@ -161,6 +171,7 @@ def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
     assert "have a weight below 0.5: the model does not hold" in solution.reason
 
 
+@pytest.mark.oracle
 def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
     """Schur and graph against the inverse of the dense normal equations of the weighted problem."""
     block, _ = spoiled_block((3.0, 6.0), 2, 2, 40)
@@ -180,6 +191,7 @@ def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
         assert np.abs(solution.cofactors.point(turned_down) - expected).max() <= 1e-7 * np.abs(expected).max()
 
 
+@pytest.mark.consistency
 def test_result_folder_under_a_loss(tmp_path: Path) -> None:
     """Weights stand in the tables, chi2 follows from them, and the report does not say that the observations fit."""
     project = simulate_block(tmp_path / "project", BlockOptions(rows=1, columns=2, points=24))

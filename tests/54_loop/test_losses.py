@@ -44,6 +44,7 @@ def curves() -> dict[str, tuple[object, object, float]]:
     return out
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", curves())
 def test_cost_is_the_integral_of_the_weight(name: str) -> None:
     weight, cost, corner = curves()[name]
@@ -53,6 +54,7 @@ def test_cost_is_the_integral_of_the_weight(name: str) -> None:
         assert float(cost(np.array(u))) == pytest.approx(expected, rel=1e-9, abs=1e-12)  # type: ignore[operator]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", NAMES)
 def test_weight_starts_at_one_and_does_not_rise(name: str) -> None:
     u = np.linspace(0.0, 20.0, 2001)
@@ -80,6 +82,7 @@ def efficiency(loss: Loss, constant: float, dimension: int) -> float:
     return gain**2 * dimension / mean(lambda t: (weight(t) * t) ** 2)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 def test_constants_leave_95_percent_efficiency(name: str, dimension: int) -> None:
@@ -114,6 +117,7 @@ def of_loss(problem: Problem, name: str) -> Robust:
     return robust
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", NAMES)
 def test_backends_step_alike(name: str) -> None:
     """Cost, predicted cost and step from the same state; image unknowns within 1e-10 prior sigma, points 1e-8 m."""
@@ -134,6 +138,7 @@ def test_backends_step_alike(name: str) -> None:
     assert dense.error(state) == pytest.approx(systems[0].error, rel=1e-12)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", NAMES)
 def test_backends_solve_alike(name: str) -> None:
     """Ten reweighted iterations end within 1e-9 prior sigma and 1e-8 m of each other, converged or not."""
@@ -157,6 +162,7 @@ def at_minimum(problem: Problem, name: str, optimizer: str = "gauss-newton") -> 
     return end
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("optimizer", ["levenberg-marquardt", "dogleg"])
 def test_damped_optimisers_reach_the_same_minimum(optimizer: str) -> None:
     problem = spoiled()
@@ -180,6 +186,7 @@ def written_out(problem: Problem, name: str, state: State) -> tuple[float, npt.N
     return value + 0.5 * float(residual[at:] @ residual[at:]), design.T @ gradient
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", ["huber", "cauchy", "geman_mcclure", "welsch", "tukey"])
 def test_minimum_is_that_of_the_cost_written_out(name: str) -> None:
     """The gradient vanishes at the end, and the cost is higher around it."""
@@ -196,6 +203,7 @@ def test_minimum_is_that_of_the_cost_written_out(name: str) -> None:
         assert written_out(problem, name, State(image, ground))[0] > value
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", ["huber", "tls"])
 def test_fixed_weights_are_an_ordinary_problem(name: str) -> None:
     """Least squares with the weights at the solution has its minimum there, and the same normal equations."""
@@ -213,6 +221,7 @@ def test_fixed_weights_are_an_ordinary_problem(name: str) -> None:
     assert weights.control[~problem.observed].min() == 1.0
 
 
+@pytest.mark.behaviour
 def test_a_point_without_weight_keeps_a_place() -> None:
     """Both rays of a tie point lose their weight; the block stays solvable, the point on their intersection."""
     block = clean_block(2, 2, 40)
@@ -229,6 +238,7 @@ def test_a_point_without_weight_keeps_a_place() -> None:
     assert np.isfinite(end.state.ground).all()
 
 
+@pytest.mark.behaviour
 def test_register_and_find(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
     with pytest.raises(ValueError, match="'huber' is registered"):

@@ -68,6 +68,7 @@ def shortening_derivatives(eop: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
+@pytest.mark.oracle
 @BOTH
 def test_values_and_derivatives_are_those_of_the_formulas(block: Block, switches: Switches, as_run: bool) -> None:
     ground = block.points.known.ecef_m
@@ -85,6 +86,7 @@ def test_values_and_derivatives_are_those_of_the_formulas(block: Block, switches
     assert deviation(lin.eop, design) < 1e-11
 
 
+@pytest.mark.oracle
 def test_a_length_that_stays_leaves_out_its_own_derivative(block: Block) -> None:
     """D5 off: (f1/f3, f2/f3) dln s is missing, and s - 1 = 6e-7 and attitude (1e-3) times it."""
     ground, o = block.points.known.ecef_m, block.observations
@@ -96,6 +98,7 @@ def test_a_length_that_stays_leaves_out_its_own_derivative(block: Block) -> None
     assert deviation(at.linearise(ALL, nothing(block)).eop[:, :, ::3] + left_out, d_eop) < 2e-5
 
 
+@pytest.mark.oracle
 def test_quotients_of_the_look_angles_add_the_misclosure(block: Block) -> None:
     """D8: A exceeds the derivative by F df3/f3, nothing where the condition is met."""
     ground, o, look = block.points.known.ecef_m, block.observations, look_of(block)
@@ -113,6 +116,7 @@ def test_quotients_of_the_look_angles_add_the_misclosure(block: Block) -> None:
     assert deviation(closed.eop[:, :, ::3], d_eop) < 1e-11
 
 
+@pytest.mark.consistency
 def test_lines_are_counted_from_the_centre_of_the_scene(block: Block) -> None:
     """D1: -6000 to 6000; columns of degree 0 stay."""
     ground = block.points.known.ecef_m
@@ -126,6 +130,7 @@ def test_lines_are_counted_from_the_centre_of_the_scene(block: Block) -> None:
     assert np.allclose(centred[:, :, 2::3], first[:, :, ::3] * x[:, None, None] ** 2, rtol=1e-14, atol=0.0)
 
 
+@pytest.mark.consistency
 def test_line_exact_orbits_differ_from_polynomials_by_centimetres(block: Block) -> None:
     """D3: Lagrange through the state vectors, as the sensor gives them."""
     ground, o = block.points.known.ecef_m, block.observations
@@ -140,6 +145,7 @@ def test_line_exact_orbits_differ_from_polynomials_by_centimetres(block: Block) 
     assert np.array_equal(joined.records, smooth.records)
 
 
+@pytest.mark.consistency
 def test_columns_are_per_line_and_per_line_squared(block: Block) -> None:
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m)
     a = at.linearise(ALL, nothing(block)).eop.reshape(-1, 2, 9, 3)
@@ -148,6 +154,7 @@ def test_columns_are_per_line_and_per_line_squared(block: Block) -> None:
     assert np.allclose(a[..., 2], a[..., 0] * line**2, rtol=1e-14, atol=0.0)
 
 
+@pytest.mark.oracle
 def test_written_out_derivatives_of_the_publication(block: Block) -> None:
     """The printed derivatives (small-angle attitude) are those of the kernel's small-angle form."""
     ground = block.points.known.ecef_m
@@ -159,6 +166,7 @@ def test_written_out_derivatives_of_the_publication(block: Block) -> None:
     assert deviation(lin.eop[:, :, ::3], printed) < 1e-11
 
 
+@pytest.mark.oracle
 @BOTH
 def test_corrections_of_the_orbit_are_polynomials_of_the_line(
     block: Block, switches: Switches, as_run: bool, rng: np.random.Generator
@@ -173,6 +181,7 @@ def test_corrections_of_the_orbit_are_polynomials_of_the_line(
     assert np.abs(at.linearise(ALL, x).value - value).max() < ROUNDING
 
 
+@pytest.mark.consistency
 @BOTH
 def test_velocity_acts_through_its_direction_only(block: Block, switches: Switches, as_run: bool) -> None:
     """dF/dV . V = 0, and dF/dV . P = 0 but for the length of the short axis (D5): V is a yaw."""
@@ -185,6 +194,7 @@ def test_velocity_acts_through_its_direction_only(block: Block, switches: Switch
         assert 1e-4 < effect < 1e-2 if alive else effect < 1e-13
 
 
+@pytest.mark.consistency
 def test_velocity_across_track_is_a_yaw() -> None:
     """Without roll and pitch dF/dV . X = -(dF/d yaw)/V, V normal to P, exactly."""
     level = zonguldak_block(ZonguldakOptions(point_set="H-0", errors="none", radial_velocity_m_s=8.0))[0]
@@ -198,6 +208,7 @@ def test_velocity_across_track_is_a_yaw() -> None:
     assert np.abs(across * normal[:, None] + yaw).max() < 1e-14
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("corrected", [False, True])
 def test_points_of_a_ray_fulfil_the_conditions(block: Block, corrected: bool, rng: np.random.Generator) -> None:
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m)
@@ -210,6 +221,7 @@ def test_points_of_a_ray_fulfil_the_conditions(block: Block, corrected: bool, rn
         assert np.abs(on_ray.linearise(ALL, x).value).max() < 5e-15
 
 
+@pytest.mark.oracle
 @BOTH
 @pytest.mark.parametrize("third", [-1.0, 1.0])
 def test_rays_are_those_of_the_formulas(block: Block, switches: Switches, as_run: bool, third: float) -> None:
@@ -220,6 +232,7 @@ def test_rays_are_those_of_the_formulas(block: Block, switches: Switches, as_run
     assert np.abs(direction - oracle.ray(eop, look_of(block), as_run, third)).max() < 1e-14
 
 
+@pytest.mark.consistency
 def test_metadata_position_keeps_the_centre_and_turns_the_camera(block: Block) -> None:
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m)
     codes, x = (0, 3, 6), np.full((2, 3), 50.0)
@@ -232,6 +245,7 @@ def test_metadata_position_keeps_the_centre_and_turns_the_camera(block: Block) -
     assert np.abs(turned - straight).max() > 1e-6
 
 
+@pytest.mark.consistency
 @BOTH
 def test_moving_the_reference_changes_no_condition(
     block: Block, switches: Switches, as_run: bool, rng: np.random.Generator

@@ -37,6 +37,7 @@ def with_options(problem: Problem, **options: object) -> Problem:
     return compile_problem(replace(problem.block, options=replace(problem.block.options, **options)))
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("count", [1, 2, 7, 60])
 def test_parts_hold_every_point_and_ray_once(problem: Problem, count: int) -> None:
     points = divide(problem, count)
@@ -53,6 +54,7 @@ def test_parts_hold_every_point_and_ray_once(problem: Problem, count: int) -> No
     assert max(work) <= sum(work) / count + heaviest
 
 
+@pytest.mark.behaviour
 def test_the_number_of_parts_follows_from_the_block(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     n = len(problem.observations)
     for size, expected in ((n, 1), (n - 1, 2), (1, n)):
@@ -60,6 +62,7 @@ def test_the_number_of_parts_follows_from_the_block(problem: Problem, monkeypatc
         assert default_parts(problem) == min(expected, parts_module.MAX_PARTS)
 
 
+@pytest.mark.consistency
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(st.data())
 def test_a_step_in_parts_is_the_step_in_one_piece(
@@ -93,6 +96,7 @@ def test_a_step_in_parts_is_the_step_in_one_piece(
         assert ours.predicted_error == pytest.approx(step.predicted_error, rel=1e-9)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(("optimizer", "loss"), [*((name, "none") for name in OPTIMIZERS), ("dogleg", "huber")])
 def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss: str) -> None:
     chosen = with_options(problem, optimizer=optimizer, loss=loss)
@@ -113,6 +117,7 @@ def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss:
         np.testing.assert_allclose(b / scale, a / scale, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.consistency
 def test_losses_that_change_reach_the_parts(problem: Problem, tmp_path: Path) -> None:
     plan, state = Graduated.of(replace(problem.block.options, loss="tls", gnc=True)), moved(problem, 2)
     one, parted = SchurBackend(problem), PartedBackend(problem, InProcess(), tmp_path, 4)
@@ -128,6 +133,7 @@ def test_losses_that_change_reach_the_parts(problem: Problem, tmp_path: Path) ->
     assert len(set(errors)) == 4
 
 
+@pytest.mark.consistency
 @pytest.mark.slow
 def test_graduated_non_convexity_in_parts(problem: Problem) -> None:
     """Stages change the losses and look at all residuals: bad image points are found alike."""
@@ -141,6 +147,7 @@ def test_graduated_non_convexity_in_parts(problem: Problem) -> None:
     assert image <= SIGMAS and ground <= METRES
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("kind", ["shift", "affine"])
 def test_images_with_rational_functions_in_parts(kind: str) -> None:
     twin = rpc_twin(kind).block
@@ -150,6 +157,7 @@ def test_images_with_rational_functions_in_parts(kind: str) -> None:
     assert image <= SIGMAS and ground <= METRES
 
 
+@pytest.mark.consistency
 def test_adjust_takes_parts(small: Block) -> None:
     whole, parted = fg.adjust(small), fg.adjust(small, parts=3)
     assert parted.status == whole.status and parted.backend == "schur"
@@ -160,6 +168,7 @@ def test_adjust_takes_parts(small: Block) -> None:
         assert b == pytest.approx(a, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.consistency
 def test_a_state_from_elsewhere_is_written_for_the_parts(problem: Problem, tmp_path: Path) -> None:
     backend, state = PartedBackend(problem, InProcess(), tmp_path, 4), moved(problem, 3)
     one = SchurBackend(problem)
@@ -171,6 +180,7 @@ def test_a_state_from_elsewhere_is_written_for_the_parts(problem: Problem, tmp_p
     np.testing.assert_array_equal(backend.initial().ground, problem.start.ground)
 
 
+@pytest.mark.behaviour
 def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path: Path) -> None:
     counts = Counter[int]()
 
@@ -184,6 +194,7 @@ def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.behaviour
 def test_a_part_file_that_is_not_whole_is_named(problem: Problem, tmp_path: Path) -> None:
     PartedBackend(problem, InProcess(), tmp_path, 2)
     path = part_file(tmp_path, 1)
@@ -195,6 +206,7 @@ def test_a_part_file_that_is_not_whole_is_named(problem: Problem, tmp_path: Path
         assert "--work-dir" in caught.value.problems[0].remedy
 
 
+@pytest.mark.behaviour
 def test_a_worker_of_another_version_is_refused(
     problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,6 +217,7 @@ def test_a_worker_of_another_version_is_refused(
     assert caught.value.problems[0].code == "parallel.version"
 
 
+@pytest.mark.behaviour
 def test_a_value_that_is_not_finite_names_its_point(problem: Problem) -> None:
     records = problem.records.copy()
     records[7] = np.nan
@@ -213,6 +226,7 @@ def test_a_value_that_is_not_finite_names_its_point(problem: Problem) -> None:
     assert problem.label(7) in str(caught.value)
 
 
+@pytest.mark.behaviour
 def test_refusals(small: Block, tmp_path: Path) -> None:
     def code(block: Block, **execution: object) -> str:
         with pytest.raises(fg.InputError) as caught:
@@ -228,6 +242,7 @@ def test_refusals(small: Block, tmp_path: Path) -> None:
     assert code(replace(small, options=native), parts=2) == "adjust.native_dense"
 
 
+@pytest.mark.behaviour
 def test_own_observations_are_refused(small: Block) -> None:
     from factors.control import CONTROL_POINT
 

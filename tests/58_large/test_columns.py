@@ -30,6 +30,7 @@ words = st.text(st.characters(codec="utf-8", exclude_characters="\r\0"), min_siz
 figures = st.one_of(st.sampled_from([0.0, -0.0, -1.5, float("nan"), float("inf")]), st.floats())
 
 
+@pytest.mark.oracle
 @quiet
 @given(st.lists(st.tuples(words, figures, st.integers(), figures), min_size=1, max_size=9))
 def test_written_bytes_are_those_of_csv_row_by_row(tmp_path: Path, rows: list[tuple[str, float, int, float]]) -> None:
@@ -48,6 +49,7 @@ def test_written_bytes_are_those_of_csv_row_by_row(tmp_path: Path, rows: list[tu
     assert (tmp_path / "t.csv").read_bytes() == stream.getvalue().encode()
 
 
+@pytest.mark.consistency
 def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fg_orient.run.columns.CHUNK", 7)
     monkeypatch.setattr("fg_orient.report.data.CHUNK", 5)
@@ -66,6 +68,7 @@ def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytes
 CELLS = st.sampled_from(["1.5", "7", "-0.4", "-2", "1e3", "", "x", "1,5", " 2 ", "inf", "fixed", "0", '"3"', "a", "b"])
 
 
+@pytest.mark.consistency
 @quiet
 @given(st.lists(st.tuples(st.integers(0, 5), CELLS), max_size=2), st.booleans())
 def test_observations_refused_at_once_are_those_refused_row_by_row(
@@ -84,6 +87,7 @@ def test_observations_refused_at_once_are_those_refused_row_by_row(
     assert (found is None) == bool(faults)
 
 
+@pytest.mark.consistency
 @quiet
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(1, 7), CELLS), max_size=2))
 def test_points_converted_at_once_are_those_checked_row_by_row(
@@ -114,6 +118,7 @@ def block() -> Block:
     return grid_block(options)[0]
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("degree", [None, 2])
 def test_rows_of_an_image_are_those_of_its_equation(block: Block, degree: int | None) -> None:
     problem = compile_problem(replace(block, options=replace(block.options, eop_set=20, look_polynomial=degree)))
@@ -131,6 +136,7 @@ def test_rows_of_an_image_are_those_of_its_equation(block: Block, degree: int | 
         np.testing.assert_allclose(d_image, expected, rtol=1e-11, atol=1e-12 * np.abs(expected).max())
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("backend", ["schur", "graph", "dense"])
 def test_cofactors_of_all_points_are_those_of_each(block: Block, monkeypatch: pytest.MonkeyPatch, backend: str) -> None:
     """In one go, in small chunks, and without all cofactors of the images; fixed points have none."""
