@@ -15,6 +15,8 @@ import factors._compile
 import fg_orient
 from fg_orient import doctor
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -20,6 +20,7 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.consistency
 def test_locate_one_pixel(run: Any, twin_source: Path) -> None:
     image = twin_source / "left.DIM"
     ended = run("locate", image, "--line", 6000, "--sample", "-0.5", "--height", 350, "--json")
@@ -31,6 +32,7 @@ def test_locate_one_pixel(run: Any, twin_source: Path) -> None:
     assert point["height_m"] == pytest.approx(350.0, abs=1e-6)  # iterated height, rounding of 6e6 m
 
 
+@pytest.mark.consistency
 def test_csv_there_and_back(run: Any, twin_source: Path, tmp_path: Path) -> None:
     """Pixels to ground and back: the same pixels within 1e-6 px, the bound of the projection."""
     image, pixels = twin_source / "right.DIM", tmp_path / "pixels.csv"
@@ -55,6 +57,7 @@ def test_csv_there_and_back(run: Any, twin_source: Path, tmp_path: Path) -> None
     assert (again.code, again.json["errors"][0]["code"]) == (2, "output.exists")
 
 
+@pytest.mark.behaviour
 def test_point_far_outside_is_null_and_not_inside(run: Any, twin_source: Path) -> None:
     ended = run("project", twin_source / "left.DIM", "--lon", "-122", "--lat", 41.3, "--height", 0, "--json")
     assert ended.code == 0
@@ -62,6 +65,7 @@ def test_point_far_outside_is_null_and_not_inside(run: Any, twin_source: Path) -
     assert (list(point), point["inside"]) == (["id", "line", "sample", "inside"], False)
 
 
+@pytest.mark.consistency
 def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
     """On a raster of constant height the answer is that of the height."""
     rasterio = pytest.importorskip("rasterio")
@@ -80,6 +84,7 @@ def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "code"),
     [
@@ -105,6 +110,7 @@ def test_locate_refuses(run: Any, twin_source: Path, words: tuple[object, ...], 
     assert len(ended.stderr.splitlines()) == 1
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "code"),
     [
@@ -122,6 +128,7 @@ def test_project_refuses(run: Any, twin_source: Path, words: tuple[object, ...],
     assert [e["code"] for e in ended.json["errors"]] == [code]
 
 
+@pytest.mark.behaviour
 def test_conflict_names_both_options(run: Any, twin_source: Path) -> None:
     for command, words, place in (
         ("locate", ("--sample", 5, "--frame"), "--sample, --frame"),
@@ -131,12 +138,14 @@ def test_conflict_names_both_options(run: Any, twin_source: Path) -> None:
         assert [e["place"] for e in ended.json["errors"]] == [place]
 
 
+@pytest.mark.behaviour
 def test_height_given_twice_in_a_table(run: Any, twin_source: Path, tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("id,line,sample,height_m\na,1,1,0\n", encoding="utf-8")
     ended = run("locate", twin_source / "left.DIM", "--points", tmp_path / "p.csv", "--height", 1, "--json")
     assert [e["code"] for e in ended.json["errors"]] == ["cli.two_heights"]
 
 
+@pytest.mark.behaviour
 def test_bad_cells_are_listed_together(run: Any, twin_source: Path, tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text('id,line,sample\na,x,1\nb,1,"2,5"\n', encoding="utf-8")
     ended = run("locate", twin_source / "left.DIM", "--points", tmp_path / "p.csv", "--height", 1, "--json")
@@ -147,6 +156,7 @@ def test_bad_cells_are_listed_together(run: Any, twin_source: Path, tmp_path: Pa
 # --- intersection --------------------------------------------------------------------------------
 
 
+@pytest.mark.oracle
 def test_two_rays_miss_by_their_shortest_distance(run: Any, twin_source: Path) -> None:
     """Against |(P2 - P1) . (u1 x u2)| / |u1 x u2|."""
     images = [twin_source / "left.DIM", twin_source / "right.DIM"]
@@ -166,6 +176,7 @@ def test_two_rays_miss_by_their_shortest_distance(run: Any, twin_source: Path) -
     assert point["pixels"][1] == {"image": "2", "line": 5990.5, "sample": 6010.0}
 
 
+@pytest.mark.behaviour
 def test_project_file_uses_no_coordinates(run: Any, twin: Path) -> None:
     before = run("intersect", twin, "--json").json["points"]
     assert len(before) == 47
@@ -183,6 +194,7 @@ def test_project_file_uses_no_coordinates(run: Any, twin: Path) -> None:
     assert len(rows(out)) == 47
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("pixels", "code"),
     [(("1,1",), "cli.pixel_count"), (("1,1", "1"), "cli.pixel"), (("1,1", "1,99999"), "sensor.pixel_outside"),
@@ -194,6 +206,7 @@ def test_intersect_refuses(run: Any, twin_source: Path, pixels: tuple[str, ...],
     assert (ended.code, [e["code"] for e in ended.json["errors"]]) == (2, [code])
 
 
+@pytest.mark.behaviour
 def test_parallel_rays_have_no_intersection(run: Any, twin_source: Path) -> None:
     image = twin_source / "left.DIM"
     ended = run("intersect", image, image, "--pixel", "5,5", "--pixel", "5,5", "--json")
@@ -206,6 +219,7 @@ def test_parallel_rays_have_no_intersection(run: Any, twin_source: Path) -> None
 FRAME = ["file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "height_from", "note"]
 
 
+@pytest.mark.consistency
 def test_frame_of_the_twin(run: Any, twin_source: Path) -> None:
     ended = run("locate", twin_source / "left.DIM", "--frame", "--json")
     points = ended.json["points"]
@@ -215,6 +229,7 @@ def test_frame_of_the_twin(run: Any, twin_source: Path) -> None:
     assert max(p["misfit_m"] for p in points) < 0.15
 
 
+@pytest.mark.oracle
 def test_misfit_is_model_minus_file(run: Any, twin: Path) -> None:
     """A corner moved by 1e-4 degrees to the East in the file: 8.36 m at its latitude, to the West."""
     path = twin.parent / "left.DIM"
@@ -230,6 +245,7 @@ def test_misfit_is_model_minus_file(run: Any, twin: Path) -> None:
     assert after["misfit_m"] == pytest.approx(np.hypot(after["misfit_east_m"], after["misfit_north_m"]))
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 @pytest.mark.parametrize(
     ("name", "limit_m", "flagged"),

@@ -70,6 +70,7 @@ def drifting(tmp_path_factory: pytest.TempPathFactory, run: Run) -> tuple[RpcTwi
     return twin, project, run("adjust", project, "--json")
 
 
+@pytest.mark.consistency
 def test_files_give_the_solution_of_the_block_in_memory(drifting: tuple[RpcTwin, Path, Any]) -> None:
     """RPC through _RPC.TXT, options through the project file."""
     twin, project, ended = drifting
@@ -87,6 +88,7 @@ def _result(project: Path) -> Any:
     return json.loads((project.parent / "result" / "result.json").read_text("utf-8"))
 
 
+@pytest.mark.consistency
 def test_table_of_compensation(drifting: tuple[RpcTwin, Path, Any]) -> None:
     """Rows of eop.csv: pixels, per line with the model's scale; the squares count in chi2 as documented."""
     twin, project, ended = drifting
@@ -111,6 +113,7 @@ def test_table_of_compensation(drifting: tuple[RpcTwin, Path, Any]) -> None:
     assert chi2 == pytest.approx(ended.json["chi2"], rel=1e-6)
 
 
+@pytest.mark.consistency
 def test_corrected_rpc_are_written(tmp_path: Path, run: Run) -> None:
     """Shift: read back, they project as sensor and compensation do; affine: fitted, with its error told."""
     project = write_folder(tmp_path / "twin", rpc_twin("shift"))
@@ -130,6 +133,7 @@ def test_corrected_rpc_are_written(tmp_path: Path, run: Run) -> None:
     assert sum("its corrected RPC is fitted" in note for note in again.json["notes"]) == 2
 
 
+@pytest.mark.consistency
 def test_run_of_rpc_images_comes_out_again(drifting: tuple[RpcTwin, Path, Any], run: Run, tmp_path: Path) -> None:
     """``replay``: the option of the command line is in the record, the corrected RPC are compared, too."""
     ended = run("replay", drifting[1].parent / "result", "--out", tmp_path / "again", "--json")
@@ -140,6 +144,7 @@ def test_run_of_rpc_images_comes_out_again(drifting: tuple[RpcTwin, Path, Any], 
     ]
 
 
+@pytest.mark.behaviour
 def test_report_speaks_of_rpc(drifting: tuple[RpcTwin, Path, Any], run: Run) -> None:
     """Compensation instead of EOP set, no section on metadata orientation; the truth is compared."""
     _, project, _ = drifting
@@ -154,6 +159,7 @@ def test_report_speaks_of_rpc(drifting: tuple[RpcTwin, Path, Any], run: Run) -> 
     assert "line_l1" in html
 
 
+@pytest.mark.behaviour
 def test_people_are_told_what_was_adjusted(tmp_path: Path, run: Run) -> None:
     project = write_folder(tmp_path / "twin", rpc_twin("shift"))
     text = run("adjust", project).stdout
@@ -161,6 +167,7 @@ def test_people_are_told_what_was_adjusted(tmp_path: Path, run: Run) -> None:
     assert "EOP set" not in text
 
 
+@pytest.mark.oracle
 def test_gross_errors_are_listed(tmp_path: Path, run: Run) -> None:
     """A point measured 10 px off in one image leads the list of the record, and stands in the report."""
     twin = rpc_twin("shift")
@@ -178,6 +185,7 @@ def test_gross_errors_are_listed(tmp_path: Path, run: Run) -> None:
     assert f"point {block.points.ids[j]} in image right" in html
 
 
+@pytest.mark.behaviour
 def test_relative_adjustment_from_the_command_line(tmp_path: Path, run: Run) -> None:
     """Refused without its option; with it: parallaxes, the datum in words, no accuracy."""
     project = write_folder(tmp_path / "twin", rpc_twin("shift", seed=5), control=False)
@@ -202,6 +210,7 @@ def test_relative_adjustment_from_the_command_line(tmp_path: Path, run: Run) -> 
     assert (wrong.code, wrong.json["errors"][0]["place"]) == (2, "--rpc-compensation")
 
 
+@pytest.mark.behaviour
 def test_points_outside_the_validity_are_named(tmp_path: Path) -> None:
     """A model valid up to 300 m: the higher points are named, the adjustment still runs."""
     _, _, models = twin_with_models()

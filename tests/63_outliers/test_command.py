@@ -15,6 +15,8 @@ from fg_orient.run.summary import summary
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -11,6 +11,7 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -25,6 +26,8 @@ from fg_orient.quality.covariance import Cofactors, DenseCofactors, GraphCofacto
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.rpc_block import rpc_twin
 from tests.support.states import moved
+
+pytestmark = pytest.mark.consistency
 
 LIMIT = 1e-8
 CONDITION = 1e6
