@@ -13,6 +13,8 @@ from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import draw_errors
 
+pytestmark = pytest.mark.consistency
+
 ROUNDING_PX = 1e-8  # one digit of a time of day is 5e-9 px
 
 

@@ -17,6 +17,8 @@ from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.models import find_model
 from fg_orient.rectification.outliers import prune
 
+pytestmark = pytest.mark.behaviour
+
 BOX = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 20.0], [0.0, 20.0]])
 GK = projections.gauss_krueger(27.0)
 TM = scanner.Scanner(705e3, 42.5e-6, 42.5e-6)

@@ -51,6 +51,7 @@ def passes(found: Array) -> bool:
     return bool(np.sqrt(np.mean(distance**2)) <= RMS_PX and distance.max() <= LARGEST_PX)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("image", "every", "count"), [("left", 4, 12), ("right", 1, 47)])
 def test_every_target_lies_where_it_should_with_the_adjusted_orientation(
     twin: Twin, tmp_path: Path, image: str, every: int, count: int
@@ -60,6 +61,7 @@ def test_every_target_lies_where_it_should_with_the_adjusted_orientation(
     assert passes(found), found
 
 
+@pytest.mark.oracle
 def test_the_unadjusted_model_is_off_by_the_simulated_bias(twin: Twin, tmp_path: Path) -> None:
     """The bias on the map: where the metadata put the true pixels, on the same terrain."""
     found = misses(twin, "right", tmp_path, adjusted=False, every=6)
@@ -72,6 +74,7 @@ def test_the_unadjusted_model_is_off_by_the_simulated_bias(twin: Twin, tmp_path:
     assert not passes(found)
 
 
+@pytest.mark.oracle
 def test_a_terrain_shifted_by_50_m_fails(twin: Twin, tmp_path: Path) -> None:
     shifted = tmp_path / "shifted.tif"
     with rasterio.open(twin.folder / "dem.tif") as source:
@@ -89,6 +92,7 @@ def test_a_terrain_shifted_by_50_m_fails(twin: Twin, tmp_path: Path) -> None:
         assert not passes(misses(twin, image, tmp_path, adjusted=True, dem=RasterDem(shifted), every=4))
 
 
+@pytest.mark.consistency
 def test_rendered_rays_meet_the_terrain_where_the_sensor_says(twin: Twin) -> None:
     """Corners by the kernel against rays by ``locate``: other code for march, intersection and interpolation."""
     simulation = simulate(ZonguldakOptions())
@@ -103,12 +107,14 @@ def test_rendered_rays_meet_the_terrain_where_the_sensor_says(twin: Twin) -> Non
     assert np.abs(ours - np.stack(from_geographic(CRS, lon, lat), axis=1)).max() < 0.02
 
 
+@pytest.mark.consistency
 def test_points_lie_on_the_terrain(twin: Twin) -> None:
     truth = simulate(ZonguldakOptions()).truth
     heights = twin.dem.height_m(truth.lon_lat_height[:, 0], truth.lon_lat_height[:, 1])
     assert np.abs(heights - truth.lon_lat_height[:, 2]).max() < 1e-3
 
 
+@pytest.mark.oracle
 @pytest.mark.slow
 def test_whole_images_rectified_in_one_run(tmp_path: Path) -> None:
     """12000 x 12000 pixels each, rendered whole, rectified whole by the command: all targets of both images."""

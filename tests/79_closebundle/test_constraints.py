@@ -89,6 +89,7 @@ SHAPES: dict[str, Callable[[np.random.Generator], Array]] = {
 }  # fmt: skip
 
 
+@pytest.mark.behaviour
 def test_every_kind_has_a_shape() -> None:
     assert set(SHAPES) == set(KINDS)
 
@@ -176,6 +177,7 @@ def check(found: Found) -> None:
     assert found.away[0] <= 0.1 * NOISE and found.away[1] <= 0.03 * found.away[0] + 1e-12
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("runs", "optimizer"), [
     (3, "levenberg-marquardt"),
     *(pytest.param(1000, name, marks=pytest.mark.slow) for name in ("levenberg-marquardt", "gauss-newton")),
@@ -189,6 +191,7 @@ def test_random_configurations(kind: str, runs: int, optimizer: str, monkeypatch
         check(examined(kind, 2 * seed, optimizer))
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("kind", KINDS)
 def test_graph_equals_correlates(kind: str) -> None:
     """States and standard deviations of every variable, figures included."""
@@ -200,6 +203,7 @@ def test_graph_equals_correlates(kind: str) -> None:
     assert found == pytest.approx(roots, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("kind", KINDS)
 def test_damped_steps_end_where_full_steps_do(kind: str) -> None:
     """Figures have no diagonal but for the damping, and it falls: commands damp, tests of configurations do not."""
