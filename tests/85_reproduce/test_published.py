@@ -15,6 +15,8 @@ from fg_orient.errors import InputError
 from fg_orient.parameters import EOP_SETS
 from fg_orient.published.tables import PublishedTables, load
 
+pytestmark = pytest.mark.behaviour
+
 Printed = dict[str, PublishedTables]
 CONDITIONS = "table-4-03-to-09-ls-conditions-spot5.csv"
 
