@@ -16,6 +16,8 @@ from fg_orient.io.validate import validate_project
 from tests.support.command import in_process
 from tests.support.project_folder import ProjectFolder
 
+pytestmark = pytest.mark.behaviour
+
 HEADER = "id,role,lon_deg,lat_deg,height_m,sigma_east_m,sigma_north_m,sigma_up_m"
 P1 = "01,control,31.60,41.20,12.5,0.06,0.06,1.0"
 TIE = "t1,tie,,,,,,"
