@@ -165,7 +165,7 @@ def test_pushbroom_equals_an_independent_evaluation() -> None:
         assert np.abs(ours - theirs).max() < 2e-15
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_differences_keep_their_digits() -> None:
     """A correction of 1e-9 prior sigmas changes F by its derivative to 1e-6 relative: no cancellation."""
     equation = registered()["look_angle_collinearity"]

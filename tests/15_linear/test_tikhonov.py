@@ -74,13 +74,14 @@ def test_prior_is_the_posterior_mean(system: LinearSystem, rng: np.random.Genera
     assert np.abs(found.x - expected).max() <= 1e-11
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_bayes_kappa_is_the_posterior_mean_of_equal_variances(system: LinearSystem) -> None:
     given = Given(sigma_observed=0.2, sigma_unknown=0.5)
     choice = choose_kappa("bayes", system, given)
     assert choice.kappa == pytest.approx(0.16, rel=1e-14)
-    posterior = generalised(system, np.zeros(5), 0.25 * np.eye(5), sigma=0.2)
-    assert np.abs(tikhonov(system, "bayes", given).x - posterior.x).max() <= 1e-12
+    design, observed = system.require_design("test")
+    posterior = np.linalg.solve(design.T @ design / 0.04 + np.eye(5) / 0.25, design.T @ observed / 0.04)
+    assert np.abs(tikhonov(system, "bayes", given).x - posterior).max() <= 1e-12
 
 
 @pytest.mark.truth
@@ -252,16 +253,23 @@ def test_cc_has_the_largest_correlation_with_the_truth() -> None:
     assert reached >= max(y @ truth / np.linalg.norm(y) / np.linalg.norm(truth) for y in others) - 1e-9
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_creso_is_the_first_local_maximum() -> None:
     """Two singular values far apart: each raises the function after its square, the smaller one comes first."""
     design = np.diag([1.0, 1e-3])
     system = LinearSystem.from_design(np.vstack([design, np.zeros(2)]), np.array([1.0, 1e-3, 0.1]))
     choice = choose_kappa("creso", system)
     assert choice.grid is not None and choice.curve is not None
-    ridge = Ridge.of(system, "test")
+    s, b = np.array([1.0, 1e-3]), np.array([1.0, 1e-3])
+
+    def function(kappa: float) -> float:
+        """|x|^2 + 2 kappa d|x|^2/dkappa of x = s b / (s^2 + kappa)."""
+        x = s * b / (s**2 + kappa)
+        return float(np.sum(x**2 - 4.0 * kappa * x**2 / (s**2 + kappa)))
+
     for factor in (0.999, 1.001):
-        assert ridge.creso(choice.kappa * factor) < ridge.creso(choice.kappa)
+        assert function(choice.kappa * factor) < function(choice.kappa)
+    assert choice.curve == pytest.approx([function(kappa) for kappa in choice.grid], rel=1e-9, abs=1e-12)
     rising = np.flatnonzero(np.diff(choice.curve) > 0.0)
     falling_again = next(i for i in range(rising[0], len(choice.curve) - 1) if choice.curve[i + 1] < choice.curve[i])
     assert choice.grid[falling_again - 1] <= choice.kappa <= choice.grid[falling_again + 1]
@@ -324,15 +332,18 @@ def test_every_rule_that_draws_a_curve_gives_its_grid() -> None:
         assert np.isfinite(choice.curve).all()
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", ["tikhonov_l_curve", "tikhonov_gcv", "tikhonov_creso", "tikhonov_lw", "tikhonov_od"])
-def test_registered_solvers_return_their_kappa(name: str) -> None:
+def test_registered_solvers_return_their_kappa_and_its_solution(name: str) -> None:
     system, _, _ = vandermonde(0)
     found = solve(name, system)
     rule = name.removeprefix("tikhonov_")
     expected = choose_kappa(rule, system, clamp=rule in ("lw", "od")).kappa
     assert found.kappa == expected
-    assert np.isfinite(found.x).all()
+    design, observed = system.require_design("test")
+    stacked = np.vstack([design, np.sqrt(expected) * np.eye(12)])
+    x = np.linalg.lstsq(stacked, np.concatenate([observed, np.zeros(12)]), rcond=None)[0]
+    np.testing.assert_allclose(found.x, x, rtol=0.0, atol=1e-8 * np.linalg.norm(x))
 
 
 @pytest.mark.truth

@@ -46,7 +46,7 @@ def test_faults_are_counted_beyond_the_first_twenty(tmp_path):
     assert faults.problems[-1].code == "table.more_faults" and faults.problems[-1].value == "30 more"
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_every_finite_double_is_read_back(value):
     faults = Faults("t.csv")

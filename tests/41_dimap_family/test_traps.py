@@ -216,7 +216,7 @@ def test_heights_of_frame_points_are_solved(twin: PushbroomMetadata) -> None:
     assert min(r["misfit_m"] for r in given) > 100.0
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_the_solved_height_is_the_best_one(twin: PushbroomMetadata) -> None:
     """Against a search over heights: no other one comes nearer to a point that no height meets."""
     metadata = without_heights(twin, [300.0] * 4)
