@@ -15,6 +15,7 @@ from fg_orient.block import Block, ExtraObservation
 from fg_orient.names import Role
 from fg_orient.quality.observability import analyse_block
 from fg_orient.simulate.block import BlockOptions, grid_block
+from tests.support.full_statistics import Full
 
 
 def with_control(block: Block, count: int) -> Block:
@@ -41,16 +42,17 @@ def test_without_priors_the_control_must_fix_the_block(twin: Block) -> None:
     assert not any("not reliable" in w for w in strong.warnings)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", [2, 16])
-def test_block_singular_values_equal_the_covariance(twin: Block, eop_set: int) -> None:
+def test_block_singular_values_equal_the_inverse_of_the_full_matrix(twin: Block, eop_set: int) -> None:
     """R^T R of the eliminated block is the inverse cofactor matrix of the images without priors."""
     options = replace(twin.options, eop_set=eop_set, priors=False)
     problem = compile_problem(replace(twin, options=options))
     s = analyse_block(problem).singular_values
-    q = fg.adjust(twin, eop_set=eop_set, priors=False).cofactors.joint((0, 1), ())
-    # the covariance belongs to the solution, the analysis to the start: 1e-3 of each value
-    assert np.sort(1.0 / np.sqrt(np.linalg.eigvalsh(q)))[::-1] == pytest.approx(s, rel=1e-2)
+    full = Full.of(problem, problem.start)
+    of_images = slice(0, full.columns.images[-1])
+    q = full.unknowns[of_images, of_images]
+    assert np.sort(1.0 / np.sqrt(np.linalg.eigvalsh(q)))[::-1] == pytest.approx(s, rel=1e-5)
 
 
 @pytest.mark.oracle

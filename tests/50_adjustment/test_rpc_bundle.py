@@ -20,6 +20,7 @@ from fg_orient.quality.covariance import cofactors_of
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.rpc.corrected import corrected
 from fg_orient.sensors.rpc_sensor import RpcSensor
+from tests.support.full_statistics import Full, step_of_numpy
 from tests.support.rpc_block import RpcTwin, rpc_twin, twin_with_models, without_control
 from tests.support.rpc_model import reference_project
 
@@ -57,12 +58,12 @@ def relative(block: Block) -> Block:
     return replace(free, options=replace(free.options, datum="priors"))
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     "name", ["shift", "shift_drift", "affine", "mixed", "mixed shift", "fixed", "excluded", "relative"]
 )
 @pytest.mark.parametrize("backend", ["graph", "schur"])
-def test_graph_and_schur_equal_dense(name: str, backend: str) -> None:
+def test_graph_and_schur_equal_dense_and_numpy(name: str, backend: str) -> None:
     """Unknowns to 1e-9 prior sigma, points to 1e-7 m, cofactors to 1e-7 of their size."""
     block = blocks()[name]
     graph, dense = fg.adjust(block, backend=backend), fg.adjust(block, backend="dense")
@@ -72,10 +73,16 @@ def test_graph_and_schur_equal_dense(name: str, backend: str) -> None:
     assert graph.chi2 == pytest.approx(dense.chi2, rel=1e-9)
     assert graph.cofactors is not None and dense.cofactors is not None
     points = tuple(int(j) for j in np.flatnonzero(graph.problem.active)[:3])
+    image, ground = step_of_numpy(graph.problem, graph.state)
+    assert image <= 1e-9 and ground <= 1e-7
+    full = Full.of(graph.problem, graph.state)
     for images, some in (((0, 1), points), ((0, 1), points[:1]), ((1,), points[1:2]), ((1, 0), ()), ((), points[:1])):
-        a, b = (s.cofactors.joint(images, some) for s in (graph, dense))
-        scale = np.sqrt(np.outer(np.diag(b), np.diag(b)))
-        assert np.abs((a - b) / scale).max() < 1e-7
+        parts = [full.columns.image(k) for k in images] + [full.columns.point(j) for j in some]
+        columns = np.r_[tuple(parts)]
+        expected = full.unknowns[np.ix_(columns, columns)]
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        for solution in (graph, dense):
+            assert np.abs((solution.cofactors.joint(images, some) - expected) / scale).max() < 1e-7
     assert graph.cofactors.point(points[0]) == pytest.approx(dense.cofactors.point(points[0]), rel=1e-6)
     c, d = (s.accuracy.check.predicted_sigma_enu_m for s in (graph, dense))
     assert np.allclose(c, d, rtol=1e-6, atol=0.0)

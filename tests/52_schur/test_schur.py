@@ -33,6 +33,7 @@ from fg_orient.names import Role
 from fg_orient.quality import conditioning
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
+from tests.support.full_statistics import step_of_numpy
 from tests.support.rpc_block import rpc_twin, twin_with_models
 from tests.support.states import largest, moved
 
@@ -161,16 +162,19 @@ BLOCKS: dict[str, Callable[[], Block]] = {
 }
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", BLOCKS)
 @pytest.mark.parametrize("optimizer", OPTIMIZERS)
 def test_solutions_equal_those_of_the_graph_and_the_dense_backend(name: str, optimizer: str) -> None:
-    """Image unknowns within 1e-9 prior sigma, points within 1e-7 m, chi2 within 1e-11."""
+    """Image unknowns within 1e-9 prior sigma, points within 1e-7 m, chi2 within 1e-11; numpy has no step left."""
     problem = compile_problem(BLOCKS[name]())
     loop, graph = OPTIMIZERS[optimizer], GraphBackend(problem)
     a = loop(SchurBackend(problem), problem.start, 50, tolerance=TOLERANCE)
     b = loop(graph, graph.initial(), 50, tolerance=TOLERANCE)
     assert a.converged
+    image, ground = step_of_numpy(problem, a.state)
+    assert image <= 1e-9
+    assert ground <= 1e-7
     assert a.error == pytest.approx(b.error, rel=1e-11)
     image, ground = largest(problem, a.state, graph.state(b.state))
     assert image <= 1e-9
@@ -538,15 +542,15 @@ def test_whole_adjustment_equals_the_graph() -> None:
     assert (a.warnings, a.unobservable) == (b.warnings, b.unobservable)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_without_priors_a_well_posed_block_is_solved() -> None:
     block = with_options(grid(2, 2, 200), eop_set=2, priors=False)
     problem = compile_problem(block)
     a = OPTIMIZERS["gauss-newton"](SchurBackend(problem), problem.start, 50)
-    graph = GraphBackend(problem)
-    b = OPTIMIZERS["gauss-newton"](graph, graph.initial(), 50)
     assert a.converged
-    assert a.error == pytest.approx(b.error, rel=1e-9)
+    image, ground = step_of_numpy(problem, a.state)
+    assert image < 1e-6
+    assert ground < 1e-4
 
 
 @pytest.mark.behaviour

@@ -191,7 +191,7 @@ def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
         assert np.abs(solution.cofactors.point(turned_down) - expected).max() <= 1e-7 * np.abs(expected).max()
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_result_folder_under_a_loss(tmp_path: Path) -> None:
     """Weights stand in the tables, chi2 follows from them, and the report does not say that the observations fit."""
     project = simulate_block(tmp_path / "project", BlockOptions(rows=1, columns=2, points=24))

@@ -25,6 +25,7 @@ from fg_orient.parallel.parts import default_parts, divide, part_file, read_part
 from fg_orient.parallel.pool import Execution, InProcess
 from fg_orient.parallel.solve import solve_in_parts
 from fg_orient.quality.covariance import cofactors_of
+from tests.support.full_statistics import step_of_numpy
 from tests.support.parallel_block import block
 from tests.support.rpc_block import rpc_twin
 from tests.support.states import largest, moved
@@ -147,13 +148,12 @@ def test_graduated_non_convexity_in_parts(problem: Problem) -> None:
     assert image <= SIGMAS and ground <= METRES
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", ["shift", "affine"])
 def test_images_with_rational_functions_in_parts(kind: str) -> None:
     twin = rpc_twin(kind).block
     problem = compile_problem(replace(twin, options=replace(twin.options, backend="schur")))
-    whole, parted = solve(problem), solve_in_parts(problem, Execution(parts=3))
-    image, ground = largest(problem, whole.state, parted.state)
+    image, ground = step_of_numpy(problem, solve_in_parts(problem, Execution(parts=3)).state)
     assert image <= SIGMAS and ground <= METRES
 
 

@@ -88,7 +88,7 @@ def _result(project: Path) -> Any:
     return json.loads((project.parent / "result" / "result.json").read_text("utf-8"))
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_table_of_compensation(drifting: tuple[RpcTwin, Path, Any]) -> None:
     """Rows of eop.csv: pixels, per line with the model's scale; the squares count in chi2 as documented."""
     twin, project, ended = drifting

@@ -132,7 +132,7 @@ def test_limit_is_said(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     assert 'ask with statistics "full"' in statistics.missing(solution)[0]
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_correlations_are_those_of_the_covariance(grid: Block) -> None:
     """Position and attitude of a pushbroom image: the pairs above the limit, between images too."""
     solution = fg.adjust(options(grid, eop_set=16))

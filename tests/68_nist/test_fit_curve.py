@@ -59,7 +59,7 @@ def test_redundancy_numbers_and_correlations(observed: tuple[np.ndarray, np.ndar
     assert not np.allclose(unweighted.redundancy_numbers, 1.0 - hat.diagonal(), atol=1e-2)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_complex_steps_equal_given_derivatives(observed: tuple[np.ndarray, np.ndarray]) -> None:
     y, _ = observed
     a, b = (fit_curve(decay, X, y, START, jacobian=j) for j in (None, decay_derivatives))

@@ -46,7 +46,7 @@ def test_band_of_images_that_do_not_all_overlap() -> None:
     assert cases.counts(problem).half_bandwidth == (max(partners) + 1) * k - 1 < 6 * k - 1
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_flat_problem_is_the_problem_of_our_backends(pair: Problem) -> None:
     flat, schur = FlatProblem(pair), SchurBackend(pair, threads=1)
     flat._rows = flat._rows.py_func  # not compiled: 86 image points

@@ -32,6 +32,19 @@ class Full:
         return cls(v, design, half @ half.T, np.eye(len(v)) - u @ u.T, Columns.of(problem))
 
 
+def step_of_numpy(problem: Problem, state: State) -> tuple[float, float]:
+    """Gauss-Newton step by numpy's least squares: largest part of the image unknowns (sigmas), of the points (m).
+
+    None is left at the minimum, whatever has found it.
+    """
+    v, design = assemble(problem, state)
+    design = design if problem.ties is None else problem.ties.columns(design)
+    scale = np.linalg.norm(design, axis=0)
+    step = np.linalg.lstsq(design / scale, -v, rcond=None)[0] / scale
+    image, ground = np.split(np.abs(step), [len(step) - 3 * int(problem.active.sum())])
+    return float(image.max(initial=0.0)), float(ground.max(initial=0.0))
+
+
 def turned_design(problem: Problem, state: State) -> np.ndarray:
     """Whitened Jacobian with the rows of control points in East, North, Up, in sigmas; shared unknowns once."""
     _, a = assemble(problem, state)
