@@ -57,12 +57,19 @@ def test_residual_equals_the_printed_formulas() -> None:
         assert np.abs(found - expected).max() < 1e-11 * max(1.0, float(np.abs([line, sample]).max() * weight.max()))
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
     rng = np.random.default_rng(4)
     camera = camera_of(rng, np.array([-0.2, 0.05, -0.01, 1e-3, -2e-3]))
     ideal = rng.uniform(-0.6, 0.6, (50, 2))
-    pixels = np.array([frame_camera.pixel(camera, x, y) for x, y in ideal])
+    (x, y), (k1, k2, k3, p1, p2) = ideal.T, camera[15:20]  # as printed
+    r2 = x**2 + y**2
+    radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    sample = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+    line = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
+    pixels = 1200.0 * np.stack([line, sample], axis=1) + camera[14:12:-1]
+    ours = np.array([frame_camera.pixel(camera, *direction) for direction in ideal])
+    assert np.abs(ours - pixels).max() < 1e-11
     found = frame_camera.ideal_directions(camera, pixels[:, 0].copy(), pixels[:, 1].copy())
     assert np.abs(found - ideal).max() < 1e-12
     camera[15:20] = -0.3, 0.0, 0.0, 0.0, 0.0  # x (1 - 0.3 x^2) is largest at 1.054: 0.703

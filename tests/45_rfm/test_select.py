@@ -10,9 +10,9 @@ from scipy.optimize import minimize
 
 from fg_orient.errors import InputError
 from fg_orient.rfm import select
-from fg_orient.rfm.estimate import fit_linear
+from fg_orient.rfm.estimate import fit_linear, linear_system
 from fg_orient.rfm.form import RfmForm
-from fg_orient.rfm.points import ControlPoints
+from fg_orient.rfm.points import ControlPoints, Scaling
 from fg_orient.rfm.reduced import Reduced
 from fg_orient.rfm.select import Selection, eliminated, fit_selected, lasso_solution, press_of, selections
 
@@ -25,7 +25,7 @@ def reduced(make: Make) -> Reduced:
     return Reduced.of(make(60, noise_px=0.5), RfmForm(2))
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_reduced_system_gives_the_solution_of_the_whole(make: Make, reduced: Reduced) -> None:
     whole = fit_linear(make(60, noise_px=0.5), RfmForm(2))
     x, square, cofactors = reduced.fit(np.arange(reduced.design.shape[1]))
@@ -34,6 +34,13 @@ def test_reduced_system_gives_the_solution_of_the_whole(make: Make, reduced: Red
     assert square == pytest.approx(np.sum(v**2), rel=1e-8)
     assert whole.cofactors is not None
     np.testing.assert_allclose(cofactors, np.diag(whole.cofactors)[reduced.unknowns], rtol=1e-6)
+    points, form = make(60, noise_px=0.5), RfmForm(2)
+    a, observed = linear_system(points, form, Scaling.of(points)).require_design("test")
+    length = np.linalg.norm(a, axis=0)
+    numpys = np.linalg.lstsq(a / length, observed, rcond=None)[0] / length
+    np.testing.assert_allclose(x, numpys[reduced.unknowns], rtol=1e-6, atol=1e-9)
+    inverse = np.linalg.pinv(a / length)
+    np.testing.assert_allclose(cofactors, (np.sum(inverse**2, axis=1) / length**2)[reduced.unknowns], rtol=1e-6)
 
 
 @pytest.mark.oracle

@@ -13,7 +13,7 @@ from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.block import Block
 from fg_orient.names import Role
-from tests.support.full_statistics import Full
+from tests.support.full_statistics import Full, step_of_numpy
 
 OWN = ("gauss-newton", "levenberg-marquardt", "dogleg")
 NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
@@ -205,7 +205,7 @@ def test_pixel_residuals_are_adjusted_minus_observed(twin: Block) -> None:
         assert np.abs(sample - o.sample[rows] - solution.residuals_px[rows, 1]).max() < 1e-3
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_fixed_control_points_are_constants(twin: Block) -> None:
     """Fixed points leave the unknowns; very small sigmas give the same answer."""
     control = twin.points.where(Role.CONTROL)
@@ -218,6 +218,7 @@ def test_fixed_control_points_are_constants(twin: Block) -> None:
     assert (len(a.accuracy.control), a.accuracy.control.n_fixed) == (0, 37)  # constants have no differences
     assert (len(b.accuracy.control), b.accuracy.control.n_fixed) == (37, 0)
     assert a.problem.n_unknowns == 2 * 3 + 30
+    assert max(step_of_numpy(a.problem, a.state)) < 1e-7
     assert np.abs(a.state.image - b.state.image).max() < 1e-4
     assert np.array_equal(a.ground_m[control], twin.points.known.ecef_m[control])
     assert a.redundancy == b.redundancy

@@ -33,7 +33,7 @@ from fg_orient.names import Role
 from fg_orient.quality import conditioning
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
-from tests.support.full_statistics import step_of_numpy
+from tests.support.full_statistics import Full, step_of_numpy
 from tests.support.rpc_block import rpc_twin, twin_with_models
 from tests.support.states import largest, moved
 
@@ -528,8 +528,8 @@ def test_own_observations_are_refused_by_name() -> None:
         SchurBackend(compile_problem(grid(2, 2, 60)), reduced="sparse")
 
 
-@pytest.mark.consistency
-def test_whole_adjustment_equals_the_graph() -> None:
+@pytest.mark.oracle
+def test_whole_adjustment_equals_the_graph_and_the_full_matrix() -> None:
     """Status, statistics, residuals, cofactors and named covariance through the public function."""
     block = grid(2, 2, 60)
     a, b = (fg.adjust(block, eop_set=20, backend=name) for name in ("schur", "graph"))
@@ -538,7 +538,11 @@ def test_whole_adjustment_equals_the_graph() -> None:
     assert a.residuals_px == pytest.approx(b.residuals_px, abs=1e-7)
     assert a.accuracy.check.predicted_sigma_enu_m == pytest.approx(b.accuracy.check.predicted_sigma_enu_m, rel=1e-7)
     image = block.images[2].id
-    assert a.covariance(f"image:{image}").values == pytest.approx(b.covariance(f"image:{image}").values, rel=1e-5)
+    full = Full.of(a.problem, a.state)
+    columns, sigma = full.columns.image(2), a.sigma0 * a.problem.parameters[2].sigma
+    expected = full.unknowns[columns, columns] * np.outer(sigma, sigma)
+    for solution in (a, b):
+        assert solution.covariance(f"image:{image}").values == pytest.approx(expected, rel=1e-5)
     assert (a.warnings, a.unobservable) == (b.warnings, b.unobservable)
 
 

@@ -121,7 +121,7 @@ def test_without_redundancy_there_is_no_m0_and_a_reason() -> None:
     assert np.abs(found.cofactors_v).max() < 1e-15
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_a_singular_design_is_solved_by_svd_with_a_note() -> None:
     """Two unknowns that act alike: QR refuses, SVD gives their sum, rank and redundancy say so."""
 
@@ -135,6 +135,9 @@ def test_a_singular_design_is_solved_by_svd_with_a_note() -> None:
     found, plain = gauss_markov(doubled, observed, np.zeros(3), solver="svd"), gauss_markov(line, observed, np.zeros(2))
     assert found.redundancy == plain.redundancy == 12
     assert found.x[0] + found.x[1] == pytest.approx(plain.x[0], rel=1e-12)
+    assert found.x == pytest.approx(np.linalg.lstsq(doubled(np.zeros(3))[1], observed, rcond=None)[0], rel=1e-10)
+    a = line(np.zeros(2))[1]
+    assert np.allclose(found.cofactors_adjusted, a @ np.linalg.inv(a.T @ a) @ a.T, atol=1e-13)
     assert "rank 2 of 3" in found.notes[-1]
     assert np.allclose(found.cofactors_adjusted, plain.cofactors_adjusted, atol=1e-14)
     assert plain.notes == ()

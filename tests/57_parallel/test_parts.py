@@ -15,7 +15,7 @@ import fg_orient as fg
 from fg_orient.adjustment.gnc import EXACT, PLAIN, Graduated
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.robust import weighted_problem
+from fg_orient.adjustment.robust import robust_of, weighted_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
 from fg_orient.block import Block, ExtraObservation
@@ -25,7 +25,7 @@ from fg_orient.parallel.parts import default_parts, divide, part_file, read_part
 from fg_orient.parallel.pool import Execution, InProcess
 from fg_orient.parallel.solve import solve_in_parts
 from fg_orient.quality.covariance import cofactors_of
-from tests.support.full_statistics import step_of_numpy
+from tests.support.full_statistics import after_numpy, step_of_numpy
 from tests.support.parallel_block import block
 from tests.support.rpc_block import rpc_twin
 from tests.support.states import largest, moved
@@ -63,10 +63,10 @@ def test_the_number_of_parts_follows_from_the_block(problem: Problem, monkeypatc
         assert default_parts(problem) == min(expected, parts_module.MAX_PARTS)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(st.data())
-def test_a_step_in_parts_is_the_step_in_one_piece(
+def test_a_step_in_parts_is_the_step_in_one_piece_and_of_numpy(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     """Any set, look polynomial, damping, number of parts: step, errors, lengths, and the state that follows."""
@@ -89,6 +89,8 @@ def test_a_step_in_parts_is_the_step_in_one_piece(
     assert ours.norm == pytest.approx(step.norm, rel=1e-7)
     assert ours.predicted_error == pytest.approx(step.predicted_error, rel=1e-9)
     newton = a.solve(0.0).norm
+    image, ground = largest(problem, after_numpy(problem, state), parted.retract(state, b.solve(0.0)))
+    assert max(image, ground) <= 1e-7 * max(1.0, newton)
     for radius in (1e-3 * newton, 0.5 * newton):
         step, ours = a.dogleg(radius), b.dogleg(radius)
         assert ours.norm == pytest.approx(min(radius, newton), rel=1e-7)
@@ -97,7 +99,7 @@ def test_a_step_in_parts_is_the_step_in_one_piece(
         assert ours.predicted_error == pytest.approx(step.predicted_error, rel=1e-9)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize(("optimizer", "loss"), [*((name, "none") for name in OPTIMIZERS), ("dogleg", "huber")])
 def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss: str) -> None:
     chosen = with_options(problem, optimizer=optimizer, loss=loss)
@@ -106,6 +108,8 @@ def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss:
     image, ground = largest(chosen, whole.state, parted.state)
     assert image <= SIGMAS and ground <= METRES
     assert parted.chi2 == pytest.approx(whole.chi2, rel=1e-12)
+    image, ground = step_of_numpy(chosen, parted.state, robust_of(chosen.block.options))
+    assert image <= 1e-6 and ground <= 1e-4  # reweighted steps shrink by a tenth each
     theirs, ours = (
         cofactors_of(chosen if e.weights is None else weighted_problem(chosen, e.weights), e) for e in (whole, parted)
     )
@@ -157,11 +161,13 @@ def test_images_with_rational_functions_in_parts(kind: str) -> None:
     assert image <= SIGMAS and ground <= METRES
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_adjust_takes_parts(small: Block) -> None:
     whole, parted = fg.adjust(small), fg.adjust(small, parts=3)
     assert parted.status == whole.status and parted.backend == "schur"
     assert parted.sigma0 == pytest.approx(whole.sigma0, rel=1e-12)
+    image, ground = step_of_numpy(parted.problem, parted.state)
+    assert image <= SIGMAS and ground <= METRES
     np.testing.assert_allclose(parted.ground_m, whole.ground_m, rtol=0.0, atol=METRES)
     for role in ("control", "check"):
         a, b = (getattr(s.accuracy, role).statistics() for s in (whole, parted))

@@ -26,6 +26,7 @@ from fg_orient.parallel.pool import Cluster, Execution, InProcess, Pool, branche
 from fg_orient.parallel.study import study
 from fg_orient.parallel.tasks import forget
 from fg_orient.simulate.block import BlockOptions, grid_block
+from tests.support.full_statistics import step_of_numpy
 
 PARTS = 4
 
@@ -117,11 +118,13 @@ def test_branches_are_those_of_the_tree(count: int) -> None:
         assert pool_module._top(sums, count, depth) == whole
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_workers_agree_with_one_piece(small: Block, problem: Problem, client: Any) -> None:
     """Within 1e-9 prior sigma; ground points within 1e-7 m."""
     whole, shared = solve(problem), fg.adjust(small, parts=PARTS, cluster=client)
     assert shared.status == fg.Status.CONVERGED
+    image, ground = step_of_numpy(problem, shared.state)
+    assert image <= 1e-9 and ground <= 1e-7
     assert np.abs(shared.state.image - whole.state.image).max() <= 1e-9
     assert np.nanmax(np.abs(shared.state.ground - whole.state.ground)) <= 1e-7
 

@@ -24,6 +24,7 @@ from fg_orient.orient import adjust
 from fg_orient.report.data import read_columns
 from fg_orient.run.columns import Named, write_columns
 from fg_orient.simulate.block import BlockOptions, grid_block
+from tests.support.full_statistics import Full
 
 quiet = settings(derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 words = st.text(st.characters(codec="utf-8", exclude_characters="\r\0"), min_size=1, max_size=6)
@@ -136,16 +137,22 @@ def test_rows_of_an_image_are_those_of_its_equation(block: Block, degree: int | 
         np.testing.assert_allclose(d_image, expected, rtol=1e-11, atol=1e-12 * np.abs(expected).max())
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["schur", "graph", "dense"])
-def test_cofactors_of_all_points_are_those_of_each(block: Block, monkeypatch: pytest.MonkeyPatch, backend: str) -> None:
+def test_cofactors_of_all_points_are_those_of_the_full_matrix(
+    block: Block, monkeypatch: pytest.MonkeyPatch, backend: str
+) -> None:
     """In one go, in small chunks, and without all cofactors of the images; fixed points have none."""
     fixed = block.points.known.fixed.copy()
     fixed[np.flatnonzero(np.isfinite(block.points.known.ecef_m).all(axis=1))[:2]] = True
     points = replace(block.points, known=replace(block.points.known, fixed=fixed))
-    found = adjust(replace(block, points=points), backend=backend).cofactors
+    solution = adjust(replace(block, points=points), backend=backend)
+    found, full = solution.cofactors, Full.of(solution.problem, solution.state)
     assert found is not None
-    each = np.array([found.point(j) for j in range(60)])
+    each = np.zeros((60, 3, 3))
+    for j in full.columns.ground:
+        each[j] = full.unknowns[full.columns.point(j), full.columns.point(j)]
+        assert np.allclose(found.point(j), each[j], rtol=1e-7, atol=0.0)
     assert not each[fixed].any() and (np.einsum("nii->ni", each)[~fixed] > 0.0).all()
     scale = np.sqrt(np.einsum("nii->ni", each)) + fixed[:, None]
     order = np.random.default_rng(0).permutation(60)
@@ -153,5 +160,5 @@ def test_cofactors_of_all_points_are_those_of_each(block: Block, monkeypatch: py
         monkeypatch.setattr("fg_orient.adjustment.point_cofactors.CHUNK", chunk)
         monkeypatch.setattr("fg_orient.adjustment.point_cofactors.WHOLE_LIMIT", limit)
         error = (found.points(order) - each[order]) / (scale[order, :, None] * scale[order, None, :])
-        assert np.abs(error).max() < 1e-10
+        assert np.abs(error).max() < 1e-8
     assert found.points(np.zeros(0, np.intp)).shape == (0, 3, 3)

@@ -40,10 +40,13 @@ def test_noncentrality_is_that_of_baarda() -> None:
         assert noncentrality(alpha, power, d) == pytest.approx(expected, rel=1e-7)
 
 
-@pytest.mark.consistency
-def test_sum_is_the_redundancy(grid: Block, solution: Solution, found: BlockReliability) -> None:
+@pytest.mark.oracle
+def test_sums_are_the_trace_of_the_full_matrix(grid: Block, solution: Solution, found: BlockReliability) -> None:
     parts = [found.image.redundancy, found.control.redundancy, found.prior]
-    assert sum(float(p.sum()) for p in parts) == pytest.approx(solution.redundancy, abs=1e-8)
+    share, n, m = np.diag(Full.of(solution.problem, solution.state).residuals), *(2 * len(parts[0]), 3 * len(parts[1]))
+    expected = [share[:n].sum(), share[n : n + m].sum(), share[n + m :].sum()]
+    assert [float(p.sum()) for p in parts] == pytest.approx(expected, abs=1e-7)
+    assert sum(expected) == pytest.approx(solution.redundancy, abs=1e-8)
     own = fg.adjust(own_observations(grid)).reliability()
     assert own.redundancy_sum == pytest.approx(own_redundancy(own), abs=1e-8)
     numbers = np.concatenate([found.image.redundancy.ravel(), found.control.redundancy.ravel(), found.prior])

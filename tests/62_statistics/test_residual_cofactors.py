@@ -118,16 +118,13 @@ def test_shared_priors_and_their_variance_component(twin: Block) -> None:
     assert shared[place, place] == pytest.approx(float(np.sum(full[np.ix_(look, look)] ** 2)), abs=TOLERANCE)
 
 
-@pytest.mark.consistency
-def test_any_division_gives_the_same(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.oracle
+def test_any_division_gives_the_full_matrix(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     solution = fg.adjust(grid, backend="schur")
-    whole = residual_cofactors(solution.problem, solution.state, solution.cofactors)
     for chunk, limit in ((7, 6000), (1000, 1)):
         monkeypatch.setattr("fg_orient.adjustment.point_cofactors.CHUNK", chunk)
         monkeypatch.setattr("fg_orient.adjustment.point_cofactors.WHOLE_LIMIT", limit)
-        parts = residual_cofactors(solution.problem, solution.state, solution.cofactors)
-        assert np.abs(parts.image - whole.image).max() < 1e-12
-        assert np.abs(parts.control - whole.control).max() < 1e-12
+        assert_equal_to_full_matrix(solution)
 
 
 @pytest.mark.consistency

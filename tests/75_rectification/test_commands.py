@@ -9,6 +9,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient.rectification.transformation import read_transformation
@@ -107,12 +108,11 @@ def test_pruning_from_the_command(tmp_path: Path, rng: np.random.Generator) -> N
     assert failed.code == 3 and "target is not reached" in failed.stderr
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_longitudes_are_projected(tmp_path: Path, rng: np.random.Generator) -> None:
-    from fg_orient.rectification.projections import unproject, utm
-
     image, plane, _ = scene(rng, 12)
-    lonlat = unproject(utm(35), plane)
+    to_degrees = pyproj.Transformer.from_crs("EPSG:32635", "EPSG:4326", always_xy=True)
+    lonlat = np.stack(to_degrees.transform(*plane.T), axis=1)
     path = write_points(tmp_path / "p.csv", image, lonlat)
     path.write_text(path.read_text("utf-8").replace("easting_m,northing_m", "lon_deg,lat_deg"), "utf-8")
     metres = run("rectify", "fit", write_points(tmp_path / "m.csv", image, plane), "--json").json

@@ -191,13 +191,20 @@ def test_random_configurations(kind: str, runs: int, optimizer: str, monkeypatch
         check(examined(kind, 2 * seed, optimizer))
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_graph_equals_correlates(kind: str) -> None:
     """States and standard deviations of every variable, figures included."""
     (net,) = networks(kind, SHAPES[kind](np.random.default_rng(5)), np.random.default_rng(6), [None])
     dense, graph = solved(net), solved(net, GraphNetwork)
-    roots = np.sqrt(bordered_inverse(net.rows(dense)).diagonal())
+    rows = net.rows(dense)
+    h, u = rows.border.shape
+    bordered = np.block([[rows.design.T @ rows.design, rows.border.T], [rows.border, np.zeros((h, h))]])
+    whole = np.linalg.inv(bordered)[:u, :u]
+    roots = np.sqrt(whole.diagonal())
+    assert bordered_inverse(rows).diagonal() == pytest.approx(whole.diagonal(), rel=1e-6, abs=1e-12)
+    step = np.linalg.solve(bordered, -np.concatenate([rows.design.T @ rows.residual, rows.condition]))[:u]
+    assert np.abs(step).max() <= 1e-6 * NOISE  # numpy has no step left
     assert np.abs(dense - graph).max() <= 1e-9 * NOISE
     found = np.concatenate([np.sqrt(q.diagonal()) for q in GraphNetwork(net).cofactors(dense)])
     assert found == pytest.approx(roots, rel=1e-6, abs=1e-9)

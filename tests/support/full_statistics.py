@@ -9,8 +9,10 @@ import numpy as np
 from factors.control import CONTROL_POINT
 from fg_orient.adjustment.dense import Columns, assemble
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import Robust
 from fg_orient.block import Block, ExtraObservation, ImagePoints
 from fg_orient.names import Role
+from tests.support.states import largest
 
 
 @dataclass(frozen=True)
@@ -32,17 +34,27 @@ class Full:
         return cls(v, design, half @ half.T, np.eye(len(v)) - u @ u.T, Columns.of(problem))
 
 
-def step_of_numpy(problem: Problem, state: State) -> tuple[float, float]:
-    """Gauss-Newton step by numpy's least squares: largest part of the image unknowns (sigmas), of the points (m).
-
-    None is left at the minimum, whatever has found it.
-    """
+def after_numpy(problem: Problem, state: State, robust: Robust | None = None) -> State:
+    """State after a Gauss-Newton step by numpy's least squares, with the weights of a loss at the state."""
     v, design = assemble(problem, state)
+    if robust is not None:
+        n, m = 2 * len(problem.observations), 3 * int(problem.observed.sum())
+        image, control = (np.linalg.norm(part.reshape(-1, k), axis=1) for part, k in ((v[:n], 2), (v[n : n + m], 3)))
+        weights = [np.repeat(robust.image.weights(image), 2), np.repeat(robust.control.weights(control), 3)]
+        root = np.sqrt(np.concatenate([*weights, np.ones(len(v) - n - m)]))
+        v, design = root * v, root[:, None] * design
     design = design if problem.ties is None else problem.ties.columns(design)
     scale = np.linalg.norm(design, axis=0)
     step = np.linalg.lstsq(design / scale, -v, rcond=None)[0] / scale
-    image, ground = np.split(np.abs(step), [len(step) - 3 * int(problem.active.sum())])
-    return float(image.max(initial=0.0)), float(ground.max(initial=0.0))
+    step = step if problem.ties is None else problem.ties.widened(step)
+    ground = state.ground.copy()
+    ground[problem.active] += step[problem.n_image_unknowns :].reshape(-1, 3)
+    return State(state.image + problem.image_matrix(step[: problem.n_image_unknowns]), ground)
+
+
+def step_of_numpy(problem: Problem, state: State, robust: Robust | None = None) -> tuple[float, float]:
+    """Largest part of that step: image unknowns (sigmas), points (m). None is left at the minimum."""
+    return largest(problem, after_numpy(problem, state, robust), state)
 
 
 def turned_design(problem: Problem, state: State) -> np.ndarray:
