@@ -136,11 +136,15 @@ def test_from_ecef_is_what_proj_gives(crs: str, rng: np.random.Generator) -> Non
         np.testing.assert_array_equal(there, np.stack(ecef_to_geodetic(xyz), axis=1))
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_a_survey_in_another_crs_says_by_which_operation(rng: np.random.Generator) -> None:
     survey = random_survey(rng, formats()["csv"], UTM)
     there = transformed(survey, "EPSG:4979", "f")
     assert any("UTM zone 36N" in text for text in there.notes)
+    proj = pyproj.Transformer.from_crs(pyproj.CRS(UTM).to_3d(), "EPSG:4979", always_xy=True)
+    expected = np.stack(proj.transform(*survey.coordinates.T), axis=1)
+    known = np.isfinite(survey.coordinates).all(axis=1)
+    assert (np.abs(there.coordinates - expected)[known] < [1e-10, 1e-10, 1e-5]).all()
     back = transformed(there, UTM, "f")
     assert np.nanmax(np.abs(back.coordinates - survey.coordinates)) < 2e-6
     np.testing.assert_array_equal(np.isnan(back.coordinates), np.isnan(survey.coordinates))

@@ -6,6 +6,7 @@ import csv
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -14,6 +15,9 @@ from fg_orient.io.dimap import read_dimap
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.eop import fit_eop, metadata_eop
 from fg_orient.sensors.pushbroom import PushbroomSensor
+from tests.support.published_rays import misses_m
+
+GEODETIC = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
 
 pytestmark = pytest.mark.real_data
 
@@ -50,13 +54,13 @@ def test_frame_points(real_data: Path, name: str) -> None:
     assert missed.max() <= FRAME_LIMIT_M[name]
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("height_m", [0.0, 5000.0])
 @pytest.mark.parametrize(
     "name", [f"geocosicorr3d/{n}" for n in [*V1_FILES, "SPOT6.XML"]] + [f"geoetrim-pleiades/{n}" for n in PLEIADES]
 )
 def test_round_trip_over_the_whole_scene(real_data: Path, name: str, height_m: float) -> None:
-    """project(locate(p)) = p within 1e-6 px, with a correction in every parameter too."""
+    """Located points lie on the rays written apart; project(locate(p)) = p within 1e-6 px; with a correction, too."""
     s = sensor(real_data, name)
     line, sample = (
         a.ravel() for a in np.meshgrid(np.linspace(0, s.n_lines - 1, 25), np.linspace(0, s.n_samples - 1, 25))
@@ -65,6 +69,8 @@ def test_round_trip_over_the_whole_scene(real_data: Path, name: str, height_m: f
     sigma = np.repeat([[10.0, 1.0, 0.1], [1e-2, 1e-3, 1e-4], [5e-5, 1e-5, 2e-6]], 3, axis=0)
     for correction in (None, Correction(rng.normal(size=(9, 3)) * sigma, rng.normal(size=(2, 3)) * 1e-4)):
         ground = s.locate(line, sample, height_m=height_m, correction=correction)
+        assert misses_m(s.metadata, line, sample, ground, correction).max() < 1e-7
+        assert np.abs(GEODETIC.transform(*ground.T)[2] - height_m).max() < 1e-4
         l_back, s_back = s.project(ground, correction)
         assert np.abs(l_back - line).max() <= 1e-6
         assert np.abs(s_back - sample).max() <= 1e-6

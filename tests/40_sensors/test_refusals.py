@@ -16,6 +16,7 @@ from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.metadata import LineTiming, LookAnglePolynomial, PushbroomMetadata, QuaternionList
 from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S, PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.published_rays import misses_m, rays
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +185,7 @@ def test_points_outside_or_behind(metadata: PushbroomMetadata) -> None:
     assert np.isnan([line[1], sample[1]]).all()
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_intersection_of_two_images(metadata: PushbroomMetadata) -> None:
     """Noise-free pixels of a ground point meet in it: 1e-6 m; a single direction is refused."""
     block, truth = zonguldak_block(ZonguldakOptions(seed=1))
@@ -193,6 +194,8 @@ def test_intersection_of_two_images(metadata: PushbroomMetadata) -> None:
     line, sample = (np.array([p[k] for p in pixels]) for k in (0, 1))
     found = fg.intersect(sensors, line, sample, truth.corrections)
     assert np.abs(found - truth.ecef_m).max() < 1e-6
+    for image, pixel, correction in zip(block.images, pixels, truth.corrections, strict=True):
+        assert misses_m(image.sensor.metadata, *pixel, found, correction).max() < 1e-6
     uncorrected = fg.intersect(sensors, line, sample)
     assert 1.0 < np.linalg.norm(uncorrected - truth.ecef_m, axis=1).max() < 100.0
     with pytest.raises(InputError, match="parallel"):
@@ -239,10 +242,13 @@ def test_convergence_is_the_largest_angle_of_any_two_rays() -> None:
     assert np.abs(found[[0, 2]] - target).max() < 1e-6
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_one_line_and_many_samples(metadata: PushbroomMetadata) -> None:
     sensor = PushbroomSensor(metadata)
     row = sensor.locate(100.0, [5.0, 6.0, 7.0], height_m=0.0)
     assert np.array_equal(row[1], sensor.locate(100.0, 6.0, height_m=0.0)[0])
     centre, direction = sensor.rays(100.0, [5.0, 6.0, 7.0])
     assert centre.shape == direction.shape == (3, 3)
+    at, seen = rays(metadata, np.full(3, 100.0), np.array([5.0, 6.0, 7.0]))
+    assert np.abs(centre - at).max() < 1e-7
+    assert np.abs(direction - seen).max() < 1e-13

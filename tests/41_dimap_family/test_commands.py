@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient.errors import InputError
 from fg_orient.io.project import read_project
+from fg_orient.io.rpc import read_rpc
 from fg_orient.io.sensor import read_sensor
 from fg_orient.raster.adjusted import read_correction
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
+from tests.support.published_rays import misses_m
+from tests.support.rpc_model import reference_project
 
 PHR = "shareloc/PHRDIMAP_P1BP--2018122638935449CP.XML"
 HRS = "asp/spot5_hrs1_segment.xml"
@@ -60,7 +64,7 @@ def short(twin: Path, tmp_path: Path) -> Path:
     return tmp_path / "short" / "project.toml"
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
     image = twin / "left.DIM"
     pixel = ("--line", 6000, "--sample", 3000, "--height", 400, "--json")
@@ -68,6 +72,9 @@ def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
     sensor = read_sensor(image)
     expected = sensor.locate(6000.0, 3000.0, height_m=400.0, correction=read_correction(result, sensor))[0]  # type: ignore[call-arg]
     assert [adjusted[k] for k in ("x_m", "y_m", "z_m")] == expected.tolist()
+    correction = read_correction(result, sensor)
+    pixel_of = np.array([6000.0]), np.array([3000.0])
+    assert misses_m(sensor.metadata, *pixel_of, expected[None], correction)[0] < 1e-6
     assert adjusted["x_m"] != plain["x_m"]
     place = ("--lon", adjusted["lon_deg"], "--lat", adjusted["lat_deg"], "--height", 400)
     (back,) = run("project", image, *place, "--result", result, "--json").json["points"]
@@ -101,7 +108,7 @@ def test_footprint_of_a_project_and_of_files(twin: Path, result: Path, tmp_path:
         assert (ended.code, [e["code"] for e in ended.json["errors"]]) == (2, [code])
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: Path) -> None:
     """Its error at independent points stands in the record; the file is the adjusted model, not the metadata's."""
     out = tmp_path / "left_RPC.TXT"
@@ -115,8 +122,12 @@ def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: P
         np.array(a) for a in ([10.0, 6000.0, 11990.0], [9.0, 6000.0, 11990.0], [0.0, 700.0, 1500.0])
     )
     ground = rigorous.locate(line, sample, height_m=height, correction=correction)  # type: ignore[call-arg]
+    assert misses_m(rigorous.metadata, line, sample, ground, correction).max() < 1e-6
+    geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*ground.T)
+    written = np.array(reference_project(read_rpc(out), *geodetic), float)
+    assert np.abs(written - [line, sample]).max() < 1e-3
     there = np.array(read_sensor(out).project(ground))
-    assert np.abs(there - [line, sample]).max() < 1e-3
+    assert np.abs(there - written).max() < 1e-4
     assert np.abs(np.array(rigorous.project(ground)) - [line, sample]).max() > 0.5
     ended = run("rpc", "fit", twin / "points.csv", "--result", result, "--json")
     assert ended.code == 2 and "--result" in ended.json["errors"][0]["place"]

@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 from scipy import stats
 
@@ -25,6 +26,8 @@ from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
 from tests.support.command import in_process
 from tests.support.full_statistics import step_of_numpy
 from tests.support.mixed_study import SENSORS, run, uniform, weighted
+from tests.support.published_rays import misses_m
+from tests.support.rpc_model import reference_project
 
 FAST, ALL = range(1, 4), range(1, 201)
 
@@ -68,7 +71,7 @@ def test_rpc_look_ahead_and_back() -> None:
     assert 26.0 < np.degrees(np.arccos(rays[0] @ rays[1])) < 31.0
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_without_errors_and_noise_the_files_are_the_truth() -> None:
     none = MixedOptions(seed=2, points=20, control=4, check=4, errors="none", spot_noise_px=0.0, rpc_noise_px=0.0,
                         frame_noise_px=0.0)  # fmt: skip
@@ -79,6 +82,13 @@ def test_without_errors_and_noise_the_files_are_the_truth() -> None:
         rows = simulation.image == k
         pixels = np.stack(image.sensor.project(truth.ecef_m[simulation.point[rows]]), axis=1)
         np.testing.assert_allclose(pixels, truth.pixels[rows], atol=1e-9)
+        ground = truth.ecef_m[simulation.point[rows]]
+        if isinstance(image.sensor, PushbroomSensor):
+            assert misses_m(image.sensor.metadata, *truth.pixels[rows].T, ground).max() < 1e-6
+        elif isinstance(image.sensor, RpcSensor):
+            geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*ground.T)
+            expected = np.stack(reference_project(image.sensor.model, *geodetic), axis=1).astype(float)
+            np.testing.assert_allclose(truth.pixels[rows], expected, atol=1e-6)
     assert set(simulation.sigma_px.ravel()) == {0.3}
 
 

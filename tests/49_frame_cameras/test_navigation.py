@@ -55,12 +55,15 @@ def test_body_attitude_is_that_of_scipy() -> None:
     np.testing.assert_allclose(body_attitude(0.0, 0.0, np.pi / 2, place), flying_east, atol=1e-15)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_residuals_vanish_at_direct_georeferencing() -> None:
     """What `direct_orientation` makes of receiver and attitude fulfils both equations: one convention, two paths."""
     rng = np.random.default_rng(3)
     body, receiver, lever = Rotation.random(random_state=4).as_matrix(), rng.normal(size=3) + 5e6, rng.normal(size=3)
     rotation, centre = direct_orientation(receiver, body, lever, TOP_FORWARD)
+    # X_0 = X_receiver + R a; the axes of the camera follow those of the body by the boresight
+    assert np.abs(centre - (receiver + body @ lever)).max() < 1e-9
+    assert np.abs(rotation - TOP_FORWARD @ body.T).max() < 1e-15
     camera = Interior(100, 100, 100.0, np.zeros(2)).camera(rotation, centre, {"rotation_x": 1.0})
     block = replace(small()[0], images=(replace(small()[0].images[0], sensor=FrameSensor(camera, 100, 100)),), extra=())
     fix = Fix(block.images[0].id, "1", 0.0, receiver, np.ones(3), body, np.ones(3))

@@ -219,7 +219,7 @@ def test_any_solver_of_the_registry(twin: Block, solver: str) -> None:
     assert_no_step_left(found.problem, found.state)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_a_regularised_solver_gives_the_step(twin: Block) -> None:
     """Tikhonov inside the loop: each step is the solver's x; that it has not converged is said."""
     problem = compiled(twin, eop_set=16)
@@ -228,7 +228,11 @@ def test_a_regularised_solver_gives_the_step(twin: Block) -> None:
     expected = solve_linear("tikhonov_hkb", LinearSystem.from_design(design, -residual))
     assert expected.kappa is not None
     assert expected.kappa > 0.0
-    assert np.array_equal(backend.linearise(problem.start).solve(0.0).data, expected.x)
+    step = backend.linearise(problem.start).solve(0.0).data
+    assert np.array_equal(step, expected.x)
+    stacked = np.vstack([design, np.sqrt(expected.kappa) * np.eye(design.shape[1])])
+    ridge = np.linalg.lstsq(stacked, -np.concatenate([residual, np.zeros(design.shape[1])]), rcond=None)[0]
+    assert np.linalg.norm(step - ridge) <= 1e-6 * np.linalg.norm(ridge)
     short = fg.adjust(twin, eop_set=16, backend="dense", solver="tikhonov_hkb", max_iterations=1)
     assert short.status is fg.Status.NOT_CONVERGED
     assert short.chi2 < 2.0 * DenseBackend(problem).error(problem.start)

@@ -14,6 +14,7 @@ from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.block import Block
 from fg_orient.names import Role
 from tests.support.full_statistics import Full, step_of_numpy
+from tests.support.published_rays import misses_m
 
 OWN = ("gauss-newton", "levenberg-marquardt", "dogleg")
 NATIVE = ("native", "native-levenberg-marquardt", "native-dogleg")
@@ -193,7 +194,7 @@ def test_gradient_vanishes_at_the_solution(twin: Block) -> None:
     assert np.abs(a.T @ r).max() < 1e-6 * np.abs(a).max()
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_pixel_residuals_are_adjusted_minus_observed(twin: Block) -> None:
     """v = project(adjusted point) - observation to second order: 1e-3 px."""
     solution = fg.adjust(twin, eop_set=15)
@@ -201,6 +202,9 @@ def test_pixel_residuals_are_adjusted_minus_observed(twin: Block) -> None:
     for k, image in enumerate(twin.images):
         rows = np.flatnonzero(o.image == k)
         line, sample = image.sensor.project(solution.ground_m[o.point[rows]], solution.correction(image.id))
+        there = o.line[rows] + solution.residuals_px[rows, 0], o.sample[rows] + solution.residuals_px[rows, 1]
+        ground, correction = solution.ground_m[o.point[rows]], solution.correction(image.id)
+        assert misses_m(image.sensor.metadata, *there, ground, correction).max() < 5e-3  # a pixel is 5 m
         assert np.abs(line - o.line[rows] - solution.residuals_px[rows, 0]).max() < 1e-3
         assert np.abs(sample - o.sample[rows] - solution.residuals_px[rows, 1]).max() < 1e-3
 

@@ -19,6 +19,7 @@ from fg_orient.errors import InputError
 from fg_orient.quality.verdict import DOWN
 from fg_orient.run import run_project
 from fg_orient.simulate.block import BlockOptions, simulate_block
+from tests.support.full_statistics import step_of_numpy
 
 from .conftest import clean_block, spoiled_block, with_options
 
@@ -53,7 +54,7 @@ def test_a_quarter_of_gross_errors_is_found(loss: str) -> None:
     )
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_graph_and_schur_alike(loss: str) -> None:
     block, _ = spoiled_block((3.0, 6.0), 2, 2, 40)
@@ -62,6 +63,8 @@ def test_graph_and_schur_alike(loss: str) -> None:
     assert np.abs(a.state.image - b.state.image).max() <= 1e-9
     assert np.abs(a.state.ground - b.state.ground).max() <= 1e-8
     assert a.chi2 == pytest.approx(b.chi2, rel=1e-10)
+    problem = compile_problem(with_options(block, loss=loss, gnc=True))
+    assert step_of_numpy(problem, a.state, Graduated.of(problem.block.options).robust(EXACT))[0] <= 1e-6
 
 
 @pytest.mark.oracle

@@ -213,13 +213,14 @@ def test_minimum_is_that_of_the_cost_written_out(name: str) -> None:
         assert written_out(problem, name, State(image, ground))[0] > value
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", ["huber", "tls"])
 def test_fixed_weights_are_an_ordinary_problem(name: str) -> None:
     """Least squares with the weights at the solution has its minimum there, and the same normal equations."""
     problem = spoiled()
     robust, end = of_loss(problem, name), at_minimum(problem, name)
     weights, excess = weights_at(problem, end.state, robust)
+    assert step_of_numpy(weighted_problem(problem, weights), end.state)[0] <= 1e-8
     fixed = DenseBackend(weighted_problem(problem, weights)).linearise(end.state)
     assert fixed.error == pytest.approx(end.error - excess, rel=1e-10)
     assert np.abs(fixed.design.T @ fixed.residual).max() <= 1e-8 * np.abs(fixed.design).max()

@@ -145,10 +145,12 @@ def test_line_exact_orbits_differ_from_polynomials_by_centimetres(block: Block) 
     assert np.array_equal(joined.records, smooth.records)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_columns_are_per_line_and_per_line_squared(block: Block) -> None:
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m)
     a = at.linearise(ALL, nothing(block)).eop.reshape(-1, 2, 9, 3)
+    by_eop, _, _ = oracle.derivatives(oracle.all_eop(block), at.look_rad, block.points.known.ecef_m[at.point], False)
+    assert deviation(a[..., 0], by_eop) < 1e-9
     line = block.observations.line[:, None, None]
     assert np.allclose(a[..., 1], a[..., 0] * line, rtol=1e-14, atol=0.0)
     assert np.allclose(a[..., 2], a[..., 0] * line**2, rtol=1e-14, atol=0.0)
@@ -208,7 +210,7 @@ def test_velocity_across_track_is_a_yaw() -> None:
     assert np.abs(across * normal[:, None] + yaw).max() < 1e-14
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("corrected", [False, True])
 def test_points_of_a_ray_fulfil_the_conditions(block: Block, corrected: bool, rng: np.random.Generator) -> None:
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m)
@@ -216,6 +218,11 @@ def test_points_of_a_ray_fulfil_the_conditions(block: Block, corrected: bool, rn
     x = rng.standard_normal((2, 27)) * size if corrected else nothing(block)
     centre, direction = at.rays(ALL, x)
     assert np.allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-15)
+    eop, line = oracle.all_eop(block), block.observations.line[:, None]
+    for degree in range(3):
+        eop = eop + x[block.observations.image, degree::3] * line**degree
+    assert np.abs(direction - oracle.ray(eop, at.look_rad, False)).max() < 1e-13
+    assert np.abs(centre - eop[:, :3]).max() < 1e-7
     for distance in (7e5, 9e5):
         on_ray = at.with_ground(centre + distance * direction)
         assert np.abs(on_ray.linearise(ALL, x).value).max() < 5e-15

@@ -102,10 +102,13 @@ def test_the_stop_does_not_depend_on_units(observed: np.ndarray) -> None:
     assert b.m0 == pytest.approx(unit * a.m0, rel=1e-10)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_weights_of_one_variance_change_nothing_but_the_scale(observed: np.ndarray) -> None:
     start = np.array([4.0, 0.5, 0.0])
     a, b = gauss_markov(decay, observed, start), gauss_markov(decay, observed, start, weights=np.full(14, 25.0))
+    scipys = least_squares(lambda x: decay(x)[0] - observed, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert a.x == pytest.approx(scipys.x, rel=1e-7)
+    assert a.m0 == pytest.approx(np.sqrt(2.0 * scipys.cost / 11), rel=1e-9)
     assert np.allclose(a.x, b.x, rtol=1e-10)
     assert b.m0 == pytest.approx(5.0 * a.m0, rel=1e-10)
     assert np.allclose(b.cofactors_x, a.cofactors_x / 25.0, rtol=1e-9)

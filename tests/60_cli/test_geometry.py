@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient.io.sensor import read_sensor
+from tests.support.published_rays import misses_m
 
 GROUND = ["id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m"]
 
@@ -20,7 +22,7 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_locate_one_pixel(run: Any, twin_source: Path) -> None:
     image = twin_source / "left.DIM"
     ended = run("locate", image, "--line", 6000, "--sample", "-0.5", "--height", 350, "--json")
@@ -29,10 +31,11 @@ def test_locate_one_pixel(run: Any, twin_source: Path) -> None:
     assert list(point) == GROUND
     expected = read_sensor(image).locate(6000.0, -0.5, height_m=350.0)[0]
     assert [point["x_m"], point["y_m"], point["z_m"]] == expected.tolist()
+    assert misses_m(read_sensor(image).metadata, 6000.0, -0.5, expected[None])[0] < 1e-6
     assert point["height_m"] == pytest.approx(350.0, abs=1e-6)  # iterated height, rounding of 6e6 m
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_csv_there_and_back(run: Any, twin_source: Path, tmp_path: Path) -> None:
     """Pixels to ground and back: the same pixels within 1e-6 px, the bound of the projection."""
     image, pixels = twin_source / "right.DIM", tmp_path / "pixels.csv"
@@ -43,6 +46,9 @@ def test_csv_there_and_back(run: Any, twin_source: Path, tmp_path: Path) -> None
     assert run("locate", image, "--points", pixels, "--out", ground).code == 0
     located = rows(ground)
     assert list(located[0]) == GROUND
+    there = np.array([[float(r[k]) for k in ("x_m", "y_m", "z_m")] for r in located])
+    pixels_given = np.array([row[1:3] for row in given]).T
+    assert misses_m(read_sensor(image).metadata, *pixels_given, there).max() < 1e-6
     table = [[r[k] for k in ("id", "lon_deg", "lat_deg", "height_m")] for r in located]
     text = "id,lon_deg,lat_deg,height_m\n" + "".join(",".join(r) + "\n" for r in table)
     (tmp_path / "points.csv").write_text(text, encoding="utf-8")
@@ -65,7 +71,7 @@ def test_point_far_outside_is_null_and_not_inside(run: Any, twin_source: Path) -
     assert (list(point), point["inside"]) == (["id", "line", "sample", "inside"], False)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
     """On a raster of constant height the answer is that of the height."""
     rasterio = pytest.importorskip("rasterio")
@@ -78,6 +84,10 @@ def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
         raster.write(np.full((1, 40, 40), 512.0, np.float32))
     pixel = ("locate", twin_source / "left.DIM", "--line", 5000, "--sample", 7000, "--json")
     on_dem, at_height = (run(*pixel, *words).json["points"][0] for words in (("--dem", dem), ("--height", 512)))
+    x, y, z = (on_dem[k] for k in ("x_m", "y_m", "z_m"))
+    geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
+    assert geodetic.transform(x, y, z)[2] == pytest.approx(512.0, abs=5e-4)
+    assert misses_m(read_sensor(twin_source / "left.DIM").metadata, 5000.0, 7000.0, np.array([[x, y, z]]))[0] < 1e-4
     # the intersection with a DEM ends within 1e-4 m of it (fg_orient.sensors.surface)
     assert [on_dem[k] for k in ("x_m", "y_m", "z_m")] == pytest.approx(
         [at_height[k] for k in ("x_m", "y_m", "z_m")], abs=5e-4

@@ -124,7 +124,7 @@ def test_bad_folders(run: Any, result: Path, tmp_path: Path) -> None:
     assert (result / "report.html").read_bytes() == before
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_truth_is_compared_in_predicted_sigmas(run: Any, result: Path, twin_source: Path) -> None:
     ended = run("report", result, "--truth", twin_source / "truth", "--json")
     assert ended.code == 0

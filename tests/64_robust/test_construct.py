@@ -49,7 +49,7 @@ def test_a_cost_of_another_weight_is_found() -> None:
         assert inconsistency(replace(known[a], cost=known[b].cost)) > 1e-2
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 def test_made_of_its_weight_a_loss_is_the_registered_one(name: str) -> None:
     loss = losses()[name]
@@ -57,6 +57,12 @@ def test_made_of_its_weight_a_loss_is_the_registered_one(name: str) -> None:
     assert made.constants == pytest.approx(loss.constants, rel=2e-9)
     u = np.concatenate([[0.0, 1e-9], np.linspace(0.01, 20.0, 397), np.geomspace(20.0, 1e6, 50)])
     expected = loss.cost(u)
+    for at in (0.3, 1.0, 2.5, 9.0):
+        ends = [0.0, *(c for c in loss.corners if c < at), at]
+        integral = sum(
+            quad(lambda s: s * float(loss.weight(np.array(s))), a, b, epsabs=1e-13)[0] for a, b in pairwise(ends)
+        )
+        assert float(made.cost(np.array(at))) == pytest.approx(integral, rel=1e-9)
     assert np.abs(made.cost(u) - expected).max() <= 1e-11 * max(1.0, float(expected.max()))
 
 

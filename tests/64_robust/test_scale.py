@@ -46,7 +46,7 @@ def test_as_with_exact_cofactors(block: fg.Block) -> None:
     assert image == pytest.approx(1.0, abs=0.25)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_residuals_taken_as_errors_are_found_out() -> None:
     """Without the share that the unknowns take up, the check above fails by far."""
     solution = fg.adjust(grid())

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from factors.losses import losses
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.gnc import EXACT, PLAIN
 from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.adjustment.robust import scaled
 from fg_orient.adjustment.solve import solve
 from fg_orient.adjustment.stages import FROM_RESECTIONS, START, START_STAGES, WIDE, Direct, plan_of
 from fg_orient.run.summary import summary
+from tests.support.full_statistics import step_of_numpy
 
 from .conftest import adjusted, control_rays, grid, moved, problem_of, spoiled, twin, with_options
 
@@ -187,14 +190,16 @@ def test_the_unit_of_the_loss_is_said() -> None:
     assert f"its unit is {solution.weights.scale[0]:.2f} sigmas of image points" in text
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("options", [{"robust_scale": "mad"}, {"robust_start": "lts"}])
-def test_backends_alike(options: dict[str, str]) -> None:
+def test_backends_end_where_numpy_has_no_step_left(options: dict[str, str]) -> None:
     """Graph, Schur, dense and parts take the same way to the same end: 1e-9 prior sigma, scales to 1e-9."""
     block, _ = spoiled(grid(), 0.1, 3)
     wanted = {"loss": "tukey", "max_iterations": 200, **options}
     first = fg.adjust(block, backend="schur", **wanted)  # type: ignore[arg-type]
     assert first.weights is not None
+    robust = scaled(losses()["tukey"], first.weights.scale)
+    assert step_of_numpy(first.problem, first.state, robust)[0] <= 1e-6
     for how in ({"backend": "graph"}, {"backend": "dense"}, {"parts": 2}):
         other = fg.adjust(block, **how, **wanted)  # type: ignore[arg-type]
         assert other.weights is not None

@@ -13,6 +13,7 @@ from fg_orient.names import Role, Status
 from fg_orient.orient import adjust
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
 from fg_orient.simulate.simulation import Truth
+from tests.support.published_rays import misses_m
 
 OPTIONS = BlockOptions(rows=2, columns=3, points=150, seed=7, control_share=0.1, check_share=0.2)
 
@@ -71,13 +72,15 @@ def test_same_seed_same_bytes(written: Path, tmp_path: Path) -> None:
     assert max(metadata) < 100_000, "the look table is compact: with 12000 rows a file has 1.4 MB"
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_true_unknowns_give_the_noise_free_pixels(made: tuple[Block, Truth]) -> None:
     block, truth = made
     for k, (image, correction) in enumerate(zip(block.images, truth.corrections, strict=True)):
         rows = block.observations.image == k
         seen = np.stack(image.sensor.project(truth.ecef_m[block.observations.point[rows]], correction), axis=1)
         np.testing.assert_allclose(seen, truth.pixels[rows], rtol=0.0, atol=1e-8)  # one digit of the time: 5e-9 px
+        ground = truth.ecef_m[block.observations.point[rows]]
+        assert misses_m(image.sensor.metadata, *truth.pixels[rows].T, ground, correction).max() < 1e-6
 
 
 @pytest.mark.oracle

@@ -52,7 +52,7 @@ def test_counts_sets_and_members_agree_to_the_digit(printed: Printed, computed: 
     assert sum(r.verdict == "equal" for r in counted) > 250
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_cells_equal_the_procedure_called_directly(computed: Computed) -> None:
     run, cells = twin(1), computed["terlemezoglu2019"]
     bundle = run.bundle(15, 2, "moore_penrose_inverse").accuracy

@@ -178,7 +178,7 @@ def test_quantiles_draw_every_value(folder: Folder) -> None:
     assert len(kept) <= residuals.MAX_QUANTILES and {0, 1, 99_998, 99_999} <= set(kept.tolist())
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_correlations_are_those_of_the_cofactors(folder: Folder, adjusted: Path) -> None:
     with np.load(adjusted / "arrays.npz") as arrays:
         covariance, names = arrays["image_covariance"][1], arrays["parameter_names"].tolist()
