@@ -101,25 +101,26 @@ def test_speeds_are_never_held_longer_than_the_limit(dim1: Path) -> None:
     assert f"{SPEED_HOLD_S} s are held" in str(caught.value)
 
 
-@pytest.mark.behaviour
-def test_a_gap_in_the_speeds_is_refused(dim1: Path, refused: Refused) -> None:
-    speeds = [sample("Angular_Speeds", t, 0.0, 0.0, 0.0) for t in (7.0, 7.125, 7.45)]
-    path = spot4(dim1, [sample("Angles", 7.0, 0.0, 0.0, 0.0)], speeds)
-    refused(path, "dimap.speed_gap", "Angular_Speeds", "0.325 s")
+def still(*times: float) -> list[str]:
+    return [sample("Angular_Speeds", t, 0.0, 0.0, 0.0) for t in times]
 
 
 @pytest.mark.behaviour
-def test_an_absolute_angle_far_from_the_speeds_is_refused(dim1: Path, refused: Refused) -> None:
-    path = spot4(dim1, [sample("Angles", 5.0, 0.0, 0.0, 0.0)], steps(7.0, 6, lambda _: 0.0))
-    refused(path, "dimap.anchor", "Angles_List/Angles", "05:21:05")
-
-
-@pytest.mark.behaviour
-def test_spot5_without_corrected_attitudes_is_refused(dim1: Path, refused: Refused) -> None:
-    """Its raw attitudes would be 600 m off: they are no substitute."""
-    path = spot4(dim1, [sample("Angles", 7.0, 0.0, 0.0, 0.0)], steps(7.0, 6, lambda _: 0.0))
-    path.write_text(path.read_text().replace("<MISSION_INDEX>4<", "<MISSION_INDEX>5<"))
-    assert "Corrected_Attitudes" in refused(path, "xml.missing_element", "Satellite_Attitudes").message
+@pytest.mark.parametrize(
+    ("mission", "angle_s", "speeds", "code", "place", "value"),
+    [(4, 7.0, still(7.0, 7.125, 7.45), "dimap.speed_gap", "Angular_Speeds", "0.325 s"),
+     (4, 5.0, steps(7.0, 6, lambda _: 0.0), "dimap.anchor", "Angles_List/Angles", "05:21:05"),
+     # raw attitudes of SPOT 5 would be 600 m off: they are no substitute
+     (5, 7.0, steps(7.0, 6, lambda _: 0.0), "xml.missing_element", "Satellite_Attitudes", "")],
+    ids=["a gap in the speeds", "an angle far from the speeds", "SPOT 5 without corrected attitudes"],
+)  # fmt: skip
+def test_raw_attitudes_that_do_not_do_are_refused(
+    dim1: Path, refused: Refused, mission: int, angle_s: float, speeds: list[str], code: str, place: str, value: str
+) -> None:
+    path = spot4(dim1, [sample("Angles", angle_s, 0.0, 0.0, 0.0)], speeds)
+    path.write_text(path.read_text().replace("<MISSION_INDEX>4<", f"<MISSION_INDEX>{mission}<"))
+    found = refused(path, code, place, value)
+    assert mission == 4 or "Corrected_Attitudes" in found.message
 
 
 # --- two detectors ---------------------------------------------------------------------------

@@ -127,26 +127,21 @@ def test_the_sign_step_negates_roll_and_pitch_and_keeps_yaw(spot5: PushbroomMeta
 
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
-    ("text", "factor"),
-    [("ms", 1e-3), ("s", 1.0), ("microsecond", 1e-6), (None, 1e-3)],
-)
-def test_line_period_of_version_2_follows_its_unit(dim2: Path, text: str | None, factor: float) -> None:
-    """Without the attribute milliseconds, the unit of the format."""
+    ("name", "text", "factor"),
+    [("dim2", "ms", 1e-3), ("dim2", "s", 1.0), ("dim2", "microsecond", 1e-6), ("dim2", None, 1e-3),
+     ("dim1", "ms", 1e-3)],
+)  # fmt: skip
+def test_line_period_follows_its_unit(
+    request: pytest.FixtureRequest, name: str, text: str | None, factor: float
+) -> None:
+    """Without the attribute milliseconds in version 2, the unit of the format."""
+    path, period = request.getfixturevalue(name), {"dim1": 7.5e-4, "dim2": 7.35e-5}[name]
     unit = f' unit="{text}"' if text else ""
-    old = dim2.read_text()
-    new = re.sub(r"<LINE_PERIOD[^<]*<", f"<LINE_PERIOD{unit}>{7.35e-5 / factor!r}<", old)
+    old = path.read_text()
+    new = re.sub(r"<LINE_PERIOD[^<]*<", f"<LINE_PERIOD{unit}>{period / factor!r}<", old)
     assert new != old or text == "s"
-    dim2.write_text(new)
-    assert read_dimap(dim2).timing.line_period_s == pytest.approx(7.35e-5, rel=1e-15)
-
-
-@pytest.mark.behaviour
-def test_line_period_of_version_1_is_in_seconds_and_follows_a_unit(dim1: Path) -> None:
-    old = dim1.read_text()
-    new = re.sub(r"<LINE_PERIOD>([^<]*)<", r'<LINE_PERIOD unit="ms">0.75<', old)
-    assert new != old
-    dim1.write_text(new)
-    assert read_dimap(dim1).timing.line_period_s == pytest.approx(7.5e-4, rel=1e-15)
+    path.write_text(new)
+    assert read_dimap(path).timing.line_period_s == pytest.approx(period, rel=1e-15)
 
 
 @pytest.mark.consistency

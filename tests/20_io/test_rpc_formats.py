@@ -175,12 +175,17 @@ def isd_text(model: RpcModel, spec: str = "RPC00B") -> str:
 
 
 @pytest.mark.behaviour
-def test_digitalglobe_xml(tmp_path: Path, model: RpcModel) -> None:
-    path = tmp_path / "a.XML"
-    path.write_text(isd_text(model))
+@pytest.mark.parametrize("name", ["a.XML", "a.vrt"])
+def test_digitalglobe_xml_and_virtual_raster(tmp_path: Path, model: RpcModel, name: str) -> None:
+    path = tmp_path / name
+    path.write_text({"a.XML": isd_text, "a.vrt": vrt_text}[name](model))
     found = read_rpc(path)
     assert_same(found, model)
     assert (found.n_lines, found.n_samples) == (20000, 24000)
+    if name == "a.vrt":
+        path.write_text(vrt_text(model).replace('domain="RPC"', 'domain="RPB"'))
+        with pytest.raises(InputError, match="holds no RPC"):
+            read_rpc(path)
 
 
 def vrt_text(model: RpcModel) -> str:
@@ -193,18 +198,6 @@ def vrt_text(model: RpcModel) -> str:
     band = "<VRTRasterBand><SimpleSource><SourceFilename>/nowhere</SourceFilename></SimpleSource></VRTRasterBand>"
     size = 'rasterXSize="24000" rasterYSize="20000"'
     return f'<VRTDataset {size}><Metadata/><Metadata domain="RPC">{body}</Metadata>{band}</VRTDataset>'
-
-
-@pytest.mark.behaviour
-def test_virtual_raster(tmp_path: Path, model: RpcModel) -> None:
-    path = tmp_path / "a.vrt"
-    path.write_text(vrt_text(model))
-    found = read_rpc(path)
-    assert_same(found, model)
-    assert (found.n_lines, found.n_samples) == (20000, 24000)
-    path.write_text(vrt_text(model).replace('domain="RPC"', 'domain="RPB"'))
-    with pytest.raises(InputError, match="holds no RPC"):
-        read_rpc(path)
 
 
 def list_text(model: RpcModel) -> str:

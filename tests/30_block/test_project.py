@@ -121,16 +121,12 @@ def test_options_of_the_file_and_overrides(folder):
 
 @pytest.mark.behaviour
 def test_paths_are_relative_to_the_project_file(folder, monkeypatch, tmp_path_factory):
-    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
-    assert len(read_project(folder.project).images) == 2
-
-
-@pytest.mark.behaviour
-def test_check_coordinates_are_found_after_a_change_of_folder(folder, monkeypatch, tmp_path_factory):
+    """Check coordinates are found after a change of folder, too."""
     monkeypatch.chdir(folder.project.parent)
     block = read_project(folder.project.name)
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
     assert block.withheld.open().ecef_m.shape == (2, 3)
+    assert len(read_project(folder.project).images) == 2
 
 
 @pytest.mark.behaviour

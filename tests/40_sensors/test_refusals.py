@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -30,10 +31,24 @@ def shifted(metadata: PushbroomMetadata, seconds: float) -> PushbroomMetadata:
     return replace(metadata, timing=later)
 
 
+FLAT = LookAnglePolynomial(0.0, np.array([0.0]), np.array([0.1, 0.0]))
+
+
 @pytest.mark.behaviour
-def test_ephemeris_is_never_extrapolated(metadata: PushbroomMetadata) -> None:
-    with pytest.raises(OutOfTimeRange, match="never extrapolated"):
-        PushbroomSensor(shifted(metadata, 150.0))
+@pytest.mark.parametrize(
+    ("change", "seconds", "error", "words"),
+    [(lambda m: shifted(m, 150.0), 0.0, OutOfTimeRange, "never extrapolated"),
+     (lambda m: open_end(m, 12.0), 0.0, OutOfTimeRange, "attitudes cover"),
+     *((lambda m: m, s, InputError, "0 to 5 s only") for s in (-0.1, float("nan"), MAX_EXTRAPOLATION_S + 1e-9)),
+     (lambda m: replace(m, look=FLAT), 0.0, InputError, "same direction")],
+    ids=["orbit too short", "no line with attitude", "negative", "no number", "too long", "one direction"],
+)  # fmt: skip
+def test_metadata_that_make_no_sensor_are_refused(
+    metadata: PushbroomMetadata, change: Callable[[PushbroomMetadata], PushbroomMetadata], seconds: float,
+    error: type[Exception], words: str,
+) -> None:  # fmt: skip
+    with pytest.raises(error, match=words):
+        PushbroomSensor(change(metadata), extrapolate_attitude_s=seconds)
 
 
 def open_end(metadata: PushbroomMetadata, seconds: float) -> PushbroomMetadata:
@@ -83,19 +98,6 @@ def test_a_projection_beyond_the_attitudes_goes_on_straight(metadata: PushbroomM
     assert found[0] == pytest.approx(last + 500.0, abs=5.0)  # linear to 1 %
     back = sensor.project(sensor.locate([last + 0.5, 100.0], [0.0, 9000.0], height_m=500.0))
     assert np.abs(np.array(back) - [[last + 0.5, 100.0], [0.0, 9000.0]]).max() <= 1e-6
-
-
-@pytest.mark.behaviour
-def test_no_line_with_attitude(metadata: PushbroomMetadata) -> None:
-    with pytest.raises(OutOfTimeRange, match="attitudes cover"):
-        PushbroomSensor(open_end(metadata, 12.0))
-
-
-@pytest.mark.behaviour
-@pytest.mark.parametrize("seconds", [-0.1, float("nan"), MAX_EXTRAPOLATION_S + 1e-9])
-def test_extrapolation_that_is_none(metadata: PushbroomMetadata, seconds: float) -> None:
-    with pytest.raises(InputError, match="0 to 5 s only"):
-        PushbroomSensor(metadata, extrapolate_attitude_s=seconds)
 
 
 @pytest.mark.oracle
@@ -151,13 +153,6 @@ def test_a_projection_that_does_not_end_is_nan(metadata: PushbroomMetadata, monk
     assert np.isfinite(sensor.project(ground)).all()
     monkeypatch.setattr(projection, "MAX_STEPS", 1)
     assert np.isnan(sensor.project(ground)).all()
-
-
-@pytest.mark.behaviour
-def test_samples_that_all_look_the_same_way(metadata: PushbroomMetadata) -> None:
-    flat = LookAnglePolynomial(0.0, np.array([0.0]), np.array([0.1, 0.0]))
-    with pytest.raises(InputError, match="same direction"):
-        PushbroomSensor(replace(metadata, look=flat))
 
 
 @pytest.mark.behaviour

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from factors._contract import Equation
 from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS
 from fg_orient.adjustment.loop import levenberg_marquardt
 from fg_orient.adjustment.problem import compile_problem
@@ -159,25 +160,23 @@ def extra(unknowns: tuple[str, ...], equation: object = CONTROL_POINT) -> ExtraO
     return ExtraObservation(equation, unknowns, record, np.zeros((2, 0)), 3, "own observation 1")
 
 
-@pytest.mark.behaviour
 @pytest.mark.parametrize(
-    ("observation", "message"),
+    ("names", "equation", "message"),
     [
-        (extra(("point:nowhere",)), "names no image or point"),
-        (extra(("image:left",)), "wants the other kind of unknown"),
-        (extra(("point:01",), OBSERVED_PARAMETERS), "wants the other kind of unknown"),
+        (("point:nowhere",), CONTROL_POINT, "own observation 1.*names no image or point"),
+        (("image:left",), CONTROL_POINT, "own observation 1.*wants the other kind of unknown"),
+        (("point:01",), OBSERVED_PARAMETERS, "own observation 1.*wants the other kind of unknown"),
+        (("point:CHECK",), CONTROL_POINT, "takes no part"),  # an excluded check point
     ],
 )
-def test_own_observations_that_do_not_fit(twin: Block, observation: ExtraObservation, message: str) -> None:
-    with pytest.raises(fg.InputError, match=f"own observation 1.*{message}"):
-        fg.adjust(replace(twin, extra=(observation,)), eop_set=10)
-
-
 @pytest.mark.behaviour
-def test_own_observation_of_an_excluded_check_point(twin: Block) -> None:
+def test_own_observations_that_do_not_fit(
+    twin: Block, names: tuple[str, ...], equation: Equation, message: str
+) -> None:
     check = twin.points.ids[int(twin.points.where(Role.CHECK)[0])]
-    with pytest.raises(fg.InputError, match="takes no part"):
-        fg.adjust(replace(twin, extra=(extra((f"point:{check}",)),)), eop_set=10, check_points="exclude")
+    observation = extra(tuple(name.replace("CHECK", check) for name in names), equation)
+    with pytest.raises(fg.InputError, match=message):
+        fg.adjust(replace(twin, extra=(observation,)), eop_set=10, check_points="exclude")
 
 
 class Step:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -596,38 +597,44 @@ def test_control_points_that_cannot_be_intersected_are_a_failure(
 # --- refusals --------------------------------------------------------------------------------
 
 
-@pytest.mark.behaviour
-def test_one_image_is_refused(run: TwoStage) -> None:
-    block, o = run.block, run.block.observations
-    alone = replace(block, images=block.images[:1], observations=o.take(o.image == 0))
-    with pytest.raises(InputError, match="at least two images"):
-        TwoStage(alone)
+def one_image(block: Block) -> Block:
+    o = block.observations
+    return replace(block, images=block.images[:1], observations=o.take(o.image == 0))
 
 
-@pytest.mark.behaviour
-def test_few_control_points_are_refused(run: TwoStage) -> None:
-    block, o = run.block, run.block.observations
-    few = block.points.where(Role.CONTROL)[:2]
+def few_control_points(block: Block) -> Block:
+    """Two in the right image."""
+    o, few = block.observations, block.points.where(Role.CONTROL)[:2]
     kept = np.isin(o.point, few) | np.isin(o.point, block.points.where(Role.CHECK)) | (o.image == 0)
-    with pytest.raises(InputError, match=r"image right.*at least 3 different columns.*found 2"):
-        TwoStage(replace(block, observations=o.take(kept)))
+    return replace(block, observations=o.take(kept))
 
 
-@pytest.mark.behaviour
-def test_control_points_of_one_column_are_refused(run: TwoStage) -> None:
-    block, o = run.block, run.block.observations
+def one_column(block: Block) -> Block:
+    o = block.observations
     sample = np.where(np.isin(o.point, block.points.where(Role.CONTROL)) & (o.image == 0), 4000.0, o.sample)
-    moved = ImagePoints(o.image, o.point, o.line, sample, o.sigma_line_px, o.sigma_sample_px)
-    with pytest.raises(InputError, match=r"image left.*different columns.*found 1"):
-        TwoStage(replace(block, observations=moved))
+    return replace(
+        block, observations=ImagePoints(o.image, o.point, o.line, sample, o.sigma_line_px, o.sigma_sample_px)
+    )
+
+
+def check_point_of_one_image(block: Block) -> Block:
+    return without(block, int(block.points.where(Role.CHECK)[0]), 0)
 
 
 @pytest.mark.behaviour
-def test_a_check_point_of_one_image_is_refused(run: TwoStage) -> None:
-    point = int(run.block.points.where(Role.CHECK)[0])
-    with pytest.raises(InputError, match=f"point {run.block.points.ids[point]}") as caught:
-        TwoStage(without(run.block, point, 0)).look_only()
-    assert caught.value.problems[0].code == "initial.seen_once"
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [(one_image, "at least two images"),
+     (few_control_points, r"image right.*at least 3 different columns.*found 2"),
+     (one_column, r"image left.*different columns.*found 1"), (check_point_of_one_image, "point POINT")],
+)  # fmt: skip
+def test_blocks_that_the_procedure_cannot_take_are_refused(
+    run: TwoStage, change: Callable[[Block], Block], message: str
+) -> None:
+    first = run.block.points.ids[int(run.block.points.where(Role.CHECK)[0])]
+    with pytest.raises(InputError, match=message.replace("POINT", first)) as caught:
+        TwoStage(change(run.block)).look_only()
+    assert change is not check_point_of_one_image or caught.value.problems[0].code == "initial.seen_once"
 
 
 @pytest.mark.behaviour

@@ -96,46 +96,39 @@ def test_locate_on_a_dem(run: Any, twin_source: Path, tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
-    ("words", "code"),
+    ("command", "words", "code"),
     [
-        ((), "cli.no_pixel"),
-        (("--line", 1, "--sample", 1), "cli.no_height"),
-        (("--line", 1, "--sample", 1, "--height", 1, "--dem", "x.tif"), "cli.two_heights"),
-        (("--line", 1, "--sample", 1, "--frame"), "cli.two_ways"),
-        (("--sample", 5, "--frame"), "cli.two_ways"),
-        (("--sample", 5, "--points", "x.csv"), "cli.two_ways"),
-        (("--frame", "--points", "x.csv"), "cli.two_ways"),
-        (("--line", 12000, "--sample", 1, "--height", 1), "sensor.pixel_outside"),
-        (("--line", "nan", "--sample", 1, "--height", 1), "sensor.pixel_outside"),
-        (("--line", 1, "--sample", 1, "--height", "nan"), "cli.height_range"),
-        (("--line", 1, "--sample", 1, "--height", "9e9"), "cli.height_range"),
-        (("--line", 1, "--sample", 1, "--dem", "none.tif"), "dem.missing"),
-        (("--points", "none.csv"), "table.missing_file"),
+        ("locate", (), "cli.no_pixel"),
+        ("locate", ("--line", 1, "--sample", 1), "cli.no_height"),
+        ("locate", ("--line", 1, "--sample", 1, "--height", 1, "--dem", "x.tif"), "cli.two_heights"),
+        ("locate", ("--points", "TABLE", "--height", 1), "cli.two_heights"),
+        ("locate", ("--line", 1, "--sample", 1, "--frame"), "cli.two_ways"),
+        ("locate", ("--sample", 5, "--frame"), "cli.two_ways"),
+        ("locate", ("--sample", 5, "--points", "x.csv"), "cli.two_ways"),
+        ("locate", ("--frame", "--points", "x.csv"), "cli.two_ways"),
+        ("locate", ("--line", 12000, "--sample", 1, "--height", 1), "sensor.pixel_outside"),
+        ("locate", ("--line", "nan", "--sample", 1, "--height", 1), "sensor.pixel_outside"),
+        ("locate", ("--line", 1, "--sample", 1, "--height", "nan"), "cli.height_range"),
+        ("locate", ("--line", 1, "--sample", 1, "--height", "9e9"), "cli.height_range"),
+        ("locate", ("--line", 1, "--sample", 1, "--dem", "none.tif"), "dem.missing"),
+        ("locate", ("--points", "none.csv"), "table.missing_file"),
+        ("project", ("--lon", 31.8), "cli.no_ground"),
+        ("project", ("--lon", 31.8, "--points", "x.csv"), "cli.two_ways"),
+        ("project", ("--lat", 41.3, "--points", "x.csv"), "cli.two_ways"),
+        ("project", ("--height", 0, "--points", "x.csv"), "cli.two_ways"),
+        ("project", ("--lon", "nan", "--lat", 41, "--height", 0), "geodesy.outside"),
+        ("project", ("--lon", 31.8, "--lat", "inf", "--height", 0), "geodesy.outside"),
     ],
 )
-def test_locate_refuses(run: Any, twin_source: Path, words: tuple[object, ...], code: str) -> None:
-    ended = run("locate", twin_source / "left.DIM", *words, "--json")
+def test_locate_and_project_refuse(
+    run: Any, twin_source: Path, tmp_path: Path, command: str, words: tuple[object, ...], code: str
+) -> None:
+    (tmp_path / "p.csv").write_text("id,line,sample,height_m\na,1,1,0\n", encoding="utf-8")
+    given = [tmp_path / "p.csv" if word == "TABLE" else word for word in words]
+    ended = run(command, twin_source / "left.DIM", *given, "--json")
     assert ended.code == 2, ended.stderr
     assert [e["code"] for e in ended.json["errors"]] == [code]
     assert len(ended.stderr.splitlines()) == 1
-
-
-@pytest.mark.behaviour
-@pytest.mark.parametrize(
-    ("words", "code"),
-    [
-        (("--lon", 31.8), "cli.no_ground"),
-        (("--lon", 31.8, "--points", "x.csv"), "cli.two_ways"),
-        (("--lat", 41.3, "--points", "x.csv"), "cli.two_ways"),
-        (("--height", 0, "--points", "x.csv"), "cli.two_ways"),
-        (("--lon", "nan", "--lat", 41, "--height", 0), "geodesy.outside"),
-        (("--lon", 31.8, "--lat", "inf", "--height", 0), "geodesy.outside"),
-    ],
-)
-def test_project_refuses(run: Any, twin_source: Path, words: tuple[object, ...], code: str) -> None:
-    ended = run("project", twin_source / "left.DIM", *words, "--json")
-    assert ended.code == 2, ended.stdout
-    assert [e["code"] for e in ended.json["errors"]] == [code]
 
 
 @pytest.mark.behaviour
@@ -146,13 +139,6 @@ def test_conflict_names_both_options(run: Any, twin_source: Path) -> None:
     ):
         ended = run(command, twin_source / "left.DIM", *words, "--json")
         assert [e["place"] for e in ended.json["errors"]] == [place]
-
-
-@pytest.mark.behaviour
-def test_height_given_twice_in_a_table(run: Any, twin_source: Path, tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_text("id,line,sample,height_m\na,1,1,0\n", encoding="utf-8")
-    ended = run("locate", twin_source / "left.DIM", "--points", tmp_path / "p.csv", "--height", 1, "--json")
-    assert [e["code"] for e in ended.json["errors"]] == ["cli.two_heights"]
 
 
 @pytest.mark.behaviour
@@ -206,22 +192,15 @@ def test_project_file_uses_no_coordinates(run: Any, twin: Path) -> None:
 
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
-    ("pixels", "code"),
-    [(("1,1",), "cli.pixel_count"), (("1,1", "1"), "cli.pixel"), (("1,1", "1,99999"), "sensor.pixel_outside"),
-     (("a,b", "1,1"), "cli.pixel")],
+    ("images", "pixels", "code"),
+    [("left right", "1,1", "cli.pixel_count"), ("left right", "1,1 1", "cli.pixel"),
+     ("left right", "1,1 1,99999", "sensor.pixel_outside"), ("left right", "a,b 1,1", "cli.pixel"),
+     ("left left", "5,5 5,5", "initial.no_intersection"), ("left", "5,5", "cli.one_image")],
 )  # fmt: skip
-def test_intersect_refuses(run: Any, twin_source: Path, pixels: tuple[str, ...], code: str) -> None:
-    words = [f"--pixel={pixel}" for pixel in pixels]
-    ended = run("intersect", twin_source / "left.DIM", twin_source / "right.DIM", *words, "--json")
+def test_intersect_refuses(run: Any, twin_source: Path, images: str, pixels: str, code: str) -> None:
+    words = [*(twin_source / f"{image}.DIM" for image in images.split()), *(f"--pixel={p}" for p in pixels.split())]
+    ended = run("intersect", *words, "--json")
     assert (ended.code, [e["code"] for e in ended.json["errors"]]) == (2, [code])
-
-
-@pytest.mark.behaviour
-def test_parallel_rays_have_no_intersection(run: Any, twin_source: Path) -> None:
-    image = twin_source / "left.DIM"
-    ended = run("intersect", image, image, "--pixel", "5,5", "--pixel", "5,5", "--json")
-    assert (ended.code, [e["code"] for e in ended.json["errors"]]) == (2, ["initial.no_intersection"])
-    assert run("intersect", image, "--pixel", "5,5", "--json").json["errors"][0]["code"] == "cli.one_image"
 
 
 # --- the file's own frame points -----------------------------------------------------------------

@@ -101,15 +101,16 @@ def test_impossible_choices(project: Path, tmp_path: Path, words: tuple[str, ...
     assert ended.json["errors"][0]["place"] == place
 
 
-def test_basic_statistics_say_why_nothing_is_tested(project: Path) -> None:
-    record = summary(fg.adjust(read_project(project), statistics="basic"))
-    assert record["outlier_tests"] is None
-    assert record["suspicious_observations"] is None
-    assert any(text.startswith("outlier_tests and suspicious_observations are null") for text in record["warnings"])
-
-
-def test_under_a_loss_nothing_is_tested(project: Path) -> None:
-    record = summary(fg.adjust(read_project(project), loss="huber"))
-    assert record["global_test"] is None
-    assert record["outlier_tests"] is None
-    assert any(text.startswith("global_test, outlier_tests") for text in record["warnings"])
+@pytest.mark.parametrize(
+    ("options", "none", "told"),
+    [({"statistics": "basic"}, ("outlier_tests", "suspicious_observations"),
+      "outlier_tests and suspicious_observations are null"),
+     ({"loss": "huber"}, ("outlier_tests", "global_test"), "global_test, outlier_tests")],
+    ids=["basic statistics", "a loss"],
+)  # fmt: skip
+def test_where_nothing_is_tested_it_is_said_why(
+    project: Path, options: dict[str, str], none: tuple[str, ...], told: str
+) -> None:
+    record = summary(fg.adjust(read_project(project), **options))
+    assert [record[name] for name in none] == [None, None]
+    assert any(text.startswith(told) for text in record["warnings"])

@@ -113,24 +113,20 @@ def test_what_is_not_tested_has_no_figures() -> None:
 
 
 @pytest.mark.behaviour
-def test_no_covariance_no_test() -> None:
-    solution = replace(linear_twin().solution, cofactors=None, withheld=("singular",))
-    with pytest.raises(NoSolutionError, match="no covariance"):
-        solution.outlier_tests()
-
-
-@pytest.mark.behaviour
-def test_under_a_loss_both_tests_are_refused() -> None:
-    solution = fg.adjust(rpc_twin("shift").block, loss="huber")
-    for refused, words in ((solution.outlier_tests, "robust loss"), (solution.global_test, "needs least squares")):
-        with pytest.raises(NoSolutionError, match=words):
+def test_tests_that_cannot_be_are_refused() -> None:
+    """No covariance, weights of a loss, a kind that is none."""
+    plain = linear_twin().solution
+    bare, robust = (
+        replace(plain, cofactors=None, withheld=("singular",)),
+        fg.adjust(rpc_twin("shift").block, loss="huber"),
+    )
+    for refused, error, words in (
+        (bare.outlier_tests, NoSolutionError, "no covariance"), (robust.outlier_tests, NoSolutionError, "robust loss"),
+        (robust.global_test, NoSolutionError, "needs least squares"),
+        (lambda: plain.outlier_tests(kind="images"), InputError, "groups, coordinates, points"),  # type: ignore[arg-type]
+    ):  # fmt: skip
+        with pytest.raises(error, match=words):
             refused()
-
-
-@pytest.mark.behaviour
-def test_other_kinds_are_refused() -> None:
-    with pytest.raises(InputError, match="groups, coordinates, points"):
-        linear_twin().solution.outlier_tests(kind="images")  # type: ignore[arg-type]
 
 
 @pytest.mark.behaviour

@@ -90,12 +90,11 @@ def test_nonsense_is_refused(case: tuple[Callable[..., Any], tuple[Any, ...], tu
             }, (place, value)  # fmt: skip
 
 
-@pytest.mark.parametrize("layouts", [0, -1, 2.5])
-def test_a_study_needs_layouts(layouts: object) -> None:
+@pytest.mark.parametrize(
+    "ask",
+    [*(lambda n=n: study.design_study(GROUND, GROUND, [5], [1], layouts=n) for n in (0, -1, 2.5)),
+     scanner.error_budget],
+)  # fmt: skip
+def test_a_study_needs_layouts_and_a_budget_errors(ask: Callable[[], object]) -> None:
     with pytest.raises(InputError):
-        study.design_study(GROUND, GROUND, [5], [1], layouts=layouts)  # type: ignore[arg-type]
-
-
-def test_no_errors_are_no_budget() -> None:
-    with pytest.raises(InputError):
-        scanner.error_budget()
+        ask()

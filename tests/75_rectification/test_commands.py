@@ -168,12 +168,17 @@ def test_refusals_of_fit(words: tuple[str, ...], text: str, tmp_path: Path, rng:
 
 
 @pytest.mark.behaviour
-def test_collinear_and_only_check_points_are_refused(tmp_path: Path) -> None:
+def test_points_that_do_not_do_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
+    """On a line; check points only; for a study no check points."""
     line = np.column_stack([np.arange(10.0), 2.0 * np.arange(10.0)])
-    done = run("rectify", "fit", write_points(tmp_path / "p.csv", line, 30.0 * line + 5.0))
-    assert done.code == 2 and "straight line" in done.stderr
-    done = run("rectify", "fit", write_points(tmp_path / "q.csv", line, line, check=10))
-    assert done.code == 2 and "0 control points" in done.stderr
+    image, plane, _ = scene(rng, 8)
+    for command, table, words in (
+        (("fit",), write_points(tmp_path / "p.csv", line, 30.0 * line + 5.0), "straight line"),
+        (("fit",), write_points(tmp_path / "q.csv", line, line, check=10), "0 control points"),
+        (("study", "--counts", "5"), write_points(tmp_path / "r.csv", image, plane), "no check points"),
+    ):
+        done = run("rectify", command[0], table, *command[1:])
+        assert done.code == 2 and words in done.stderr
 
 
 @pytest.mark.behaviour
@@ -202,13 +207,6 @@ def test_study_tells_why_a_cell_is_empty(points: Path) -> None:
         ("--counts", "5", "--degrees", "7"),
     ):
         assert run("rectify", "study", points, *words).code == 2
-
-
-@pytest.mark.behaviour
-def test_study_needs_check_points(tmp_path: Path, rng: np.random.Generator) -> None:
-    image, plane, _ = scene(rng, 8)
-    done = run("rectify", "study", write_points(tmp_path / "p.csv", image, plane), "--counts", "5")
-    assert done.code == 2 and "no check points" in done.stderr
 
 
 @pytest.mark.behaviour
