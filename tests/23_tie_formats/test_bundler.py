@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fg_orient.errors import InputError
 from fg_orient.interchange.bal import bal_data_of, frame_model_of, write_bal
@@ -63,6 +64,15 @@ def test_pixels_are_those_of_the_printed_formula_and_images_without_orientation_
     assert model.cameras["b.jpg"].principal_px.tolist() == [300.0, 399.5]
 
 
+def printed_pixels(data: BalData) -> np.ndarray:
+    """The same formula for all image points: x, y from the middle of each image."""
+    cameras = data.cameras[data.camera]
+    q = Rotation.from_rotvec(cameras[:, :3]).apply(data.points[data.point]) + cameras[:, 3:6]
+    p = -q[:, :2] / q[:, 2:]
+    r2 = np.sum(p**2, axis=1, keepdims=True)
+    return cameras[:, 6:7] * (1.0 + cameras[:, 7:8] * r2 + cameras[:, 8:9] * r2**2) * p
+
+
 def model_numbers(data: BalData) -> list[np.ndarray]:
     return [data.camera, data.point, data.xy, data.cameras, data.points]
 
@@ -95,9 +105,11 @@ def test_bundler_is_written_and_read_again(tmp_path: Path) -> None:
         write_bundler(tmp_path / "bundle.out", data)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_residuals_survive_the_way_there_and_back() -> None:
     model = frame_model(("none", "k1", "radial"))
+    printed = np.linalg.norm(printed_pixels(bal_data_of(model)[0]) - bal_data_of(model)[0].xy, axis=1)
+    assert np.sort(printed) == pytest.approx(np.sort(np.linalg.norm(model.residuals_px(), axis=1)), abs=1e-9)
     back = frame_model_of(bal_data_of(model)[0])
     assert np.abs(back.residuals_px() - model.residuals_px()).max() < 1e-9
     centred = frame_model(("k1",), principal=False)
@@ -141,13 +153,15 @@ def test_faults_name_their_line(old: str, new: str, code: str, place: str, tmp_p
     assert (found.code, found.place, found.file) == (code, place, "bundle.out")
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.real_data
 def test_ladybug_is_a_frame_model_and_comes_back(real_data: Path, tmp_path: Path) -> None:
     data = read_bal_data(real_data / "bal" / "problem-49-7776-pre.txt.gz")
     model = frame_model_of(data)
     squares = np.sum(model.residuals_px() ** 2, axis=1)
     behind = np.isin(model.point, model.point[np.isnan(squares)])
+    apart = np.linalg.norm(printed_pixels(data) - data.xy, axis=1)[~behind]
+    assert np.linalg.norm(model.residuals_px(), axis=1)[~behind] == pytest.approx(apart, abs=1e-8)
     # half the sum of squares without points that begin behind a camera, as the adjustment has it (tests/49)
     assert 0.5 * squares[~behind].sum() == pytest.approx(850802.09, abs=0.01)
     back, _ = bal_data_of(model)

@@ -86,7 +86,7 @@ def test_projection_of_ecef_points_equals_an_independent_one(sensor: RpcSensor) 
     assert max(np.abs(line - l_ref).max(), np.abs(sample - s_ref).max()) < 1e-7
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_vendor_inverse_serves_as_a_guess_and_is_given_on_request() -> None:
     """A good guess, a useless one and none give the same point."""
     model = synthetic_model()
@@ -96,6 +96,7 @@ def test_vendor_inverse_serves_as_a_guess_and_is_given_on_request() -> None:
     bad = direct.copy()
     bad[1, :3] = 1.0, 1e3, -1e3
     plain = np.stack(model.locate(line, sample, 200.0))
+    assert np.abs(np.array(reference_project(model, *plain, np.full(2, 200.0)), float) - [line, sample]).max() < 1e-7
     for given in (direct, bad):
         found = np.stack(replace(model, direct=given).locate(line, sample, 200.0))
         assert np.abs(found - plain).max() < 1e-13
@@ -130,14 +131,16 @@ def test_located_on_a_dem(sensor: RpcSensor) -> None:
     assert np.abs(seen(sensor, lon, lat, h, None) - [line, sample]).max() < 1e-7
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_rays_pass_through_the_located_points(sensor: RpcSensor) -> None:
     """At the lowest and the highest valid height; between them lines of sight are bent."""
     line, sample = grid(sensor, 5)
     position, direction = sensor.rays(line, sample)
     assert np.abs(np.linalg.norm(direction, axis=1) - 1.0).max() < 1e-15
     for h in (0.0, 1000.0):
-        to = sensor.locate(line, sample, height_m=h) - position
+        ground = sensor.locate(line, sample, height_m=h)
+        assert np.abs(seen(sensor, *GEODETIC.transform(*ground.T), None) - [line, sample]).max() < 1e-7
+        to = ground - position
         along = np.einsum("ij,ij->i", to, direction)
         assert along.min() > 4e5
         assert np.linalg.norm(to - along[:, None] * direction, axis=1).max() < 1e-6

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fg_orient as fg
-from fg_orient.adjustment.dense import DenseBackend
+from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
@@ -148,7 +148,7 @@ def test_relative_block_names_the_seven_motions_of_its_datum() -> None:
     assert any("m X, Y, Z" in text for text in solution.warnings)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_free_datum_needs_no_prior_and_is_not_trusted() -> None:
     """The same shape by all backends; every one steps although its equations are singular."""
     block = with_options(pinhole_block(4, 60, seed=2)[0], datum="free", priors=False)
@@ -160,6 +160,10 @@ def test_free_datum_needs_no_prior_and_is_not_trusted() -> None:
         assert "datum is free" in solution.reason
         assert len(solution.block_view.sentences) == 7
         costs.append(solution.chi2)
+        residual, design = assemble(solution.problem, solution.state)
+        design = design / np.linalg.norm(design, axis=0)
+        assert np.linalg.matrix_rank(design, rtol=1e-9) == design.shape[1] - 7
+        assert np.abs(design.T @ residual).max() < 1e-6
     assert costs[1:] == pytest.approx([costs[0]] * 2, rel=1e-10)
     assert costs[0] < fg.adjust(with_options(block, priors=True)).chi2
     with pytest.raises(InputError) as caught:

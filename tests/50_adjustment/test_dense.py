@@ -193,7 +193,7 @@ def test_cofactors_equal_gtsam_marginals(twin: Block, choice: dict[str, object])
     assert a.covariance(*named).names == b.covariance(*named).names
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_solutions_carry_the_same_statistics(twin: Block) -> None:
     dense, graph = (fg.adjust(twin, eop_set=16, backend=backend) for backend in ("dense", "graph"))
     assert (dense.backend, dense.solver) == ("dense", "qr")
@@ -201,6 +201,9 @@ def test_solutions_carry_the_same_statistics(twin: Block) -> None:
     assert dense.status is graph.status
     assert dense.warnings == graph.warnings
     assert dense.redundancy == graph.redundancy
+    residual, design = assemble(dense.problem, dense.state)
+    assert dense.redundancy == len(residual) - design.shape[1]
+    assert dense.sigma0 == pytest.approx(np.sqrt(residual @ residual / dense.redundancy), rel=1e-10)
     assert dense.sigma0 == pytest.approx(graph.sigma0, rel=1e-10)
     for role in ("control", "check"):
         ours, theirs = (getattr(s.accuracy, role).statistics() for s in (dense, graph))

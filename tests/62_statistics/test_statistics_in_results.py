@@ -16,11 +16,12 @@ import fg_orient as fg
 from fg_orient.adjustment import memory
 from fg_orient.adjustment.point_cofactors import AUTO_LIMIT, full_statistics
 from fg_orient.block import Block, Options
+from fg_orient.io.project import read_project
 from fg_orient.names import Role
 from fg_orient.run import run_project, statistics
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
 from fg_orient.solution import Solution
-from tests.support.full_statistics import fixed, options
+from tests.support.full_statistics import Full, fixed, options
 
 IMAGE = ("redundancy_line", "redundancy_sample", "redundancy_least", "w_line", "w_sample", "mdb_line_px",
          "mdb_sample_px", "external_m", "external_point", "external_image")  # fmt: skip
@@ -49,13 +50,17 @@ def run(project: Path, name: str, **given: object) -> tuple[dict[str, Any], Path
     return record, out
 
 
-@pytest.mark.consistency
-def test_tables_sum_to_the_redundancy(project: Path) -> None:
+@pytest.mark.oracle
+def test_tables_sum_to_the_trace_of_the_full_matrix(project: Path) -> None:
     record, out = run(project, "full")
     found, rays, points = record["reliability"], table(out / "residuals.csv"), table(out / "points.csv")
     assert set(IMAGE) < set(rays)
     image = total(rays["redundancy_line"]) + total(rays["redundancy_sample"])
     control = sum(total(points[f"redundancy_{axis}"]) for axis in ("east", "north", "up"))
+    solution = fg.adjust(read_project(project), eop_set=16)
+    share, n = np.diag(Full.of(solution.problem, solution.state).residuals), 2 * len(rays["redundancy_line"])
+    assert image == pytest.approx(share[:n].sum(), abs=1e-6)
+    assert control == pytest.approx(share[n : n + 3 * int(solution.problem.observed.sum())].sum(), abs=1e-6)
     assert image == pytest.approx(found["redundancy"]["image_points"], rel=1e-12)
     assert control == pytest.approx(found["redundancy"]["control_points"], rel=1e-12)
     assert image + control + found["redundancy"]["priors"] == pytest.approx(record["redundancy"], abs=1e-7)
