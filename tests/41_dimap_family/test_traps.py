@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient.cli.common import Extrapolate
@@ -205,7 +206,7 @@ def without_heights(metadata: PushbroomMetadata, heights_m: list[float]) -> Push
     return replace(metadata, frame_points=points, frame_note="")
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_heights_of_frame_points_are_solved(twin: PushbroomMetadata) -> None:
     """A height for each; what is left of a point moved across its ray is what it was moved by."""
     heights = [120.0, 2300.0, -40.0, 850.0]
@@ -215,6 +216,10 @@ def test_heights_of_frame_points_are_solved(twin: PushbroomMetadata) -> None:
     # steps end below 0.1 mm of height
     assert [r["height_m"] for r in found] == pytest.approx(heights, abs=1e-3)
     assert max(r["misfit_m"] for r in found) < 1e-3
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    for point, record in zip(metadata.frame_points, found, strict=True):  # the places of the file, by PROJ, on the rays
+        ground = np.array(to_ecef.transform(point.lon_deg, point.lat_deg, record["height_m"]))
+        assert misses_m(metadata, point.line, point.sample, ground[None])[0] < 2e-3
     given = frame_records(PushbroomSensor(metadata), 500.0)
     assert {r["height_from"] for r in given} == {"given"}
     assert min(r["misfit_m"] for r in given) > 100.0

@@ -107,20 +107,6 @@ def test_files_that_do_not_say_it_are_refused(tmp_path: Path, change: object, pl
     assert place in caught.value.problems[0].place
 
 
-@pytest.mark.consistency
-@pytest.mark.parametrize("model", [IDEAL_TO_MEASURED, MEASURED_TO_IDEAL])
-def test_projection_and_rays_are_inverse(tmp_path: Path, model: str) -> None:
-    interior = read_camera(write(tmp_path, TEXT))
-    interior = interior if model == interior.model else converted(interior, model).interior
-    rotation = rotation_of_opk(0.1, -0.2, 0.7)
-    sensor = FrameSensor(interior.camera(rotation, np.array([1.0, 2.0, 3.0])), 1704, 2272, georeferenced=False)
-    rng = np.random.default_rng(1)
-    line, sample = rng.uniform(0.0, 1703.0, 50), rng.uniform(0.0, 2271.0, 50)
-    centre, direction = sensor.rays(line, sample)
-    back = sensor.project(centre + direction * rng.uniform(1.0, 50.0, (50, 1)))
-    assert np.abs(np.array(back) - [line, sample]).max() < 1e-8
-
-
 @pytest.mark.oracle
 def test_conversion_tells_its_error() -> None:
     """The largest difference equals what an independent root finder gets at the grid's worst corner."""

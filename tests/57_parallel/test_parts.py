@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -205,26 +206,23 @@ def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path
 
 
 @pytest.mark.behaviour
-def test_a_part_file_that_is_not_whole_is_named(problem: Problem, tmp_path: Path) -> None:
+def test_parts_that_cannot_be_read_are_named(problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker of another version; a file that is not whole, and one that is not there."""
     PartedBackend(problem, InProcess(), tmp_path, 2)
     path = part_file(tmp_path, 1)
-    path.write_bytes(path.read_bytes()[:1000])
-    for number in (1, 2):
+
+    def refusal(number: int) -> Any:
         with pytest.raises(fg.InputError) as caught:
             read_part(str(tmp_path), number)
-        assert caught.value.problems[0].code == "parallel.folder"
-        assert "--work-dir" in caught.value.problems[0].remedy
+        return caught.value.problems[0]
 
-
-@pytest.mark.behaviour
-def test_a_worker_of_another_version_is_refused(
-    problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    PartedBackend(problem, InProcess(), tmp_path, 2)
-    monkeypatch.setattr(parts_module, "__version__", "9.9.9")
-    with pytest.raises(fg.InputError) as caught:
-        read_part(str(tmp_path), 1)
-    assert caught.value.problems[0].code == "parallel.version"
+    with monkeypatch.context() as patch:
+        patch.setattr(parts_module, "__version__", "9.9.9")
+        assert refusal(1).code == "parallel.version"
+    path.write_bytes(path.read_bytes()[:1000])
+    for number in (1, 2):
+        assert refusal(number).code == "parallel.folder"
+        assert "--work-dir" in refusal(number).remedy
 
 
 @pytest.mark.behaviour

@@ -208,13 +208,18 @@ def test_intersect_refuses(run: Any, twin_source: Path, images: str, pixels: str
 FRAME = ["file_lon_deg", "file_lat_deg", "misfit_m", "misfit_east_m", "misfit_north_m", "height_from", "note"]
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_frame_of_the_twin(run: Any, twin_source: Path) -> None:
     ended = run("locate", twin_source / "left.DIM", "--frame", "--json")
     points = ended.json["points"]
     assert [p["id"] for p in points] == ["corner 1", "corner 2", "corner 3", "corner 4", "centre"]
     assert list(points[0]) == GROUND + FRAME
     # the twin's frame points come from the same model; a file prints at least 1e-6 degrees, 0.11 m
+    metadata = read_sensor(twin_source / "left.DIM").metadata
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    for p in metadata.frame_points:
+        ground = np.array(to_ecef.transform(p.lon_deg, p.lat_deg, 0.0))
+        assert misses_m(metadata, p.line, p.sample, ground[None])[0] < 0.15
     assert max(p["misfit_m"] for p in points) < 0.15
 
 

@@ -138,11 +138,17 @@ def test_two_control_points_in_pushbroom_and_rpc_blocks() -> None:
 
 
 @pytest.mark.behaviour
-def test_well_spread_control_leaves_no_motion() -> None:
-    for block in (pushbroom(), rpc(), pinhole((0, 7, 12, 20))):
-        solution = fg.adjust(block)
-        assert solution.block_view.n_free_motions == 0
-        assert not any("motion" in text for text in solution.warnings)
+@pytest.mark.parametrize(
+    ("make", "parts"),
+    [(pushbroom, 1), (rpc, 1), (lambda: pinhole((0, 7, 12, 20)), 1),
+     (lambda: two_pinhole_blocks((0, 7, 12, 20, 25, 32, 37, 45)), 2)],
+    ids=["pushbroom", "rpc", "pinhole", "two blocks"],
+)  # fmt: skip
+def test_well_spread_control_leaves_no_motion(make, parts: int) -> None:
+    solution = fg.adjust(make())
+    assert solution.block_view.n_free_motions == 0
+    assert solution.block_view.structure.n_parts == parts
+    assert not any("parts" in text or "motion" in text for text in solution.warnings)
 
 
 # --- two blocks ---------------------------------------------------------------------------------------
@@ -173,13 +179,6 @@ def test_images_of_a_pushbroom_pair_that_no_point_links() -> None:
     assert both.structure.n_parts == 2
     error = refused(alone, eop_set=10)
     assert [p.place for p in error.problems] == ["image right: in no observation, its 3 unknowns are free"]
-
-
-@pytest.mark.behaviour
-def test_two_blocks_with_control_each_are_no_deficiency() -> None:
-    solution = fg.adjust(two_pinhole_blocks((0, 7, 12, 20, 25, 32, 37, 45)))
-    assert solution.block_view.structure.n_parts == 2
-    assert not any("parts" in text or "motion" in text for text in solution.warnings)
 
 
 # --- points seen once ---------------------------------------------------------------------------------

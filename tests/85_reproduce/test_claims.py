@@ -157,10 +157,6 @@ def test_wilson_interval_inverts_the_score_test(passed: int, of: int) -> None:
     for bound in (low, high):
         if 0.0 < bound < 1.0:
             assert abs(passed / of - bound) == pytest.approx(z * math.sqrt(bound * (1.0 - bound) / of), rel=1e-9)
-
-
-@pytest.mark.behaviour
-def test_wilson_needs_a_trial() -> None:
     with pytest.raises(ValueError, match="at least one"):
         wilson(0, 0)
 
