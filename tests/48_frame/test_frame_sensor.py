@@ -31,6 +31,17 @@ def aerial(**changes: object) -> FrameSensor:
     return FrameSensor(FrameCamera(**(values | changes)), 8000, 6000, file="camera.toml")  # type: ignore[arg-type]
 
 
+def printed_pixels(sensor: FrameSensor, ground_m: np.ndarray) -> np.ndarray:
+    """Brown's model as printed: lines and samples (2, n)."""
+    x, y, z = sensor.camera.rotation @ (ground_m - sensor.camera.centre_m).T
+    x, y = x / z, y / z
+    r2, (k1, k2, k3, p1, p2) = x**2 + y**2, sensor.camera.distortion
+    radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    column = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+    row = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
+    return sensor.camera.principal_px[:, None] + 8000.0 * np.stack([row, column])
+
+
 @pytest.mark.oracle
 def test_located_points_project_back_and_lie_at_their_height() -> None:
     sensor, rng = aerial(), np.random.default_rng(1)
@@ -38,15 +49,7 @@ def test_located_points_project_back_and_lie_at_their_height() -> None:
     ground = sensor.locate(line, sample, height_m=h)
     geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
     assert np.abs(geodetic.transform(*ground.T)[2] - h).max() < 1e-4
-    # Brown's model as printed
-    x, y, z = sensor.camera.rotation @ (ground - sensor.camera.centre_m).T
-    x, y = x / z, y / z
-    r2, (k1, k2, k3, p1, p2) = x**2 + y**2, sensor.camera.distortion
-    radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-    column = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
-    row = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
-    pixels = sensor.camera.principal_px[:, None] + 8000.0 * np.stack([row, column])
-    assert np.abs(pixels - [line, sample]).max() < 1e-7
+    assert np.abs(printed_pixels(sensor, ground) - [line, sample]).max() < 1e-7
     again = sensor.project(ground)
     assert np.abs(np.stack(again) - np.stack([line, sample])).max() < 1e-7
     centre, direction = sensor.rays(line, sample)
@@ -68,12 +71,14 @@ def test_axes_point_as_the_documentation_says() -> None:
     assert corners[3, 1] < LAT < corners[0, 1]
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_correction_moves_the_pixels() -> None:
     sensor = aerial()
     change = np.zeros(14)
     change[7] = 3.0
     ground = sensor.locate(4000.0, 3000.0)
+    expected = printed_pixels(sensor, ground) + np.array([[0.0], [3.0]])  # the principal point 3 px to the right
+    assert np.stack(sensor.project(ground, change)) == pytest.approx(expected, abs=1e-7)
     assert sensor.project(ground, change)[1][0] == pytest.approx(sensor.project(ground)[1][0] + 3.0, abs=1e-9)
     assert sensor.rays(4000.0, 3000.0, change)[1] == pytest.approx(sensor.rays(4000.0, 2997.0)[1], abs=1e-12)
 

@@ -14,7 +14,7 @@ from fg_orient.names import Role
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.full_statistics import step_of_numpy
 
-pytestmark = pytest.mark.oracle
+pytestmark = pytest.mark.consistency
 
 
 @pytest.fixture(scope="module")

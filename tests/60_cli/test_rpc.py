@@ -276,16 +276,6 @@ def test_convert_of_a_list_needs_the_first_pixel(run: Run, model: RpcModel, tmp_
     assert np.array_equal(read_rpc(tmp_path / "b.RPB").offsets, model.offsets)
 
 
-@pytest.mark.behaviour
-@pytest.mark.parametrize(
-    ("words", "code"),
-    [(("--out", "b.txt", "--to", "nitf"), "rpc.target_name"), (("--out", "b.img"), "rpc.target")],
-)
-def test_convert_to_an_unknown_format(run: Run, file: Path, words: tuple[str, ...], code: str) -> None:
-    ended = run("rpc", "convert", file, *words, "--json")
-    assert (ended.code, ended.json["errors"][0]["code"]) == (2, code)
-
-
 # --- refine --------------------------------------------------------------------------------------
 
 
@@ -611,16 +601,19 @@ def test_fewer_points_than_coefficients(run: Run, model: RpcModel, tmp_path: Pat
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "code"),
-    [(("--equations", "cubic"), "rpc.equations"), (("--select", "best"), "rfm.selector"),
-     (("--select", "lasso", "--kappa", "1"), "cli.two_ways"), (("--solver", "qr"), "rpc.solver_form"),
-     (("--degree", "4"), "rfm.degree"), (("--denominators", "two"), "rfm.denominators"),
-     (("--heights", "0", "1"), "rpc.foreign_option"), (("--folds", "1"), "rfm.folds"),
-     (("--no-normalise", "--out", "a.RPB"), "rpc.unscaled"), (("--kappa", "-1"), "linear.kappa_value"),
-     (("--penalty", "none", "--kappa", "1"), "rfm.penalty")],
+    [(("fit", "--equations", "cubic"), "rpc.equations"), (("fit", "--select", "best"), "rfm.selector"),
+     (("fit", "--select", "lasso", "--kappa", "1"), "cli.two_ways"), (("fit", "--solver", "qr"), "rpc.solver_form"),
+     (("fit", "--degree", "4"), "rfm.degree"), (("fit", "--denominators", "two"), "rfm.denominators"),
+     (("fit", "--heights", "0", "1"), "rpc.foreign_option"), (("fit", "--folds", "1"), "rfm.folds"),
+     (("fit", "--no-normalise", "--out", "a.RPB"), "rpc.unscaled"), (("fit", "--kappa", "-1"), "linear.kappa_value"),
+     (("fit", "--penalty", "none", "--kappa", "1"), "rfm.penalty"),
+     (("convert", "--out", "b.txt", "--to", "nitf"), "rpc.target_name"), (("convert", "--out", "b.img"), "rpc.target")],
 )  # fmt: skip
-def test_options_that_do_not_fit(run: Run, model: RpcModel, tmp_path: Path, words: tuple[str, ...], code: str) -> None:
-    points = write_points(tmp_path / "p.csv", *measured(model, 60))
-    ended = run("rpc", "fit", points, *words, "--json")
+def test_options_that_do_not_fit(
+    run: Run, file: Path, model: RpcModel, tmp_path: Path, words: tuple[str, ...], code: str
+) -> None:
+    source = file if words[0] == "convert" else write_points(tmp_path / "p.csv", *measured(model, 60))
+    ended = run("rpc", words[0], source, *words[1:], "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, code)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -108,17 +109,14 @@ def test_a_weight_with_a_jump() -> None:
 
 @pytest.mark.behaviour
 @pytest.mark.parametrize(
-    "weight", [lambda u: 0.5 * np.ones_like(u), lambda u: 1.0 + u, lambda u: 1.0 - u, lambda u: u / 0.0 * 0.0]
-)
-def test_what_is_no_weight_is_refused(weight: object) -> None:
-    with np.errstate(all="ignore"), pytest.raises(ValueError, match="is not 1 at 0"):
-        loss_from_weight("bad", weight)  # type: ignore[arg-type]
-
-
-@pytest.mark.behaviour
-def test_a_constant_that_does_not_exist() -> None:
-    with pytest.raises(ValueError, match="no constant"):
-        constant_for(np.ones_like, 2)
+    ("make", "words"),
+    [*((lambda w=weight: loss_from_weight("bad", w), "is not 1 at 0") for weight in (
+        lambda u: 0.5 * np.ones_like(u), lambda u: 1.0 + u, lambda u: 1.0 - u, lambda u: u / 0.0 * 0.0)),
+     (lambda: constant_for(np.ones_like, 2), "no constant")],
+)  # fmt: skip
+def test_what_is_no_weight_and_has_no_constant_is_refused(make: Callable[[], object], words: str) -> None:
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match=words):
+        make()
 
 
 @pytest.mark.behaviour
