@@ -177,7 +177,7 @@ def incidence(view: View, line: float, sample: float) -> float:
     return float(np.degrees(np.arccos(view.to_image(*at, view.ground(*at))[0, 2])))
 
 
-@pytest.mark.consistency
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_a_pair_by_rigorous_models_and_by_rpc(real_data: Path) -> None:
     """An RPC has no projection centre: angles and B/H come out as those of the rigorous model all the same."""

@@ -19,7 +19,7 @@ from tests.support.rpc_model import reference_project
 Make = Callable[..., ControlPoints]
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("fit", [fit_linear, fit_weighted, fit_true])
 def test_exact_points_give_the_model_back(make: Make, fit: Callable[..., RfmFit]) -> None:
     points = make()

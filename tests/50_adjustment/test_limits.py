@@ -186,7 +186,7 @@ class Step:
         self.data, self.length, self.predicted_error = data, abs(data), predicted_error
 
 
-@pytest.mark.truth
+@pytest.mark.behaviour
 def test_a_step_that_is_small_by_damping_only_is_no_convergence() -> None:
     """After twelve rejections the damped step is below 1e-8 although the minimum is 1 away."""
 

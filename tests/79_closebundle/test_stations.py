@@ -131,7 +131,7 @@ def test_bad_stations_end_with_2_and_one_sentence(
     assert done.code == 2 and text in done.stderr and done.stderr.count("\n") == 1, done.stderr
 
 
-@pytest.mark.oracle
+@pytest.mark.behaviour
 def test_check_points_take_no_part(tmp_path: Path) -> None:
     scene = make(21, 16)
     words = [*written(tmp_path, scene, 8), "--control", tmp_path / "control.csv"]
