@@ -14,8 +14,11 @@ import hypothesis
 import numpy as np
 import pytest
 
+from tests.support import kinds
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 REAL_DATA_VARIABLE = "FG_ORIENT_REAL_DATA"
+NUMBERS = pytest.StashKey[dict[str, int]]()  # of test functions, by kind
 
 # The first call of a compiled kernel takes seconds, so hypothesis may not watch the clock;
 # derandomized, it draws the same examples on every machine.
@@ -156,8 +159,30 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Refuse a test that reads real files without saying so by its marker."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Refuse a test without its kind, or that reads real files without saying so; count the kinds."""
+    config.stash[NUMBERS] = kinds.counted(items)
     for item in items:
         if "real_data" in getattr(item, "fixturenames", ()) and item.get_closest_marker("real_data") is None:
             raise pytest.UsageError(f"{item.nodeid} uses the fixture real_data without @pytest.mark.real_data")
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Tell the process that started this worker what was counted: it collects nothing itself."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["kinds"] = session.config.stash.get(NUMBERS, {})
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Keep the count of a worker; all workers collect the same."""
+    numbers = getattr(node, "workeroutput", {}).get("kinds")
+    if numbers:
+        node.config.stash[NUMBERS] = numbers
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Print the shares of the kinds, of what was collected before any selection by name or marker."""
+    numbers = config.stash.get(NUMBERS, {})
+    if any(numbers.values()):
+        terminalreporter.write_line(kinds.sentence(numbers))

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.repository
+
 LIMIT = {"factors": 200, "fg_orient": 450}  # lines per module
 MEDIAN = {"factors": 100, "fg_orient": 200}
 

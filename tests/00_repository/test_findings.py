@@ -39,6 +39,7 @@ def texts(tree: ast.AST) -> list[str]:
     return [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
 
 
+@pytest.mark.repository
 def test_no_module_outside_the_command_line_names_a_flag(repository: Path) -> None:
     found = [
         (name, node.lineno, FLAG.findall(node.value))
@@ -50,6 +51,7 @@ def test_no_module_outside_the_command_line_names_a_flag(repository: Path) -> No
     assert [place for place in found if place[0] not in OF_OTHERS] == []
 
 
+@pytest.mark.repository
 def test_only_the_record_writes_and_reads_warnings(repository: Path) -> None:
     """The key ``warnings`` of a result is written by ``as_record`` and read by ``findings_of``."""
     named = {
@@ -61,6 +63,7 @@ def test_only_the_record_writes_and_reads_warnings(repository: Path) -> None:
     assert named == {"fg_orient/errors.py"}
 
 
+@pytest.mark.repository
 def test_no_sentence_is_given_as_a_warning_or_as_its_data(repository: Path) -> None:
     """Neither ``warnings=``, ``notes=``, ``withheld=`` nor a datum of a finding holds text of four words or more."""
     given = []
@@ -93,6 +96,7 @@ outside.doubt (doubt): {n} images are missing
         monkeypatch.setitem(CATALOGUE, code, entry)
 
 
+@pytest.mark.behaviour
 @pytest.mark.usefixtures("planted")
 def test_a_warning_from_outside_is_one_entry_and_one_call(capsys: pytest.CaptureFixture[str]) -> None:
     found = finding("outside.planted", image="left", others=["a", "b", "c"], angle=180.0)
@@ -110,6 +114,7 @@ def test_a_warning_from_outside_is_one_entry_and_one_call(capsys: pytest.Capture
     assert capsys.readouterr().err == f"warning: {found.text(flag)}\n"
 
 
+@pytest.mark.behaviour
 @pytest.mark.usefixtures("planted")
 def test_doubts_decide_on_the_status() -> None:
     alone = finding("outside.planted", image="left", others=[], angle=90.0)
@@ -117,6 +122,7 @@ def test_doubts_decide_on_the_status() -> None:
     assert judged([alone, finding("outside.doubt", n=2)])["status"] == "not_trustworthy"
 
 
+@pytest.mark.behaviour
 def test_results_of_earlier_and_later_versions_are_read() -> None:
     """Sentences only; a code without words here, or one whose words ask for other data, keeps those of the record."""
     first, second = findings_of({"warnings": ["few points", "no fit"], "reason": "no fit"})
@@ -127,6 +133,7 @@ def test_results_of_earlier_and_later_versions_are_read() -> None:
     assert str(read(later | {"code": "solution.few_check", "data": {"n": 1}})) == "said then; do so"
 
 
+@pytest.mark.behaviour
 def test_a_finding_shows_where_what_and_the_remedy_on_one_line() -> None:
     found = replace(finding("solution.no_check"), file="a.csv", place="line\n3", value="7")
     told = "a.csv, line 3: no check points: the accuracy is not verified independently (found 7)"
@@ -134,6 +141,7 @@ def test_a_finding_shows_where_what_and_the_remedy_on_one_line() -> None:
     assert found.as_dict()["severity"] == "warning"
 
 
+@pytest.mark.behaviour
 def test_data_are_plain_and_lists_are_short() -> None:
     found = finding("solution.outside_validity", image=Path("left"), n=80, points=tuple(map(str, range(80))))
     assert found.data == {"image": "left", "n": 80, "points": [str(k) for k in range(50)]}

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.behaviour
+
 WHEEL = "dist/fg_orient-0.1.0-py3-none-any.whl"
 #: What ``import fg_orient`` needs.
 PARTS = ("__init__.py", "clash.py", "errors.py", "messages")

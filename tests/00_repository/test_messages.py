@@ -88,12 +88,14 @@ def literals(repository: Path) -> set[str]:
     return found
 
 
+@pytest.mark.repository
 def test_every_code_in_the_sources_is_in_the_catalogue(repository: Path) -> None:
     used = calls(repository)
     assert used
     assert [(place, code) for place, code, _ in used if code not in CATALOGUE] == []
 
 
+@pytest.mark.repository
 def test_every_literal_that_looks_like_a_code_is_in_the_catalogue(repository: Path) -> None:
     """``domain.word`` of a known domain, unless the word is the suffix of a file name."""
     alike = {
@@ -104,6 +106,7 @@ def test_every_literal_that_looks_like_a_code_is_in_the_catalogue(repository: Pa
     assert sorted(alike - set(CATALOGUE)) == []
 
 
+@pytest.mark.repository
 def test_every_field_of_a_message_is_given(repository: Path) -> None:
     lacking = [
         (place, code, fields(code) - ALWAYS - keywords)
@@ -113,10 +116,12 @@ def test_every_field_of_a_message_is_given(repository: Path) -> None:
     assert lacking == []
 
 
+@pytest.mark.repository
 def test_every_code_of_the_catalogue_is_used(repository: Path) -> None:
     assert sorted(set(CATALOGUE) - literals(repository)) == []
 
 
+@pytest.mark.repository
 @pytest.mark.parametrize("code", sorted(CATALOGUE))
 def test_entry_is_well_formed(code: str) -> None:
     *message, remedy = texts(code)
@@ -127,6 +132,7 @@ def test_entry_is_well_formed(code: str) -> None:
     assert [*message, remedy] == [" ".join(text.split()) for text in (*message, remedy)]
 
 
+@pytest.mark.behaviour
 def test_entries_format_with_values_of_their_fields() -> None:
     """Each field takes what its format asks for, and no other word of the entry is lost."""
     for code in CATALOGUE:
@@ -144,6 +150,7 @@ def test_entries_format_with_values_of_their_fields() -> None:
         assert shown.count("WORD") == len(words), code
 
 
+@pytest.mark.repository
 def test_no_code_has_two_entries() -> None:
     heads = re.compile(r"^([a-z0-9_.]+)(?: \(\w+\))?: ", re.M)
     modules = [import_module(f"fg_orient.messages.{name}") for name in MODULES]
@@ -151,6 +158,7 @@ def test_no_code_has_two_entries() -> None:
     assert len(codes) == len(set(codes)) == len(CATALOGUE)
 
 
+@pytest.mark.repository
 def test_an_entry_has_parts_a_remedy_and_a_severity() -> None:
     """Lines are joined; further parts begin with +, the remedy with ->; without a severity it is a failure."""
     table = "a.b (note): one\n    two: three\n    + , {four}\n    -> do\n    it\nc.d: five\n    -> six\n"
@@ -160,12 +168,14 @@ def test_an_entry_has_parts_a_remedy_and_a_severity() -> None:
     }
 
 
+@pytest.mark.repository
 def test_choices_are_offered_in_the_same_words() -> None:
     """A list of what is known is introduced alike everywhere."""
     others = re.compile(r"choose among|use one of|give one of \{|^known: \{known\}$|choose one of: ")
     assert [code for code in CATALOGUE if any(others.search(text) for text in texts(code))] == []
 
 
+@pytest.mark.behaviour
 def test_one_problem_is_one_line_with_file_place_value_and_remedy() -> None:
     text = str(InputError.of("output.exists", file="out", option="out", value="two\nlines"))
     assert text.startswith("out, option out: ")
@@ -174,6 +184,7 @@ def test_one_problem_is_one_line_with_file_place_value_and_remedy() -> None:
     assert "\n" not in text
 
 
+@pytest.mark.behaviour
 def test_problems_of_one_error_are_listed_line_by_line() -> None:
     first, second = finding("output.exists", file="a"), finding("output.exists", file="b")
     error = FgOrientError(first, second)

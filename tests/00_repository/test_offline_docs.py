@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.repository
+
 for needed in ("sphinx", "myst_parser", "numpydoc", "latex2mathml"):
     pytest.importorskip(needed)
 

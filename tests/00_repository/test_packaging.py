@@ -18,6 +18,8 @@ import fg_orient
 from fg_orient.versions import OPTIONAL, REQUIRED
 from tests.support.syntax import nodes
 
+pytestmark = pytest.mark.repository
+
 PACKAGES = ("factors", "fg_orient")
 #: Modules that exist for type checkers only.
 TYPES_ONLY = {"_typeshed"}

@@ -33,19 +33,23 @@ def found(bad: str = "", more: str = "", folder: str = "factors") -> list[str]:
     return list(dict.fromkeys(line.split(": ", 1)[1] for line in program.findings(FOLDERS)))
 
 
+@pytest.mark.repository
 def test_nothing_is_indexed_by_a_number() -> None:
     assert list(Program(sources()).findings(FOLDERS)) == []
 
 
+@pytest.mark.repository
 def test_names_vectors_setups_and_unknowns_are_free() -> None:
     assert found() == []
 
 
+@pytest.mark.repository
 @pytest.mark.parametrize("text", ["record[3]", "record[0]", "record[2:5]", "record[:3]", "record[RECORD.distance + 2]"])
 def test_numbers_in_an_equation(text: str) -> None:
     assert found(f"+ {text}") == [text]
 
 
+@pytest.mark.repository
 @pytest.mark.parametrize("name", ["c", "constants", "camera", "whatever", "turn"])
 @pytest.mark.parametrize(
     "text", ["{}[3]", "{}[0]", "{}[i + 22 * n]", "{}[22 * n + i]", "{}[3:6]", "three({}, i + 28 * n, n)",
@@ -64,6 +68,7 @@ def helper({name}, i, n):
     assert found("+ helper(record, k, n)", more, folder) == [text.format(name)]
 
 
+@pytest.mark.repository
 @pytest.mark.parametrize("text", ["a[:, 18]", "a[i, 18]", "a[:, 3:6]", "a[:, [5, 7]]", "a[..., 9:]"])
 @pytest.mark.parametrize(
     "made", ["sensor.records(line)", "problem.control_records", "np.zeros((9, RECORD.size))", "RECORD.pack(distance=d)",
@@ -74,12 +79,14 @@ def test_many_records_of_a_writer(text: str, made: str) -> None:
     assert found(more=more, folder="fg_orient") == [text]
 
 
+@pytest.mark.repository
 def test_what_nobody_calls_is_not_free_in_factors() -> None:
     more = "def f(a, b: Vector, k):\n    return a[1] + a[k + 2] + a[2 * k] + b[2] + b[3] + a[k + 1] + a.shape[1]\n"
     assert sorted(found(more=more)) == ["a[1]", "a[2 * k]", "a[k + 2]", "b[3]"]
     assert found(more=more, folder="fg_orient") == ["b[3]"]
 
 
+@pytest.mark.behaviour
 def test_fields_of_a_record() -> None:
     r = Record(tau=1, mounting="a b c", rest=2)
     assert (r.tau, r.mounting, r.b, r.rest, r.size) == (0, slice(1, 4), 2, slice(4, 6), 6)
@@ -87,6 +94,7 @@ def test_fields_of_a_record() -> None:
     assert (longer.b, longer.last, longer.size) == (2, 6, 7)
 
 
+@pytest.mark.behaviour
 def test_pack_fills_every_field_once() -> None:
     r = Record(tau=1, place=3)
     packed = r.pack(tau=[1.0, 2.0], place=[3.0, 4.0, 5.0])

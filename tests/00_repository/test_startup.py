@@ -53,6 +53,7 @@ def run(code: str, folder: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.repository
 def test_import_loads_nothing_but_itself(repository: Path) -> None:
     """Its two modules and the standard library, so that it takes some hundredths of a second."""
     code = (
@@ -70,6 +71,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.repository
 @pytest.mark.parametrize("name", FORBIDDEN)
 def test_a_command_loads_only_what_it_uses(name: str, repository: Path, twin: Path, tmp_path: Path) -> None:
     """Kernels are left as they are: they are compiled in advance or not, and call for numba and scipy.linalg."""
@@ -90,11 +92,13 @@ def test_a_command_loads_only_what_it_uses(name: str, repository: Path, twin: Pa
         assert ("gtsam" in loaded) == ("graph" in words)
 
 
+@pytest.mark.repository
 def test_every_public_name_loads(repository: Path) -> None:
     code = "import fg_orient as fg; print([n for n in fg.__all__ if getattr(fg, n) is None or n not in dir(fg)])"
     assert run(code, repository).strip() == "[]"
 
 
+@pytest.mark.behaviour
 def test_unknown_name_is_an_attribute_error(repository: Path) -> None:
     code = "import fg_orient\ntry:\n    fg_orient.nonsense\nexcept AttributeError as e:\n    print(e)"
     assert run(code, repository).strip() == "module 'fg_orient' has no attribute 'nonsense'"

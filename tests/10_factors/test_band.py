@@ -32,6 +32,7 @@ def padded(matrix: Array) -> Array:
     return out
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("n", "band"), [
     (1, 0), (5, 4), (24, 23), (30, 3), (47, 46), (49, 24), (60, 0), (100, 25), (143, 71), (200, 23), (161, 150),
 ])  # fmt: skip
@@ -50,6 +51,7 @@ def test_the_factor_is_lapacks(n: int, band: int) -> None:
     assert not outside.any()
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("column", [0, 23, 24, 77])
 def test_an_indefinite_matrix_is_refused_where_it_is(column: int) -> None:
     matrix = banded(100, 30, seed=1)

@@ -55,6 +55,7 @@ class Case:
         return pushbroom.kernel(self.records[self.row[a]], self.columns.setup, x, self.ground[self.point[a]], True)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("small", ["none", "all", "some"])
 @pytest.mark.parametrize("n_basis", [2, 3])
 @pytest.mark.parametrize("codes", [NINE, [*NINE, 27, 28], [0, 3, 6]])
@@ -69,11 +70,13 @@ def test_rows_are_those_of_the_factor(small: str, codes: list[int], n_basis: int
         assert np.array_equal(d_ground[a], j_ground)
 
 
+@pytest.mark.behaviour
 def test_only_nine_components_in_their_order_are_copied_by_tiles() -> None:
     assert usual(np.arange(9))
     assert not any(usual(slot) for slot in (np.arange(8), np.arange(10), np.array([1, 0, *range(2, 9)])))
 
 
+@pytest.mark.consistency
 def test_rows_do_not_depend_on_the_division(rng: np.random.Generator) -> None:
     case = Case(rng, "none", NINE, 3)
     whole = case.run(0, N)
@@ -84,6 +87,7 @@ def test_rows_do_not_depend_on_the_division(rng: np.random.Generator) -> None:
     assert (alone[1] == 7.0).all() and (alone[2] == 7.0).all()
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("want", [False, True])
 def test_the_first_observation_that_is_not_finite_is_told(want: bool, rng: np.random.Generator) -> None:
     case = Case(rng, "none", NINE, 3)

@@ -18,6 +18,8 @@ from factors import _compile, batch_pairs, batch_pushbroom, light, pushbroom, si
 from factors._preparation import told_of_compilation
 from factors._sources import stamp
 
+pytestmark = pytest.mark.behaviour
+
 #: A package whose kernel calls over two modules, each imported in another way; ``{0}`` is what a test changes.
 PACKAGE = {
     "__init__.py": "",

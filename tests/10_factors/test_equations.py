@@ -29,6 +29,7 @@ def references() -> dict[str, list[Derived]]:
     return derived_uncompiled(modules, DRAWS, seed=1)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
 def test_jacobian_equals_complex_step(equation: Equation, references: dict[str, list[Derived]]) -> None:
     """Bound of the issue: 1e-11 of the largest element of the row, in prior-sigma units; observed 7e-16."""
@@ -43,6 +44,7 @@ def test_jacobian_equals_complex_step(equation: Equation, references: dict[str, 
     assert worst <= 1e-13  # what the analytic form really reaches; a loss of two digits is a fault
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
 def test_jacobian_equals_central_differences(equation: Equation) -> None:
     """Second opinion on the real-valued kernel itself.
@@ -66,6 +68,7 @@ def test_jacobian_equals_central_differences(equation: Equation) -> None:
                 assert np.all(np.abs(numeric - jacobian[:, c]) <= 1e-6 * scale)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
 def test_value_does_not_depend_on_the_request_for_jacobians(equation: Equation) -> None:
     rng = np.random.default_rng(3)
@@ -77,6 +80,7 @@ def test_value_does_not_depend_on_the_request_for_jacobians(equation: Equation) 
         assert np.array_equal(without, equation.residual(example.record, example.setup, *example.unknowns))
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("equation", [e for e in EQUATIONS if e.fill], ids=lambda e: e.name)
 def test_fill_gives_the_same_numbers_and_refuses_wrong_sizes(equation: Equation) -> None:
     rng = np.random.default_rng(12)
@@ -93,6 +97,7 @@ def test_fill_gives_the_same_numbers_and_refuses_wrong_sizes(equation: Equation)
     assert not equation.fill(e.record[None].copy(), 0, e.setup, *broken, out, False)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("equation", EQUATIONS, ids=lambda e: e.name)
 def test_batch_equals_scalar(equation: Equation) -> None:
     rng = np.random.default_rng(4)
@@ -106,6 +111,7 @@ def test_batch_equals_scalar(equation: Equation) -> None:
             assert np.array_equal(block[i], single[1 + k])
 
 
+@pytest.mark.behaviour
 def test_two_equations_of_one_name_are_refused() -> None:
     known = EQUATIONS[0]
     with pytest.raises(ValueError, match=known.name):
@@ -146,6 +152,7 @@ def reference_conditions(record: np.ndarray, setup: np.ndarray, x: np.ndarray, g
     return np.array([f[0] / f[2] - np.tan(psi_y), f[1] / f[2] + np.tan(psi_x)], ld)
 
 
+@pytest.mark.oracle
 def test_pushbroom_equals_an_independent_evaluation() -> None:
     """The pair arithmetic against plain matrices in 80-bit floats: 1e-15 rad, a few roundings."""
     equation = registered()["look_angle_collinearity"]
@@ -159,6 +166,7 @@ def test_pushbroom_equals_an_independent_evaluation() -> None:
         assert np.abs(ours - theirs).max() < 2e-15
 
 
+@pytest.mark.oracle
 def test_differences_keep_their_digits() -> None:
     """A correction of 1e-9 prior sigmas changes F by its derivative to 1e-6 relative: no cancellation."""
     equation = registered()["look_angle_collinearity"]

@@ -20,6 +20,7 @@ def camera_of(rng: np.random.Generator, distortion: np.ndarray) -> np.ndarray:
     return out
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 9.9e-3, 1.01e-2, 0.5, 3.1, 6.0])
 def test_rotation_equals_scipy(angle: float) -> None:
     """Series and closed form, across their limit at 0.01 rad, up to nearly a full turn."""
@@ -37,6 +38,7 @@ def test_rotation_equals_scipy(angle: float) -> None:
     assert np.abs(out[CAMERA.jacobian].reshape(3, 3) - np.stack(ends, axis=1)).max() < 1e-8
 
 
+@pytest.mark.oracle
 def test_residual_equals_the_printed_formulas() -> None:
     """OpenCV's documentation written with numpy: 16 digits of some thousand pixels."""
     rng = np.random.default_rng(3)
@@ -58,11 +60,19 @@ def test_residual_equals_the_printed_formulas() -> None:
         assert np.abs(found - expected).max() < 1e-11 * max(1.0, float(np.abs([line, sample]).max() * weight.max()))
 
 
+@pytest.mark.oracle
 def test_ideal_directions_invert_the_distortion_and_stop_at_its_fold() -> None:
     rng = np.random.default_rng(4)
     camera = camera_of(rng, np.array([-0.2, 0.05, -0.01, 1e-3, -2e-3]))
     ideal = rng.uniform(-0.6, 0.6, (50, 2))
-    pixels = np.array([frame_camera.pixel(camera, x, y) for x, y in ideal])
+    (x, y), (k1, k2, k3, p1, p2) = ideal.T, camera[15:20]  # as printed
+    r2 = x**2 + y**2
+    radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    sample = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+    line = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
+    pixels = 1200.0 * np.stack([line, sample], axis=1) + camera[14:12:-1]
+    ours = np.array([frame_camera.pixel(camera, *direction) for direction in ideal])
+    assert np.abs(ours - pixels).max() < 1e-11
     found = frame_camera.ideal_directions(camera, pixels[:, 0].copy(), pixels[:, 1].copy())
     assert np.abs(found - ideal).max() < 1e-12
     camera[CAMERA.distortion] = -0.3, 0.0, 0.0, 0.0, 0.0  # x (1 - 0.3 x^2) is largest at 1.054: 0.703
@@ -107,6 +117,7 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
     return np.concatenate([value, d_image.reshape(n, -1), d_ground.reshape(n, -1)], axis=1), found
 
 
+@pytest.mark.consistency
 def test_batch_rows_equal_the_equation_and_do_not_depend_on_the_parts() -> None:
     assert has_batch(frame.FRAME_BROWN_IDEAL_TO_MEASURED)
     whole, found = rows_of([(0, 30)])
@@ -116,5 +127,6 @@ def test_batch_rows_equal_the_equation_and_do_not_depend_on_the_parts() -> None:
     assert np.array_equal(whole, parts)
 
 
+@pytest.mark.behaviour
 def test_batch_rows_report_the_first_ray_that_is_not_finite() -> None:
     assert rows_of([(0, 13), (13, 30)], spoil=True)[1] == [12, 13]

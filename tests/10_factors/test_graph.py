@@ -27,6 +27,7 @@ def image_point(e: pushbroom.Example, equation: Equation, ground: object = P0) -
     return factor(equation, (E0, ground), (len(e.unknowns[0]), 3), e.record, e.setup, label=LABEL)
 
 
+@pytest.mark.consistency
 def test_linearisation_equals_the_kernel() -> None:
     e, values = example()
     linear = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY).linearize(values)
@@ -36,6 +37,7 @@ def test_linearisation_equals_the_kernel() -> None:
     assert np.array_equal(b, -value)
 
 
+@pytest.mark.consistency
 def test_error_is_half_the_weighted_square() -> None:
     e, values = example()
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY)
@@ -43,6 +45,7 @@ def test_error_is_half_the_weighted_square() -> None:
     assert f.error(values) == pytest.approx(0.5 * value @ value, rel=1e-15)
 
 
+@pytest.mark.consistency
 def test_constant_ground_point_is_no_unknown() -> None:
     e, values = example()
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY, ground=e.unknowns[1])
@@ -51,6 +54,7 @@ def test_constant_ground_point_is_no_unknown() -> None:
     assert np.array_equal(a, pushbroom.kernel(e.record, e.setup, *e.unknowns, True)[1])
 
 
+@pytest.mark.behaviour
 def test_image_of_three_unknowns_and_a_fixed_point() -> None:
     """A vector of length 3 must not be mistaken for a ground point."""
     e, _ = example()
@@ -61,6 +65,7 @@ def test_image_of_three_unknowns_and_a_fixed_point() -> None:
     assert np.isfinite(f.error(values))
 
 
+@pytest.mark.behaviour
 def test_nothing_unknown_is_refused() -> None:
     e, _ = example()
     with pytest.raises(ValueError, match=f"{LABEL}: no unknown"):
@@ -77,6 +82,7 @@ WRONG = {
 }
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("fault", WRONG)
 def test_faulty_kernels_are_named(fault: str) -> None:
     """GTSAM accepts a (2, 5) Jacobian for 36 unknowns and nan silently; we do not."""
@@ -93,6 +99,7 @@ def test_faulty_kernels_are_named(fault: str) -> None:
         graph.linearize(values)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("size", [5, 35, 37])
 def test_wrong_sizes_are_named_with_a_constant_ground_point(size: int) -> None:
     """In the words of the fast path; the kernel itself gives nan, not what the memory held."""
@@ -107,6 +114,7 @@ def test_wrong_sizes_are_named_with_a_constant_ground_point(size: int) -> None:
     assert all(np.isnan(block).all() for block in (value, j_image, j_ground))
 
 
+@pytest.mark.behaviour
 def test_evaluate_gives_nan_for_a_vector_of_the_wrong_size() -> None:
     e, _ = example()
     batch = (e.record[None], [e.setup], [e.unknowns[0][:-1]], [e.unknowns[1]])
@@ -116,6 +124,7 @@ def test_evaluate_gives_nan_for_a_vector_of_the_wrong_size() -> None:
         assert all(np.isnan(block).all() for block in (*j_image, *j_ground))
 
 
+@pytest.mark.behaviour
 def test_nan_and_wrong_sizes_are_named_on_the_fast_path() -> None:
     e, values = example()
     graph = gtsam.NonlinearFactorGraph()
@@ -134,6 +143,7 @@ def test_nan_and_wrong_sizes_are_named_on_the_fast_path() -> None:
         graph.linearize(short)
 
 
+@pytest.mark.behaviour
 def test_float32_and_missing_blocks_are_refused() -> None:
     ok = np.zeros((2, 3))
     check_blocks("a", "b", (np.zeros(2), ok), (3,), 2)
@@ -143,6 +153,7 @@ def test_float32_and_missing_blocks_are_refused() -> None:
         check_blocks("a", "b", (np.zeros(2),), (3,), 2)
 
 
+@pytest.mark.consistency
 def test_general_wrapper_checks_too() -> None:
     """Equations of one argument take the general path."""
     rng = np.random.default_rng(8)
@@ -162,6 +173,7 @@ def test_general_wrapper_checks_too() -> None:
         factor(bad, (P0,), (3,), e.record, e.setup, label=LABEL, n_residuals=3).linearize(values)
 
 
+@pytest.mark.oracle
 def test_priors_equal_gtsams_own() -> None:
     """The control equations and GTSAM's prior factors give the same normal equations."""
     rng = np.random.default_rng(9)
@@ -182,6 +194,7 @@ def test_priors_equal_gtsams_own() -> None:
     assert f.error(vector) == pytest.approx(0.5 * np.sum(((p.unknowns[0] - p.setup[0]) / p.setup[1]) ** 2))
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     "covariance",
     [
@@ -196,6 +209,7 @@ def test_impossible_covariances_are_refused(covariance: np.ndarray) -> None:
         whitening(covariance)
 
 
+@pytest.mark.oracle
 def test_robust_loss_lowers_the_weight() -> None:
     e, values = example()
     huber = gtsam.noiseModel.mEstimator.Huber.Create(1.0)

@@ -15,6 +15,7 @@ def displacement(c: np.ndarray, x: complex, y: complex) -> np.ndarray:
     return variants.terms(x, y, RADIUS) @ c
 
 
+@pytest.mark.oracle
 def test_terms_are_those_of_the_formulas() -> None:
     x, y = 0.7, -1.1
     r = np.hypot(x, y)
@@ -28,6 +29,7 @@ def test_terms_are_those_of_the_formulas() -> None:
     assert rim[0, 4:7].tolist() == [1.0, 1.0, 1.0]
 
 
+@pytest.mark.oracle
 def test_slopes_by_complex_step(rng: np.random.Generator) -> None:
     for _ in range(20):
         c, (x, y) = rng.normal(size=9), rng.normal(size=2)
@@ -37,6 +39,7 @@ def test_slopes_by_complex_step(rng: np.random.Generator) -> None:
     assert centre == pytest.approx([1.0 + (-2.0 + 3.0 - 4.0) / RADIUS + 1.0, 0.0, 1.0, 1.0 - 3.0 / RADIUS])
 
 
+@pytest.mark.oracle
 def test_displacements_are_orthogonal_on_the_disk() -> None:
     """Gauss's quadrature is exact for the products: degree 15 in r."""
     at, weight = np.polynomial.legendre.leggauss(12)
@@ -47,6 +50,7 @@ def test_displacements_are_orthogonal_on_the_disk() -> None:
     assert np.abs(gram / scale - np.eye(4)).max() <= 1e-14
 
 
+@pytest.mark.oracle
 def test_film_matrix_and_parameters(rng: np.random.Generator) -> None:
     for _ in range(20):
         p = np.array([0.0, 0.0, 1.0, 1.0]) + rng.normal(scale=0.1, size=4)
@@ -62,6 +66,7 @@ def test_film_matrix_and_parameters(rng: np.random.Generator) -> None:
         assert back == pytest.approx(np.eye(4), abs=1e-13)
 
 
+@pytest.mark.truth
 def test_film_without_fiducial_marks() -> None:
     """Eqs. 53 and 54: with a = 0 and lx = 1 the matrix is I + [0, A_p; 0, B_p]."""
     a_p, b_p = -2.94061e-3, 1.93571e-3

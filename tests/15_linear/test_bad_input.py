@@ -107,6 +107,7 @@ CASES: dict[str, tuple[Callable[[], object], str, str]] = {
 }
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("case", CASES)
 def test_bad_input_is_refused_in_words(case: str) -> None:
     call, code, value = CASES[case]
@@ -118,21 +119,22 @@ def test_bad_input_is_refused_in_words(case: str) -> None:
     assert fault.remedy
 
 
-def test_the_limit_itself_is_allowed() -> None:
-    assert len(LinearSystem(np.eye(MAX_UNKNOWNS), np.ones(MAX_UNKNOWNS))) == 2000
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    "normal", [np.eye(MAX_UNKNOWNS), np.array([[2.0, 1.0], [1.0 + 1e-13, 3.0]])], ids=["size", "rounding"]
+)
+def test_the_limit_itself_and_rounding_are_allowed(normal: np.ndarray) -> None:
+    assert MAX_UNKNOWNS == 2000
+    assert len(LinearSystem(normal, np.ones(len(normal)))) == len(normal)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", solvers())
 def test_whole_numbers_are_numbers(name: str) -> None:
     design, observed = np.array([[2, 0], [0, 3], [1, 1], [2, 5]]), np.array([1, 2, 3, 4])
     whole = attempt(name, LinearSystem.from_design(design, observed))
     real = attempt(name, LinearSystem.from_design(design.astype(float), observed.astype(float)))
     assert np.array_equal(whole.x, real.x, equal_nan=True)
-
-
-def test_rounding_of_a_symmetric_matrix_is_allowed() -> None:
-    normal = np.array([[2.0, 1.0], [1.0 + 1e-13, 3.0]])
-    assert len(LinearSystem(normal, np.ones(2))) == 2
 
 
 @pytest.fixture
@@ -142,6 +144,7 @@ def open_registries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kappa_module, "_REGISTRY", dict(kappa_module._REGISTRY))
 
 
+@pytest.mark.behaviour
 @pytest.mark.usefixtures("open_registries")
 def test_solver_from_outside() -> None:
     @register_solver("ours", "Ours", "modern", source="test")
@@ -159,6 +162,7 @@ def test_solver_from_outside() -> None:
     assert regularised(regular, 2.0, solver="ours").x == pytest.approx([0.5, 0.5], rel=1e-15)
 
 
+@pytest.mark.behaviour
 @pytest.mark.usefixtures("open_registries")
 @pytest.mark.parametrize(
     ("x", "error", "code"),
@@ -179,6 +183,7 @@ def test_a_solver_may_not_give_nonsense(x: np.ndarray, error: type[Exception], c
     assert caught.value.problems[0].code == code  # type: ignore[attr-defined]
 
 
+@pytest.mark.behaviour
 @pytest.mark.usefixtures("open_registries")
 def test_names_are_unique() -> None:
     with pytest.raises(ValueError, match="'qr' is registered already"):
@@ -194,6 +199,7 @@ def test_names_are_unique() -> None:
             return KappaChoice(0.0, "gcv")
 
 
+@pytest.mark.behaviour
 @pytest.mark.usefixtures("open_registries")
 def test_kappa_rule_from_outside() -> None:
     @register_kappa_rule("trace", "Trace", source="test", needs=("sigma_observed",))

@@ -26,6 +26,7 @@ def norms(system: LinearSystem, kappa: float) -> tuple[float, float]:
     return float(np.linalg.norm(design @ x - observed)), float(np.linalg.norm(x))
 
 
+@pytest.mark.oracle
 def test_every_point_is_a_tikhonov_solution(system: LinearSystem) -> None:
     curve = l_curve_of(system)
     assert len(curve.kappa) == CURVE_POINTS and np.all(np.diff(curve.kappa) > 0.0)
@@ -35,6 +36,7 @@ def test_every_point_is_a_tikhonov_solution(system: LinearSystem) -> None:
         assert (curve.residual_norm[k], curve.solution_norm[k]) == pytest.approx(wanted, rel=1e-9)
 
 
+@pytest.mark.oracle
 def test_rules_have_their_places(system: LinearSystem) -> None:
     """Each rule that needs the system alone, with the kappa that its own solver takes, and on the curve."""
     curve = l_curve_of(system)
@@ -50,6 +52,7 @@ def test_rules_have_their_places(system: LinearSystem) -> None:
         assert choice.kappa == 0.0 or curve.kappa[0] <= choice.kappa * (1 + 1e-12) <= curve.kappa[-1] * (1 + 2e-12)
 
 
+@pytest.mark.oracle
 def test_any_kappa_has_its_place(system: LinearSystem) -> None:
     curve = l_curve_of(system)
     gcv = next(c for c in curve.choices if c.rule == "gcv")
@@ -59,6 +62,7 @@ def test_any_kappa_has_its_place(system: LinearSystem) -> None:
     assert np.isnan(curve.place(2.0 * curve.kappa[-1])).all() and np.isnan(curve.place(float("nan"))).all()
 
 
+@pytest.mark.oracle
 def test_the_corner_bends_most(system: LinearSystem) -> None:
     """Curvature of the recorded polyline itself, by differences; the chosen kappa stands at its largest."""
     curve = l_curve_of(system)
@@ -72,6 +76,7 @@ def test_the_corner_bends_most(system: LinearSystem) -> None:
     assert abs(np.searchsorted(curve.kappa, corner.kappa) - int(np.argmax(curve.curvature))) <= 1
 
 
+@pytest.mark.behaviour
 def test_a_rule_that_finds_nothing_says_why_and_the_others_stay() -> None:
     """No redundancy: HKB and LW have no s0, and nothing is left of the residuals."""
     curve = l_curve_of(LinearSystem.from_design(np.diag([3.0, 0.1]), np.array([1.0, 1.0])))
@@ -80,6 +85,7 @@ def test_a_rule_that_finds_nothing_says_why_and_the_others_stay() -> None:
     assert found["gcv"].failure == "" and np.isfinite(curve.kappa).all()
 
 
+@pytest.mark.behaviour
 def test_kappa_zero_of_a_singular_system_has_no_place() -> None:
     design = np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
     curve = l_curve_of(LinearSystem.from_design(design, np.array([1.0, 2.0, 4.0])))
@@ -88,6 +94,7 @@ def test_kappa_zero_of_a_singular_system_has_no_place() -> None:
     assert np.isfinite(curve.residual_norm).all()
 
 
+@pytest.mark.behaviour
 def test_the_design_must_be_known(system: LinearSystem) -> None:
     with pytest.raises(InputError, match="design"):
         l_curve_of(LinearSystem(system.normal, system.rhs))

@@ -11,6 +11,8 @@ import pytest
 from fg_orient.errors import InputError
 from fg_orient.io.atomic import write_bytes, write_text
 
+pytestmark = pytest.mark.behaviour
+
 
 def test_text_is_utf8_with_its_own_line_ends(tmp_path: Path) -> None:
     path = tmp_path / "Zonguldak ığüş.txt"

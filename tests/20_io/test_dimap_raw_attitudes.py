@@ -43,6 +43,7 @@ def angles(metadata: PushbroomMetadata) -> AngleAttitude:
     return metadata.attitude
 
 
+@pytest.mark.truth
 def test_constant_speeds_give_straight_angles(dim1: Path) -> None:
     """angle = first absolute angle + speed times (t - its time), with the sign step."""
     path = spot4(dim1, [sample("Angles", 7.0, 1e-5, 2e-5, 3e-5)], steps(7.1, 6, lambda _: 1e-6))
@@ -56,6 +57,7 @@ def test_constant_speeds_give_straight_angles(dim1: Path) -> None:
     assert metadata.mission == "SPOT 4"
 
 
+@pytest.mark.truth
 def test_a_speed_belongs_to_the_interval_before_its_time(dim1: Path) -> None:
     """Only the speed at tag 3 is not zero: the angle changes from tag 2 to tag 3 and nowhere else."""
     speeds = [sample("Angular_Speeds", 7.0 + 0.125 * k, 8e-6 * (k == 3), 0.0, 0.0) for k in range(7)]
@@ -63,6 +65,7 @@ def test_a_speed_belongs_to_the_interval_before_its_time(dim1: Path) -> None:
     np.testing.assert_allclose(-attitude.angles_rad[:, 0], [0, 0, 0, 1e-6, 1e-6, 1e-6, 1e-6], rtol=0, atol=1e-20)
 
 
+@pytest.mark.truth
 def test_the_first_absolute_angle_may_lie_inside_the_list(dim1: Path) -> None:
     absolute = [sample("Angles", 7.25, 5e-6, 0.0, 0.0)]
     attitude = angles(read_dimap(spot4(dim1, absolute, steps(7.0, 7, lambda k: 1e-6 * k))))
@@ -70,6 +73,7 @@ def test_the_first_absolute_angle_may_lie_inside_the_list(dim1: Path) -> None:
     assert at_anchor == pytest.approx(-5e-6, abs=1e-18)
 
 
+@pytest.mark.behaviour
 def test_holding_is_noted_with_its_length_and_the_closing_error(dim1: Path) -> None:
     """List 7.25 .. 7.40; image 7.317 .. 7.346; absolute angles at 7.15 and 7.50: both ends are held."""
     absolute = [sample("Angles", 7.15, 0.0, 0.0, 0.0), sample("Angles", 7.5, 1.35e-6, 7e-7, -1.05e-6)]
@@ -82,6 +86,7 @@ def test_holding_is_noted_with_its_length_and_the_closing_error(dim1: Path) -> N
     assert any("without attitudes" in str(n) for n in metadata.notes)
 
 
+@pytest.mark.behaviour
 def test_speeds_are_never_held_longer_than_the_limit(dim1: Path) -> None:
     """The image ends at 7.346 s; a list that ends 0.25 s before is refused, 0.15 s before is not."""
     absolute = [sample("Angles", 6.9, 0.0, 0.0, 0.0)]
@@ -96,22 +101,26 @@ def test_speeds_are_never_held_longer_than_the_limit(dim1: Path) -> None:
     assert f"{SPEED_HOLD_S} s are held" in str(caught.value)
 
 
-def test_a_gap_in_the_speeds_is_refused(dim1: Path, refused: Refused) -> None:
-    speeds = [sample("Angular_Speeds", t, 0.0, 0.0, 0.0) for t in (7.0, 7.125, 7.45)]
-    path = spot4(dim1, [sample("Angles", 7.0, 0.0, 0.0, 0.0)], speeds)
-    refused(path, "dimap.speed_gap", "Angular_Speeds", "0.325 s")
+def still(*times: float) -> list[str]:
+    return [sample("Angular_Speeds", t, 0.0, 0.0, 0.0) for t in times]
 
 
-def test_an_absolute_angle_far_from_the_speeds_is_refused(dim1: Path, refused: Refused) -> None:
-    path = spot4(dim1, [sample("Angles", 5.0, 0.0, 0.0, 0.0)], steps(7.0, 6, lambda _: 0.0))
-    refused(path, "dimap.anchor", "Angles_List/Angles", "05:21:05")
-
-
-def test_spot5_without_corrected_attitudes_is_refused(dim1: Path, refused: Refused) -> None:
-    """Its raw attitudes would be 600 m off: they are no substitute."""
-    path = spot4(dim1, [sample("Angles", 7.0, 0.0, 0.0, 0.0)], steps(7.0, 6, lambda _: 0.0))
-    path.write_text(path.read_text().replace("<MISSION_INDEX>4<", "<MISSION_INDEX>5<"))
-    assert "Corrected_Attitudes" in refused(path, "xml.missing_element", "Satellite_Attitudes").message
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    ("mission", "angle_s", "speeds", "code", "place", "value"),
+    [(4, 7.0, still(7.0, 7.125, 7.45), "dimap.speed_gap", "Angular_Speeds", "0.325 s"),
+     (4, 5.0, steps(7.0, 6, lambda _: 0.0), "dimap.anchor", "Angles_List/Angles", "05:21:05"),
+     # raw attitudes of SPOT 5 would be 600 m off: they are no substitute
+     (5, 7.0, steps(7.0, 6, lambda _: 0.0), "xml.missing_element", "Satellite_Attitudes", "")],
+    ids=["a gap in the speeds", "an angle far from the speeds", "SPOT 5 without corrected attitudes"],
+)  # fmt: skip
+def test_raw_attitudes_that_do_not_do_are_refused(
+    dim1: Path, refused: Refused, mission: int, angle_s: float, speeds: list[str], code: str, place: str, value: str
+) -> None:
+    path = spot4(dim1, [sample("Angles", angle_s, 0.0, 0.0, 0.0)], speeds)
+    path.write_text(path.read_text().replace("<MISSION_INDEX>4<", f"<MISSION_INDEX>{mission}<"))
+    found = refused(path, code, place, value)
+    assert mission == 4 or "Corrected_Attitudes" in found.message
 
 
 # --- two detectors ---------------------------------------------------------------------------
@@ -126,6 +135,7 @@ def tilted_line(mirror_rad: float, n: int) -> tuple[np.ndarray, np.ndarray, np.n
     return sample_, np.arctan(forward / down), np.arctan(across / down)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("mirror_deg", [0.0, -6.0, 9.0, 27.0])
 def test_two_detectors_give_all_of_a_straight_line(mirror_deg: float) -> None:
     sample_, psi_x, psi_y = tilted_line(np.radians(mirror_deg), 601)
@@ -136,6 +146,7 @@ def test_two_detectors_give_all_of_a_straight_line(mirror_deg: float) -> None:
     np.testing.assert_allclose(table.psi_y_rad, psi_y, rtol=0, atol=1e-15)
 
 
+@pytest.mark.oracle
 def test_tangents_about_the_nadir_would_be_far_off() -> None:
     """The bend this rule is for: at 27 degrees the centre detector, 830 km away, moves by more than 500 m."""
     sample_, _, psi_y = tilted_line(np.radians(27.0), 601)
@@ -143,6 +154,7 @@ def test_tangents_about_the_nadir_would_be_far_off() -> None:
     assert abs(tangent - np.tan(psi_y[300])) * 830e3 > 500.0
 
 
+@pytest.mark.behaviour
 def test_given_rows_are_kept_bit_by_bit() -> None:
     sample_, psi_x, psi_y = tilted_line(0.3, 40)
     some = [0, 7, 39]

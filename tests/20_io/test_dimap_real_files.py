@@ -76,6 +76,7 @@ def cosi_rows(real_data: Path, name: str) -> np.ndarray:
     return np.array([[float(row[key]) for key in keys] for row in rows])
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("name", FILES)
 def test_every_file_gives_what_stands_in_it(real_data: Path, name: str) -> None:
     mission, instrument, n_lines, n_samples, n_points, kind, n_attitudes, day = FILES[name]
@@ -92,6 +93,7 @@ def test_every_file_gives_what_stands_in_it(real_data: Path, name: str) -> None:
         assert isinstance(m.look, LookAnglePolynomial) and m.look.origin_sample == 0.0
 
 
+@pytest.mark.truth
 def test_spot5_values_are_those_of_the_text(real_data: Path) -> None:
     m = read_dimap(real_data / COSI / "SPOT5.DIM")
     assert (m.timing.reference_line, m.timing.line_period_s) == (6000.0, 7.5199643612e-04)
@@ -104,6 +106,7 @@ def test_spot5_values_are_those_of_the_text(real_data: Path) -> None:
     assert m.notes == ()
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(("name", "period_s"), [
     (f"{COSI}/SPOT6.XML", 229.110269e-6), ("geoetrim-pleiades/DIM_PHR1A_derived_img1.XML", 0.0735e-3),
 ])  # fmt: skip
@@ -111,11 +114,13 @@ def test_line_periods_follow_the_unit_attribute(real_data: Path, name: str, peri
     assert read_dimap(real_data / name).timing.line_period_s == pytest.approx(period_s, rel=1e-15)
 
 
+@pytest.mark.truth
 def test_spot5_frame_points_are_met_to_the_print(real_data: Path) -> None:
     """Five points, printed with 1e-6 degree = 0.1 m; measured 0.005 to 0.053 m."""
     assert frame_distances_m(read_dimap(real_data / COSI / "SPOT5.DIM"), 0.0).max() <= 0.15
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(("name", "limit_m"), [
     ("SPOT1.DIM", 9.0), ("SPOT2.DIM", 5.0), ("SP2_METADATA.DIM", 3.0), ("SPOT4.DIM", 26.0),
 ])  # fmt: skip
@@ -136,6 +141,7 @@ def test_spot124_frame_points(real_data: Path, name: str, limit_m: float) -> Non
     assert "held" in held and "meet" in closing and "without attitudes" in frame
 
 
+@pytest.mark.truth
 def test_spot6_frame_points_lie_at_terrain_height(real_data: Path) -> None:
     """No height in the file: one height near 830 m meets all five within 2 m, as the folder's notes say."""
     m = read_dimap(real_data / COSI / "SPOT6.XML")
@@ -143,6 +149,7 @@ def test_spot6_frame_points_lie_at_terrain_height(real_data: Path) -> None:
     assert frame_distances_m(m, 830.0).max() <= 2.0
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(("name", "limit_m"), [
     ("SPOT5.DIM", 0.03),  # documented difference of that program on SPOT 5: 3 cm
     ("SPOT6.XML", 0.01),  # its print of 1e-11 degree and 0.1 mm of height; measured 1.3 mm
@@ -154,6 +161,7 @@ def test_an_independent_program_finds_the_same_ground(real_data: Path, name: str
     assert reference_distances_m(read_dimap(real_data / COSI / name), rows).max() <= limit_m
 
 
+@pytest.mark.truth
 def test_rugged_finds_the_same_ground_for_spot5(real_data: Path) -> None:
     """Documented difference 5 mm, rounded to the millimetre by its print; measured 6.1 mm."""
     rows = np.loadtxt(real_data / "reference-outputs/rugged_SPOT5_h0.csv", delimiter=",", skiprows=1)
@@ -174,6 +182,7 @@ REFUSED = [
 ]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("name", "code", "value"), REFUSED)
 def test_other_real_files_are_named_and_refused(real_data: Path, name: str, code: str, value: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -184,6 +193,7 @@ def test_other_real_files_are_named_and_refused(real_data: Path, name: str, code
     assert name in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.consistency
 def test_the_real_spot5_file_survives_writing_and_reading(real_data: Path, tmp_path: Path) -> None:
     first = read_dimap(real_data / COSI / "SPOT5.DIM")
     write_dimap1(tmp_path / "copy.dim", first)

@@ -34,16 +34,19 @@ def differences(a: object, b: object, name: str = "metadata") -> list[str]:
     return [] if same else [name]
 
 
+@pytest.mark.consistency
 def test_spot5_comes_back_bit_by_bit(spot5: PushbroomMetadata, dim1: Path) -> None:
     back = read_dimap(dim1)
     assert differences(spot5, replace(back, file="")) == []
     assert back.file == str(dim1)
 
 
+@pytest.mark.consistency
 def test_pleiades_comes_back_bit_by_bit(pleiades: PushbroomMetadata, dim2: Path) -> None:
     assert differences(pleiades, replace(read_dimap(dim2), file="")) == []
 
 
+@pytest.mark.consistency
 def test_spot6_comes_back_but_for_the_normalisation(spot6: PushbroomMetadata, dim6: Path) -> None:
     back = read_dimap(dim6)
     assert isinstance(spot6.attitude, QuaternionList) and isinstance(back.attitude, QuaternionList)
@@ -55,6 +58,7 @@ def test_spot6_comes_back_but_for_the_normalisation(spot6: PushbroomMetadata, di
 finite = st.floats(-1e-2, 1e-2, allow_nan=False)
 
 
+@pytest.mark.consistency
 @given(
     seconds=st.one_of(st.floats(0.0, 86399.999), st.sampled_from([0.0, 1e-7, 43200.0, 86399.9999999])),
     roll=finite, psi=finite, period=st.floats(2e-5, 5e-3),
@@ -85,6 +89,7 @@ def orbit_like(time_s: np.ndarray) -> object:
     return Ephemeris(time_s, 7.2e6 * turn, 7.4e3 * turn[:, [1, 0, 2]])
 
 
+@pytest.mark.behaviour
 def test_first_pixel_is_one_in_the_file_and_zero_in_the_records(spot5: PushbroomMetadata, tmp_path: Path) -> None:
     """One pixel round trip: line, sample and detector 0 are written as 1."""
     path = tmp_path / "one.dim"
@@ -102,6 +107,7 @@ def test_first_pixel_is_one_in_the_file_and_zero_in_the_records(spot5: Pushbroom
     assert isinstance(back.look, LookAngleTable) and back.look.sample[0] == 0.0
 
 
+@pytest.mark.behaviour
 def test_first_column_of_the_swath_is_one_in_the_file(dim2: Path) -> None:
     text = dim2.read_text()
     assert "<FIRST_COL>1</FIRST_COL>" in text
@@ -109,6 +115,7 @@ def test_first_column_of_the_swath_is_one_in_the_file(dim2: Path) -> None:
     assert read_dimap(dim2).look.origin_sample == 3.0  # type: ignore[union-attr]
 
 
+@pytest.mark.behaviour
 def test_the_sign_step_negates_roll_and_pitch_and_keeps_yaw(spot5: PushbroomMetadata, dim1: Path) -> None:
     assert isinstance(spot5.attitude, AngleAttitude)
     roll, pitch, yaw = spot5.attitude.angles_rad[0]
@@ -118,28 +125,26 @@ def test_the_sign_step_negates_roll_and_pitch_and_keeps_yaw(spot5: PushbroomMeta
     assert in_file == {"ROLL": -roll, "PITCH": -pitch, "YAW": yaw}
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
-    ("text", "factor"),
-    [("ms", 1e-3), ("s", 1.0), ("microsecond", 1e-6), (None, 1e-3)],
-)
-def test_line_period_of_version_2_follows_its_unit(dim2: Path, text: str | None, factor: float) -> None:
-    """Without the attribute milliseconds, the unit of the format."""
+    ("name", "text", "factor"),
+    [("dim2", "ms", 1e-3), ("dim2", "s", 1.0), ("dim2", "microsecond", 1e-6), ("dim2", None, 1e-3),
+     ("dim1", "ms", 1e-3)],
+)  # fmt: skip
+def test_line_period_follows_its_unit(
+    request: pytest.FixtureRequest, name: str, text: str | None, factor: float
+) -> None:
+    """Without the attribute milliseconds in version 2, the unit of the format."""
+    path, period = request.getfixturevalue(name), {"dim1": 7.5e-4, "dim2": 7.35e-5}[name]
     unit = f' unit="{text}"' if text else ""
-    old = dim2.read_text()
-    new = re.sub(r"<LINE_PERIOD[^<]*<", f"<LINE_PERIOD{unit}>{7.35e-5 / factor!r}<", old)
+    old = path.read_text()
+    new = re.sub(r"<LINE_PERIOD[^<]*<", f"<LINE_PERIOD{unit}>{period / factor!r}<", old)
     assert new != old or text == "s"
-    dim2.write_text(new)
-    assert read_dimap(dim2).timing.line_period_s == pytest.approx(7.35e-5, rel=1e-15)
+    path.write_text(new)
+    assert read_dimap(path).timing.line_period_s == pytest.approx(period, rel=1e-15)
 
 
-def test_line_period_of_version_1_is_in_seconds_and_follows_a_unit(dim1: Path) -> None:
-    old = dim1.read_text()
-    new = re.sub(r"<LINE_PERIOD>([^<]*)<", r'<LINE_PERIOD unit="ms">0.75<', old)
-    assert new != old
-    dim1.write_text(new)
-    assert read_dimap(dim1).timing.line_period_s == pytest.approx(7.5e-4, rel=1e-15)
-
-
+@pytest.mark.consistency
 def test_sign_jumps_of_quaternions_are_turned_back(spot6: PushbroomMetadata, tmp_path: Path) -> None:
     assert isinstance(spot6.attitude, QuaternionList)
     jumping = spot6.attitude.quaternion * np.array([1.0, -1.0, -1.0, 1.0, -1.0])[:, None]
@@ -150,6 +155,7 @@ def test_sign_jumps_of_quaternions_are_turned_back(spot6: PushbroomMetadata, tmp
     np.testing.assert_allclose(back.quaternion, spot6.attitude.quaternion, rtol=0, atol=4 * np.finfo(float).eps)
 
 
+@pytest.mark.behaviour
 def test_a_norm_slightly_off_is_normalised(dim6: Path) -> None:
     dim6.write_text(re.sub(r"<Q0>([^<]*)<", lambda m: f"<Q0>{float(m[1]) * 1.0005!r}<", dim6.read_text()))
     back = read_dimap(dim6).attitude
@@ -157,6 +163,7 @@ def test_a_norm_slightly_off_is_normalised(dim6: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(back.quaternion, axis=1), 1.0, rtol=0, atol=4 * np.finfo(float).eps)
 
 
+@pytest.mark.behaviour
 def test_names_in_the_dataset_name_are_escaped(spot5: PushbroomMetadata, tmp_path: Path) -> None:
     path = tmp_path / "ğüş <&> .dim"
     write_dimap1(path, spot5, dataset_name="<script>&ı")
@@ -164,6 +171,7 @@ def test_names_in_the_dataset_name_are_escaped(spot5: PushbroomMetadata, tmp_pat
     assert read_dimap(path).mission == "SPOT 5"
 
 
+@pytest.mark.behaviour
 def test_writers_refuse_what_the_format_cannot_hold(
     spot5: PushbroomMetadata, pleiades: PushbroomMetadata, tmp_path: Path
 ) -> None:
@@ -180,12 +188,14 @@ def test_writers_refuse_what_the_format_cannot_hold(
     assert not path.exists()
 
 
+@pytest.mark.behaviour
 def test_a_file_without_frame_points_is_read(spot5: PushbroomMetadata, tmp_path: Path) -> None:
     path = tmp_path / "bare.dim"
     write_dimap1(path, replace(spot5, frame_points=()))
     assert read_dimap(path).frame_points == ()
 
 
+@pytest.mark.behaviour
 def test_frame_points_keep_their_height_rule(dim1: Path, dim2: Path) -> None:
     """DIMAP 1.1 frame points lie on the ellipsoid; those of version 2 on the terrain, unknown here."""
     assert {p.height_m for p in read_dimap(dim1).frame_points} == {0.0}

@@ -55,6 +55,7 @@ def geotiff(path: Path) -> Path:
     return path
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", ["a_RPC.TXT", "a_rpc.txt", "a.RPB"])
 def test_text_formats_round_trip_to_the_last_digit(tmp_path: Path, model: RpcModel, name: str) -> None:
     write_rpc(tmp_path / name, model)
@@ -64,6 +65,7 @@ def test_text_formats_round_trip_to_the_last_digit(tmp_path: Path, model: RpcMod
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(
     ("form", "first"),
     [("DIMAP 2.15 PHR_SENSOR", 1), ("DIMAP 2.0 S6_SENSOR", 0), ("DIMAP 2.12 S7_SENSOR", 0),
@@ -87,6 +89,7 @@ def test_dimap_round_trip_in_every_version(tmp_path: Path, model: RpcModel, form
     assert values[0] == model.offsets[0] + first
 
 
+@pytest.mark.behaviour
 def test_a_model_of_another_format_becomes_pleiades_dimap_without_direct_model(tmp_path: Path, model: RpcModel) -> None:
     write_rpc(tmp_path / "RPC.XML", replace(model, format="RPB"))
     found = read_rpc(tmp_path / "RPC.XML")
@@ -96,6 +99,7 @@ def test_a_model_of_another_format_becomes_pleiades_dimap_without_direct_model(t
         found.locate_directly(0.0, 0.0, 0.0)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", ["image.tif", "image.TIFF"])
 def test_geotiff_tags_round_trip_and_pixels_stay(tmp_path: Path, model: RpcModel, name: str) -> None:
     import rasterio
@@ -111,6 +115,7 @@ def test_geotiff_tags_round_trip_and_pixels_stay(tmp_path: Path, model: RpcModel
     assert {p.name for p in tmp_path.iterdir()} <= {name, f"{name}.aux.xml"}
 
 
+@pytest.mark.behaviour
 def test_geotiff_without_tags_and_without_an_image(tmp_path: Path, model: RpcModel) -> None:
     with pytest.raises(InputError, match="holds no RPC"):
         read_rpc(geotiff(tmp_path / "image.tif"))
@@ -131,6 +136,7 @@ def geom_text(model: RpcModel, order: str = "B", kind: str = "ossimRpcModel", ad
     return GEOM.format(order=order, kind=kind, adjusted=adjusted) + "\n".join(lines) + "\n"
 
 
+@pytest.mark.behaviour
 def test_ossim_keyword_list(tmp_path: Path, model: RpcModel) -> None:
     path = tmp_path / "a.geom"
     path.write_text(geom_text(model, adjusted="0.25"))
@@ -141,6 +147,7 @@ def test_ossim_keyword_list(tmp_path: Path, model: RpcModel) -> None:
     assert any("not applied" in str(note) for note in found.notes)
 
 
+@pytest.mark.behaviour
 def test_ossim_spot_offsets_that_lost_a_pixel_get_it_back(tmp_path: Path) -> None:
     """Vendor offsets of SPOT 6/7 equal the scales; OSSIM versions differ (docs/rpc.md)."""
     scales = synthetic_model().scales
@@ -167,12 +174,18 @@ def isd_text(model: RpcModel, spec: str = "RPC00B") -> str:
     return f"<isd>{head}<RPB><SPECID>{spec}</SPECID><IMAGE>{cells}</IMAGE></RPB></isd>"
 
 
-def test_digitalglobe_xml(tmp_path: Path, model: RpcModel) -> None:
-    path = tmp_path / "a.XML"
-    path.write_text(isd_text(model))
+@pytest.mark.behaviour
+@pytest.mark.parametrize("name", ["a.XML", "a.vrt"])
+def test_digitalglobe_xml_and_virtual_raster(tmp_path: Path, model: RpcModel, name: str) -> None:
+    path = tmp_path / name
+    path.write_text({"a.XML": isd_text, "a.vrt": vrt_text}[name](model))
     found = read_rpc(path)
     assert_same(found, model)
     assert (found.n_lines, found.n_samples) == (20000, 24000)
+    if name == "a.vrt":
+        path.write_text(vrt_text(model).replace('domain="RPC"', 'domain="RPB"'))
+        with pytest.raises(InputError, match="holds no RPC"):
+            read_rpc(path)
 
 
 def vrt_text(model: RpcModel) -> str:
@@ -187,17 +200,6 @@ def vrt_text(model: RpcModel) -> str:
     return f'<VRTDataset {size}><Metadata/><Metadata domain="RPC">{body}</Metadata>{band}</VRTDataset>'
 
 
-def test_virtual_raster(tmp_path: Path, model: RpcModel) -> None:
-    path = tmp_path / "a.vrt"
-    path.write_text(vrt_text(model))
-    found = read_rpc(path)
-    assert_same(found, model)
-    assert (found.n_lines, found.n_samples) == (20000, 24000)
-    path.write_text(vrt_text(model).replace('domain="RPC"', 'domain="RPB"'))
-    with pytest.raises(InputError, match="holds no RPC"):
-        read_rpc(path)
-
-
 def list_text(model: RpcModel) -> str:
     """90 numbers: latitude before longitude."""
     order = [0, 1, 3, 2, 4]
@@ -205,6 +207,7 @@ def list_text(model: RpcModel) -> str:
     return "\n".join(repr(float(v)) for v in numbers)
 
 
+@pytest.mark.behaviour
 def test_list_of_numbers_needs_the_origin(tmp_path: Path, model: RpcModel) -> None:
     path = tmp_path / "a.txt"
     path.write_text(list_text(model))
@@ -219,18 +222,21 @@ def test_list_of_numbers_needs_the_origin(tmp_path: Path, model: RpcModel) -> No
 # --- pixel origins and term orders -----------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_pixel_origins_are_those_of_the_table() -> None:
     """First pixel's centre: docs/rpc.md says how each was decided."""
     assert rpc_text.FIRST_PIXEL == rpc_rpb.FIRST_PIXEL == rpc_raster.FIRST_PIXEL == rpc_geom.FIRST_PIXEL == 0.0
     assert rpc_dimap.FIRST_PIXEL == {"PHR": (1, 1), "S6": (0, 1), "S7": (0, 1), "PNEO": (0, 0)}
 
 
+@pytest.mark.behaviour
 def test_first_pixel_given_wins(tmp_path: Path, model: RpcModel) -> None:
     write_rpc(tmp_path / "RPC.XML", replace(model, format="DIMAP 2.0 S6_SENSOR"))
     found = read_rpc(tmp_path / "RPC.XML", first_pixel=1)
     assert found.offsets[0] == model.offsets[0] - 1.0
 
 
+@pytest.mark.behaviour
 def test_unknown_profile_takes_the_first_row_of_its_domain_and_says_so(tmp_path: Path, model: RpcModel) -> None:
     write_rpc(tmp_path / "RPC.XML", replace(model, format="DIMAP 2.0 PHR_SENSOR"))
     text = (tmp_path / "RPC.XML").read_text().replace("PHR_SENSOR", "PER1_SENSOR")
@@ -240,6 +246,7 @@ def test_unknown_profile_takes_the_first_row_of_its_domain_and_says_so(tmp_path:
     assert any("first_pixel=" in str(note) for note in found.notes)
 
 
+@pytest.mark.behaviour
 def test_exchanged_longitude_and_latitude_of_the_domain_are_put_right(tmp_path: Path, model: RpcModel) -> None:
     write_rpc(tmp_path / "RPC.XML", replace(model, format="DIMAP 2.0 S6_SENSOR"))
     text = (tmp_path / "RPC.XML").read_text()
@@ -250,6 +257,7 @@ def test_exchanged_longitude_and_latitude_of_the_domain_are_put_right(tmp_path: 
     assert any("exchanged" in str(note) for note in found.notes)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("order", ["RPC00A", "T2.54"])
 def test_other_term_orders_are_read_when_asked_for(tmp_path: Path, model: RpcModel, order: str) -> None:
     shuffled = replace(model, coefficients=model.coefficients[:, permutation("RPC00B", order)])
@@ -257,6 +265,7 @@ def test_other_term_orders_are_read_when_asked_for(tmp_path: Path, model: RpcMod
     assert_same(read_rpc(tmp_path / "a_RPC.TXT", order=order), model)
 
 
+@pytest.mark.behaviour
 def test_files_that_name_rpc00a_are_refused_until_asked_for(tmp_path: Path, model: RpcModel) -> None:
     shuffled = replace(model, coefficients=model.coefficients[:, permutation("RPC00B", "RPC00A")])
     write_rpc(tmp_path / "a.RPB", shuffled)
@@ -272,6 +281,7 @@ def test_files_that_name_rpc00a_are_refused_until_asked_for(tmp_path: Path, mode
         assert_same(read_rpc(tmp_path / name, order="RPC00A"), model)
 
 
+@pytest.mark.behaviour
 def test_unknown_order() -> None:
     with pytest.raises(InputError, match="choose one of RPC00B, RPC00A, T2"):
         read_rpc("none", order="RPC00C")
@@ -305,6 +315,7 @@ BAD_TEXT = [
 ]  # fmt: skip
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("spoil", "code", "place", "value"), BAD_TEXT)
 def test_bad_text_file(
     tmp_path: Path, model: RpcModel, spoil: Callable[[str], str], code: str, place: str, value: str
@@ -323,6 +334,7 @@ def test_bad_text_file(
     assert "\n" not in str(fault)
 
 
+@pytest.mark.behaviour
 def test_bad_rpb_and_dimap_name_the_place(tmp_path: Path, model: RpcModel) -> None:
     rpb, xml = tmp_path / "a.RPB", tmp_path / "a.XML"
     write_rpc(rpb, model)
@@ -346,6 +358,7 @@ def test_bad_rpb_and_dimap_name_the_place(tmp_path: Path, model: RpcModel) -> No
         read_rpc(xml)
 
 
+@pytest.mark.behaviour
 def test_direct_models_are_scaled_to_unit_constants(tmp_path: Path, model: RpcModel) -> None:
     """Some programs leave 0.9996 there; it is a scale of numerator and denominator alike."""
     direct = synthetic_model(5).coefficients.copy()
@@ -356,6 +369,7 @@ def test_direct_models_are_scaled_to_unit_constants(tmp_path: Path, model: RpcMo
     assert np.array_equal(found, direct)
 
 
+@pytest.mark.behaviour
 def test_other_bad_files(tmp_path: Path, model: RpcModel) -> None:
     short = tmp_path / "list.txt"
     short.write_text(list_text(model).rsplit("\n", 1)[0])
@@ -380,6 +394,7 @@ def test_other_bad_files(tmp_path: Path, model: RpcModel) -> None:
         write_rpc(tmp_path / "none" / "model.RPB", model)
 
 
+@pytest.mark.behaviour
 def test_each_format_is_told_from_all_others(tmp_path: Path, model: RpcModel) -> None:
     write_rpc(tmp_path / "a_RPC.TXT", model)
     write_rpc(tmp_path / "a.RPB", model)
@@ -399,6 +414,7 @@ def test_each_format_is_told_from_all_others(tmp_path: Path, model: RpcModel) ->
     assert isinstance(read_sensor(tmp_path / "a_RPC.TXT"), RpcSensor)
 
 
+@pytest.mark.behaviour
 def test_damaged_files_are_read_or_refused_in_one_line(tmp_path: Path, model: RpcModel) -> None:
     """Bytes changed, cut, doubled and added at random: nothing but an InputError may come out."""
     rng = np.random.default_rng(7)
@@ -428,6 +444,7 @@ def test_damaged_files_are_read_or_refused_in_one_line(tmp_path: Path, model: Rp
     assert refused > 200
 
 
+@pytest.mark.behaviour
 def test_without_rasterio_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 

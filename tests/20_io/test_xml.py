@@ -20,6 +20,7 @@ def node(tmp_path: Path, inner: str) -> XmlNode:
     return read_xml(path)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("text", "quantity", "expected"),
     [
@@ -41,12 +42,14 @@ def test_numbers_follow_their_unit(tmp_path: Path, text: str, quantity: Quantity
     assert node(tmp_path, text).one("a").number(quantity) == pytest.approx(expected, rel=1e-15)
 
 
+@pytest.mark.oracle
 @given(value=st.floats(-LARGEST, LARGEST))
 def test_every_printed_float_is_read_exactly(tmp_path_factory: pytest.TempPathFactory, value: float) -> None:
     root = node(tmp_path_factory.mktemp("n"), f"<a>{value!r}</a>")
     assert root.one("a").number() == value
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("text", ["1.1e30", "-1e31", "1e154", "1e308", "1e400"])
 def test_numbers_of_impossible_size_are_refused(tmp_path: Path, text: str) -> None:
     """Their squares would overflow in the checks that follow."""
@@ -54,6 +57,7 @@ def test_numbers_of_impossible_size_are_refused(tmp_path: Path, text: str) -> No
         node(tmp_path, f"<a>{text}</a>").one("a").number()
 
 
+@pytest.mark.behaviour
 @given(text=st.text(st.characters(exclude_characters="<&\r", exclude_categories=("Cs", "Cc")), min_size=1, max_size=12))
 def test_other_text_is_never_a_number(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
     """A number means ASCII digits, point and exponent; Python's float() accepts more (underscores, other digits)."""
@@ -66,6 +70,7 @@ def test_other_text_is_never_a_number(tmp_path_factory: pytest.TempPathFactory, 
     assert set(text.strip()) <= allowed
 
 
+@pytest.mark.behaviour
 def test_vectors_have_their_count(tmp_path: Path) -> None:
     root = node(tmp_path, '<a unit="km">1 2\n 3</a>')
     np.testing.assert_array_equal(root.one("a").vector(3, METRES), [1e3, 2e3, 3e3])
@@ -73,6 +78,7 @@ def test_vectors_have_their_count(tmp_path: Path) -> None:
         root.one("a").vector(4, METRES)
 
 
+@pytest.mark.behaviour
 def test_times_are_exact_and_cross_midnight(tmp_path: Path) -> None:
     root = node(tmp_path, "<a>2004-02-29T23:59:59.1234567890123Z</a><b>2004-03-01T00:00:00.5</b>")
     day, seconds = root.one("a").time()
@@ -81,6 +87,7 @@ def test_times_are_exact_and_cross_midnight(tmp_path: Path) -> None:
     assert root.one("a").seconds_since(np.datetime64("2004-03-01")) == float(Decimal("-0.8765432109877"))
 
 
+@pytest.mark.behaviour
 def test_a_step_of_a_path_may_not_be_doubled(tmp_path: Path) -> None:
     root = node(tmp_path, "<a><b>1</b></a>\n<a><b>2</b></a><c/>")
     with pytest.raises(InputError) as caught:
@@ -94,12 +101,14 @@ def test_a_step_of_a_path_may_not_be_doubled(tmp_path: Path) -> None:
         root.every("d")
 
 
+@pytest.mark.behaviour
 def test_places_name_line_and_path(tmp_path: Path) -> None:
     root = node(tmp_path, "\n<a>\n<b>\n<c>x</c></b></a>")
     assert root.one("a/b/c").place == "line 4, a/b/c"
     assert root.place == "line 1, root"
 
 
+@pytest.mark.behaviour
 def test_line_numbers_are_right_in_long_files(tmp_path: Path) -> None:
     """Beyond 65535 lines libxml2 counts from the following text: right within one line."""
     root = node(tmp_path, "\n" * 70_000 + "<a>\n<b>x</b>\n</a>")
@@ -110,16 +119,19 @@ def test_line_numbers_are_right_in_long_files(tmp_path: Path) -> None:
 PLAIN = "<R><A>1</A><B> -2.5e3\n</B></R>"
 
 
+@pytest.mark.oracle
 def test_plain_numbers_are_those_read_one_by_one(tmp_path: Path) -> None:
     texts = ["0", "-.5", "5.", "+1.5E-3", "0.1000000000000000055511151231257827", "1e-400", "-0.350185030443419"]
     rows = [f"<R>\n <A>{a}</A> <B>\t{b} </B></R>" for a in texts for b in texts]
     root = node(tmp_path, "\n".join(rows))
     found = root.plain_numbers("R", ("A", "B"))
     assert found is not None
-    expected = [[row.one(name).number() for name in "AB"] for row in root.every("R")]
+    expected = [[float(a), float(b)] for a in texts for b in texts]
+    assert [[row.one(name).number() for name in "AB"] for row in root.every("R")] == expected
     assert found.tobytes() == np.array(expected).tobytes()
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     "inner",
     [

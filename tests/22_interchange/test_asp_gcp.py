@@ -29,6 +29,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.behaviour
 def test_columns_by_hand(file: Path) -> None:
     found = read((file,), Settings(crs="EPSG:4979", sigma_axes="enu"))
     assert found.ids == ("01", "1") and found.images == ("left.tif", "right.tif")
@@ -40,6 +41,7 @@ def test_columns_by_hand(file: Path) -> None:
     np.testing.assert_array_equal([o.sigma_line_px, o.sigma_sample_px], [[0.25, 1.0], [0.5, 1.0]])
 
 
+@pytest.mark.oracle
 def test_geocentric_sigmas_are_those_of_drawn_points(file: Path, rng: np.random.Generator) -> None:
     """Monte Carlo: errors along x, y, z, seen as east, north and up by differences of geodetic coordinates."""
     enu = read((file,), Settings(crs="EPSG:4979")).sigma_enu_m[1]
@@ -52,6 +54,7 @@ def test_geocentric_sigmas_are_those_of_drawn_points(file: Path, rng: np.random.
     np.testing.assert_allclose(enu, drawn, rtol=0.014)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -78,6 +81,7 @@ NAD27 = (
 )
 
 
+@pytest.mark.behaviour
 def test_the_comment_with_wkt_is_the_crs_of_the_file(file: Path) -> None:
     text = file.read_text("utf-8")
     file.write_text(f"# WKT: {wkt('EPSG:4326')}\n{text}", "utf-8")
@@ -101,6 +105,7 @@ def test_the_comment_with_wkt_is_the_crs_of_the_file(file: Path) -> None:
     assert again.crs == "EPSG:4979" and np.array_equal(again.coordinates, survey.coordinates)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("crs", "message"), [("", "does not say its CRS"), ("EPSG:32636", "geographic")])
 def test_crs_has_to_be_given_and_geographic(file: Path, crs: str, message: str) -> None:
     with pytest.raises(InputError, match=message):

@@ -35,6 +35,7 @@ def convert(folder: Path, *words: object):  # type: ignore[no-untyped-def]
     return in_process("convert", folder / "points.csv", folder / "observations.csv", "--from", "csv", *words)
 
 
+@pytest.mark.behaviour
 def test_files_written_and_information_lost_are_said(folder: Path) -> None:
     ended = convert(folder, "--to", "pix4d", "--out", folder / "gcp.csv", "--json")
     assert ended.code == 0
@@ -53,6 +54,7 @@ def test_files_written_and_information_lost_are_said(folder: Path) -> None:
     assert said.stdout.count("written: ") == 2
 
 
+@pytest.mark.behaviour
 def test_nothing_is_overwritten_unless_asked(folder: Path) -> None:
     out = folder / "a.gpkg"
     assert convert(folder, "--out", out).code == 0
@@ -65,6 +67,7 @@ def test_nothing_is_overwritten_unless_asked(folder: Path) -> None:
     assert ended.code == 2 and not (folder / "x.txt").exists()
 
 
+@pytest.mark.behaviour
 def test_unverified_formats_are_read_on_request_only(folder: Path) -> None:
     assert convert(folder, "--out", folder / "a.xml", "--to", "metashape-xml").code == 0
     words = ["convert", folder / "a.xml", "--from", "metashape-xml", "--to", "csv", "--out", folder / "b.csv",
@@ -77,6 +80,7 @@ def test_unverified_formats_are_read_on_request_only(folder: Path) -> None:
     assert (folder / "b_observations.csv").read_text() == OBSERVATIONS
 
 
+@pytest.mark.oracle
 def test_points_in_another_crs(folder: Path) -> None:
     ended = convert(folder, "--to-crs", "EPSG:4979", "--to", "csv", "--out", folder / "a.csv")
     assert ended.code == 0 and "coordinates: EPSG:32636 to EPSG:4978" in ended.stderr
@@ -88,6 +92,7 @@ def test_points_in_another_crs(folder: Path) -> None:
     assert abs(float(line[2]) - lon) < 1e-11 and abs(float(line[3]) - lat) < 1e-11
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -112,6 +117,7 @@ def test_bad_options_end_with_two(
     assert sorted(p.name for p in folder.iterdir()) == ["observations.csv", "points.csv"]
 
 
+@pytest.mark.behaviour
 def test_formats_are_listed() -> None:
     record = in_process("convert", "--formats", "--json").json
     names = {f["name"]: f["verified"] for f in record["formats"]}
@@ -119,6 +125,7 @@ def test_formats_are_listed() -> None:
     assert "metashape-xml" in in_process("convert", "--formats").stdout
 
 
+@pytest.mark.behaviour
 def test_validate_marks_unverified_formats(folder: Path) -> None:
     (folder / "gcp.csv").write_text("01,400000.5,4580000.25,120.5\n", encoding="utf-8")
     words = ["validate", folder / "gcp.csv", "--format", "pix4d"]
@@ -131,6 +138,7 @@ def test_validate_marks_unverified_formats(folder: Path) -> None:
     assert own.json["remarks"] == [] and own.json["crs"] == "EPSG:32636"
 
 
+@pytest.mark.behaviour
 def test_validate_takes_the_files_of_one_survey_together(folder: Path) -> None:
     words = ("validate", folder / "points.csv", folder / "observations.csv", "--format", "csv")
     record = in_process(*words, "--json").json
@@ -140,6 +148,7 @@ def test_validate_takes_the_files_of_one_survey_together(folder: Path) -> None:
     assert in_process(*words).stdout == f"{both['points']} points, {both['image_points']} image points, no errors\n"
 
 
+@pytest.mark.behaviour
 def test_validate_takes_several_files_each_for_itself(folder: Path) -> None:
     """A file that is wrong does not hide the others, and every fault is told with its file."""
     for name in ("one", "two"):
@@ -161,11 +170,13 @@ def test_validate_takes_several_files_each_for_itself(folder: Path) -> None:
     assert [f["n_errors"] for f in in_process(*words, "--json").json["files"]] == [0, 1, 0]
 
 
+@pytest.mark.behaviour
 def test_validate_takes_one_project(folder: Path) -> None:
     ended = in_process("validate", folder / "a.toml", folder / "b.toml")
     assert ended.code == 2 and "b.toml" in ended.stderr and "one project file is checked at a time" in ended.stderr
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("option", ["--crs", "--to-crs"])
 def test_a_crs_that_is_none_is_refused_by_its_option(tmp_path: Path, option: str) -> None:
     words = ("convert", tmp_path / "points.csv", "--from", "csv", option, "WGS84", "--out", tmp_path / "points.geojson")

@@ -11,6 +11,8 @@ import typer.main
 from fg_orient.cli import app
 from fg_orient.interchange.registry import Format, formats
 
+pytestmark = pytest.mark.repository
+
 
 def table(repository: Path) -> list[str]:
     text = (repository / "docs" / "formats" / "index.md").read_text("utf-8")

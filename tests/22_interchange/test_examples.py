@@ -15,6 +15,8 @@ from fg_orient.interchange.registry import Settings, formats
 from fg_orient.interchange.survey import Survey
 from fg_orient.names import Role
 
+pytestmark = pytest.mark.behaviour
+
 UTM = wkt("EPSG:32636")
 
 METASHAPE_CSV = f"""\
@@ -128,20 +130,23 @@ def test_metashape_csv_with_other_separators_crlf_and_byte_order_mark(tmp_path: 
     assert_ground(read(tmp_path, "metashape-csv", "\ufeff" + "\r\n".join(lines)))
 
 
-def test_metashape_xml(tmp_path: Path) -> None:
-    found = read(tmp_path, "metashape-xml", METASHAPE_XML)
-    assert_ground(found)
+@pytest.mark.parametrize(
+    ("name", "texts", "crs", "ids"),
+    [("metashape-xml", (METASHAPE_XML,), "", ("01", "k 1", "t1")), ("pix4d", PIX4D, "EPSG:32636", ("01", "k 1")),
+     ("micmac", MICMAC, "EPSG:32636", ("01", "k_1"))],
+)  # fmt: skip
+def test_metashape_xml_pix4d_and_micmac(
+    tmp_path: Path, name: str, texts: tuple[str, ...], crs: str, ids: tuple[str, ...]
+) -> None:
+    found = read(tmp_path, name, *texts, **({"crs": crs} if crs else {}))
+    assert_ground(found, ids)
     assert_pixels(found)
-    assert len(found.observed) == 2  # the one that is not valid is none
-    assert found.roles == (Role.CONTROL, Role.CHECK, Role.TIE)
-    np.testing.assert_array_equal(found.sigma_enu_m, [[0.02, 0.02, 0.05], [0.03] * 3, [np.nan] * 3])
-
-
-def test_pix4d(tmp_path: Path) -> None:
-    found = read(tmp_path, "pix4d", *PIX4D, crs="EPSG:32636")
-    assert_ground(found, ("01", "k 1"))
-    assert_pixels(found)
-    np.testing.assert_array_equal(found.sigma_enu_m, [[0.02, 0.02, 0.05], [np.nan] * 3])
+    sigma = [[0.02, 0.02, 0.05], [np.nan] * 3]
+    if name == "metashape-xml":
+        assert len(found.observed) == 2  # the one that is not valid is none
+        assert found.roles == (Role.CONTROL, Role.CHECK, Role.TIE)
+        sigma = [[0.02, 0.02, 0.05], [0.03] * 3, [np.nan] * 3]
+    np.testing.assert_array_equal(found.sigma_enu_m, sigma)
 
 
 @pytest.mark.parametrize(("crs", "first"), [("EPSG:4326", "41.5,31.25"), ("EPSG:5254", "4580000.25,400000.5")])
@@ -149,13 +154,6 @@ def test_pix4d_takes_the_order_of_the_crs_definition(tmp_path: Path, crs: str, f
     north, east = map(float, first.split(","))
     found = read(tmp_path, "pix4d", f"a,{first},10\n", crs=crs)
     np.testing.assert_array_equal(found.coordinates, [[east, north, 10.0]])
-
-
-def test_micmac(tmp_path: Path) -> None:
-    found = read(tmp_path, "micmac", *MICMAC, crs="EPSG:32636")
-    assert_ground(found, ("01", "k_1"))
-    assert_pixels(found)
-    np.testing.assert_array_equal(found.sigma_enu_m, [[0.02, 0.02, 0.05], [np.nan] * 3])
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,7 @@ def in_order(block: Block) -> tuple[np.ndarray, ...]:
             o.sigma_line_px[rows], o.sigma_sample_px[rows])  # fmt: skip
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", sorted(LACKS))
 def test_a_project_of_another_program_is_the_same_block(name: str, folder: Path, own: Block) -> None:
     block = fg.read_project(from_format(folder, name))
@@ -97,6 +98,7 @@ def test_a_project_of_another_program_is_the_same_block(name: str, folder: Path,
     assert FILES[name] in files and "points.csv" not in files
 
 
+@pytest.mark.behaviour
 def test_a_format_that_was_never_tried_asks_here_too(folder: Path) -> None:
     path = from_format(folder, "asp-gcp")
     path.write_text(path.read_text("utf-8").replace("accept_unverified = true\n", ""), "utf-8")
@@ -105,6 +107,7 @@ def test_a_format_that_was_never_tried_asks_here_too(folder: Path) -> None:
     assert "--" not in ended.stderr.replace(str(folder), "")
 
 
+@pytest.mark.behaviour
 def test_faults_name_file_line_and_entry(folder: Path) -> None:
     path = from_format(folder, "odm")
     text, file = path.read_text("utf-8"), folder / FILES["odm"]
@@ -130,12 +133,14 @@ def test_faults_name_file_line_and_entry(folder: Path) -> None:
     assert len(fg.read_project(path).observations) == 94
 
 
+@pytest.mark.behaviour
 def test_convert_reads_the_crs_of_a_simulation(source: Path, tmp_path: Path) -> None:
     words = ["convert", source / "points.csv", "--from", "csv", "--out", tmp_path / "points.geojson"]
     ended = in_process(*words, "--json")
     assert ended.code == 0 and ended.json["points"] > 30, ended.stderr
 
 
+@pytest.mark.behaviour
 def test_another_crs_than_the_file_says_is_one_fault_with_a_remedy_of_projects(folder: Path) -> None:
     path = from_format(folder, "odm")
     path.write_text(path.read_text("utf-8").replace('format = "odm"', 'format = "odm"\ncrs = "EPSG:32633"', 1), "utf-8")
@@ -145,6 +150,7 @@ def test_another_crs_than_the_file_says_is_one_fault_with_a_remedy_of_projects(f
     assert found["remedy"] == "leave crs out, or give the same with a vertical CRS; the command convert transforms"
 
 
+@pytest.mark.behaviour
 def test_our_points_with_tie_points_of_another_program(folder: Path, own: Block) -> None:
     """Image points that only the other file knows are tie points; entries of foreign files are refused for our own."""
     (gcp,) = exported(folder, "metashape-xml")
@@ -163,6 +169,7 @@ def test_our_points_with_tie_points_of_another_program(folder: Path, own: Block)
         fg.read_project(told(folder, 'file = "m.xml"\nformat = "metashap-xml"\n', foreign))
 
 
+@pytest.mark.behaviour
 def test_check_points_are_read_again_from_anywhere_and_not_if_the_file_changed(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient.crs import from_ecef
@@ -51,10 +52,12 @@ def everything() -> Survey:
     )  # fmt: skip
 
 
+@pytest.mark.behaviour
 def test_the_table_of_losses_covers_all_formats_of_points() -> None:
     assert set(LOST) <= set(formats())
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", sorted(LOST))
 def test_everything_lost_is_named(name: str, everything: Survey, tmp_path: Path) -> None:
     format_ = formats()[name]
@@ -67,6 +70,7 @@ def test_everything_lost_is_named(name: str, everything: Survey, tmp_path: Path)
     assert all(p.value and p.remedy for p in lost)
 
 
+@pytest.mark.behaviour
 def test_what_is_lost_is_counted(everything: Survey, tmp_path: Path) -> None:
     """b, e and f are located and unseen, c and d are tie points, only d of them unseen."""
     _, lost = write_survey(everything, [tmp_path / "gcp_list.txt"], formats()["odm"], Settings())
@@ -77,6 +81,7 @@ def test_what_is_lost_is_counted(everything: Survey, tmp_path: Path) -> None:
     assert {p.code: p.value for p in lost}["lost.bare_ties"] == "1 point"
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", ["pix4d", "micmac"])
 def test_one_horizontal_sigma_is_the_root_mean_square(name: str, everything: Survey, tmp_path: Path) -> None:
     format_ = formats()[name]
@@ -89,6 +94,7 @@ def test_one_horizontal_sigma_is_the_root_mean_square(name: str, everything: Sur
     np.testing.assert_array_equal(kept[:, 2], up)
 
 
+@pytest.mark.behaviour
 def test_points_of_another_image_are_lost_and_counted(everything: Survey, tmp_path: Path) -> None:
     format_ = formats()["qgis-points"]
     _, lost = write_survey(everything, [tmp_path / "left.tif.points"], format_, Settings(image="left.tif"))
@@ -97,6 +103,7 @@ def test_points_of_another_image_are_lost_and_counted(everything: Survey, tmp_pa
         write_survey(everything, [tmp_path / "b.points"], format_, Settings())
 
 
+@pytest.mark.behaviour
 def test_geocentric_axes_of_asp_lose_correlations_only_if_sigmas_differ(everything: Survey, tmp_path: Path) -> None:
     format_ = formats()["asp-gcp"]
     survey = transformed(replace(everything, crs=UTM), "EPSG:4979", "")
@@ -112,22 +119,32 @@ def test_geocentric_axes_of_asp_lose_correlations_only_if_sigmas_differ(everythi
 # --- the way between reference systems -----------------------------------------------------------
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("crs", [UTM, "EPSG:5254", "EPSG:4979", "EPSG:4978", "EPSG:4258"])
-def test_from_ecef_is_the_way_back(crs: str, rng: np.random.Generator) -> None:
+def test_from_ecef_is_what_proj_gives(crs: str, rng: np.random.Generator) -> None:
     lon, lat = np.array([[31.8], [41.4]]) + rng.uniform(-0.3, 0.3, (2, 20))
     xyz = to_ecef("EPSG:4979", lon, lat, rng.uniform(0.0, 2e3, 20))
     there, operation = from_ecef(crs, xyz)
     assert operation.crs == crs
+    if crs in (UTM, "EPSG:4979"):  # no datum on the way: one operation, whatever grids are installed
+        expected = pyproj.Transformer.from_crs("EPSG:4978", pyproj.CRS(crs).to_3d(), always_xy=True).transform(*xyz.T)
+        limits = [1e-6, 1e-6, 2e-6] if crs == UTM else [1e-11, 1e-11, 2e-6]
+        assert (np.abs(there - np.stack(expected, axis=1)) < limits).all()
     # PROJ's inverse of the geocentric conversion is good to a micrometre at these heights
     assert np.abs(to_ecef(crs, *there.T) - xyz).max() < 2e-6
     if crs == "EPSG:4979":
         np.testing.assert_array_equal(there, np.stack(ecef_to_geodetic(xyz), axis=1))
 
 
+@pytest.mark.oracle
 def test_a_survey_in_another_crs_says_by_which_operation(rng: np.random.Generator) -> None:
     survey = random_survey(rng, formats()["csv"], UTM)
     there = transformed(survey, "EPSG:4979", "f")
     assert any("UTM zone 36N" in str(note) for note in there.notes)
+    proj = pyproj.Transformer.from_crs(pyproj.CRS(UTM).to_3d(), "EPSG:4979", always_xy=True)
+    expected = np.stack(proj.transform(*survey.coordinates.T), axis=1)
+    known = np.isfinite(survey.coordinates).all(axis=1)
+    assert (np.abs(there.coordinates - expected)[known] < [1e-10, 1e-10, 1e-5]).all()
     back = transformed(there, UTM, "f")
     assert np.nanmax(np.abs(back.coordinates - survey.coordinates)) < 2e-6
     np.testing.assert_array_equal(np.isnan(back.coordinates), np.isnan(survey.coordinates))
@@ -136,6 +153,7 @@ def test_a_survey_in_another_crs_says_by_which_operation(rng: np.random.Generato
 # --- other programs ------------------------------------------------------------------------------
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", ["geojson", "gpkg"])
 def test_gdal_reads_what_we_write(name: str, tmp_path: Path, rng: np.random.Generator) -> None:
     pyogrio, shapely = pytest.importorskip("pyogrio"), pytest.importorskip("shapely")
@@ -153,6 +171,7 @@ def test_gdal_reads_what_we_write(name: str, tmp_path: Path, rng: np.random.Gene
     np.testing.assert_array_equal(table["sigma_up_m"].astype(float), survey.sigma_enu_m[:, 2])
 
 
+@pytest.mark.truth
 def test_we_read_geojson_of_gdal(tmp_path: Path) -> None:
     pyogrio, shapely = pytest.importorskip("pyogrio"), pytest.importorskip("shapely")
     geometry = shapely.to_wkb(shapely.points([[31.5, 41.25, 100.5], [31.75, 41.5, 7.0]]))
@@ -166,6 +185,7 @@ def test_we_read_geojson_of_gdal(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.coordinates, [[31.5, 41.25, 100.5], [31.75, 41.5, 7.0]])
 
 
+@pytest.mark.truth
 def test_geopackage_of_points_without_our_columns(tmp_path: Path) -> None:
     """A layer drawn in QGIS: an id and nothing else, two dimensions."""
     pyogrio, shapely = pytest.importorskip("pyogrio"), pytest.importorskip("shapely")
@@ -186,6 +206,7 @@ def test_geopackage_of_points_without_our_columns(tmp_path: Path) -> None:
 # --- the registry --------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_formats_say_their_conventions() -> None:
     for name, format_ in formats().items():
         assert format_.name == name and format_.title and format_.files and format_.ground_axes and format_.pixel_axes
@@ -194,12 +215,14 @@ def test_formats_say_their_conventions() -> None:
         assert format_.needs <= format_.holds
 
 
+@pytest.mark.behaviour
 def test_two_formats_cannot_have_one_name() -> None:
     other: Format = replace(formats()["odm"], title="another")
     with pytest.raises(ValueError, match="registered already"):
         register(other)
 
 
+@pytest.mark.behaviour
 def test_formats_are_told_by_the_end_of_the_name() -> None:
     assert format_of(Path("x.GCP"), place="--from").name == "asp-gcp"
     assert format_of(Path("my_gcp_list.txt"), place="--from").name == "odm"
@@ -210,6 +233,7 @@ def test_formats_are_told_by_the_end_of_the_name() -> None:
         format_of(Path("a.unknown"), place="--from")
 
 
+@pytest.mark.consistency
 def test_observed_points_are_the_same_in_any_order(rng: np.random.Generator) -> None:
     survey = random_survey(rng, formats()["csv"], UTM)
     assert len(by_name(survey)) == len(survey.observed)
@@ -219,6 +243,7 @@ def test_observed_points_are_the_same_in_any_order(rng: np.random.Generator) -> 
 # --- tie points alone ----------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", ["csv", "gpkg", "metashape-xml", "pix4d", "geojson"])
 def test_tie_points_alone_need_no_crs(name: str, everything: Survey, tmp_path: Path) -> None:
     """Matches of other programs know no CRS, and nothing in them needs one."""
@@ -231,6 +256,7 @@ def test_tie_points_alone_need_no_crs(name: str, everything: Survey, tmp_path: P
     assert found.roles == (Role.TIE,) and found.ids == ("c",)
 
 
+@pytest.mark.behaviour
 def test_ids_that_are_numbers_are_not_lost_where_numbers_are_kept(everything: Survey, tmp_path: Path) -> None:
     format_ = formats()["micmac-ties"]
     for ids, codes in ((("7", "12"), set()), (("7", "012"), {"lost.ids"})):

@@ -15,6 +15,8 @@ from fg_orient.interchange.survey import Survey
 from fg_orient.io.scenes import Scene
 from fg_orient.names import Role
 
+pytestmark = pytest.mark.behaviour
+
 UTM = "EPSG:32636"
 ZONGULDAK = Scene.from_footprint("left", np.array([[31.5, 41.6], [32.2, 41.6], [32.2, 41.0], [31.5, 41.0]], float))
 
@@ -69,25 +71,15 @@ ROW = "P,400000.5,4580000.25,120.5\n"
         ("gpkg", "no database", UTM, "GeoPackage"),
         ("pix4d", ROW, "", "does not say its CRS"),
         ("pix4d", ROW, "EPSG:1", "no such EPSG code"),
+        ("pix4d", ROW.encode("utf-16"), UTM, "UTF-16"),
+        ("pix4d", "Çatı,400000.5,4580000.25,120.5\n".encode("iso8859-9"), UTM, "not UTF-8"),
+        ("pix4d", b"P\0" + ROW.encode(), UTM, "NUL"),
     ],
 )  # fmt: skip
-def test_refused_with_a_reason(tmp_path: Path, name: str, text: str, crs: str, message: str) -> None:
+def test_refused_with_a_reason(tmp_path: Path, name: str, text: str | bytes, crs: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         read(tmp_path, name, text, crs=crs)
     assert all(p.remedy for p in caught.value.problems)
-
-
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        (ROW.encode("utf-16"), "UTF-16"),
-        ("Çatı,400000.5,4580000.25,120.5\n".encode("iso8859-9"), "not UTF-8"),
-        (b"P\0" + ROW.encode(), "NUL"),
-    ],
-)
-def test_other_encodings_are_refused(tmp_path: Path, data: bytes, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read(tmp_path, "pix4d", data, crs=UTM)
 
 
 @pytest.mark.parametrize("text", ["\ufeff" + ROW, ROW.replace("\n", "\r\n"), "\n" + ROW + "\n", ROW.replace(",", ";"),

@@ -40,6 +40,7 @@ def there_and_back(format_: Format, folder: Path, survey, **told: str):  # type:
     return read_survey(written, format_, again, accept_unverified=True)[0], written, lost
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(("name", "crs"), [(name, crs) for name, crss in FORMATS.items() for crs in crss])
 def test_what_a_format_holds_comes_back(name: str, crs: str, tmp_path: Path, rng: np.random.Generator) -> None:
     format_ = formats()[name]
@@ -53,6 +54,7 @@ def test_what_a_format_holds_comes_back(name: str, crs: str, tmp_path: Path, rng
         assert_same(found, survey, pixels=ROUNDED_PX)
 
 
+@pytest.mark.behaviour
 def test_unverified_formats_ask_before_they_are_read(tmp_path: Path, rng: np.random.Generator) -> None:
     format_ = formats()["asp-gcp"]
     path = tmp_path / "a.gcp"

@@ -14,6 +14,8 @@ from fg_orient.io.frame_model import FrameModel, Pose, adjusted_model, frame_blo
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, UNKNOWNS
 from tests.support.frame_models import frame_model
 
+pytestmark = pytest.mark.consistency
+
 NOISE_PX = 0.3
 
 

@@ -28,6 +28,7 @@ def file_of(left: list[bytes], right: list[bytes]) -> bytes:
 LEFT, RIGHT = [(10.5, 20.25), (30.75, 40.0)], [(11.5, 21.25), (31.75, 41.0)]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("lengths", [(0, 0, 0, 0), (128, 128, 128, 128), (2, 0, 3, 2), (2, 2, 2, 0)])
 def test_pixels_are_read_past_descriptors_of_any_length(lengths: tuple[int, ...], tmp_path: Path) -> None:
     path = tmp_path / "run-a__b.match"
@@ -38,6 +39,7 @@ def test_pixels_are_read_past_descriptors_of_any_length(lengths: tuple[int, ...]
     assert right.tolist() == [[y, x] for x, y in RIGHT]
 
 
+@pytest.mark.consistency
 def test_what_is_written_is_read_again_and_has_the_bytes_of_the_layout(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     left, right = rng.uniform(-0.5, 12000, (2, 50, 2)).astype(np.float32).astype(float)
@@ -50,6 +52,7 @@ def test_what_is_written_is_read_again_and_has_the_bytes_of_the_layout(tmp_path:
     assert first == (50, 50, sample, line, round(sample), round(line))
 
 
+@pytest.mark.behaviour
 def test_a_folder_is_joined_to_points_of_three_images_and_written_as_pairs(tmp_path: Path) -> None:
     point, image = np.nonzero(np.array([[1, 1, 1], [1, 1, 0], [0, 1, 1]]))
     line, sample = np.arange(7) * 1.5, 100 + np.arange(7) * 0.25
@@ -68,6 +71,7 @@ def test_a_folder_is_joined_to_points_of_three_images_and_written_as_pairs(tmp_p
     assert sets(o.point, o.image, o.line, o.sample) == sets(point, image, line, sample)
 
 
+@pytest.mark.behaviour
 def test_a_conflict_is_dropped_and_told(tmp_path: Path) -> None:
     write_match(tmp_path / "run-a__b.match", np.array([[1.0, 2.0], [9.0, 9.0]]), np.array([[3.0, 4.0], [8.0, 8.0]]))
     write_match(tmp_path / "run-b__c.match", np.array([[3.0, 4.0]]), np.array([[5.0, 6.0]]))
@@ -81,6 +85,7 @@ def test_a_conflict_is_dropped_and_told(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.behaviour
 def test_names_tell_the_images() -> None:
     assert images_of(Path("run-left__right.match")) == ("left", "right")
     assert images_of(Path("out-a_b-1__c-2.tif.match")) == ("a_b-1", "c-2.tif")
@@ -103,6 +108,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("raw", "place"), FAULTS)
 def test_what_no_match_file_holds_is_refused(raw: bytes, place: str, tmp_path: Path) -> None:
     (tmp_path / "run-a__b.match").write_bytes(raw)
@@ -113,6 +119,7 @@ def test_what_no_match_file_holds_is_refused(raw: bytes, place: str, tmp_path: P
     assert found.place.startswith(place)
 
 
+@pytest.mark.behaviour
 def test_three_images_need_a_folder_and_names_must_fit_one(tmp_path: Path) -> None:
     one = np.zeros(1, int)
     survey = tie_survey(("a", "b", "c"), ("1",), one, one, np.zeros(1), np.zeros(1))
@@ -130,6 +137,7 @@ def test_three_images_need_a_folder_and_names_must_fit_one(tmp_path: Path) -> No
         FORMAT.read((tmp_path / "empty",), Settings())  # type: ignore[misc]
 
 
+@pytest.mark.behaviour
 def test_empty_files_hold_no_match(tmp_path: Path) -> None:
     write_match(tmp_path / "run-a__b.match", np.empty((0, 2)), np.empty((0, 2)))
     assert len(FORMAT.read((tmp_path,), Settings()).ids) == 0  # type: ignore[misc]

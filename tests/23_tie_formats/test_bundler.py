@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fg_orient.errors import InputError
 from fg_orient.interchange.bal import bal_data_of, frame_model_of, write_bal
@@ -51,6 +52,7 @@ def written(folder: Path, old: str = "", new: str = "") -> Path:
     return path
 
 
+@pytest.mark.oracle
 def test_pixels_are_those_of_the_printed_formula_and_images_without_orientation_are_left_out(tmp_path: Path) -> None:
     data, images, notes = read_bundler(written(tmp_path))
     assert (images, *map(str, notes)) == ((1,), "1 image(s) without orientation are left out")
@@ -62,10 +64,20 @@ def test_pixels_are_those_of_the_printed_formula_and_images_without_orientation_
     assert model.cameras["b.jpg"].principal_px.tolist() == [300.0, 399.5]
 
 
+def printed_pixels(data: BalData) -> np.ndarray:
+    """The same formula for all image points: x, y from the middle of each image."""
+    cameras = data.cameras[data.camera]
+    q = Rotation.from_rotvec(cameras[:, :3]).apply(data.points[data.point]) + cameras[:, 3:6]
+    p = -q[:, :2] / q[:, 2:]
+    r2 = np.sum(p**2, axis=1, keepdims=True)
+    return cameras[:, 6:7] * (1.0 + cameras[:, 7:8] * r2 + cameras[:, 8:9] * r2**2) * p
+
+
 def model_numbers(data: BalData) -> list[np.ndarray]:
     return [data.camera, data.point, data.xy, data.cameras, data.points]
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", ["bundle.txt", "bundle.txt.gz", "bundle.txt.bz2"])
 def test_bal_is_written_and_read_again(name: str, tmp_path: Path) -> None:
     data, lost = bal_data_of(frame_model(("none", "k1", "radial")))
@@ -78,6 +90,7 @@ def test_bal_is_written_and_read_again(name: str, tmp_path: Path) -> None:
         write_bal(tmp_path / name, data)
 
 
+@pytest.mark.consistency
 def test_bundler_is_written_and_read_again(tmp_path: Path) -> None:
     data, _ = bal_data_of(frame_model(("none", "k1", "radial")))
     write_bundler(tmp_path / "bundle.out", data)
@@ -92,8 +105,11 @@ def test_bundler_is_written_and_read_again(tmp_path: Path) -> None:
         write_bundler(tmp_path / "bundle.out", data)
 
 
+@pytest.mark.oracle
 def test_residuals_survive_the_way_there_and_back() -> None:
     model = frame_model(("none", "k1", "radial"))
+    printed = np.linalg.norm(printed_pixels(bal_data_of(model)[0]) - bal_data_of(model)[0].xy, axis=1)
+    assert np.sort(printed) == pytest.approx(np.sort(np.linalg.norm(model.residuals_px(), axis=1)), abs=1e-9)
     back = frame_model_of(bal_data_of(model)[0])
     assert np.abs(back.residuals_px() - model.residuals_px()).max() < 1e-9
     centred = frame_model(("k1",), principal=False)
@@ -102,6 +118,7 @@ def test_residuals_survive_the_way_there_and_back() -> None:
     assert np.abs(same.sample - centred.sample).max() < 1e-12
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("camera", "value"), [("k3", "k3 -0.004 p1 0.0003 p2 -0.0002"), ("brown", "p1 0.0003 p2 -0.0002")]
 )
@@ -127,6 +144,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("old", "new", "code", "place"), FAULTS)
 def test_faults_name_their_line(old: str, new: str, code: str, place: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
@@ -135,12 +153,15 @@ def test_faults_name_their_line(old: str, new: str, code: str, place: str, tmp_p
     assert (found.code, found.place, found.file) == (code, place, "bundle.out")
 
 
+@pytest.mark.oracle
 @pytest.mark.real_data
 def test_ladybug_is_a_frame_model_and_comes_back(real_data: Path, tmp_path: Path) -> None:
     data = read_bal_data(real_data / "bal" / "problem-49-7776-pre.txt.gz")
     model = frame_model_of(data)
     squares = np.sum(model.residuals_px() ** 2, axis=1)
     behind = np.isin(model.point, model.point[np.isnan(squares)])
+    apart = np.linalg.norm(printed_pixels(data) - data.xy, axis=1)[~behind]
+    assert np.linalg.norm(model.residuals_px(), axis=1)[~behind] == pytest.approx(apart, abs=1e-8)
     # half the sum of squares without points that begin behind a camera, as the adjustment has it (tests/49)
     assert 0.5 * squares[~behind].sum() == pytest.approx(850802.09, abs=0.01)
     back, _ = bal_data_of(model)

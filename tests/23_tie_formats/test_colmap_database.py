@@ -60,6 +60,7 @@ def published(path: Path, *, geometry: bool = True) -> None:
         db.commit()
 
 
+@pytest.mark.behaviour
 def test_a_database_as_published_is_read(tmp_path: Path) -> None:
     published(tmp_path / "database.db", geometry=False)
     found = read_colmap_database(tmp_path / "database.db")
@@ -85,6 +86,7 @@ def test_a_database_as_published_is_read(tmp_path: Path) -> None:
         found.camera(6)
 
 
+@pytest.mark.behaviour
 def test_verified_matches_come_first_and_others_on_request(tmp_path: Path) -> None:
     published(tmp_path / "database.db")
     found = read_colmap_database(tmp_path / "database.db")
@@ -105,6 +107,7 @@ def survey_of(n: int, seed: int = 2) -> Survey:
     return tie_survey(tuple(SIZES), tuple(map(str, range(n))), image[order], point[order], line, sample)
 
 
+@pytest.mark.consistency
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     survey, path = survey_of(200), tmp_path / "a b" / "database.db"
     path.parent.mkdir()
@@ -132,6 +135,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         assert db.execute("SELECT prior_focal_length FROM cameras ORDER BY camera_id").fetchall() == [(1,), (0,), (0,)]
 
 
+@pytest.mark.oracle
 def test_pairs_are_those_of_a_double_loop() -> None:
     o = survey_of(40).observed
     found = pairs_of(o.image, o.point)
@@ -145,6 +149,7 @@ def test_pairs_are_those_of_a_double_loop() -> None:
     assert pairs_of(np.array([0, 1]), np.array([0, 1])) == {}
 
 
+@pytest.mark.behaviour
 def test_a_database_is_not_overwritten_and_sizes_are_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "database.db"
     write_colmap_database(path, survey_of(5), SIZES)
@@ -169,6 +174,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("damage", "code"), FAULTS)
 def test_damage_is_named(damage: str, code: str, tmp_path: Path) -> None:
     published(tmp_path / "database.db", geometry=False)
@@ -181,6 +187,7 @@ def test_damage_is_named(damage: str, code: str, tmp_path: Path) -> None:
     assert error.value.problems[0].file == "database.db"
 
 
+@pytest.mark.behaviour
 def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.db").write_text("no database at all, but long enough to be read")
     for name, code in (("text.db", "colmap.database"), ("none.db", "ties.missing")):

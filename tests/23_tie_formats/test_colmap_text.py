@@ -61,6 +61,7 @@ def model_of(camera: str, folder: Path) -> FrameModel:
     return read_colmap_text(folder)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("camera", CAMERAS.splitlines()[1:], ids=lambda line: line.split()[1])
 def test_pixels_are_those_of_colmaps_formulas(camera: str, tmp_path: Path) -> None:
     model = model_of(camera, tmp_path)
@@ -71,6 +72,7 @@ def test_pixels_are_those_of_colmaps_formulas(camera: str, tmp_path: Path) -> No
     assert (model.line[0], model.sample[0]) == (y - 0.5, x - 0.5)
 
 
+@pytest.mark.behaviour
 def test_the_first_pixel_is_at_one_half(tmp_path: Path) -> None:
     camera = interior_of("SIMPLE_PINHOLE", (1500, 1000), (1200.0, 0.5, 0.5), "1")
     assert camera.principal_px.tolist() == [0.0, 0.0]
@@ -78,6 +80,7 @@ def test_the_first_pixel_is_at_one_half(tmp_path: Path) -> None:
     assert parameters_of(camera) == ("SIMPLE_PINHOLE", (1200.0, 0.5, 0.5), 0.0)
 
 
+@pytest.mark.consistency
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     model = frame_model()
     assert write_colmap_text(tmp_path / "new" / "model", model) == ()
@@ -102,6 +105,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     assert np.abs(again.sample - model.sample[order]).max() < 1e-12
 
 
+@pytest.mark.consistency
 def test_a_polynomial_of_the_other_direction_is_fitted_and_its_error_told(tmp_path: Path) -> None:
     model = frame_model(("none",))
     camera = Interior(
@@ -116,6 +120,7 @@ def test_a_polynomial_of_the_other_direction_is_fitted_and_its_error_told(tmp_pa
     assert apart <= float(told.split()[-5]) * 1.05
 
 
+@pytest.mark.behaviour
 def test_nothing_is_overwritten_unless_allowed(tmp_path: Path) -> None:
     model = frame_model(("none",))
     write_colmap_text(tmp_path, model)
@@ -125,6 +130,7 @@ def test_nothing_is_overwritten_unless_allowed(tmp_path: Path) -> None:
     write_colmap_text(tmp_path, model, overwrite=True)
 
 
+@pytest.mark.behaviour
 def test_names_that_colmap_would_cut_are_refused(tmp_path: Path) -> None:
     model = frame_model(("none",))
     model = replace(model, poses=(replace(model.poses[0], name="a b.jpg"), *model.poses[1:]))
@@ -164,6 +170,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("edit", "code", "place"), FAULTS)
 def test_faults_name_their_line(edit: Callable[[Path], None], code: str, place: str, tmp_path: Path) -> None:
     model_of(CAMERAS.splitlines()[5], tmp_path)
@@ -176,6 +183,7 @@ def test_faults_name_their_line(edit: Callable[[Path], None], code: str, place: 
     assert found.file in FILES
 
 
+@pytest.mark.behaviour
 def test_an_image_without_keypoints_has_an_empty_line_and_windows_ends_are_read(tmp_path: Path) -> None:
     (tmp_path / "cameras.txt").write_text("\ufeff" + CAMERAS, newline="\r\n")
     (tmp_path / "images.txt").write_text(f"1 {POSE} 1 a\n\n2 {POSE} 1 b\n18 19 18446744073709551615\n", newline="\r\n")

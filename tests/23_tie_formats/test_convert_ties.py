@@ -25,6 +25,7 @@ def matches(folder: Path) -> Path:
     return folder / "run-a__b.match"
 
 
+@pytest.mark.behaviour
 def test_an_unverified_format_is_asked_for_once_with_a_sentence(tmp_path: Path) -> None:
     ended = in_process("convert", matches(tmp_path), "--to", "micmac-ties", "--out", tmp_path / "out")
     assert ended.code == 2
@@ -32,6 +33,7 @@ def test_an_unverified_format_is_asked_for_once_with_a_sentence(tmp_path: Path) 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.behaviour
 def test_matches_become_tables_and_a_database(tmp_path: Path) -> None:
     path = matches(tmp_path)
     ended = in_process("convert", path, "--accept-unverified", "--to", "micmac-ties", "--out", tmp_path / "out")
@@ -47,6 +49,7 @@ def test_matches_become_tables_and_a_database(tmp_path: Path) -> None:
     assert sorted(survey.observed.line.tolist()) == [10.25, 11.25, 30.0, 31.0]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("wanted", ["bundler", "bal", "colmap-text"])
 def test_points_are_no_model(wanted: str, tmp_path: Path) -> None:
     """Formats that are written from a model only say so, and which formats hold one."""
@@ -56,6 +59,7 @@ def test_points_are_no_model(wanted: str, tmp_path: Path) -> None:
     assert "only read" not in ended.stderr and "bal, bundler" in ended.stderr and "colmap-text" in ended.stderr
 
 
+@pytest.mark.behaviour
 def test_rounding_to_single_precision_is_told(tmp_path: Path) -> None:
     (tmp_path / "t").mkdir()
     for name in ("a", "b"):
@@ -66,6 +70,7 @@ def test_rounding_to_single_precision_is_told(tmp_path: Path) -> None:
     assert lost["value"].endswith("px")
 
 
+@pytest.mark.consistency
 def test_a_model_goes_from_colmap_to_bundler_and_back_with_its_residuals(tmp_path: Path) -> None:
     model = frame_model(("none", "radial"))
     write_colmap_text(tmp_path / "sparse", model)
@@ -88,6 +93,7 @@ def test_a_model_goes_from_colmap_to_bundler_and_back_with_its_residuals(tmp_pat
     assert np.sum(again.residuals_px() ** 2) == pytest.approx(np.sum(model.residuals_px() ** 2), rel=1e-9)
 
 
+@pytest.mark.behaviour
 def test_sizes_of_images_are_given_or_said_to_be_assumed(tmp_path: Path) -> None:
     write_colmap_text(tmp_path / "sparse", frame_model(("none", "k1")))
     bal = tmp_path / "problem.txt"
@@ -106,6 +112,7 @@ def test_sizes_of_images_are_given_or_said_to_be_assumed(tmp_path: Path) -> None
     assert sizes == [(600, 900), (601, 901), (602, 902)]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("target", ["colmap-text", "colmap-database"])
 def test_a_size_of_an_image_that_is_not_there_is_refused(tmp_path: Path, target: str) -> None:
     write_colmap_text(tmp_path / "sparse", frame_model(("none", "k1")))
@@ -117,6 +124,7 @@ def test_a_size_of_an_image_that_is_not_there_is_refused(tmp_path: Path, target:
     assert not out.exists()
 
 
+@pytest.mark.behaviour
 def test_sizes_beside_a_format_that_has_none_are_refused_too(tmp_path: Path) -> None:
     ended = in_process("convert", matches(tmp_path), "--accept-unverified", "--to", "micmac-ties", "--out",
                        tmp_path / "out", "--image-size", "c=9,9")  # fmt: skip
@@ -124,6 +132,7 @@ def test_sizes_beside_a_format_that_has_none_are_refused_too(tmp_path: Path) -> 
     assert "the file has no such image (found c); choose one of a, b" in ended.stderr
 
 
+@pytest.mark.behaviour
 def test_cameras_that_bundler_cannot_hold_are_refused_by_name(tmp_path: Path) -> None:
     write_colmap_text(tmp_path / "sparse", frame_model(("brown",)))
     ended = in_process("convert", tmp_path / "sparse", "--from", "colmap-text", "--out", tmp_path / "bundle.out")
@@ -132,6 +141,7 @@ def test_cameras_that_bundler_cannot_hold_are_refused_by_name(tmp_path: Path) ->
     assert not (tmp_path / "bundle.out").exists()
 
 
+@pytest.mark.behaviour
 def test_formats_with_a_model_say_which_was_tried() -> None:
     found = formats()
     assert {name for name, f in found.items() if f.read_model} == {"colmap-text", "bundler", "bal", "photomodeler"}

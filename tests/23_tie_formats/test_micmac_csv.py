@@ -18,6 +18,7 @@ from tests.support.work import counted
 TABLE = "Pt.x,Pt.y,Id\n32.036,1436.579,0\n61.123,1767.49,1\n1e1,.5,7\n"
 
 
+@pytest.mark.behaviour
 def test_columns_are_sample_line_id(tmp_path: Path) -> None:
     (tmp_path / "PMUL-a.tif.csv").write_text(TABLE, newline="\r\n")
     (tmp_path / "PMUL-b.csv.gz").write_bytes(gzip.compress(b"Pt.x,Pt.y,Id\n5,6,7\n8,9,0\n"))
@@ -30,6 +31,7 @@ def test_columns_are_sample_line_id(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("ids", [("3", "0", "12"), ("a", "01", "3")])
 def test_what_is_written_is_read_again(ids: tuple[str, ...], tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
@@ -59,6 +61,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("old", "new", "code", "place"), FAULTS)
 def test_faults_name_their_line(old: str, new: str, code: str, place: str, tmp_path: Path) -> None:
     (tmp_path / "PMUL-a.csv").write_text(TABLE.replace(old, new, 1))
@@ -68,6 +71,7 @@ def test_faults_name_their_line(old: str, new: str, code: str, place: str, tmp_p
     assert (found.code, found.place) == (code, place)
 
 
+@pytest.mark.behaviour
 def test_other_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="PMUL-IMAGE"):
         FORMAT.read((tmp_path,), Settings())  # type: ignore[misc]
@@ -82,6 +86,7 @@ def test_other_folders_are_refused(tmp_path: Path) -> None:
     assert error.value.problems[0].code == "ties.unreadable"
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_the_published_pair_is_read_as_arrays_and_agrees_with_its_rpc(real_data: Path) -> None:
     folder = real_data / "micmac-spot7-rpc"

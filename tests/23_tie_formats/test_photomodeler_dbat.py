@@ -27,6 +27,7 @@ def ideal_from_printed_formulas(x_px: float, y_px: float) -> tuple[float, float]
     )
 
 
+@pytest.mark.oracle
 def test_an_export_is_a_frame_model_with_the_distortion_of_the_printed_formulas(tmp_path: Path) -> None:
     (tmp_path / "export.txt").write_text(EXPORT, newline="\r\n")
     model = read_photomodeler(tmp_path / "export.txt")
@@ -45,6 +46,7 @@ def test_an_export_is_a_frame_model_with_the_distortion_of_the_printed_formulas(
     assert np.abs(ideal * [10.0, -10.0] - expected).max() < 1e-12
 
 
+@pytest.mark.oracle
 def test_angles_are_kappa_phi_omega_of_successive_turns(tmp_path: Path) -> None:
     (tmp_path / "export.txt").write_text(EXPORT)
     rotation = read_photomodeler(tmp_path / "export.txt").poses[0].rotation
@@ -67,6 +69,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("old", "new", "code", "place"), FAULTS)
 def test_faults_of_an_export_name_their_line(old: str, new: str, code: str, place: str, tmp_path: Path) -> None:
     assert old in EXPORT
@@ -86,6 +89,7 @@ Object Point ID,Photo #,X (pixels),Y (pixels),Residual X,Tagged
 """
 
 
+@pytest.mark.behaviour
 def test_a_table_of_points_names_photos_by_number(tmp_path: Path) -> None:
     (tmp_path / "2d.txt").write_bytes(TABLE.replace("\n", "\r\r\n").encode())
     survey = photomodeler.FORMAT.read((tmp_path / "2d.txt",), Settings())  # type: ignore[misc]
@@ -111,6 +115,7 @@ def both(folder: Path, marks: str = MARKS, control: str = CONTROL) -> tuple[Path
     return folder / "marks.txt", folder / "control.txt"
 
 
+@pytest.mark.behaviour
 def test_marks_and_control_points_of_dbat(tmp_path: Path) -> None:
     survey = dbat.FORMAT.read(both(tmp_path), Settings("EPSG:32633"))  # type: ignore[misc]
     assert (survey.crs, survey.ids, survey.images) == ("EPSG:32633", ("2", "8", "9", "03"), ("1", "2"))
@@ -142,6 +147,7 @@ DBAT_FAULTS: list[tuple[str, str, str, str]] = [
 ]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("old", "new", "code", "place"), DBAT_FAULTS)
 def test_faults_of_dbat_files_name_their_line(old: str, new: str, code: str, place: str, tmp_path: Path) -> None:
     assert old in MARKS + CONTROL
@@ -152,6 +158,7 @@ def test_faults_of_dbat_files_name_their_line(old: str, new: str, code: str, pla
     assert (found.code, found.place) == (code, place)
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_published_exports_agree_with_their_tables(real_data: Path) -> None:
     folder = real_data / "dbat" / "prague2016" / "sxb" / "pmexports"
@@ -183,6 +190,7 @@ def test_published_exports_agree_with_their_tables(real_data: Path) -> None:
     assert np.median(np.abs(ours - theirs)) < 0.2
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_published_examples_of_dbat_are_read(real_data: Path, tmp_path: Path) -> None:
     script = real_data / "dbat" / "script"

@@ -30,6 +30,7 @@ def members(tracks: Tracks) -> list[set[int]]:
     return [set(tracks.keypoint[tracks.track == k].tolist()) for k in range(tracks.n_tracks)]
 
 
+@pytest.mark.oracle
 def test_tracks_are_those_of_a_union_find_and_chains_with_two_places_of_an_image_are_out() -> None:
     n_conflicts = 0
     for seed in range(20):
@@ -48,6 +49,7 @@ def test_tracks_are_those_of_a_union_find_and_chains_with_two_places_of_an_image
     assert n_conflicts > 20
 
 
+@pytest.mark.behaviour
 def test_keypoints_at_one_pixel_of_one_image_are_one() -> None:
     image = np.array([0, 0, 1, 2])
     line, sample = np.array([5.0, 5.0, 1.0, 2.0]), np.array([7.0, 7.0, 3.0, 4.0])
@@ -57,6 +59,7 @@ def test_keypoints_at_one_pixel_of_one_image_are_one() -> None:
     assert members(apart) == [{0, 2}, {1, 3}]
 
 
+@pytest.mark.behaviour
 def test_a_conflict_is_told_with_its_image_and_places() -> None:
     image = np.array([0, 1, 2, 0, 0, 1])
     line, sample = np.array([1.5, 2, 3, 4, 8, 9]), np.array([10.0, 20, 30, 40, 80, 90])
@@ -71,18 +74,21 @@ def test_a_conflict_is_told_with_its_image_and_places() -> None:
     assert conflicts(good, ["a", "b", "c"], image, line, sample) == ()
 
 
+@pytest.mark.behaviour
 def test_nothing_matched_is_no_tie_point() -> None:
     found = join(np.array([0, 1]), np.zeros(2), np.zeros(2), np.empty((0, 2)))
     assert (found.n_tracks, len(found.keypoint), found.n_conflicts) == (0, 0, 0)
     assert join(np.array([], int), np.array([]), np.array([]), np.empty((0, 2))).n_tracks == 0
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("matches", "words"), [([[0, 2]], "does not exist"), ([[0, 1]], "one image")])
 def test_impossible_matches_are_refused(matches: list[list[int]], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         join(np.zeros(2, int), np.arange(2.0), np.arange(2.0), np.array(matches))
 
 
+@pytest.mark.behaviour
 def test_a_hundred_thousand_matches_are_joined_as_arrays() -> None:
     """As many calls of functions as for a thousand: nothing is done match by match."""
     joined(50)  # imports, caches

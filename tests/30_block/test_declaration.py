@@ -71,6 +71,7 @@ def given_on_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *
     return given
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", ALL)
 def test_the_project_file_has_every_option(name: str) -> None:
     option = ALL[name]
@@ -79,6 +80,7 @@ def test_the_project_file_has_every_option(name: str) -> None:
     assert read({option.group.table: {name: entry}}) == {n: o.default for n, o in ALL.items()} | {name: value}
 
 
+@pytest.mark.behaviour
 def test_the_command_line_has_every_option(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     values = {name: other(option) for name, option in ALL.items()}
     words = [word for name, option in ALL.items() for word in typed(option, values[name])]
@@ -89,6 +91,7 @@ def test_the_command_line_has_every_option(monkeypatch: pytest.MonkeyPatch, tmp_
     assert usual == {"variance_components": ("image", "position", "height")}
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", declared(Options))
 def test_python_has_every_option(name: str) -> None:
     value = other(ALL[name])
@@ -98,6 +101,7 @@ def test_python_has_every_option(name: str) -> None:
     assert caught.value.problems[0].place == name
 
 
+@pytest.mark.behaviour
 def test_names_that_are_no_options_are_refused_with_the_nearest() -> None:
     with pytest.raises(TypeError, match=r"adjust\(\) has no option 'robust_scal'; did you mean 'robust_scale'"):
         fg.adjust(BLOCK, robust_scal="mad")
@@ -107,6 +111,7 @@ def test_names_that_are_no_options_are_refused_with_the_nearest() -> None:
         fg.adjust(BLOCK, zzz=1)
 
 
+@pytest.mark.behaviour
 def test_options_replace_those_of_the_block_and_arguments_replace_both() -> None:
     block = dataclasses.replace(BLOCK, options=Options(eop_set=3, gnc=True))
     with pytest.raises(InputError) as caught:  # gnc of the argument, needs a loss
@@ -117,6 +122,7 @@ def test_options_replace_those_of_the_block_and_arguments_replace_both() -> None
     assert caught.value.problems[0].code == "adjust.solver_dense", "the block's gnc is gone"
 
 
+@pytest.mark.repository
 def test_the_reference_page_is_made_from_the_declaration(repository: Path) -> None:
     """``python docs/options.py`` writes it again."""
     made = runpy.run_path(str(repository / "docs" / "options.py"))
@@ -124,6 +130,7 @@ def test_the_reference_page_is_made_from_the_declaration(repository: Path) -> No
     assert all(f"| `{name}` | `{option.flag}`" in made["PAGE"].read_text("utf-8") for name, option in ALL.items())
 
 
+@pytest.mark.repository
 @pytest.mark.parametrize("record", [Options, Reading, ZonguldakOptions, BlockOptions, MixedOptions])
 def test_every_default_is_allowed_and_documented(record: type) -> None:
     text = inspect.getdoc(record) or ""
@@ -133,6 +140,7 @@ def test_every_default_is_allowed_and_documented(record: type) -> None:
     assert text.count("Parameters\n----------") == 1
 
 
+@pytest.mark.repository
 def test_flags_are_different() -> None:
     """Units are left out of the flags, so two names could fall together."""
     for records in ((Options, Reading), (ZonguldakOptions,), (BlockOptions,), (MixedOptions,)):
@@ -176,6 +184,7 @@ print("further : int" in fg.Options.__doc__)
 """
 
 
+@pytest.mark.repository
 def test_a_further_option_is_one_edit(repository: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", ONE_EDIT, str(repository / "docs" / "options.py")]
     path = {"PYTHONPATH": str(repository), "COLUMNS": "200"}

@@ -14,6 +14,8 @@ from fg_orient.errors import Finding, InputError
 from fg_orient.io.schema import Adjustment, Orientation, validate
 from fg_orient.options import Options
 
+pytestmark = pytest.mark.behaviour
+
 BAD = [
     ("eop_set", 0), ("eop_set", 21), ("eop_set", "PUA"), ("eop_set", 15.0), ("eop_set", True),
     ("look_polynomial", -1), ("look_polynomial", 6), ("look_polynomial", 2.0),

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient import geodesy
@@ -21,6 +22,7 @@ from fg_orient.names import Role
 from tests.support.pleiades_project import pleiades_project
 
 
+@pytest.mark.behaviour
 def test_block_of_a_small_project(folder):
     block = read_project(folder.project)
     assert block.name == "small" and [image.id for image in block.images] == ["left", "right"]
@@ -32,6 +34,7 @@ def test_block_of_a_small_project(folder):
     assert (o.line[row], o.sample[row], o.sigma_line_px[row]) == (9200.0, 11000.25, 0.3)
 
 
+@pytest.mark.behaviour
 def test_only_control_is_known_and_fixed_means_no_sigma(folder):
     known = read_project(folder.project).points.known
     expected = geodesy.geodetic_to_ecef(
@@ -44,6 +47,7 @@ def test_only_control_is_known_and_fixed_means_no_sigma(folder):
     np.testing.assert_array_equal(known.sigma_enu_m[1], [0.06, 0.07, 1.0])
 
 
+@pytest.mark.behaviour
 def test_check_coordinates_come_out_only_when_opened(folder):
     block = read_project(folder.project)
     assert block.withheld.ids == ("k1", "k2")
@@ -52,6 +56,7 @@ def test_check_coordinates_come_out_only_when_opened(folder):
     np.testing.assert_array_equal(opened.sigma_enu_m, [[0.1, 0.1, 0.5]] * 2)
 
 
+@pytest.mark.behaviour
 def test_check_coordinates_change_nothing_else_in_the_block(folder):
     before = read_project(folder.project)
     there = before.withheld.open().ecef_m
@@ -63,6 +68,7 @@ def test_check_coordinates_change_nothing_else_in_the_block(folder):
     assert moved[0] > 1000.0 and moved[1] == 0.0
 
 
+@pytest.mark.behaviour
 def test_opening_after_the_file_changed_is_refused(folder):
     block = read_project(folder.project)
     folder.change("points.csv", "640.0", "641.0")
@@ -71,6 +77,7 @@ def test_opening_after_the_file_changed_is_refused(folder):
     assert caught.value.problems[0].code == "points.changed"
 
 
+@pytest.mark.behaviour
 def test_sources_carry_the_digests_of_all_files(folder):
     block = read_project(folder.project)
     files = [
@@ -84,6 +91,7 @@ def test_sources_carry_the_digests_of_all_files(folder):
     assert [s.sha256 for s in block.sources] == [hashlib.sha256(f.read_bytes()).hexdigest() for f in files]
 
 
+@pytest.mark.behaviour
 def test_defaults_of_the_file_are_those_of_the_options():
     options = Options()
     stated = {**dict(Orientation()), **dict(Adjustment())}
@@ -91,6 +99,7 @@ def test_defaults_of_the_file_are_those_of_the_options():
     assert stated == dataclasses.asdict(options)
 
 
+@pytest.mark.behaviour
 def test_options_of_the_file_and_overrides(folder):
     folder.change(
         "project.toml", "eop_set = 15", 'eop_set = "A0"\nlook_polynomial = 2\nlook_sigma_rad = 1\npriors = false'
@@ -109,18 +118,17 @@ def test_options_of_the_file_and_overrides(folder):
         assert found.file == "" and found.place.startswith(name), "the option is to blame, not the file"
 
 
+@pytest.mark.behaviour
 def test_paths_are_relative_to_the_project_file(folder, monkeypatch, tmp_path_factory):
-    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
-    assert len(read_project(folder.project).images) == 2
-
-
-def test_check_coordinates_are_found_after_a_change_of_folder(folder, monkeypatch, tmp_path_factory):
+    """Check coordinates are found after a change of folder, too."""
     monkeypatch.chdir(folder.project.parent)
     block = read_project(folder.project.name)
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
     assert block.withheld.open().ecef_m.shape == (2, 3)
+    assert len(read_project(folder.project).images) == 2
 
 
+@pytest.mark.behaviour
 def test_unmeasured_points_are_left_out_with_a_remark(folder):
     folder.change("points.csv", "k2,check", "x9,check,31.9,41.3,5,1,1,1\nx8,control,31.9,41.3,5,1,1,1\nk2,check")
     block = read_project(folder.project)
@@ -129,6 +137,7 @@ def test_unmeasured_points_are_left_out_with_a_remark(folder):
     assert any("x9, x8" in str(note) for note in block.notes)
 
 
+@pytest.mark.behaviour
 def test_points_seen_once_are_dropped_on_request(folder):
     folder.change("observations.csv", "right,t1,7000,2100,0.3,0.3\n", "")
     folder.change("observations.csv", "left,01,1000,1200,0.3,0.3\n", "")  # control may have a single ray
@@ -139,6 +148,7 @@ def test_points_seen_once_are_dropped_on_request(folder):
     assert any("single ray" in str(note) and "t1" in str(note) for note in block.notes)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     ("crs", "names", "kind"),
     [
@@ -147,13 +157,14 @@ def test_points_seen_once_are_dropped_on_request(folder):
     ],
 )
 def test_the_same_points_in_another_crs(folder, crs, names, kind):
-    expected = read_project(folder.project).points.known.ecef_m[:4]
-    lon, lat, height = geodesy.ecef_to_geodetic(expected)
+    """In the CRS by PROJ, called here; the degrees are those of the file in the folder."""
+    degrees = np.array([[31.60, 41.20, 12.5], [32.05, 41.22, 250.0], [31.62, 41.45, 830.0], [32.00, 41.44, 1500.0]])
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    expected = np.stack(to_ecef.transform(*degrees.T), axis=1)
+    values = expected
     if kind == "projected":
-        first, second = geodesy.from_geographic(crs, lon, lat)
-        values = np.stack([first, second, height], axis=1)
-    else:
-        values = expected
+        to_plane = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+        values = np.stack([*to_plane.transform(*degrees[:, :2].T), degrees[:, 2]], axis=1)
     header = f"id,role,{names},sigma_east_m,sigma_north_m,sigma_up_m\n"
     rows = [
         f"{n},control,{','.join(map(repr, map(float, v)))},1,1,1\n"
@@ -176,6 +187,7 @@ def codes(folder) -> list[str]:
     return [p.code for p in found]
 
 
+@pytest.mark.behaviour
 def test_remarks_on_a_small_block(folder):
     assert codes(folder) == ["remark.few_control", "remark.few_check"]
     notes = read_project(folder.project).notes
@@ -183,6 +195,7 @@ def test_remarks_on_a_small_block(folder):
     assert not any("check points" in str(note) for note in notes), "the adjustment warns of that itself"
 
 
+@pytest.mark.behaviour
 def test_remark_on_control_along_a_line(folder):
     """Four points along a diagonal, the last 300 m beside it."""
     text = folder.points.read_text()
@@ -194,6 +207,7 @@ def test_remark_on_control_along_a_line(folder):
     assert "remark.control_line" in found and "4 control" in found["remark.control_line"].value
 
 
+@pytest.mark.behaviour
 def test_remark_on_clustered_control_and_on_one_image(folder):
     text = folder.observations.read_text()
     rows = [line for line in text.splitlines() if not line.startswith(("right,01", "right,1", "right,c3", "right,c4"))]
@@ -205,6 +219,7 @@ def test_remark_on_clustered_control_and_on_one_image(folder):
     assert {"remark.control_one_image", "remark.control_clustered"} <= set(codes(folder))
 
 
+@pytest.mark.behaviour
 def test_remarks_on_odd_units_of_sigmas(folder):
     folder.change("points.csv", "0.06,0.07,1.0", "1e-7,0.07,1.0")
     folder.change("observations.csv", "left,01,1000,1200,0.3,0.3", "left,01,1000,1200,1e5,0.3")
@@ -213,6 +228,7 @@ def test_remarks_on_odd_units_of_sigmas(folder):
     assert "line 2" in found["remark.sigma_image"].place and "100000" in found["remark.sigma_image"].value
 
 
+@pytest.mark.behaviour
 def test_remark_on_a_better_grid(tmp_path):
     """OSGB36 has a grid (OSTN15) that does not come with PROJ: a remark, as a coarser operation exists."""
     if not geodesy.to_ecef_with_operation("EPSG:27700", 4e5, 4e5, 10.0)[1].missing_grids:
@@ -225,6 +241,7 @@ def test_remark_on_a_better_grid(tmp_path):
     assert found.code == "remark.grid_missing" and "OSTN15" in found.remedy and found.value == "EPSG:27700"
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_the_real_pair_is_read_with_its_real_sensors(real_data, tmp_path):
     """86 surveyed points in both images; ECEF coordinates arrive unchanged."""
@@ -237,6 +254,7 @@ def test_the_real_pair_is_read_with_its_real_sensors(real_data, tmp_path):
     assert block.images[0].sensor.n_samples == 40000
 
 
+@pytest.mark.behaviour
 def test_the_documented_example_is_a_valid_project(folder, repository):
     """The first listings of docs/file-formats.md of a project, of points and of image points are read."""
     listings = (repository / "docs" / "file-formats.md").read_text(encoding="utf-8").split("```")[1::2]

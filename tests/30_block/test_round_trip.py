@@ -26,6 +26,7 @@ id_lists = st.lists(names, min_size=1, max_size=6, unique=True)
 sigmas = st.floats(1e-6, 1e6)
 
 
+@pytest.mark.consistency
 @given(id_lists, st.data())
 def test_points(tmp_path_factory, ids, data):
     path = tmp_path_factory.mktemp("p") / "points.csv"
@@ -53,6 +54,7 @@ def test_points(tmp_path_factory, ids, data):
     assert opened.fixed.sum() == 0 and len(opened.fixed) == len(check) <= n
 
 
+@pytest.mark.consistency
 @given(id_lists, id_lists, st.data())
 def test_observations(tmp_path_factory, images, points, data):
     path = tmp_path_factory.mktemp("o") / "observations.csv"
@@ -87,6 +89,7 @@ OPTIONS = [
 ]  # fmt: skip
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("options", OPTIONS)
 def test_project(folder, options):
     changed = {f.name for f in dataclasses.fields(Options) if getattr(OPTIONS[1], f.name) == f.default}
@@ -99,6 +102,7 @@ def test_project(folder, options):
     assert block.options == options and block.name == 'a "quoted" \\ näme\x7f'
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", ["", " a", "a\t", "a\nb", "a\rb", "a\0b"])
 def test_ids_that_would_not_read_back_are_refused_and_leave_no_file(tmp_path: Path, name: str):
     with pytest.raises(ValueError, match="cannot be written"):

@@ -19,6 +19,7 @@ def read(tmp_path: Path, data: bytes | str, columns=(("id", "x_m"),)):
     return read_table(path, columns, faults), faults
 
 
+@pytest.mark.behaviour
 def test_byte_order_mark_crlf_comments_and_blank_lines(tmp_path):
     table, faults = read(tmp_path, b"\xef\xbb\xbf# made by hand\r\nid,x_m\r\n\r\n 01 , 2.5\r\n#7,8\r\n,,\r\n1,3\r\n")
     assert not faults and table is not None
@@ -28,12 +29,14 @@ def test_byte_order_mark_crlf_comments_and_blank_lines(tmp_path):
     ]
 
 
+@pytest.mark.behaviour
 def test_columns_in_any_order_quotes_and_empty_trailing_cells(tmp_path):
     table, faults = read(tmp_path, 'x_m,id,\n1,"a,b",\n2,"say ""x""",,\n')
     assert not faults and table is not None
     assert [row.cells["id"] for row in table.rows] == ["a,b", 'say "x"']
 
 
+@pytest.mark.behaviour
 def test_faults_are_counted_beyond_the_first_twenty(tmp_path):
     table, faults = read(tmp_path, "id,x_m\n" + "a,oops\n" * 50)
     assert table is not None
@@ -43,12 +46,14 @@ def test_faults_are_counted_beyond_the_first_twenty(tmp_path):
     assert faults.problems[-1].code == "table.more_faults" and faults.problems[-1].value == "30 more"
 
 
+@pytest.mark.oracle
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_every_finite_double_is_read_back(value):
     faults = Faults("t.csv")
     assert number(Row(2, {"x": repr(value)}), "x", faults) == value and not faults
 
 
+@pytest.mark.behaviour
 @given(st.text(max_size=12))
 def test_only_plain_decimal_numbers_are_numbers(text):
     """Whatever is accepted is a finite float for Python, too, and holds nothing but number characters."""
@@ -59,6 +64,7 @@ def test_only_plain_decimal_numbers_are_numbers(text):
         assert set(text) <= set("0123456789+-.eE") and math.isfinite(float(text))
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     "text",
     ["", "nan", "NaN", "inf", "-Infinity", "1e400", "1,5", "1_000", "0x10", "1e", "--1", "٣", "1 2", "1d3", "1.5m"],
@@ -70,6 +76,7 @@ def test_anything_else_is_refused(text):
     assert found.place == "line 3, column x_m" and found.value == repr(text) and found.remedy
 
 
+@pytest.mark.behaviour
 @given(st.binary(max_size=200))
 def test_no_bytes_whatever_break_the_reader(tmp_path_factory, data):
     table, faults = read(tmp_path_factory.mktemp("t"), data)

@@ -12,6 +12,8 @@ from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.sensors import surface
 from fg_orient.sensors.surface import on_surface
 
+pytestmark = pytest.mark.oracle
+
 #: Cells of 0.001 degrees near the equator, 111 m.
 STEP = 1e-3
 

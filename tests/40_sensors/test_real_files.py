@@ -6,13 +6,18 @@ import csv
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
+from scipy.spatial.transform import Rotation
 
 from factors import ellipsoid
 from fg_orient.io.dimap import read_dimap
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.eop import fit_eop, metadata_eop
 from fg_orient.sensors.pushbroom import PushbroomSensor
+from tests.support.published_rays import misses_m
+
+GEODETIC = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
 
 pytestmark = pytest.mark.real_data
 
@@ -37,6 +42,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("name", V1_FILES)
 def test_frame_points(real_data: Path, name: str) -> None:
     s = sensor(real_data / "geocosicorr3d", name)
@@ -48,12 +54,13 @@ def test_frame_points(real_data: Path, name: str) -> None:
     assert missed.max() <= FRAME_LIMIT_M[name]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("height_m", [0.0, 5000.0])
 @pytest.mark.parametrize(
     "name", [f"geocosicorr3d/{n}" for n in [*V1_FILES, "SPOT6.XML"]] + [f"geoetrim-pleiades/{n}" for n in PLEIADES]
 )
 def test_round_trip_over_the_whole_scene(real_data: Path, name: str, height_m: float) -> None:
-    """project(locate(p)) = p within 1e-6 px, with a correction in every parameter too."""
+    """Located points lie on the rays written apart; project(locate(p)) = p within 1e-6 px; with a correction, too."""
     s = sensor(real_data, name)
     line, sample = (
         a.ravel() for a in np.meshgrid(np.linspace(0, s.n_lines - 1, 25), np.linspace(0, s.n_samples - 1, 25))
@@ -62,11 +69,14 @@ def test_round_trip_over_the_whole_scene(real_data: Path, name: str, height_m: f
     sigma = np.repeat([[10.0, 1.0, 0.1], [1e-2, 1e-3, 1e-4], [5e-5, 1e-5, 2e-6]], 3, axis=0)
     for correction in (None, Correction(rng.normal(size=(9, 3)) * sigma, rng.normal(size=(2, 3)) * 1e-4)):
         ground = s.locate(line, sample, height_m=height_m, correction=correction)
+        assert misses_m(s.metadata, line, sample, ground, correction).max() < 1e-7
+        assert np.abs(GEODETIC.transform(*ground.T)[2] - height_m).max() < 1e-4
         l_back, s_back = s.project(ground, correction)
         assert np.abs(l_back - line).max() <= 1e-6
         assert np.abs(s_back - sample).max() <= 1e-6
 
 
+@pytest.mark.truth
 def test_spot5_equals_two_independent_programs(real_data: Path) -> None:
     """Rugged within 1 cm, geoCosiCorr3D within 5 cm, on the ellipsoid (docs/equations.md 2)."""
     s = sensor(real_data / "geocosicorr3d", "SPOT5.DIM")
@@ -82,6 +92,7 @@ def test_spot5_equals_two_independent_programs(real_data: Path) -> None:
         assert horizontal_m(s.locate(line - 1, sample - 1, height_m=0.0), lon, lat).max() <= limit
 
 
+@pytest.mark.truth
 def test_spot6_equals_an_independent_program(real_data: Path) -> None:
     """16 rows of geoCosiCorr3D within 1 cm: sampled quaternions, START-based times, band calibration."""
     s = sensor(real_data / "geocosicorr3d", "SPOT6.XML")
@@ -110,6 +121,7 @@ def rpc_project(
     return line, sample
 
 
+@pytest.mark.truth
 def test_pleiades_equals_the_vendor_rpc(real_data: Path) -> None:
     """Rigorous projection of image 1 against the RPC of the same file at all 86 points: 0.01 px."""
     folder = real_data / "geoetrim-pleiades"
@@ -126,10 +138,18 @@ def test_pleiades_equals_the_vendor_rpc(real_data: Path) -> None:
     assert abs(np.mean(rpc_sample - observed[:, 1])) == pytest.approx(16.3, abs=0.2)  # the known vendor bias
 
 
+@pytest.mark.oracle
 def test_eop_polynomials_and_their_residuals(real_data: Path) -> None:
     """A parabola describes position to 3 cm and velocity to 3e-5 m/s over 12000 lines."""
     s = sensor(real_data / "geocosicorr3d", "SPOT5.DIM")
     fit = fit_eop(s)
+    tau = np.linspace(-1.0, 1.0, 601)
+    values = metadata_eop(s, (tau + 1.0) * (s.n_lines - 1) / 2)
+    expected = np.polynomial.polynomial.polyfit(tau, values, 2)
+    left = values - np.polynomial.polynomial.polyval(tau, expected).T
+    assert np.abs(fit.per_tau - expected.T).max() <= 1e-12 * np.abs(values).max()
+    # a coordinate of 7e6 m has 1e-9 m
+    assert np.abs(fit.largest - np.abs(left).max(axis=0)).max() < 1e-8
     assert fit.largest[:3].max() < 0.10
     assert fit.largest[3:6].max() < 1e-4
     assert np.all(fit.rms <= fit.largest)
@@ -140,10 +160,10 @@ def test_eop_polynomials_and_their_residuals(real_data: Path) -> None:
     assert 1e-8 < fit.largest[6:].max() < 1e-4
 
 
+@pytest.mark.oracle
 def test_v2_attitude_angles_rebuild_the_mounting(real_data: Path) -> None:
-    from factors.rotations import attitude_matrices
-
     s = sensor(real_data / "geoetrim-pleiades", PLEIADES[1])
     line = np.linspace(0, s.n_lines - 1, 7)
-    angles = np.ascontiguousarray(metadata_eop(s, line)[:, 6:])
-    assert np.abs(attitude_matrices(angles, False) - s.states(line).mount).max() < 1e-12
+    roll, pitch, yaw = metadata_eop(s, line)[:, 6:].T
+    turned = Rotation.from_euler("XYZ", np.stack([pitch, roll, yaw], axis=1)).as_matrix()
+    assert np.abs(turned - s.states(line).mount).max() < 1e-12

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.metadata import LineTiming, LookAnglePolynomial, PushbroomMetadata, QuaternionList
 from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S, PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.published_rays import misses_m, rays
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +31,24 @@ def shifted(metadata: PushbroomMetadata, seconds: float) -> PushbroomMetadata:
     return replace(metadata, timing=later)
 
 
-def test_ephemeris_is_never_extrapolated(metadata: PushbroomMetadata) -> None:
-    with pytest.raises(OutOfTimeRange, match="never extrapolated"):
-        PushbroomSensor(shifted(metadata, 150.0))
+FLAT = LookAnglePolynomial(0.0, np.array([0.0]), np.array([0.1, 0.0]))
+
+
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    ("change", "seconds", "error", "words"),
+    [(lambda m: shifted(m, 150.0), 0.0, OutOfTimeRange, "never extrapolated"),
+     (lambda m: open_end(m, 12.0), 0.0, OutOfTimeRange, "attitudes cover"),
+     *((lambda m: m, s, InputError, "0 to 5 s only") for s in (-0.1, float("nan"), MAX_EXTRAPOLATION_S + 1e-9)),
+     (lambda m: replace(m, look=FLAT), 0.0, InputError, "same direction")],
+    ids=["orbit too short", "no line with attitude", "negative", "no number", "too long", "one direction"],
+)  # fmt: skip
+def test_metadata_that_make_no_sensor_are_refused(
+    metadata: PushbroomMetadata, change: Callable[[PushbroomMetadata], PushbroomMetadata], seconds: float,
+    error: type[Exception], words: str,
+) -> None:  # fmt: skip
+    with pytest.raises(error, match=words):
+        PushbroomSensor(change(metadata), extrapolate_attitude_s=seconds)
 
 
 def open_end(metadata: PushbroomMetadata, seconds: float) -> PushbroomMetadata:
@@ -43,6 +60,7 @@ def open_end(metadata: PushbroomMetadata, seconds: float) -> PushbroomMetadata:
     return shifted(metadata, listed[-1] - ends[1] + seconds if seconds > 0.0 else listed[0] - ends[0] + seconds)
 
 
+@pytest.mark.behaviour
 def test_lines_without_attitude_are_refused_one_by_one(metadata: PushbroomMetadata) -> None:
     """0.15 s are 199.5 lines of 0.7521 ms: the centres of 200 lines lie beyond the list."""
     period = metadata.timing.line_period_s
@@ -64,6 +82,7 @@ def test_lines_without_attitude_are_refused_one_by_one(metadata: PushbroomMetada
     assert sensor.corners()[0].tolist() == [0.0, 0.0, last, last]
 
 
+@pytest.mark.behaviour
 def test_lines_before_the_attitudes(metadata: PushbroomMetadata) -> None:
     sensor = PushbroomSensor(open_end(metadata, -0.055))
     refused = int(np.ceil(0.055 / metadata.timing.line_period_s))
@@ -71,6 +90,7 @@ def test_lines_before_the_attitudes(metadata: PushbroomMetadata) -> None:
     assert str(sensor.notes[-1]) == f"the attitudes do not cover lines 0 to {refused - 1}: they are refused"
 
 
+@pytest.mark.consistency
 def test_a_projection_beyond_the_attitudes_goes_on_straight(metadata: PushbroomMetadata) -> None:
     sensor = PushbroomSensor(open_end(metadata, 0.15))
     last = sensor.last_line
@@ -82,17 +102,7 @@ def test_a_projection_beyond_the_attitudes_goes_on_straight(metadata: PushbroomM
     assert np.abs(np.array(back) - [[last + 0.5, 100.0], [0.0, 9000.0]]).max() <= 1e-6
 
 
-def test_no_line_with_attitude(metadata: PushbroomMetadata) -> None:
-    with pytest.raises(OutOfTimeRange, match="attitudes cover"):
-        PushbroomSensor(open_end(metadata, 12.0))
-
-
-@pytest.mark.parametrize("seconds", [-0.1, float("nan"), MAX_EXTRAPOLATION_S + 1e-9])
-def test_extrapolation_that_is_none(metadata: PushbroomMetadata, seconds: float) -> None:
-    with pytest.raises(InputError, match="0 to 5 s only"):
-        PushbroomSensor(metadata, extrapolate_attitude_s=seconds)
-
-
+@pytest.mark.oracle
 @pytest.mark.parametrize(("end_s", "state"), [(0.15, -1), (-0.15, 0)])
 def test_extrapolation_holds_the_last_rate(metadata: PushbroomMetadata, end_s: float, state: int) -> None:
     """Angles beyond the list: the last sample plus its rate; inside the list nothing changes, bit by bit."""
@@ -111,6 +121,7 @@ def test_extrapolation_holds_the_last_rate(metadata: PushbroomMetadata, end_s: f
     assert np.array_equal(held.states(middle).angles_rad, plain.states(middle).angles_rad)
 
 
+@pytest.mark.behaviour
 def test_extrapolation_stops_at_its_seconds(metadata: PushbroomMetadata) -> None:
     part = PushbroomSensor(open_end(metadata, 0.15), extrapolate_attitude_s=0.1)
     refused = int(np.ceil(0.05 / metadata.timing.line_period_s))
@@ -120,6 +131,7 @@ def test_extrapolation_stops_at_its_seconds(metadata: PushbroomMetadata) -> None
         part.states(part.last_line + 1.0)
 
 
+@pytest.mark.truth
 def test_extrapolated_quaternions_keep_their_rate(metadata: PushbroomMetadata) -> None:
     """A rotation of constant rate about one axis: what is held is that rate, to the cube of its angle."""
     image = open_end(metadata, 0.15)
@@ -136,6 +148,7 @@ def test_extrapolated_quaternions_keep_their_rate(metadata: PushbroomMetadata) -
     assert isinstance(sensor.attitude, QuaternionList) and len(sensor.attitude.time_s) == len(listed) + 1
 
 
+@pytest.mark.behaviour
 def test_a_projection_that_does_not_end_is_nan(metadata: PushbroomMetadata, monkeypatch: pytest.MonkeyPatch) -> None:
     sensor = PushbroomSensor(metadata)
     ground = sensor.locate([10.0, 9000.0], [10.0, 9000.0], height_m=0.0)
@@ -144,12 +157,7 @@ def test_a_projection_that_does_not_end_is_nan(metadata: PushbroomMetadata, monk
     assert np.isnan(sensor.project(ground)).all()
 
 
-def test_samples_that_all_look_the_same_way(metadata: PushbroomMetadata) -> None:
-    flat = LookAnglePolynomial(0.0, np.array([0.0]), np.array([0.1, 0.0]))
-    with pytest.raises(InputError, match="same direction"):
-        PushbroomSensor(replace(metadata, look=flat))
-
-
+@pytest.mark.behaviour
 def test_pixels_outside_and_surfaces_that_cannot_be_seen(metadata: PushbroomMetadata) -> None:
     sensor = PushbroomSensor(metadata)
     with pytest.raises(OutOfImage, match="12000"):
@@ -161,6 +169,7 @@ def test_pixels_outside_and_surfaces_that_cannot_be_seen(metadata: PushbroomMeta
         sensor.locate(5.0, 5.0, height_m=2e6)
 
 
+@pytest.mark.behaviour
 def test_points_outside_or_behind(metadata: PushbroomMetadata) -> None:
     """Outside: the linear continuation, flagged by ``is_inside``; on the far side of the Earth: nan."""
     sensor = PushbroomSensor(metadata)
@@ -173,6 +182,7 @@ def test_points_outside_or_behind(metadata: PushbroomMetadata) -> None:
     assert np.isnan([line[1], sample[1]]).all()
 
 
+@pytest.mark.oracle
 def test_intersection_of_two_images(metadata: PushbroomMetadata) -> None:
     """Noise-free pixels of a ground point meet in it: 1e-6 m; a single direction is refused."""
     block, truth = zonguldak_block(ZonguldakOptions(seed=1))
@@ -181,6 +191,8 @@ def test_intersection_of_two_images(metadata: PushbroomMetadata) -> None:
     line, sample = (np.array([p[k] for p in pixels]) for k in (0, 1))
     found = fg.intersect(sensors, line, sample, truth.corrections)
     assert np.abs(found - truth.ecef_m).max() < 1e-6
+    for image, pixel, correction in zip(block.images, pixels, truth.corrections, strict=True):
+        assert misses_m(image.sensor.metadata, *pixel, found, correction).max() < 1e-6
     uncorrected = fg.intersect(sensors, line, sample)
     assert 1.0 < np.linalg.norm(uncorrected - truth.ecef_m, axis=1).max() < 100.0
     with pytest.raises(InputError, match="parallel"):
@@ -193,6 +205,7 @@ def test_intersection_of_two_images(metadata: PushbroomMetadata) -> None:
         fg.intersect(sensors, line.T, sample.T)
 
 
+@pytest.mark.behaviour
 def test_rays_that_meet_behind_a_sensor(metadata: PushbroomMetadata) -> None:
     """Both images rolled outwards by 60 degrees diverge: the lines through the rays meet in space."""
     block, _ = zonguldak_block(ZonguldakOptions(seed=1))
@@ -211,6 +224,7 @@ def test_rays_that_meet_behind_a_sensor(metadata: PushbroomMetadata) -> None:
         fg.intersect(sensors, pixel, pixel, apart)
 
 
+@pytest.mark.truth
 def test_convergence_is_the_largest_angle_of_any_two_rays() -> None:
     """Points with 4, 2, 3, 1 and no rays at known angles in one plane, in mixed order."""
     degrees = {0: [0.0, 1.0, 7.0, 3.0], 1: [0.0, 0.05], 2: [10.0, -20.0, 0.0], 3: [5.0]}
@@ -225,9 +239,13 @@ def test_convergence_is_the_largest_angle_of_any_two_rays() -> None:
     assert np.abs(found[[0, 2]] - target).max() < 1e-6
 
 
+@pytest.mark.oracle
 def test_one_line_and_many_samples(metadata: PushbroomMetadata) -> None:
     sensor = PushbroomSensor(metadata)
     row = sensor.locate(100.0, [5.0, 6.0, 7.0], height_m=0.0)
     assert np.array_equal(row[1], sensor.locate(100.0, 6.0, height_m=0.0)[0])
     centre, direction = sensor.rays(100.0, [5.0, 6.0, 7.0])
     assert centre.shape == direction.shape == (3, 3)
+    at, seen = rays(metadata, np.full(3, 100.0), np.array([5.0, 6.0, 7.0]))
+    assert np.abs(centre - at).max() < 1e-7
+    assert np.abs(direction - seen).max() < 1e-13

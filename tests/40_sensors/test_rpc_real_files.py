@@ -21,6 +21,7 @@ from fg_orient.io.sensor import read_sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor
+from tests.support.rpc_model import reference_project
 
 pytestmark = pytest.mark.real_data
 
@@ -78,6 +79,7 @@ def metres(lon: np.ndarray, lat: np.ndarray, lon_2: np.ndarray, lat_2: np.ndarra
     return np.hypot(np.radians(lon - lon_2) * 6378137.0 * np.cos(np.radians(lat)), np.radians(lat - lat_2) * 6371000.0)
 
 
+@pytest.mark.truth
 def test_every_file_is_read_and_equals_gdal(real_data: Path) -> None:
     """Ground to image on 2000 points of each file's range: 1e-6 px (GDAL counts from the corner, 0.5 px)."""
     rng = np.random.default_rng(1)
@@ -100,6 +102,7 @@ def test_every_file_is_read_and_equals_gdal(real_data: Path) -> None:
     print(f"largest difference from GDAL: {worst:.1e} px")
 
 
+@pytest.mark.truth
 def test_located_points_equal_gdal_within_its_tolerance(real_data: Path) -> None:
     """GDAL iterates until a pixel is met to 0.1; where poles lie among the ground points it gives up in places."""
     for path in files(real_data):
@@ -118,6 +121,7 @@ def test_located_points_equal_gdal_within_its_tolerance(real_data: Path) -> None
         assert metre < 2.0 or path.name == WITH_POLES  # 0.1 px of the coarsest product
 
 
+@pytest.mark.oracle
 def test_located_points_project_to_their_pixels(real_data: Path) -> None:
     """1e-6 px over every image and height range; the model with poles only where it has ground."""
     worst = 0.0
@@ -125,7 +129,7 @@ def test_located_points_project_to_their_pixels(real_data: Path) -> None:
         model = read(path)
         line, sample, h = pixels_and_heights(model)
         lon, lat = model.locate(line, sample, h)
-        back = np.stack(model.project(lon, lat, h)) - [line, sample]
+        back = np.array(reference_project(model, lon, lat, h), float) - [line, sample]
         if path.name == WITH_POLES:
             share = np.isfinite(lon).mean()
             print(f"{path.name}: {share:.0%} of the pixels located")
@@ -138,11 +142,13 @@ def test_located_points_project_to_their_pixels(real_data: Path) -> None:
     print(f"largest round trip: {worst:.1e} px")
 
 
+@pytest.mark.behaviour
 def test_the_file_with_poles_is_refused_as_a_sensor(real_data: Path) -> None:
     with pytest.raises(InputError, match=r"denominator: the denominator is not positive everywhere"):
         read_sensor(real_data / "asp" / WITH_POLES)
 
 
+@pytest.mark.truth
 def test_rpcm_projects_alike(real_data: Path) -> None:
     """Within the rounding of the printed points (1e-10 degree, 0.1 mm); rpcm counts SPOT 6/7 from 1.
 
@@ -168,6 +174,7 @@ def test_rpcm_projects_alike(real_data: Path) -> None:
         print(f"{name}: rpcm's located points are off by {np.nanmax(metres(their_lon, their_lat, lon, lat)):.1e} m")
 
 
+@pytest.mark.truth
 def test_shareloc_locates_alike(real_data: Path) -> None:
     """RPC to 2e-6 m (11 printed digits), its physical grid to 2 cm; shareloc counts from the corner, 0.5 px."""
     model = read_rpc(real_data / "shareloc" / "PHRDIMAP_P1BP--2018122638935449CP.XML")
@@ -183,6 +190,7 @@ def test_shareloc_locates_alike(real_data: Path) -> None:
     assert direct < 0.02
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("image", ["1A", "1B"])
 def test_spot7_equals_xing(real_data: Path, image: str) -> None:
     """18 points by a program of IGN that takes the file's pixels as they are: 1e-3 px; heights 922 and 2190 m."""
@@ -196,6 +204,7 @@ def test_spot7_equals_xing(real_data: Path, image: str) -> None:
     assert metres(*model.locate(row, column, h), lon, lat).max() < 0.01
 
 
+@pytest.mark.truth
 def test_dimap_models_agree_with_their_own_model_to_the_ground(real_data: Path) -> None:
     """Vendors' fits of both directions: 0.03 px; one file contradicts itself by 135 px and is told apart."""
     checked = 0
@@ -219,6 +228,7 @@ def test_dimap_models_agree_with_their_own_model_to_the_ground(real_data: Path) 
 # --- pixel origins (docs/rpc.md) -------------------------------------------------------------
 
 
+@pytest.mark.truth
 def test_origin_of_pleiades_is_that_of_the_rigorous_model(real_data: Path) -> None:
     """Rigorous model and RPC of one image: counted from 1 they agree to 0.01 px at 86 points."""
     folder = real_data / "geoetrim-pleiades"
@@ -243,6 +253,7 @@ def spot6_frame(path: Path) -> list[tuple[float, float, float, float]]:
     return points
 
 
+@pytest.mark.truth
 def test_frame_points_of_spot6_lie_at_one_height_and_count_from_1(real_data: Path) -> None:
     """The rigorous model decides what the vertices of a SPOT 6 product are: one height, (1, 1) = first pixel."""
     s = PushbroomSensor(read_dimap(real_data / "geocosicorr3d" / "SPOT6.XML"))
@@ -255,6 +266,7 @@ def test_frame_points_of_spot6_lie_at_one_height_and_count_from_1(real_data: Pat
     assert missed.max() < 0.05  # 0.02 px
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("name", ["spot6-1.geom", "spot6-2.geom"])
 def test_origin_of_spot6_is_the_first_pixel_as_0(real_data: Path, name: str) -> None:
     """Corners of a SPOT 6 product against its RPC: with one common height and one shift as unknowns the shift is 0.
@@ -274,6 +286,7 @@ def test_origin_of_spot6_is_the_first_pixel_as_0(real_data: Path, name: str) -> 
     assert np.abs(x[1:]).max() < 0.05
 
 
+@pytest.mark.truth
 def test_origin_of_pleiades_neo_by_its_own_domain(real_data: Path) -> None:
     """The domain of valid pixels starts at 0 and -1 .. 1 of the model spans first to last centre."""
     for path in sorted((real_data / "micmac-pneo-pair").glob("RPC_*")):
@@ -283,6 +296,7 @@ def test_origin_of_pleiades_neo_by_its_own_domain(real_data: Path) -> None:
         assert model.n_lines is None
 
 
+@pytest.mark.truth
 def test_ossim_lists_of_pleiades_count_from_0(real_data: Path) -> None:
     """The same product as DIMAP and as OSSIM list: equal after the origin is taken off."""
     folder = real_data / "shareloc"
@@ -295,6 +309,7 @@ def test_ossim_lists_of_pleiades_count_from_0(real_data: Path) -> None:
 # --- a model that does not belong to its points -----------------------------------------------
 
 
+@pytest.mark.truth
 def test_rpc_of_another_image_shows_by_its_misfit(real_data: Path) -> None:
     """99 SPOT 6 points and the RPC lying beside them: the misfit grows with the height, by 300 px in a kilometre.
 

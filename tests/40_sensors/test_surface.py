@@ -86,6 +86,7 @@ def fine_march(p: np.ndarray, u: np.ndarray, heights: np.ndarray, crs: str, corn
     return p + u * first, np.array(len(changes))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("shape", ["ridge", "slopes"])
 @pytest.mark.parametrize("crs", sorted(GRIDS))
 def test_first_hit_equals_a_fine_march(sensor: PushbroomSensor, tmp_path: Path, shape: str, crs: str) -> None:
@@ -100,6 +101,7 @@ def test_first_hit_equals_a_fine_march(sensor: PushbroomSensor, tmp_path: Path, 
     assert several >= 10 if shape == "ridge" else several == 0  # else the ridge hides nothing: no test
 
 
+@pytest.mark.oracle
 def test_holes_matter_only_before_the_first_hit(sensor: PushbroomSensor, tmp_path: Path) -> None:
     """A hole in front of the hit is refused, the same hole behind the ridge is not."""
     crs, heights = "EPSG:32636", terrain("ridge")
@@ -128,12 +130,14 @@ def test_holes_matter_only_before_the_first_hit(sensor: PushbroomSensor, tmp_pat
             assert np.array_equal(on_surface(p[facing], u[facing], dem, "left.DIM"), free[facing])
 
 
+@pytest.mark.behaviour
 def test_rays_beside_the_dem_are_refused(sensor: PushbroomSensor, tmp_path: Path) -> None:
     dem = RasterDem(write(tmp_path / "dem.tif", terrain("slopes"), "EPSG:4326", below_centre(sensor, "EPSG:4326")))
     with pytest.raises(InputError, match="comes from outside"):
         sensor.locate([6000.0, 100.0], [6000.0, 100.0], dem=dem)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("crs", "unit", "message"),
     [

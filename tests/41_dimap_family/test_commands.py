@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient.errors import InputError
 from fg_orient.io.project import read_project
+from fg_orient.io.rpc import read_rpc
 from fg_orient.io.sensor import read_sensor
 from fg_orient.raster.adjusted import read_correction
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
+from tests.support.published_rays import misses_m
+from tests.support.rpc_model import reference_project
 
 PHR = "shareloc/PHRDIMAP_P1BP--2018122638935449CP.XML"
 HRS = "asp/spot5_hrs1_segment.xml"
@@ -60,6 +64,7 @@ def short(twin: Path, tmp_path: Path) -> Path:
     return tmp_path / "short" / "project.toml"
 
 
+@pytest.mark.oracle
 def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
     image = twin / "left.DIM"
     pixel = ("--line", 6000, "--sample", 3000, "--height", 400, "--json")
@@ -67,12 +72,16 @@ def test_result_gives_adjusted_geometry(twin: Path, result: Path) -> None:
     sensor = read_sensor(image)
     expected = sensor.locate(6000.0, 3000.0, height_m=400.0, correction=read_correction(result, sensor))[0]  # type: ignore[call-arg]
     assert [adjusted[k] for k in ("x_m", "y_m", "z_m")] == expected.tolist()
+    correction = read_correction(result, sensor)
+    pixel_of = np.array([6000.0]), np.array([3000.0])
+    assert misses_m(sensor.metadata, *pixel_of, expected[None], correction)[0] < 1e-6
     assert adjusted["x_m"] != plain["x_m"]
     place = ("--lon", adjusted["lon_deg"], "--lat", adjusted["lat_deg"], "--height", 400)
     (back,) = run("project", image, *place, "--result", result, "--json").json["points"]
     assert (back["line"], back["sample"]) == pytest.approx((6000.0, 3000.0), abs=1e-5)
 
 
+@pytest.mark.behaviour
 def test_intersection_with_a_result(twin: Path, result: Path) -> None:
     """Rays miss by metres only: with the metadata by 45 m."""
     project = twin / "project.toml"
@@ -81,6 +90,7 @@ def test_intersection_with_a_result(twin: Path, result: Path) -> None:
     assert all(0.5 < p["sigma_up_m"] < 5.0 for p in after["points"])
 
 
+@pytest.mark.behaviour
 def test_footprint_of_a_project_and_of_files(twin: Path, result: Path, tmp_path: Path) -> None:
     out = tmp_path / "f.geojson"
     ended = run("footprint", twin / "project.toml", "--height", 300, "--result", result, "--out", out, "--json")
@@ -98,6 +108,7 @@ def test_footprint_of_a_project_and_of_files(twin: Path, result: Path, tmp_path:
         assert (ended.code, [e["code"] for e in ended.json["errors"]]) == (2, [code])
 
 
+@pytest.mark.oracle
 def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: Path) -> None:
     """Its error at independent points stands in the record; the file is the adjusted model, not the metadata's."""
     out = tmp_path / "left_RPC.TXT"
@@ -111,13 +122,18 @@ def test_rpc_of_an_adjusted_rigorous_model(twin: Path, result: Path, tmp_path: P
         np.array(a) for a in ([10.0, 6000.0, 11990.0], [9.0, 6000.0, 11990.0], [0.0, 700.0, 1500.0])
     )
     ground = rigorous.locate(line, sample, height_m=height, correction=correction)  # type: ignore[call-arg]
+    assert misses_m(rigorous.metadata, line, sample, ground, correction).max() < 1e-6
+    geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*ground.T)
+    written = np.array(reference_project(read_rpc(out), *geodetic), float)
+    assert np.abs(written - [line, sample]).max() < 1e-3
     there = np.array(read_sensor(out).project(ground))
-    assert np.abs(there - [line, sample]).max() < 1e-3
+    assert np.abs(there - written).max() < 1e-4
     assert np.abs(np.array(rigorous.project(ground)) - [line, sample]).max() > 0.5
     ended = run("rpc", "fit", twin / "points.csv", "--result", result, "--json")
     assert ended.code == 2 and "--result" in ended.json["errors"][0]["place"]
 
 
+@pytest.mark.behaviour
 def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Refused without the option; with it the model that fills the map has all lines, and the record says so."""
     lines = []
@@ -136,6 +152,7 @@ def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, m
     assert lines == [11999.0]
 
 
+@pytest.mark.behaviour
 def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path) -> None:
     """Refused with the line and the remedy; with the option the notes of the result say what was done."""
     ended = run("locate", short.parent / "left.DIM", "--line", 11999, "--sample", 5, "--height", 0, "--json")
@@ -154,6 +171,7 @@ def test_extrapolation_of_a_project_is_in_its_result(short: Path, tmp_path: Path
         read_project(short, extrapolate_attitude_s=-1.0)
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 def test_models_of_one_file(real_data: Path) -> None:
     """PHR_DIMAP holds both: the rigorous one is used, --model rpc takes the other."""
@@ -167,6 +185,7 @@ def test_models_of_one_file(real_data: Path) -> None:
     assert [e["code"] for e in ended.json["errors"]] == ["sensor.only_rpc"]
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 def test_frame_of_spot6_is_printed_with_its_heights(real_data: Path) -> None:
     ended = run("locate", real_data / "geocosicorr3d/SPOT6.XML", "--frame")
@@ -175,6 +194,7 @@ def test_frame_of_spot6_is_printed_with_its_heights(real_data: Path) -> None:
     assert "height of each is solved" in ended.stderr
 
 
+@pytest.mark.behaviour
 def test_adjust_with_a_dem_as_control(twin: Path, tmp_path: Path) -> None:
     """Check points as tie points on a level DEM: the record holds what was observed, the redundancy grows by it."""
     rasterio = pytest.importorskip("rasterio")

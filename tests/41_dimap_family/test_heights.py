@@ -66,6 +66,7 @@ def expected_undulation(lon: Array, lat: Array) -> Array:
     return np.asarray(found)
 
 
+@pytest.mark.oracle
 def test_heights_above_a_geoid_come_down_to_the_ellipsoid(geoid: None, tmp_path: Path) -> None:
     """Every cell within 1 mm, the bound between knots, whether the file or the caller names the vertical CRS."""
     row, column = np.mgrid[:300, :400]
@@ -83,6 +84,7 @@ def test_heights_above_a_geoid_come_down_to_the_ellipsoid(geoid: None, tmp_path:
         RasterDem(tmp_path / "a.tif", vertical_crs="EPSG:3855")
 
 
+@pytest.mark.oracle
 def test_a_projected_dem_above_a_geoid(geoid: None, tmp_path: Path) -> None:
     """Few cells, so that the knots are the cells and nothing is interpolated."""
     dem = RasterDem(write_dem(tmp_path / "a.tif", "EPSG:32636+5773", (9e3, 0, 410e3, 0, -7e3, 4600e3), (5, 7)))
@@ -94,6 +96,7 @@ def test_a_projected_dem_above_a_geoid(geoid: None, tmp_path: Path) -> None:
     assert np.allclose(dem.height_m(lon[inner], lat[inner]), dem.heights_m[inner], atol=1e-6)
 
 
+@pytest.mark.behaviour
 def test_what_the_geoid_cannot_do(geoid: None, tmp_path: Path) -> None:
     place = (0.001, 0.0, 37.6, 0.0, -0.001, 42.0)
     with pytest.raises(InputError, match=r"cannot be brought to the ellipsoid.*outside the domain"):
@@ -108,6 +111,7 @@ def test_what_the_geoid_cannot_do(geoid: None, tmp_path: Path) -> None:
 # --- intersections -------------------------------------------------------------------------------
 
 
+@pytest.mark.oracle
 def test_covariance_of_an_intersection_by_simulation() -> None:
     """4000 draws of the pixels of one point: each element within 5 of its standard errors."""
     block, truth = zonguldak_block(ZonguldakOptions(seed=1, errors="none"))
@@ -125,6 +129,7 @@ def test_covariance_of_an_intersection_by_simulation() -> None:
     assert np.sqrt(np.diag(c)).min() > 0.5
 
 
+@pytest.mark.behaviour
 def test_covariance_at_the_border_of_an_image() -> None:
     """Half a pixel further is outside: the difference is taken inside; one ray has no covariance."""
     block, _ = zonguldak_block(ZonguldakOptions(seed=1))
@@ -187,6 +192,7 @@ def up_errors(found: Array, truth: Array) -> Array:
     return np.asarray(np.einsum("nij,nj->ni", enu_from_ecef(lon, lat), found - truth)[:, 2])
 
 
+@pytest.mark.oracle
 def test_height_control_is_registered_with_its_jacobian() -> None:
     e = HEIGHT_CONTROL.example(np.random.default_rng(1))
     value, jacobian = HEIGHT_CONTROL.kernel(e.record, e.setup, *e.unknowns, True)
@@ -197,6 +203,7 @@ def test_height_control_is_registered_with_its_jacobian() -> None:
     assert HEIGHT_CONTROL.kernel(e.record, e.setup, *e.unknowns, False)[0] == value
 
 
+@pytest.mark.oracle
 def test_a_dem_holds_the_heights_of_tie_points() -> None:
     """Without it the heights have the orientation's errors, with it those of the model and the noise."""
     import fg_orient as fg
@@ -220,6 +227,7 @@ def test_a_dem_holds_the_heights_of_tie_points() -> None:
     assert residual[0] == pytest.approx(found.height_m[0], abs=1e-6)
 
 
+@pytest.mark.oracle
 def test_the_adjustment_with_a_dem_is_the_minimum() -> None:
     """Image points, priors and heights above the hills themselves, written out with the sensors: no step is left."""
     block, _ = tie_block(n=6)
@@ -254,6 +262,7 @@ def test_the_adjustment_with_a_dem_is_the_minimum() -> None:
     assert np.abs(step / sd).max() < 0.01
 
 
+@pytest.mark.behaviour
 def test_points_beside_the_dem_are_left_out() -> None:
     block, _ = tie_block()
 
@@ -267,6 +276,7 @@ def test_points_beside_the_dem_are_left_out() -> None:
     assert np.isfinite(found.height_m).all()
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("sigma", [0.0, -1.0, float("nan")])
 def test_what_dem_control_refuses(sigma: float) -> None:
     block, _ = tie_block(n=5)

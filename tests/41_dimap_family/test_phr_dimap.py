@@ -79,6 +79,7 @@ def changed(path: Path, old: str, new: str) -> Path:
     return path
 
 
+@pytest.mark.behaviour
 def test_values_are_those_of_the_text(phr: Path) -> None:
     m = read_dimap(phr)
     assert (m.mission, m.instrument, m.format, str(m.epoch)) == ("PHR 1B", "PHR 1B", "PHR_DIMAP 1.4", "2018-12-26")
@@ -113,6 +114,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Path], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_named(phr: Path, fault: str) -> None:
     make, code = FAULTS[fault]
@@ -123,6 +125,7 @@ def test_faults_are_named(phr: Path, fault: str) -> None:
     assert found.remedy
 
 
+@pytest.mark.behaviour
 def test_a_file_with_rpc_only_says_so(phr: Path) -> None:
     text = phr.read_text("utf-8").replace("Sensor_Model_Characteristics>", "Something_Else>")
     phr.write_text(text, encoding="utf-8")
@@ -134,6 +137,7 @@ def test_a_file_with_rpc_only_says_so(phr: Path) -> None:
     assert [p.code for p in caught.value.problems] == ["sensor.only_rpc"]
 
 
+@pytest.mark.behaviour
 def test_kinds_of_models(phr: Path) -> None:
     with pytest.raises(InputError, match="choose one of auto, rigorous, rpc"):
         read_sensor(phr, model="exact")
@@ -142,6 +146,7 @@ def test_kinds_of_models(phr: Path) -> None:
 # --- the real file -------------------------------------------------------------------------------
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_rigorous_model_equals_the_rpc_of_the_file(real_data: Path) -> None:
     """At most 1 cm on the ground over the image and the RPC's heights, both ways; measured 0.7 mm."""
@@ -155,6 +160,7 @@ def test_rigorous_model_equals_the_rpc_of_the_file(real_data: Path) -> None:
     assert np.abs(np.array(there) - [line, sample]).max() <= 0.02
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_rigorous_model_equals_the_physical_grid(real_data: Path) -> None:
     """At most 2 cm at all 38 025 nodes of the grid, -30 to 4900 m; measured 0.2 mm."""
@@ -175,6 +181,7 @@ def test_rigorous_model_equals_the_physical_grid(real_data: Path) -> None:
     assert (nodes, worst <= 0.02) == (38025, True)
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_pleiades_image_equals_its_rpc_on_the_ground(real_data: Path) -> None:
     """PHR1A image 1: at most 1 cm over the image and the RPC's heights."""

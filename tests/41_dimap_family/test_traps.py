@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient.cli.common import Extrapolate
@@ -16,6 +17,7 @@ from fg_orient.io.sensor import read_sensor
 from fg_orient.sensors.metadata import AngleAttitude, FramePoint, LookAnglePolynomial, PushbroomMetadata
 from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S, PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.published_rays import misses_m
 
 HRS = "asp/spot5_hrs1_segment.xml"
 PHR = "shareloc/PHRDIMAP_P1BP--2018122638935449CP.XML"
@@ -34,6 +36,7 @@ def twin() -> PushbroomMetadata:
 # --- SPOT 5: lines, signs ------------------------------------------------------------------------
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_the_central_line_is_that_of_the_file(real_data: Path) -> None:
     """SCENE_CENTER_LINE 6001 of 12000: NROWS / 2 would be one line, 5 m, off."""
@@ -44,6 +47,7 @@ def test_the_central_line_is_that_of_the_file(real_data: Path) -> None:
     assert 4.0 < worst_frame_m(half) < 6.0
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 @pytest.mark.parametrize(
     "signs", [(1, 1, 1), (-1, -1, -1), (1, -1, 1), (-1, 1, 1), (1, 1, -1), (-1, 1, -1), (1, -1, -1)]
@@ -62,6 +66,7 @@ def test_other_signs_of_the_attitude_are_far_off(real_data: Path, signs: tuple[i
 # --- HRS: look angles and attitudes that do not cover the image ----------------------------------
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 def test_hrs_lines_without_attitude_are_refused(real_data: Path) -> None:
     """The 22 first and the 235 last lines; none of the others."""
@@ -83,6 +88,7 @@ def test_hrs_lines_without_attitude_are_refused(real_data: Path) -> None:
     )
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_hrs_corners_with_extrapolated_attitude(real_data: Path) -> None:
     """Both corners of column 1 within 0.15 m; measured 0.027 and 0.037 m, 2.6 m if the last angles are held."""
@@ -93,6 +99,7 @@ def test_hrs_corners_with_extrapolated_attitude(real_data: Path) -> None:
     assert [str(note).rsplit(" by ", 1)[1] for note in sensor.notes[-2:]] == ["0.016 s", "0.176 s"]
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 def test_hrs_columns_beyond_the_look_angles_are_refused(real_data: Path) -> None:
     sensor = read_sensor(real_data / HRS)
@@ -101,6 +108,7 @@ def test_hrs_columns_beyond_the_look_angles_are_refused(real_data: Path) -> None
         sensor.locate(100.0, 300.0, height_m=0.0)
 
 
+@pytest.mark.behaviour
 def test_the_option_ends_where_the_sensor_does() -> None:
     assert Extrapolate.__metadata__[0].max == MAX_EXTRAPOLATION_S
 
@@ -108,6 +116,7 @@ def test_the_option_ends_where_the_sensor_does() -> None:
 # --- SPOT 6: lists that end with the image -------------------------------------------------------
 
 
+@pytest.mark.oracle
 @pytest.mark.real_data
 @pytest.mark.parametrize("height_m", [0.0, 5000.0])
 def test_spot6_first_and_last_lines_round_trip(real_data: Path, height_m: float) -> None:
@@ -119,6 +128,8 @@ def test_spot6_first_and_last_lines_round_trip(real_data: Path, height_m: float)
         a.ravel() for a in np.meshgrid([-0.5, 0.0, 1.0, last - 1, last, last + 0.5], np.linspace(0, 25668, 9))
     )
     ground = sensor.locate(line, sample, height_m=height_m)
+    listed = (line >= 0.0) & (line <= last)
+    assert misses_m(sensor.metadata, line[listed], sample[listed], ground[listed]).max() < 1e-7
     back = sensor.project(ground)
     assert np.abs(np.array(back) - [line, sample]).max() <= 1e-6
     # neighbouring lines lie 1.6 m apart on the ground, at the ends as in the middle
@@ -126,6 +137,7 @@ def test_spot6_first_and_last_lines_round_trip(real_data: Path, height_m: float)
     assert np.abs(steps - 1.585).max() < 0.01
 
 
+@pytest.mark.oracle
 @pytest.mark.real_data
 @pytest.mark.parametrize("height_m", [0.0, 2500.0, 5000.0])
 @pytest.mark.parametrize("name", [PHR, HRS])
@@ -134,13 +146,15 @@ def test_round_trip_over_the_usable_image(real_data: Path, name: str, height_m: 
     sensor = read_sensor(real_data / name)
     axes = np.linspace(sensor.first_line, sensor.last_line, 21), np.linspace(sensor.first_sample, sensor.last_sample, 9)
     line, sample = (a.ravel() for a in np.meshgrid(*axes))
-    back = sensor.project(sensor.locate(line, sample, height_m=height_m))
-    assert np.abs(np.array(back) - [line, sample]).max() <= 1e-6
+    ground = sensor.locate(line, sample, height_m=height_m)
+    assert misses_m(sensor.metadata, line, sample, ground).max() < 1e-7
+    assert np.abs(np.array(sensor.project(ground)) - [line, sample]).max() <= 1e-6
 
 
 # --- elements with and without unit, elements that are missing -----------------------------------
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 def test_a_missing_ylos_1_is_a_constant(real_data: Path) -> None:
     """PHR files have XLOS_0, XLOS_1, YLOS_0 and no YLOS_1."""
@@ -149,6 +163,7 @@ def test_a_missing_ylos_1_is_a_constant(real_data: Path) -> None:
     assert (len(look.tan_psi_y), len(look.tan_psi_x)) == (2, 1)
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 @pytest.mark.parametrize(("name", "period_s"), [
     ("geocosicorr3d/SPOT5.DIM", 7.5199643612e-4), ("geocosicorr3d/SPOT6.XML", 229.110269e-6), (PHR, 7.35e-5),
@@ -158,6 +173,7 @@ def test_three_units_of_line_periods(real_data: Path, name: str, period_s: float
     assert read_dimap(real_data / name).timing.line_period_s == pytest.approx(period_s, rel=1e-15)
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 @pytest.mark.parametrize("name", [
     "micmac-spot7-rpc/RPC_1A.xml",
@@ -190,6 +206,7 @@ def without_heights(metadata: PushbroomMetadata, heights_m: list[float]) -> Push
     return replace(metadata, frame_points=points, frame_note=None)
 
 
+@pytest.mark.oracle
 def test_heights_of_frame_points_are_solved(twin: PushbroomMetadata) -> None:
     """A height for each; what is left of a point moved across its ray is what it was moved by."""
     heights = [120.0, 2300.0, -40.0, 850.0]
@@ -199,11 +216,16 @@ def test_heights_of_frame_points_are_solved(twin: PushbroomMetadata) -> None:
     # steps end below 0.1 mm of height
     assert [r["height_m"] for r in found] == pytest.approx(heights, abs=1e-3)
     assert max(r["misfit_m"] for r in found) < 1e-3
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    for point, record in zip(metadata.frame_points, found, strict=True):  # the places of the file, by PROJ, on the rays
+        ground = np.array(to_ecef.transform(point.lon_deg, point.lat_deg, record["height_m"]))
+        assert misses_m(metadata, point.line, point.sample, ground[None])[0] < 2e-3
     given = frame_records(PushbroomSensor(metadata), 500.0)
     assert {r["height_from"] for r in given} == {"given"}
     assert min(r["misfit_m"] for r in given) > 100.0
 
 
+@pytest.mark.oracle
 def test_the_solved_height_is_the_best_one(twin: PushbroomMetadata) -> None:
     """Against a search over heights: no other one comes nearer to a point that no height meets."""
     metadata = without_heights(twin, [300.0] * 4)
@@ -215,6 +237,7 @@ def test_the_solved_height_is_the_best_one(twin: PushbroomMetadata) -> None:
         assert 1.0 < r["misfit_m"] < min(others)
 
 
+@pytest.mark.behaviour
 def test_a_vertical_ray_decides_no_height(twin: PushbroomMetadata) -> None:
     """Looking straight down no height moves the point sideways: it is taken to 0, and the record says so."""
     down = replace(twin, look=LookAnglePolynomial(6000.0, np.array([0.0]), np.array([0.0, 1e-7])))
@@ -223,6 +246,7 @@ def test_a_vertical_ray_decides_no_height(twin: PushbroomMetadata) -> None:
     assert [(r["height_from"], abs(r["height_m"]) < 1e-6) for r in found] == [("none", True)] * 4
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_real_frame_points_without_heights(real_data: Path) -> None:
     """SPOT 6: one terrain height, 836.49 m, and 4 mm left; PHR 1B: corners within 2 cm, the centre 6.7 m."""

@@ -44,6 +44,7 @@ def camera(east_m: float, tilt_deg: float, name: str = "a") -> Image:
     return Image(name, FrameSensor(cam, 4000, 4000))
 
 
+@pytest.mark.truth
 def test_a_vertical_photo() -> None:
     """Scale 1 : 4 000 000 / pixel: 0.25 m sampling, 1 km wide, no incidence at the centre."""
     record = image_record(View(camera(0.0, 0.0)))
@@ -57,6 +58,7 @@ def test_a_vertical_photo() -> None:
     assert (record["lon_deg"], record["lat_deg"]) == pytest.approx((LON, LAT), abs=1e-6)
 
 
+@pytest.mark.truth
 def test_two_photos_in_one_vertical_plane() -> None:
     """Base 800 m, height 2000 m: B/H = 0.4, convergence 2 atan(0.2); the ellipsoid bends by 0.004 degrees."""
     tilt = float(np.degrees(np.arctan(400.0 / 2000.0)))
@@ -82,11 +84,13 @@ def test_two_photos_in_one_vertical_plane() -> None:
     assert east["incidence_deg"] == pytest.approx(tilt, abs=0.01)
 
 
+@pytest.mark.behaviour
 def test_no_common_ground() -> None:
     record = pair_record(View(camera(0.0, 0.0)), View(camera(50e3, 0.0, "b")))
     assert (record["overlap"], record["base_to_height"], record["lon_deg"]) == (0.0, None, None)
 
 
+@pytest.mark.oracle
 def test_area_is_that_of_the_ellipsoid() -> None:
     """A cap of parallels: the zone between two latitudes by numerical integration."""
     lat = np.radians(np.linspace(40.0, 42.0, 20001))
@@ -98,6 +102,7 @@ def test_area_is_that_of_the_ellipsoid() -> None:
     assert _area_m2(ring) == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.consistency
 def test_adjusted_orientation_moves_the_footprint() -> None:
     block, truth = zonguldak_block(ZonguldakOptions(seed=1))
     image = block.images[0]
@@ -114,6 +119,7 @@ def shoelace(ring: list[list[float]]) -> float:
     return float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
 
 
+@pytest.mark.behaviour
 def test_geojson_of_a_twin_image() -> None:
     block, _ = zonguldak_block(ZonguldakOptions(seed=1))
     views = [View(image, 300.0) for image in block.images]
@@ -128,6 +134,7 @@ def test_geojson_of_a_twin_image() -> None:
         assert feature["properties"]["image"] == feature["id"]
 
 
+@pytest.mark.oracle
 def test_a_footprint_across_the_180th_meridian() -> None:
     """Cut at 180 into two polygons on both sides; their areas add up."""
     ring = np.array([[179.0, -10.0], [180.5, -10.0], [182.0, -9.0], [180.0, -8.0], [179.0, -8.5]])
@@ -144,6 +151,7 @@ def test_a_footprint_across_the_180th_meridian() -> None:
 # --- real files ----------------------------------------------------------------------------------
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_incidence_angles_that_files_state(real_data: Path) -> None:
     """SPOT 6 at nine places within 0.02 degrees (the producer's Earth is not ours), PHR 1B within 0.005."""
@@ -169,6 +177,7 @@ def incidence(view: View, line: float, sample: float) -> float:
     return float(np.degrees(np.arccos(view.to_image(*at, view.ground(*at))[0, 2])))
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_a_pair_by_rigorous_models_and_by_rpc(real_data: Path) -> None:
     """An RPC has no projection centre: angles and B/H come out as those of the rigorous model all the same."""

@@ -22,6 +22,7 @@ from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 INTERVALS = 6
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("n", [2, 5, 32])
 def test_basis_is_that_of_scipy(n: int) -> None:
     tau = np.linspace(-1.0, 1.0, 101)
@@ -34,6 +35,7 @@ def test_basis_is_that_of_scipy(n: int) -> None:
     )
 
 
+@pytest.mark.oracle
 def test_the_prior_is_that_of_penalised_splines() -> None:
     """The same data fitted with free coefficients and the penalty |D c|^2 give the same curve, by another system."""
     rng, n, sigma = np.random.default_rng(5), 9, 0.3
@@ -55,6 +57,7 @@ def test_the_prior_is_that_of_penalised_splines() -> None:
     assert np.mean(np.sum(grid**2, axis=1)) == pytest.approx(1.0, rel=1e-2)
 
 
+@pytest.mark.behaviour
 def test_names_and_sigmas() -> None:
     p = orientation_parameters(Options(eop_set=9, curve_intervals=3, curve_attitude_sigma_rad=7e-6))
     assert p.names[9:] == tuple(f"{a}_c{k}" for a in ("roll", "pitch", "yaw") for k in range(3))
@@ -66,6 +69,7 @@ def test_names_and_sigmas() -> None:
     assert len(orientation_parameters(Options(eop_set=5, curve_intervals=3))) == 9  # velocities have none
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("value", [-1, 1, 33, 2.5])
 def test_intervals_are_checked(value: object) -> None:
     with pytest.raises(InputError, match="curve_intervals"):
@@ -96,6 +100,7 @@ def with_options(block: Block, **changes: object) -> Block:
     return replace(block, options=replace(block.options, eop_set=9, **changes))
 
 
+@pytest.mark.consistency
 def test_rays_and_projection_agree_with_curves(twin: tuple[Block, list[Correction]]) -> None:
     block, truth = twin
     sensor = block.images[0].sensor
@@ -115,6 +120,7 @@ def written(solution: fg.Solution) -> None:
         assert np.array_equal(back.curve, expected.curve) and np.array_equal(back.eop, expected.eop)
 
 
+@pytest.mark.oracle
 def test_curves_take_up_what_degree_2_cannot(twin: tuple[Block, list[Correction]]) -> None:
     """All three backends reach one solution; the curves are found where points are."""
     block, truth = twin
@@ -134,6 +140,7 @@ def test_curves_take_up_what_degree_2_cannot(twin: tuple[Block, list[Correction]
         assert np.abs(error).max() < 0.1 * np.abs(truth[k].eop_at(tau)[:, 6:8]).max()
 
 
+@pytest.mark.oracle
 def test_a_shared_look_polynomial_is_one(twin: tuple[Block, list[Correction]]) -> None:
     """Images of one camera with the same errors of its look angles: found once, the same on every backend."""
     block, _ = twin

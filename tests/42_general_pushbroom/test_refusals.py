@@ -14,6 +14,8 @@ from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.sensor_description import describe
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.fixture(scope="module")
 def sensor() -> PushbroomSensor:
@@ -116,13 +118,9 @@ def test_both_forms_of_c04_are_read(tmp_path: Path, form: str) -> None:
     ((OLD.format(1, 55927), OLD.format(3, 55929)), "earth.gap"),
     ((OLD.format(1, 55927), OLD.format(2, 55928).replace("0.1187", "1.1187")), "earth.value"),
     ((OLD.format(1, 55927), OLD.format(2, 55928).replace("0.1187", "x")), "earth.record"),
+    (None, "earth.unreadable"),
 ])  # fmt: skip
-def test_c04(tmp_path: Path, rows: tuple[str, ...], code: str) -> None:
+def test_c04(tmp_path: Path, rows: tuple[str, ...] | None, code: str) -> None:
     with pytest.raises(InputError) as caught:
-        read_earth_orientation(c04(tmp_path, *rows))
+        read_earth_orientation(tmp_path / "none" if rows is None else c04(tmp_path, *rows))
     assert [p.code for p in caught.value.problems] == [code]
-
-
-def test_no_c04(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
-        read_earth_orientation(tmp_path / "none")

@@ -57,6 +57,7 @@ def from_rays(sensor: GeneralPushbroom, ground: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.cross(ground - p, u), axis=1)
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(("name", "count"), DIRECT.items())
 def test_direct_locations(real_data: Path, name: str, count: int) -> None:
     """Measured: rays to 0.14 mm, hits to 1.7 mm."""
@@ -84,6 +85,7 @@ def hits(sensor: GeneralPushbroom, found: Replay, ground: np.ndarray) -> np.ndar
     return misses.min(axis=0)
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(("effect", "least_m"), [("light_time", 0.5), ("aberration", 10.0)])
 def test_without_an_effect_the_point_is_missed(real_data: Path, effect: str, least_m: float) -> None:
     """The files can tell: without the effect the ray is far off."""
@@ -94,6 +96,7 @@ def test_without_an_effect_the_point_is_missed(real_data: Path, effect: str, lea
     assert from_rays(GeneralPushbroom(less), points(located)).min() > least_m
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(("name", "count"), INVERSE.items())
 def test_inverse_locations(real_data: Path, name: str, count: int) -> None:
     """All that is needed stands in the files: line dates and rate, lines of sight around the pixel found, states."""
@@ -123,6 +126,7 @@ def body(found: Replay) -> tuple[Transform, np.ndarray]:
     return t, t.matrices(np.array([t.time_s]))[0]
 
 
+@pytest.mark.truth
 def test_earth_rotation_equals_the_one_of_the_files(real_data: Path) -> None:
     """Orekit against pyerfa: 2012 with the C04 file (1e-10 rad = 0.6 mm), 2013 computed without any.
 
@@ -143,6 +147,7 @@ def test_earth_rotation_equals_the_one_of_the_files(real_data: Path) -> None:
     assert angle_between(ours.matrices(np.array([t.time_s]))[0], expected) < 1e-11
 
 
+@pytest.mark.behaviour
 def test_pole_offsets_against_the_old_theory_are_left_out(real_data: Path) -> None:
     old = read_earth_orientation(real_data / "rugged/orekit-data/eopc04_08.12")
     new = read_earth_orientation(real_data / "rugged/orekit-data/eopc04_08_IAU2000.12")
@@ -150,6 +155,7 @@ def test_pole_offsets_against_the_old_theory_are_left_out(real_data: Path) -> No
     assert np.array_equal(old.mjd, new.mjd) and np.abs(old.pole_rad - new.pole_rad).max() < 1e-12
 
 
+@pytest.mark.behaviour
 def test_no_effects_asked_for(real_data: Path) -> None:
     found = replay(real_data, "direct-loc-02")
     assert found.locations[0].effects == LightEffects() and not found.locations[0].effects

@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 from scipy import stats
 
@@ -23,7 +24,10 @@ from fg_orient.simulate.mixed_files import simulate_mixed
 from fg_orient.simulate.simulation import Truth
 from fg_orient.simulate.zonguldak import CENTRE_LON_LAT_DEG
 from tests.support.command import in_process
+from tests.support.full_statistics import step_of_numpy
 from tests.support.mixed_study import SENSORS, run, uniform, weighted
+from tests.support.published_rays import misses_m
+from tests.support.rpc_model import reference_project
 
 FAST, ALL = range(1, 4), range(1, 201)
 
@@ -38,6 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate_mixed(tmp_path_factory.mktemp("mixed") / "block", MixedOptions(seed=3, points=40)).parent
 
 
+@pytest.mark.behaviour
 def test_three_kinds_of_sensors_and_their_pixels() -> None:
     """5 m, 0.7 m and 0.2 m on the ground at the middle of the window, within what obliquity and relief do."""
     block, _ = small()
@@ -52,18 +57,21 @@ def test_three_kinds_of_sensors_and_their_pixels() -> None:
         assert np.all((sizes > 0.9 * pixel_m) & (sizes < 1.25 * pixel_m)), (image.id, sizes)
 
 
+@pytest.mark.behaviour
 def test_every_point_is_in_the_satellite_images_and_some_in_all_frames() -> None:
     o = small()[0].observations
     assert np.bincount(o.image)[:4].tolist() == [40] * 4
     assert np.bincount(o.point).max() == 8
 
 
+@pytest.mark.behaviour
 def test_rpc_look_ahead_and_back() -> None:
     """Pitch of -12 and 14 degrees at the satellite is more at the ground, by the curvature of the Earth."""
     rays = [RpcSensor(m).rays(np.array([7000.0]), np.array([7000.0]))[1][0] for m in rpc_models()]
     assert 26.0 < np.degrees(np.arccos(rays[0] @ rays[1])) < 31.0
 
 
+@pytest.mark.oracle
 def test_without_errors_and_noise_the_files_are_the_truth() -> None:
     none = MixedOptions(seed=2, points=20, control=4, check=4, errors="none", spot_noise_px=0.0, rpc_noise_px=0.0,
                         frame_noise_px=0.0)  # fmt: skip
@@ -74,9 +82,17 @@ def test_without_errors_and_noise_the_files_are_the_truth() -> None:
         rows = simulation.image == k
         pixels = np.stack(image.sensor.project(truth.ecef_m[simulation.point[rows]]), axis=1)
         np.testing.assert_allclose(pixels, truth.pixels[rows], atol=1e-9)
+        ground = truth.ecef_m[simulation.point[rows]]
+        if isinstance(image.sensor, PushbroomSensor):
+            assert misses_m(image.sensor.metadata, *truth.pixels[rows].T, ground).max() < 1e-6
+        elif isinstance(image.sensor, RpcSensor):
+            geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*ground.T)
+            expected = np.stack(reference_project(image.sensor.model, *geodetic), axis=1).astype(float)
+            np.testing.assert_allclose(truth.pixels[rows], expected, atol=1e-6)
     assert set(simulation.sigma_px.ravel()) == {0.3}
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("wrong", [{"seed": -1}, {"control": 2}, {"points": 15}, {"rpc_noise_px": -0.1},
                                    {"errors": "some"}, {"ground_noise_m": (0.1, 0.1, np.inf)}])  # fmt: skip
 def test_options_out_of_range_are_refused(wrong: dict[str, object]) -> None:
@@ -84,6 +100,7 @@ def test_options_out_of_range_are_refused(wrong: dict[str, object]) -> None:
         MixedOptions(**wrong)  # type: ignore[arg-type]
 
 
+@pytest.mark.consistency
 def test_files_give_the_same_block(folder: Path) -> None:
     """Metadata, RPC, camera and frame files keep all their digits."""
     read, drawn = fg.read_project(folder / "project.toml"), small()[0]
@@ -98,10 +115,14 @@ def test_files_give_the_same_block(folder: Path) -> None:
             assert (a.sensor.camera.sigma, a.sensor.camera.shared) == (b.sensor.camera.sigma, b.sensor.camera.shared)
 
 
-def test_backends_agree() -> None:
-    """The same normal equations, three ways: unknowns of all kinds to rounding, in prior sigmas."""
+@pytest.mark.oracle
+def test_backends_end_where_numpy_has_no_step_left() -> None:
+    """The same normal equations, three ways: numpy's least squares has no step left, unknowns agree to rounding."""
     block, _ = small()
     graph, *others = (fg.adjust(block, backend=backend) for backend in ("graph", "schur", "dense"))
+    for found in (graph, *others):
+        image, ground = step_of_numpy(found.problem, found.state)
+        assert image < 1e-7 and ground < 1e-6
     for other in others:
         np.testing.assert_allclose(other.state.image, graph.state.image, atol=1e-7)
         np.testing.assert_allclose(other.ground_m, graph.ground_m, atol=1e-6)
@@ -112,6 +133,7 @@ def test_backends_agree() -> None:
             np.testing.assert_allclose(*sigmas, rtol=1e-6)
 
 
+@pytest.mark.oracle
 def test_the_frames_share_one_camera() -> None:
     """18 + 18 EOP, 4 + 4 of the RPC, 4 x 6 exterior, 3 of the camera once; each prior is one observation."""
     block, truth = small()
@@ -124,6 +146,7 @@ def test_the_frames_share_one_camera() -> None:
     assert sigma < 1.0  # the prior sigma is 2 px
 
 
+@pytest.mark.behaviour
 def test_commands_take_the_block(folder: Path, tmp_path: Path) -> None:
     """`adjust project.toml` and `report --truth`: nothing special is asked for."""
     out = tmp_path / "result"
@@ -136,6 +159,7 @@ def test_commands_take_the_block(folder: Path, tmp_path: Path) -> None:
         assert float(row.split()[-1]) < 5.0
 
 
+@pytest.mark.behaviour
 def test_simulate_mixed(tmp_path: Path) -> None:
     out, words = tmp_path / "m", ("simulate", "mixed", "--points", 30, "--seed", 4, "--out")
     assert in_process(*words, out).code == 0
@@ -145,6 +169,7 @@ def test_simulate_mixed(tmp_path: Path) -> None:
     assert in_process(*words, out, "--overwrite").code == 0
 
 
+@pytest.mark.oracle
 def test_global_test_of_a_few_seeds() -> None:
     """The sum over seeds lies in the 99.8 % interval of its chi-square, and far outside for each wrong weight."""
     outcomes = [run(seed, components=False, points=40) for seed in FAST]
@@ -155,6 +180,7 @@ def test_global_test_of_a_few_seeds() -> None:
         assert not low < sum(o.chi2 for o in wrong) < high, sensor
 
 
+@pytest.mark.oracle
 def test_components_find_wrong_weights() -> None:
     """Sigmas that are wrong by factors come back to the true ones: the fixed point does not know the start."""
     wrong = dict(zip(SENSORS, (2.0, 0.5, 3.0), strict=True))
@@ -163,6 +189,7 @@ def test_components_find_wrong_weights() -> None:
     assert np.all(np.abs(right.factors - 1.0) < 4.0 * right.sds)
 
 
+@pytest.mark.oracle
 @pytest.mark.slow
 def test_global_test_and_components_of_200_seeds() -> None:
     """p-values are uniform, mean factors of the sigmas within 10 % of 1; with one wrong weight neither holds."""
@@ -180,6 +207,7 @@ def test_global_test_and_components_of_200_seeds() -> None:
         assert np.nanmean([o.factors[k] for o in wrong]) > 1.1
 
 
+@pytest.mark.behaviour
 def test_wrong_weights_are_those_of_one_sensor() -> None:
     block, _ = small()
     other = weighted(block, {"image points of Rpc": 2.0})

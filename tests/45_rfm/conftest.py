@@ -7,24 +7,18 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fg_orient.rfm.form import RfmForm
 from fg_orient.rfm.points import ControlPoints
 
-#: Terms beyond the affine ones that the known model has.
-TERMS = ("b100", "b001", "a110", "a002", "c200", "d010")
 CENTRE, SPREAD = np.array([31.8, 41.4, 450.0]), np.array([0.3, 0.2, 430.0])
 Make = Callable[..., ControlPoints]
 
 
-def known_unknowns(form: RfmForm) -> np.ndarray:
-    """Unknowns of the known model in a complete form of degree 2 or 3 with separate denominators."""
-    x = np.zeros(len(form))
-    values = {"a000": 0.01, "a100": 0.9, "a010": 0.2, "a001": -0.03, "c000": -0.02, "c100": -0.15, "c010": -0.95,
-              "c001": 0.02, "b100": 0.02, "b001": -0.01, "a110": 0.015, "a002": -0.008, "c200": 0.02,
-              "d010": -0.015}  # fmt: skip
-    for name, value in values.items():
-        x[form.names.index(name)] = value
-    return x
+def known_image(unit: np.ndarray) -> np.ndarray:
+    """Lines and samples (n, 2) of the known model in normalised ground coordinates, written out."""
+    x, y, z = unit.T
+    sample = (0.01 + 0.9 * x + 0.2 * y - 0.03 * z + 0.015 * x * y - 0.008 * z**2) / (1.0 + 0.02 * x - 0.01 * z)
+    line = (-0.02 - 0.15 * x - 0.95 * y + 0.02 * z + 0.02 * x**2) / (1.0 - 0.015 * y)
+    return 6000.0 * np.stack([line, sample], axis=1) + 6000.0
 
 
 @pytest.fixture
@@ -36,8 +30,7 @@ def make() -> Make:
         unit = np.vstack(
             [rng.uniform(-1.0, 1.0, (count - 8, 3)), np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), -1).reshape(-1, 3)]
         )
-        form = RfmForm(2)
-        image = form.image(known_unknowns(form), form.monomials(unit)) * 6000.0 + 6000.0
+        image = known_image(unit)
         line, sample = (image + noise_px * rng.standard_normal(image.shape)).T
         return ControlPoints(line, sample, CENTRE + SPREAD * unit)
 

@@ -14,10 +14,12 @@ from fg_orient.rfm.fit import RfmFit, least_denominators, leverages
 from fg_orient.rfm.form import RfmForm
 from fg_orient.rfm.points import ControlPoints, Scaling
 from tests.support.repetitions import some_slow
+from tests.support.rpc_model import reference_project
 
 Make = Callable[..., ControlPoints]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("fit", [fit_linear, fit_weighted, fit_true])
 def test_exact_points_give_the_model_back(make: Make, fit: Callable[..., RfmFit]) -> None:
     points = make()
@@ -29,6 +31,7 @@ def test_exact_points_give_the_model_back(make: Make, fit: Callable[..., RfmFit]
     assert found.redundancy == 2 * 60 - 38
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("denominators", ["separate", "common", "one"])
 @pytest.mark.parametrize("normalise", [True, False])
 def test_linear_form_equals_numpy(make: Make, denominators: str, normalise: bool) -> None:
@@ -44,6 +47,7 @@ def test_linear_form_equals_numpy(make: Make, denominators: str, normalise: bool
     assert found.m0_linear_px == pytest.approx(m0, rel=1e-6)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("denominators", ["separate", "common"])
 @pytest.mark.parametrize(("degree", "kappa"), [(1, 0.0), (2, 0.0), (2, 1e-3), (3, 1e-2)])
 def test_true_equations_equal_scipy(make: Make, denominators: str, degree: int, kappa: float) -> None:
@@ -60,6 +64,7 @@ def test_true_equations_equal_scipy(make: Make, denominators: str, degree: int, 
     np.testing.assert_allclose(form.image(found.x, m), form.image(peer.x, m), atol=1e-7)
 
 
+@pytest.mark.oracle
 def test_weighted_form_ends_where_its_weights_stay(make: Make) -> None:
     """A^T P v = 0 with weights 1/f2^2 of its own denominators; v/f2 are the true residuals, A is not their Jacobian."""
     points = make(80, noise_px=0.5)
@@ -76,6 +81,7 @@ def test_weighted_form_ends_where_its_weights_stay(make: Make) -> None:
         assert true.m0_px * (1.0 - 1e-9) <= weighted.m0_px <= true.m0_px * (1.0 + share)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("draws", some_slow([50, 200]))
 def test_covariance_by_simulation(make: Make, draws: int) -> None:
     """Within four deviations: 1 / sqrt(2 n) of a deviation from n draws, 0.17 / sqrt(n) of the mean of n variances."""
@@ -96,6 +102,7 @@ def test_covariance_by_simulation(make: Make, draws: int) -> None:
     assert np.mean(variances) == pytest.approx(sigma**2, rel=0.7 / np.sqrt(draws))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("kappa", [0.0, 0.1])
 def test_leverages_are_those_of_the_hat_matrix(make: Make, kappa: float) -> None:
     found = fit_true(make(30, noise_px=0.5), RfmForm(1), kappa=kappa)
@@ -107,6 +114,7 @@ def test_leverages_are_those_of_the_hat_matrix(make: Make, kappa: float) -> None
     assert found.redundancy == pytest.approx(2 * n - np.trace(hat), rel=1e-9)
 
 
+@pytest.mark.consistency
 def test_path_is_fits_one_by_one(make: Make) -> None:
     points, form = make(50, noise_px=0.5), RfmForm(2)
     path = fit_path(points, form, np.array([1e-3, 1.0]))
@@ -116,6 +124,7 @@ def test_path_is_fits_one_by_one(make: Make) -> None:
         np.testing.assert_allclose(fit.residuals_px(), alone.residuals_px(), atol=1e-4)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seeds", some_slow([4, 20]))
 def test_least_denominator_between_points_is_that_of_a_fine_search(rng: np.random.Generator, seeds: int) -> None:
     form = RfmForm(3)
@@ -127,6 +136,7 @@ def test_least_denominator_between_points_is_that_of_a_fine_search(rng: np.rando
         np.testing.assert_allclose(least_denominators(form, x, ground), np.min(fine, axis=0), atol=1e-5)
 
 
+@pytest.mark.truth
 def test_a_pole_between_points_is_refused(make: Make) -> None:
     points = make(40)
     good = fit_linear(points, RfmForm(1))
@@ -139,11 +149,14 @@ def test_a_pole_between_points_is_refused(make: Make) -> None:
     assert not good.has_pole
 
 
+@pytest.mark.oracle
 def test_model_projects_like_the_fit(make: Make) -> None:
     points = make(60)
     found = fit_true(points, RfmForm(2))
     model = found.model(12000, 12000, "made")
-    np.testing.assert_allclose(model.project(*points.ground.T), found.project(points.ground), atol=1e-8)
+    expected = np.array(reference_project(model, *points.ground.T), float)
+    np.testing.assert_allclose(model.project(*points.ground.T), expected, atol=1e-8)
+    np.testing.assert_allclose(found.project(points.ground), expected, atol=1e-8)
     assert model.inside(*points.ground.T).all()
     assert not model.inside(*(points.ground[0] + [1.0, 0.0, 0.0])).any()
 
@@ -164,6 +177,7 @@ BAD = {
 }
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input_is_refused(make: Make, name: str) -> None:
     call, code = BAD[name]
@@ -172,6 +186,7 @@ def test_bad_input_is_refused(make: Make, name: str) -> None:
     assert [problem.code for problem in caught.value.problems] == [code]
 
 
+@pytest.mark.behaviour
 def test_few_points_will_do_with_a_penalty(make: Make) -> None:
     points = make(12)
     found = fit_true(points, RfmForm(2), kappa=1e-6)

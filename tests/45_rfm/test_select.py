@@ -10,9 +10,9 @@ from scipy.optimize import minimize
 
 from fg_orient.errors import InputError
 from fg_orient.rfm import select
-from fg_orient.rfm.estimate import fit_linear
+from fg_orient.rfm.estimate import fit_linear, linear_system
 from fg_orient.rfm.form import RfmForm
-from fg_orient.rfm.points import ControlPoints
+from fg_orient.rfm.points import ControlPoints, Scaling
 from fg_orient.rfm.reduced import Reduced
 from fg_orient.rfm.select import Selection, eliminated, fit_selected, lasso_solution, press_of, selections
 
@@ -25,6 +25,7 @@ def reduced(make: Make) -> Reduced:
     return Reduced.of(make(60, noise_px=0.5), RfmForm(2))
 
 
+@pytest.mark.oracle
 def test_reduced_system_gives_the_solution_of_the_whole(make: Make, reduced: Reduced) -> None:
     whole = fit_linear(make(60, noise_px=0.5), RfmForm(2))
     x, square, cofactors = reduced.fit(np.arange(reduced.design.shape[1]))
@@ -33,8 +34,16 @@ def test_reduced_system_gives_the_solution_of_the_whole(make: Make, reduced: Red
     assert square == pytest.approx(np.sum(v**2), rel=1e-8)
     assert whole.cofactors is not None
     np.testing.assert_allclose(cofactors, np.diag(whole.cofactors)[reduced.unknowns], rtol=1e-6)
+    points, form = make(60, noise_px=0.5), RfmForm(2)
+    a, observed = linear_system(points, form, Scaling.of(points)).require_design("test")
+    length = np.linalg.norm(a, axis=0)
+    numpys = np.linalg.lstsq(a / length, observed, rcond=None)[0] / length
+    np.testing.assert_allclose(x, numpys[reduced.unknowns], rtol=1e-6, atol=1e-9)
+    inverse = np.linalg.pinv(a / length)
+    np.testing.assert_allclose(cofactors, (np.sum(inverse**2, axis=1) / length**2)[reduced.unknowns], rtol=1e-6)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", sorted(selections()))
 def test_every_selection_predicts_better_than_the_affine_model(make: Make, name: str) -> None:
     points, form = make(60, noise_px=0.5), RfmForm(2)
@@ -45,6 +54,7 @@ def test_every_selection_predicts_better_than_the_affine_model(make: Make, name:
     assert error < 0.7 < 0.02 * without
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", ["lasso", "nested", "uss", "scatter"])
 def test_selection_explains_the_points_with_few_terms(make: Make, name: str) -> None:
     found = fit_selected(make(80, noise_px=0.3, seed=3), RfmForm(2), name)
@@ -52,6 +62,7 @@ def test_selection_explains_the_points_with_few_terms(make: Make, name: str) -> 
     assert found.m0_px == pytest.approx(0.3, rel=0.25)
 
 
+@pytest.mark.truth
 def test_nested_and_scatter_find_the_terms_of_a_regression(rng: np.random.Generator) -> None:
     design, truth = rng.standard_normal((80, 12)), np.zeros(12)
     truth[[1, 4, 7]] = 3.0, -2.0, 1.0
@@ -63,6 +74,7 @@ def test_nested_and_scatter_find_the_terms_of_a_regression(rng: np.random.Genera
         assert len(chosen) <= 6, name
 
 
+@pytest.mark.oracle
 def test_lasso_meets_its_optimality_conditions(rng: np.random.Generator) -> None:
     design = rng.standard_normal((40, 15)) + 0.8 * rng.standard_normal((40, 1))
     design /= np.linalg.norm(design, axis=0)
@@ -79,6 +91,7 @@ def test_lasso_meets_its_optimality_conditions(rng: np.random.Generator) -> None
     assert cost(np.r_[np.maximum(x, 0.0), np.maximum(-x, 0.0)]) <= peer.fun * (1.0 + 1e-6)
 
 
+@pytest.mark.oracle
 def test_press_is_that_of_refits(make: Make) -> None:
     """Each point left out of the reduced system together with the affine basis."""
     reduced, kappa = Reduced.of(make(25, noise_px=0.5), RfmForm(1)), 0.05
@@ -94,6 +107,7 @@ def test_press_is_that_of_refits(make: Make) -> None:
     assert press_of(reduced, kappa) == pytest.approx(total, rel=1e-8)
 
 
+@pytest.mark.oracle
 def test_elimination_solves_and_undoes_itself(rng: np.random.Generator) -> None:
     a = rng.standard_normal((20, 5))
     table = a.T @ a
@@ -104,6 +118,7 @@ def test_elimination_solves_and_undoes_itself(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(eliminated(eliminated(swept, 2), 0), table, atol=1e-12)
 
 
+@pytest.mark.consistency
 def test_ridge_rules_are_those_of_the_registry(make: Make) -> None:
     from fg_orient.linear.kappa import choose_kappa
 
@@ -112,6 +127,7 @@ def test_ridge_rules_are_those_of_the_registry(make: Make) -> None:
         assert selections()[name].function(reduced).kappa == choose_kappa(rule, reduced.system).kappa
 
 
+@pytest.mark.behaviour
 def test_a_selection_of_ones_own(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(select, "_REGISTRY", dict(select._REGISTRY))
 

@@ -22,6 +22,7 @@ def plain(points: ControlPoints) -> RfmFit:
     return fit_linear(points, RfmForm(1))
 
 
+@pytest.mark.oracle
 def test_leave_one_out_is_a_fit_without_each_point(make: Make) -> None:
     points = make(20, noise_px=0.5)
     found = cross_validate(points, plain)
@@ -32,6 +33,7 @@ def test_leave_one_out_is_a_fit_without_each_point(make: Make) -> None:
     assert (found.rms_px > plain(points).rms_px).all()
 
 
+@pytest.mark.behaviour
 def test_folds_divide_the_points(make: Make) -> None:
     seen: list[set[float]] = []
 
@@ -52,6 +54,7 @@ def test_folds_divide_the_points(make: Make) -> None:
     assert not np.array_equal(found.residuals_px, other.residuals_px)
 
 
+@pytest.mark.behaviour
 def test_kappa_is_chosen_in_each_fold(make: Make) -> None:
     points, form = make(30, noise_px=0.5), RfmForm(2)
     found = cross_validate(points, lambda p: fit_selected(p, form, "ridge_l_curve"), folds=4)
@@ -61,6 +64,7 @@ def test_kappa_is_chosen_in_each_fold(make: Make) -> None:
     assert all(words.startswith("kappa ") for words in found.choices)
 
 
+@pytest.mark.behaviour
 def test_a_fold_without_solution_counts_as_infinite(make: Make) -> None:
     def fails(points: ControlPoints) -> RfmFit:
         if len(seen := points.line) and 0 not in np.flatnonzero(np.isin(first, seen)):
@@ -75,6 +79,7 @@ def test_a_fold_without_solution_counts_as_infinite(make: Make) -> None:
     assert np.isfinite(found.residuals_px[1:]).all()
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("folds", [1, 13])
 def test_number_of_folds(make: Make, folds: int) -> None:
     with pytest.raises(InputError, match="folds"):

@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 
-from factors import ellipsoid
 from fg_orient.errors import InputError
 from fg_orient.io.sensor import read_sensor
 from fg_orient.rfm.virtual_grid import SensorRfm, fit_sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.published_rays import misses_m
+from tests.support.rpc_model import reference_project
 
 SHAPE = (12, 12, 5)
 
@@ -30,25 +32,28 @@ def fitted(sensor: PushbroomSensor) -> SensorRfm:
     return fit_sensor(sensor, (0.0, 2000.0), shape=SHAPE)
 
 
-def test_stated_errors_are_those_against_the_sensor(sensor: PushbroomSensor, fitted: SensorRfm) -> None:
+@pytest.mark.oracle
+def test_stated_errors_are_those_against_rays_written_apart(sensor: PushbroomSensor, fitted: SensorRfm) -> None:
     assert fitted.check_px.rms.max() < 1e-3, "a smooth orbit and no attitude: a cubic rational function is enough"
     assert fitted.check_px.points == np.prod(SHAPE)
     rng = np.random.default_rng(8)
     pixels, height = rng.uniform(0.0, 11999.0, (2, 500)), rng.uniform(0.0, 2000.0, 500)
     ground = sensor.locate(*pixels, height_m=height)
-    geodetic = ellipsoid.geodetic_array(np.ascontiguousarray(ground))
-    model = fitted.model("twin")
-    found = np.stack(model.project(*np.degrees(geodetic[:, :2]).T, geodetic[:, 2]))
+    assert misses_m(sensor.metadata, *pixels, ground).max() < 1e-6
+    geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*ground.T)
+    assert np.abs(geodetic[2] - height).max() < 1e-4
+    found = np.array(reference_project(fitted.model("twin"), *geodetic), float)
     error = np.abs(found - pixels).max(axis=1)
     assert (error < 2.0 * fitted.check_px.largest + 1e-6).all()
     assert fitted.fit_px.largest.max() < 3.0 * fitted.check_px.largest.max() + 1e-6
 
 
+@pytest.mark.oracle
 def test_inverse_model_locates(sensor: PushbroomSensor, fitted: SensorRfm) -> None:
     inverse, scale = fitted.inverse, fitted.inverse_m
     lat, lon = inverse.project(np.array([[6000.0, 3000.0, 700.0]]))  # sample, line, height
-    truth = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(3000.0, 6000.0, height_m=700.0)))[0]
-    metres = np.hypot((lon[0] - np.degrees(truth[0])) * 83e3, (lat[0] - np.degrees(truth[1])) * 111e3)
+    ground = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True).transform(lon[0], lat[0], 700.0)
+    metres = misses_m(sensor.metadata, np.array([3000.0]), np.array([6000.0]), np.array([ground]))[0]
     assert metres < 2.0 * scale.largest.max() + 1e-3
     assert scale.largest.max() < 0.05
     model = fitted.model()
@@ -56,6 +61,7 @@ def test_inverse_model_locates(sensor: PushbroomSensor, fitted: SensorRfm) -> No
     np.testing.assert_array_equal(model.direct, inverse.coefficients[[2, 3, 0, 1]])
 
 
+@pytest.mark.behaviour
 def test_validity_is_that_of_the_grid(fitted: SensorRfm) -> None:
     v = fitted.validity
     assert v.line == v.sample == (0.0, 11999.0)
@@ -67,6 +73,7 @@ def test_validity_is_that_of_the_grid(fitted: SensorRfm) -> None:
     assert "largest errors" in str(model.notes[0])
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("heights", "shape", "said"),
     [
@@ -83,6 +90,7 @@ def test_bad_grids_are_refused(
         fit_sensor(sensor, heights, shape=shape)
 
 
+@pytest.mark.oracle
 @pytest.mark.real_data
 def test_real_spot5_scene(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """RMS <= 0.035 px and largest error <= 0.12 px per axis: the attitude of 8 Hz is not smooth enough for 0.05 px."""
@@ -90,5 +98,12 @@ def test_real_spot5_scene(real_data: Path, capsys: pytest.CaptureFixture[str]) -
     found = fit_sensor(sensor, (0.0, 3000.0), shape=(15, 15, 5))
     with capsys.disabled():
         print(f"\nSPOT-5 RFM, line and sample: RMS {found.check_px.rms} px, largest {found.check_px.largest} px")
+    pixels, height = np.random.default_rng(4).uniform(9.0, 11990.0, (2, 400)), np.linspace(10.0, 2990.0, 400)
+    ground = sensor.locate(*pixels, height_m=height)
+    assert misses_m(sensor.metadata, *pixels, ground).max() < 1e-6
+    geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*ground.T)
+    apart = np.array(reference_project(found.model("scene"), *geodetic), float) - pixels
+    assert np.sqrt(np.mean(apart**2, axis=1)) == pytest.approx(found.check_px.rms, rel=0.5)
+    assert (np.abs(apart) <= 0.12).all()
     assert (found.check_px.rms <= 0.035).all()
     assert (found.check_px.largest <= 0.12).all()

@@ -45,6 +45,7 @@ def text() -> str:
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", ["plain.txt", "packed.gz", "packed.bz2"])
 def test_file_is_read_as_it_stands(tmp_path: Path, name: str) -> None:
     pack = {"gz": gzip.compress, "bz2": bz2.compress}.get(name.rpartition(".")[2], lambda raw: raw)
@@ -56,6 +57,7 @@ def test_file_is_read_as_it_stands(tmp_path: Path, name: str) -> None:
         assert np.array_equal(ours, theirs)
 
 
+@pytest.mark.oracle
 def test_residuals_are_those_of_the_printed_model_and_the_cost_falls_without_control(tmp_path: Path) -> None:
     path = tmp_path / "bundle.txt"
     path.write_text(text())
@@ -71,6 +73,7 @@ def test_residuals_are_those_of_the_printed_model_and_the_cost_falls_without_con
     assert 0.5 < np.sqrt(estimate.chi2 / (problem.redundancy + 7)) / 0.3 < 1.5
 
 
+@pytest.mark.behaviour
 def test_points_seen_once_and_points_behind_are_told(tmp_path: Path) -> None:
     lines = text().splitlines()
     del lines[1]
@@ -89,6 +92,7 @@ def test_points_seen_once_and_points_behind_are_told(tmp_path: Path) -> None:
     assert not np.isin(dropped.observations.point, [0, 11]).any()
 
 
+@pytest.mark.behaviour
 def test_two_measurements_in_one_image_do_not_make_a_second(tmp_path: Path) -> None:
     """Point 0 is measured by cameras 0, 1, 2; the second and third line are given to camera 0."""
     lines = text().splitlines()
@@ -100,6 +104,7 @@ def test_two_measurements_in_one_image_do_not_make_a_second(tmp_path: Path) -> N
     assert len(block.observations) == 33 and not (block.observations.point == 0).any()
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "expected", "place"),
     [
@@ -130,6 +135,7 @@ def test_faults_name_their_line(tmp_path: Path, change: object, expected: str, p
     assert not place or problem.place == place
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     "raw", [gzip.compress(b"3 12 36", mtime=0)[:-9], b"BZh9damaged", None], ids=["cut", "damaged", "missing"]
 )
@@ -142,6 +148,7 @@ def test_unreadable_files_are_refused(tmp_path: Path, raw: bytes | None) -> None
     assert caught.value.problems[0].code == "bal.unreadable"
 
 
+@pytest.mark.oracle
 @pytest.mark.real_data
 def test_ladybug_begins_at_the_cost_of_the_printed_model(real_data: Path) -> None:
     path = real_data / "bal" / "problem-49-7776-pre.txt.gz"

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient.adjustment.models.contract import image_models
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.block import Image, Options
 from fg_orient.errors import InputError, OutOfImage
-from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
+from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
 from fg_orient.simulate.frames import pinhole_block
 
@@ -30,11 +31,25 @@ def aerial(**changes: object) -> FrameSensor:
     return FrameSensor(FrameCamera(**(values | changes)), 8000, 6000, file="camera.toml")  # type: ignore[arg-type]
 
 
+def printed_pixels(sensor: FrameSensor, ground_m: np.ndarray) -> np.ndarray:
+    """Brown's model as printed: lines and samples (2, n)."""
+    x, y, z = sensor.camera.rotation @ (ground_m - sensor.camera.centre_m).T
+    x, y = x / z, y / z
+    r2, (k1, k2, k3, p1, p2) = x**2 + y**2, sensor.camera.distortion
+    radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    column = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+    row = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
+    return sensor.camera.principal_px[:, None] + 8000.0 * np.stack([row, column])
+
+
+@pytest.mark.oracle
 def test_located_points_project_back_and_lie_at_their_height() -> None:
     sensor, rng = aerial(), np.random.default_rng(1)
     line, sample, h = rng.uniform(0, 7999, 30), rng.uniform(0, 5999, 30), rng.uniform(0.0, 800.0, 30)
     ground = sensor.locate(line, sample, height_m=h)
-    assert np.abs(ecef_to_geodetic(ground)[2] - h).max() < 1e-4
+    geodetic = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
+    assert np.abs(geodetic.transform(*ground.T)[2] - h).max() < 1e-4
+    assert np.abs(printed_pixels(sensor, ground) - [line, sample]).max() < 1e-7
     again = sensor.project(ground)
     assert np.abs(np.stack(again) - np.stack([line, sample])).max() < 1e-7
     centre, direction = sensor.rays(line, sample)
@@ -42,6 +57,7 @@ def test_located_points_project_back_and_lie_at_their_height() -> None:
     assert np.abs(feet - ground).max() < 1e-6
 
 
+@pytest.mark.truth
 def test_axes_point_as_the_documentation_says() -> None:
     """A point East of nadir has the larger sample, one South of it the larger line."""
     sensor = aerial()
@@ -55,15 +71,19 @@ def test_axes_point_as_the_documentation_says() -> None:
     assert corners[3, 1] < LAT < corners[0, 1]
 
 
+@pytest.mark.oracle
 def test_correction_moves_the_pixels() -> None:
     sensor = aerial()
     change = np.zeros(14)
     change[7] = 3.0
     ground = sensor.locate(4000.0, 3000.0)
+    expected = printed_pixels(sensor, ground) + np.array([[0.0], [3.0]])  # the principal point 3 px to the right
+    assert np.stack(sensor.project(ground, change)) == pytest.approx(expected, abs=1e-7)
     assert sensor.project(ground, change)[1][0] == pytest.approx(sensor.project(ground)[1][0] + 3.0, abs=1e-9)
     assert sensor.rays(4000.0, 3000.0, change)[1] == pytest.approx(sensor.rays(4000.0, 2997.0)[1], abs=1e-12)
 
 
+@pytest.mark.behaviour
 def test_points_behind_the_camera_have_no_pixel() -> None:
     sensor = aerial()
     line, sample = sensor.project(geodetic_to_ecef(LON, LAT, HEIGHT + 1000.0))
@@ -76,6 +96,7 @@ def test_points_behind_the_camera_have_no_pixel() -> None:
     assert np.isnan(model.per_line()[0]).all()
 
 
+@pytest.mark.behaviour
 def test_centre_of_an_image_that_sees_no_ground_is_the_camera() -> None:
     up = aerial(rotation=enu_from_ecef(LON, LAT)[0])
     assert np.array_equal(up.centre_m, up.camera.centre_m)
@@ -86,6 +107,7 @@ def code(caught: pytest.ExceptionInfo[InputError]) -> str:
     return caught.value.problems[0].code
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -105,6 +127,7 @@ def test_impossible_cameras_are_refused(change: dict[str, object], expected: str
     assert code(caught) == expected
 
 
+@pytest.mark.behaviour
 def test_what_cannot_be_asked_is_refused() -> None:
     with pytest.raises(OutOfImage) as outside:
         aerial().locate(-3.0, 0.0)

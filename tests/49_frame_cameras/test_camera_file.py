@@ -63,6 +63,7 @@ def corrected_mm(u: float, v: float) -> tuple[float, float]:
     )
 
 
+@pytest.mark.oracle
 def test_a_file_gives_the_printed_equation_and_survives_writing(tmp_path: Path) -> None:
     interior = read_camera(write(tmp_path, TEXT))
     line, sample = np.array([10.0, 900.0, 1650.0]), np.array([30.0, 2000.0, 1100.0])
@@ -75,6 +76,7 @@ def test_a_file_gives_the_printed_equation_and_survives_writing(tmp_path: Path) 
     assert (again.name, again.model, again.n_samples) == (interior.name, interior.model, 2272)
 
 
+@pytest.mark.oracle
 def test_a_file_from_ideal_to_measured_is_that_of_opencv(tmp_path: Path) -> None:
     text = TEXT.replace("measured_to_ideal", "ideal_to_measured").replace("pixel_mm = 0.0032\n", "")
     text = text.replace("aspect = 3.9e-4\n", "").replace("7.457", "2330.0").replace("[3.615, 2.613]", "[1130.0, 816.0]")
@@ -88,6 +90,7 @@ def test_a_file_from_ideal_to_measured_is_that_of_opencv(tmp_path: Path) -> None
     assert np.abs(found[0] - [x, y]).max() < 1e-12
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "place"),
     [
@@ -104,19 +107,7 @@ def test_files_that_do_not_say_it_are_refused(tmp_path: Path, change: object, pl
     assert place in caught.value.problems[0].place
 
 
-@pytest.mark.parametrize("model", [IDEAL_TO_MEASURED, MEASURED_TO_IDEAL])
-def test_projection_and_rays_are_inverse(tmp_path: Path, model: str) -> None:
-    interior = read_camera(write(tmp_path, TEXT))
-    interior = interior if model == interior.model else converted(interior, model).interior
-    rotation = rotation_of_opk(0.1, -0.2, 0.7)
-    sensor = FrameSensor(interior.camera(rotation, np.array([1.0, 2.0, 3.0])), 1704, 2272, georeferenced=False)
-    rng = np.random.default_rng(1)
-    line, sample = rng.uniform(0.0, 1703.0, 50), rng.uniform(0.0, 2271.0, 50)
-    centre, direction = sensor.rays(line, sample)
-    back = sensor.project(centre + direction * rng.uniform(1.0, 50.0, (50, 1)))
-    assert np.abs(np.array(back) - [line, sample]).max() < 1e-8
-
-
+@pytest.mark.oracle
 def test_conversion_tells_its_error() -> None:
     """The largest difference equals what an independent root finder gets at the grid's worst corner."""
     strong = Interior(1000, 1500, 1000.0, np.array([500.0, 750.0]), np.array([-0.25, 0.1, 0.0, 1e-3, -2e-3]))
@@ -144,6 +135,7 @@ def test_conversion_tells_its_error() -> None:
     assert converted(weak, weak.model).max_px == 0.0
 
 
+@pytest.mark.consistency
 def test_command_converts_and_says_what_is_left(tmp_path: Path) -> None:
     """The figures are those between the two files that lie there afterwards."""
     source, out = write(tmp_path, TEXT), tmp_path / "opencv.toml"
@@ -163,6 +155,7 @@ def test_command_converts_and_says_what_is_left(tmp_path: Path) -> None:
     assert in_process("camera", "convert", source, "--to", "brown", "--out", tmp_path / "x.toml").code == 2
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("model", [IDEAL_TO_MEASURED, MEASURED_TO_IDEAL])
 def test_round_trips_over_the_whole_image_and_depth(tmp_path: Path, model: str) -> None:
     """Below 1e-6 px from border to border, half a metre to a kilometre away; converted cameras too."""
@@ -179,6 +172,7 @@ def test_round_trips_over_the_whole_image_and_depth(tmp_path: Path, model: str) 
             assert np.abs(np.array(back) - [line, sample]).max() <= 1e-6
 
 
+@pytest.mark.consistency
 @pytest.mark.real_data
 def test_round_trips_of_real_frames_over_their_objects(real_data: Path) -> None:
     """Every measured pixel of Ladybug 49 and of camcal, at the nearest and farthest points of its image."""
@@ -197,6 +191,7 @@ def test_round_trips_of_real_frames_over_their_objects(real_data: Path) -> None:
         assert worst <= 1e-6
 
 
+@pytest.mark.oracle
 def test_angles_and_their_derivatives() -> None:
     angles = np.array([0.3, -0.7, 2.5])
     rotation = rotation_of_opk(*angles)
@@ -210,6 +205,7 @@ def test_angles_and_their_derivatives() -> None:
         assert np.abs((more - less) / (2.0 * step) - derivatives[:, k]).max() < 1e-9
 
 
+@pytest.mark.oracle
 def test_direct_georeferencing() -> None:
     attitude, boresight = (Rotation.from_rotvec(v).as_matrix() for v in ([0.1, 0.2, -0.4], [1.0, -2.0, 0.5]))
     receiver, lever = np.array([10.0, 20.0, 500.0]), np.array([0.3, -0.1, 1.2])
@@ -222,6 +218,7 @@ def test_direct_georeferencing() -> None:
     assert np.array_equal(same[1], receiver)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("fault", "place"),
     [

@@ -21,6 +21,7 @@ from fg_orient.options import Options
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL, FrameSensor, rotation_of_opk
 from fg_orient.sensors.interior import Interior
 from tests.support.command import in_process
+from tests.support.full_statistics import step_of_numpy
 
 LON, LAT, HEIGHT = 31.8, 41.4, 1500.0
 ERROR = {"rotation_x": 3e-4, "rotation_y": 3e-4, "rotation_z": 3e-4, "centre_x": 0.5, "centre_y": 0.5, "centre_z": 0.5}
@@ -89,6 +90,7 @@ def _write_tables(folder: Path, truth: dict[str, FrameSensor], ground: np.ndarra
                        np.full_like(pixels, NOISE_PX))  # fmt: skip
 
 
+@pytest.mark.consistency
 def test_a_file_survives_writing(written: Written) -> None:
     block = fg.read_project(written.project)
     for image in block.images:
@@ -99,6 +101,7 @@ def test_a_file_survives_writing(written: Written) -> None:
         assert again.sigma["centre_y"] == 0.5
 
 
+@pytest.mark.oracle
 def test_the_adjustment_finds_the_cameras(written: Written, tmp_path: Path) -> None:
     """By the command, with result folder and report; then the commands of geometry on its orientation."""
     out = tmp_path / "result"
@@ -144,6 +147,7 @@ def _recomputed(record: dict, out: Path) -> None:
     assert sum((float(v) / float(s)) ** 2 for v, s in pairs) == pytest.approx(record["chi2"], rel=1e-9)
 
 
+@pytest.mark.oracle
 def test_errors_are_those_of_the_covariance(written: Written) -> None:
     """Squares of the true errors of rotation, centre and focal length over their covariance, all images."""
     solution = fg.adjust(fg.read_project(written.project, backend="graph"))
@@ -157,8 +161,10 @@ def test_errors_are_those_of_the_covariance(written: Written) -> None:
         assert 0.7 < error @ np.linalg.solve(covariance, error) < 24.3  # 99.8 % of chi-square of 7
 
 
-def test_backends_agree(written: Written) -> None:
+@pytest.mark.oracle
+def test_backends_end_where_numpy_has_no_step_left(written: Written) -> None:
     found = [fg.adjust(fg.read_project(written.project, backend=name)) for name in ("graph", "schur", "dense")]
+    assert max(max(step_of_numpy(one.problem, one.state)) for one in found) < 1e-7
     for other in found[1:]:
         assert np.abs(other.state.image - found[0].state.image).max() < 1e-7
         assert other.chi2 == pytest.approx(found[0].chi2, rel=1e-9)
@@ -182,6 +188,7 @@ def frame_file(folder: Path, text: str = TEXT) -> Path:
     return folder / "image.toml"
 
 
+@pytest.mark.oracle
 def test_angles_turn_east_north_up(tmp_path: Path) -> None:
     """Of a point in East, North, Up about the projection centre, by scipy's rotations."""
     sensor = read_sensor(frame_file(tmp_path))
@@ -199,6 +206,7 @@ def test_angles_turn_east_north_up(tmp_path: Path) -> None:
     assert np.array(sensor.project(ground)).ravel() == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "place"),
     [

@@ -10,6 +10,8 @@ import pytest
 import fg_orient as fg
 from fg_orient.io.bal import read_bal
 
+pytestmark = pytest.mark.truth
+
 #: Half the sum of squares, px^2: GTSAM's LevenbergMarquardtOptimizer on GeneralSFMFactorCal3Bundler ends at 13308.45.
 BOUND = 13308.5
 

@@ -14,6 +14,8 @@ from fg_orient.interchange.photomodeler import read_photomodeler
 from fg_orient.quality.covariance import cofactors_of
 from tests.support import dbat, photomodeler
 
+pytestmark = pytest.mark.truth
+
 
 @dataclass(frozen=True)
 class Run:

@@ -57,6 +57,7 @@ def solved(block: Block, backend: str) -> tuple[Problem, Estimate, Cofactors]:
     return problem, estimate, cofactors_of(problem, estimate)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("model", ["", MEASURED_TO_IDEAL])
 def test_backends_agree_with_numpy(model: str) -> None:
     found = {name: solved(shared(model), name) for name in ("graph", "schur", "dense")}
@@ -86,6 +87,7 @@ def test_backends_agree_with_numpy(model: str) -> None:
         assert np.abs((joint - expected) / scale).max() < 1e-5, name
 
 
+@pytest.mark.oracle
 def test_priors_count_what_is_shared_once() -> None:
     block = replace(shared(held=False, priors=True))
     found = {name: solved(block, name) for name in ("graph", "schur", "dense")}
@@ -99,6 +101,7 @@ def test_priors_count_what_is_shared_once() -> None:
         assert np.abs(other[1].state.image - estimate.state.image).max() < 1e-7
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "schur", "dense"])
 def test_a_shared_prior_has_one_redundancy_number(backend: str) -> None:
     """Q_vv from matrices in which each shared column stands once, the prior rows being those of z."""
@@ -117,6 +120,7 @@ def test_a_shared_prior_has_one_redundancy_number(backend: str) -> None:
     assert found.redundancy_sum == pytest.approx(problem.redundancy, abs=1e-5)
 
 
+@pytest.mark.behaviour
 def test_the_whole_job_names_no_defect_where_an_image_is_held() -> None:
     solution = fg.adjust(shared())
     assert solution.block_view is not None
@@ -125,6 +129,7 @@ def test_the_whole_job_names_no_defect_where_an_image_is_held() -> None:
     assert solution.cofactors is not None
 
 
+@pytest.mark.truth
 def test_free_network_of_one_camera_has_seven_motions() -> None:
     solution = fg.adjust(shared(held=False))
     network = solution.cofactors.network  # type: ignore[union-attr]
@@ -134,6 +139,7 @@ def test_free_network_of_one_camera_has_seven_motions() -> None:
     assert np.abs(network.null_space[shared_places]).max() < 1e-6
 
 
+@pytest.mark.behaviour
 def test_disagreement_and_what_does_not_work_are_refused() -> None:
     block = shared()
     other = block.images[1].sensor
@@ -161,6 +167,7 @@ def compare(block: Block, form: dbat.Format, folder: Path) -> tuple[int, float]:
     return len(units), max(units)
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_camcal_of_dbat(real_data: Path) -> None:
     folder = real_data / "dbat" / "script" / "camcaldemo"
@@ -169,6 +176,7 @@ def test_camcal_of_dbat(real_data: Path) -> None:
     assert worst < 1.0
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_roma_of_dbat(real_data: Path) -> None:
     folder = real_data / "dbat" / "script" / "romabundledemo"
@@ -177,6 +185,7 @@ def test_roma_of_dbat(real_data: Path) -> None:
     assert worst < 1.0
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_roma_with_a_fixed_camera(real_data: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from factors._contract import Equation
 from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS
 from fg_orient.adjustment.loop import levenberg_marquardt
 from fg_orient.adjustment.problem import compile_problem
@@ -15,6 +16,7 @@ from fg_orient.block import Block, ExtraObservation
 from fg_orient.names import Role
 from fg_orient.quality.observability import analyse_block
 from fg_orient.simulate.block import BlockOptions, grid_block
+from tests.support.full_statistics import Full
 
 
 def with_control(block: Block, count: int) -> Block:
@@ -29,6 +31,7 @@ def with_control(block: Block, count: int) -> Block:
     return replace(block, points=replace(block.points, roles=roles, known=known))
 
 
+@pytest.mark.behaviour
 def test_without_priors_the_control_must_fix_the_block(twin: Block) -> None:
     """Two control points leave 9 position unknowns of two images open; each direction is a sentence."""
     with pytest.raises(fg.RankDeficientError, match="the control points do not fix this combination"):
@@ -40,17 +43,20 @@ def test_without_priors_the_control_must_fix_the_block(twin: Block) -> None:
     assert not any("not reliable" in w for w in strong.warnings)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", [2, 16])
-def test_block_singular_values_equal_the_covariance(twin: Block, eop_set: int) -> None:
+def test_block_singular_values_equal_the_inverse_of_the_full_matrix(twin: Block, eop_set: int) -> None:
     """R^T R of the eliminated block is the inverse cofactor matrix of the images without priors."""
     options = replace(twin.options, eop_set=eop_set, priors=False)
     problem = compile_problem(replace(twin, options=options))
     s = analyse_block(problem).singular_values
-    q = fg.adjust(twin, eop_set=eop_set, priors=False).cofactors.joint((0, 1), ())
-    # the covariance belongs to the solution, the analysis to the start: 1e-3 of each value
-    assert np.sort(1.0 / np.sqrt(np.linalg.eigvalsh(q)))[::-1] == pytest.approx(s, rel=1e-2)
+    full = Full.of(problem, problem.start)
+    of_images = slice(0, full.columns.images[-1])
+    q = full.unknowns[of_images, of_images]
+    assert np.sort(1.0 / np.sqrt(np.linalg.eigvalsh(q)))[::-1] == pytest.approx(s, rel=1e-5)
 
 
+@pytest.mark.oracle
 def test_excluded_check_points_of_many_rays_are_calibrated() -> None:
     """Unequal sigmas, two to four rays: errors over predicted sigmas are near 1, as when the points take part.
 
@@ -79,6 +85,7 @@ def test_excluded_check_points_of_many_rays_are_calibrated() -> None:
         assert np.mean(np.concatenate(values)) == pytest.approx(1.0, abs=0.25), mode
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("fault", ["line", "sigma_sample_px", "control coordinate", "control sigma"])
 def test_values_that_are_not_finite_are_refused_at_the_python_border(twin: Block, fault: str) -> None:
     """Files are checked by the readers; a block made by hand is checked here."""
@@ -100,6 +107,7 @@ def test_values_that_are_not_finite_are_refused_at_the_python_border(twin: Block
     assert "\n" not in str(caught.value.problems[0])
 
 
+@pytest.mark.behaviour
 def test_a_breakdown_on_the_way_is_one_line_and_exit_code_three(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     from fg_orient.adjustment import graph
 
@@ -113,6 +121,7 @@ def test_a_breakdown_on_the_way_is_one_line_and_exit_code_three(twin: Block, mon
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("backend", ["graph", "schur"])
 def test_badly_scaled_systems_are_solved(twin: Block, backend: str) -> None:
     """Sigmas of 0.0003 px: GTSAM's Cholesky gives up, its QR does not; the answer exists."""
@@ -123,6 +132,7 @@ def test_badly_scaled_systems_are_solved(twin: Block, backend: str) -> None:
     assert np.isfinite(solution.state.image).all()
 
 
+@pytest.mark.behaviour
 def test_sigmas_that_are_too_large_are_said(twin: Block) -> None:
     o = twin.observations
     coarse = replace(o, sigma_line_px=10.0 * o.sigma_line_px, sigma_sample_px=10.0 * o.sigma_sample_px)
@@ -131,6 +141,7 @@ def test_sigmas_that_are_too_large_are_said(twin: Block) -> None:
     assert any("sigmas are too large" in w for w in solution.warnings)
 
 
+@pytest.mark.behaviour
 def test_verdict_and_end_are_two_things(twin: Block) -> None:
     solution = fg.adjust(twin, eop_set=5)
     assert solution.status is fg.Status.NOT_TRUSTWORTHY
@@ -138,6 +149,7 @@ def test_verdict_and_end_are_two_things(twin: Block) -> None:
     assert solution.ended == "the scaled step is below the tolerance"
 
 
+@pytest.mark.behaviour
 def test_no_such_image(twin: Block) -> None:
     with pytest.raises(fg.InputError, match="nope"):
         fg.adjust(twin, eop_set=10).correction("nope")
@@ -149,22 +161,22 @@ def extra(unknowns: tuple[str, ...], equation: object = CONTROL_POINT) -> ExtraO
 
 
 @pytest.mark.parametrize(
-    ("observation", "message"),
+    ("names", "equation", "message"),
     [
-        (extra(("point:nowhere",)), "names no image or point"),
-        (extra(("image:left",)), "wants the other kind of unknown"),
-        (extra(("point:01",), OBSERVED_PARAMETERS), "wants the other kind of unknown"),
+        (("point:nowhere",), CONTROL_POINT, "own observation 1.*names no image or point"),
+        (("image:left",), CONTROL_POINT, "own observation 1.*wants the other kind of unknown"),
+        (("point:01",), OBSERVED_PARAMETERS, "own observation 1.*wants the other kind of unknown"),
+        (("point:CHECK",), CONTROL_POINT, "takes no part"),  # an excluded check point
     ],
 )
-def test_own_observations_that_do_not_fit(twin: Block, observation: ExtraObservation, message: str) -> None:
-    with pytest.raises(fg.InputError, match=f"own observation 1.*{message}"):
-        fg.adjust(replace(twin, extra=(observation,)), eop_set=10)
-
-
-def test_own_observation_of_an_excluded_check_point(twin: Block) -> None:
+@pytest.mark.behaviour
+def test_own_observations_that_do_not_fit(
+    twin: Block, names: tuple[str, ...], equation: Equation, message: str
+) -> None:
     check = twin.points.ids[int(twin.points.where(Role.CHECK)[0])]
-    with pytest.raises(fg.InputError, match="takes no part"):
-        fg.adjust(replace(twin, extra=(extra((f"point:{check}",)),)), eop_set=10, check_points="exclude")
+    observation = extra(tuple(name.replace("CHECK", check) for name in names), equation)
+    with pytest.raises(fg.InputError, match=message):
+        fg.adjust(replace(twin, extra=(observation,)), eop_set=10, check_points="exclude")
 
 
 class Step:
@@ -174,6 +186,7 @@ class Step:
         self.data, self.length, self.predicted_error = data, abs(data), predicted_error
 
 
+@pytest.mark.behaviour
 def test_a_step_that_is_small_by_damping_only_is_no_convergence() -> None:
     """After twelve rejections the damped step is below 1e-8 although the minimum is 1 away."""
 

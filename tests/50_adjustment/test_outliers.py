@@ -49,6 +49,7 @@ def without(block: Block, test: GroupTest) -> Block:
     return replace(block, observations=o.take(~((o.point == j) & (o.image == block.image_index(test.image)))))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["graph", "dense", "schur"])
 def test_statistic_is_what_the_removal_of_the_observation_gains(backend: str) -> None:
     """T = chi2 before minus chi2 without the image point: what the formula predicts, done."""
@@ -67,6 +68,7 @@ def test_statistic_is_what_the_removal_of_the_observation_gains(backend: str) ->
         assert test.level == pytest.approx(1.0 - 0.95 ** (1.0 / len(solution.outlier_tests())), rel=1e-9)
 
 
+@pytest.mark.oracle
 def test_error_of_coordinates_is_what_moves_the_point_back() -> None:
     """Take the estimated height error off the coordinates: chi2 falls by T, and the test is silent."""
     block = all_control()
@@ -82,6 +84,7 @@ def test_error_of_coordinates_is_what_moves_the_point_back() -> None:
         assert again.statistic < 1e-2
 
 
+@pytest.mark.oracle
 def test_redundancy_numbers_add_up() -> None:
     """The traces of Q of image points and control points, and the shares of the priors, give the redundancy."""
     solution = fg.adjust(all_control())
@@ -92,6 +95,7 @@ def test_redundancy_numbers_add_up() -> None:
     assert observed + priors == pytest.approx(solution.redundancy, rel=1e-8)
 
 
+@pytest.mark.oracle
 def test_planted_errors_are_found_named_and_measured() -> None:
     """An image point 6 px off, a height 15 m, a position 3 m: one by one, nothing else, the block stays whole."""
     block = all_control(seed=2)
@@ -113,6 +117,7 @@ def test_planted_errors_are_found_named_and_measured() -> None:
     assert found.solution.sigma0 < 1.2 < fg.adjust(wrong).sigma0
 
 
+@pytest.mark.oracle
 def test_false_alarms_are_as_rare_as_the_level_says() -> None:
     """Twenty good blocks at a level of 2 %: the rate of alarms is that of the level."""
     alarms, total = 0, 0
@@ -123,6 +128,7 @@ def test_false_alarms_are_as_rare_as_the_level_says() -> None:
     assert 0.012 * total < alarms < 0.028 * total  # 5 sigma of a count of independent alarms
 
 
+@pytest.mark.oracle
 def test_single_ray_names_both_places_of_the_error() -> None:
     """A control point in one image: pixel or coordinates cannot be told apart, and both are named."""
     block = all_control()
@@ -136,6 +142,7 @@ def test_single_ray_names_both_places_of_the_error() -> None:
     assert found.found[0].error == pytest.approx([30.0, -40.0], abs=1.5)
 
 
+@pytest.mark.behaviour
 def test_what_nothing_checks_is_never_suspected() -> None:
     """Tie points: across the epipolar line they are checked, along it not; dimension 1."""
     solution = fg.adjust(rpc_twin("shift").block)
@@ -145,6 +152,7 @@ def test_what_nothing_checks_is_never_suspected() -> None:
     assert tests[check, "left"].statistic == pytest.approx(tests[check, "right"].statistic, rel=1e-6)
 
 
+@pytest.mark.behaviour
 def test_more_suspects_than_gross_errors_can_be_end_the_search() -> None:
     """Thirty errors of growing size among 94 image points: the search gives up after a quarter and says so."""
     block = all_control()

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 import fg_orient as fg
 from factors.control import POINT
@@ -23,6 +24,7 @@ def moved(block: Block, shift_m: float) -> Block:
     return replace(block, withheld=WithheldCoordinates(block.withheld.ids, shifted))
 
 
+@pytest.mark.behaviour
 def test_moving_every_check_coordinate_changes_no_estimate(twin: Block) -> None:
     a, b = fg.adjust(twin, eop_set=15), fg.adjust(moved(twin, 1000.0), eop_set=15)
     assert np.array_equal(a.state.image, b.state.image)
@@ -34,6 +36,7 @@ def test_moving_every_check_coordinate_changes_no_estimate(twin: Block) -> None:
     assert np.abs(b.accuracy.check.ecef_m - a.accuracy.check.ecef_m + 1000.0).max() < 1e-6
 
 
+@pytest.mark.oracle
 def test_extreme_ratios_of_sigmas_are_exact(twin: Block) -> None:
     """0.06 m horizontally and 1e5 m in height: the weights are formed from the sigmas, not from a covariance."""
     sigma = twin.points.known.sigma_enu_m.copy()
@@ -46,6 +49,7 @@ def test_extreme_ratios_of_sigmas_are_exact(twin: Block) -> None:
     assert np.allclose(np.linalg.svd(w, compute_uv=False), [1 / 0.06, 1 / 0.06, 1e-5], rtol=1e-9)
 
 
+@pytest.mark.behaviour
 def test_withheld_coordinates_are_opened_once_and_last(twin: Block, monkeypatch) -> None:
     events = []
     solve = orient.solve
@@ -64,6 +68,7 @@ def test_withheld_coordinates_are_opened_once_and_last(twin: Block, monkeypatch)
     assert events == ["solved", "opened"]
 
 
+@pytest.mark.behaviour
 def test_no_check_coordinates_in_the_arrays(twin: Block) -> None:
     check = twin.points.where(fg.Role.CHECK)
     assert len(check) == 10

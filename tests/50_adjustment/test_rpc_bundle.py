@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pyproj
 import pytest
 from pyproj import Transformer
 from scipy.optimize import least_squares
@@ -21,10 +22,13 @@ from fg_orient.quality.covariance import cofactors_of
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.rpc.corrected import corrected
 from fg_orient.sensors.rpc_sensor import RpcSensor
+from tests.support.full_statistics import Full, step_of_numpy
 from tests.support.rpc_block import RpcTwin, rpc_twin, twin_with_models, without_control
 from tests.support.rpc_model import reference_project
 
 KINDS = ("shift", "shift_drift", "affine")
+
+TO_GEODETIC = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
 
 
 def mixed(kind: str = "shift_drift") -> Block:
@@ -58,11 +62,12 @@ def relative(block: Block) -> Block:
     return replace(free, options=replace(free.options, datum="priors"))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     "name", ["shift", "shift_drift", "affine", "mixed", "mixed shift", "fixed", "excluded", "relative"]
 )
 @pytest.mark.parametrize("backend", ["graph", "schur"])
-def test_graph_and_schur_equal_dense(name: str, backend: str) -> None:
+def test_graph_and_schur_equal_dense_and_numpy(name: str, backend: str) -> None:
     """Unknowns to 1e-9 prior sigma, points to 1e-7 m, cofactors to 1e-7 of their size."""
     block = blocks()[name]
     graph, dense = fg.adjust(block, backend=backend), fg.adjust(block, backend="dense")
@@ -72,15 +77,22 @@ def test_graph_and_schur_equal_dense(name: str, backend: str) -> None:
     assert graph.chi2 == pytest.approx(dense.chi2, rel=1e-9)
     assert graph.cofactors is not None and dense.cofactors is not None
     points = tuple(int(j) for j in np.flatnonzero(graph.problem.active)[:3])
+    image, ground = step_of_numpy(graph.problem, graph.state)
+    assert image <= 1e-9 and ground <= 1e-7
+    full = Full.of(graph.problem, graph.state)
     for images, some in (((0, 1), points), ((0, 1), points[:1]), ((1,), points[1:2]), ((1, 0), ()), ((), points[:1])):
-        a, b = (s.cofactors.joint(images, some) for s in (graph, dense))
-        scale = np.sqrt(np.outer(np.diag(b), np.diag(b)))
-        assert np.abs((a - b) / scale).max() < 1e-7
+        parts = [full.columns.image(k) for k in images] + [full.columns.point(j) for j in some]
+        columns = np.r_[tuple(parts)]
+        expected = full.unknowns[np.ix_(columns, columns)]
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        for solution in (graph, dense):
+            assert np.abs((solution.cofactors.joint(images, some) - expected) / scale).max() < 1e-7
     assert graph.cofactors.point(points[0]) == pytest.approx(dense.cofactors.point(points[0]), rel=1e-6)
     c, d = (s.accuracy.check.predicted_sigma_enu_m for s in (graph, dense))
     assert np.allclose(c, d, rtol=1e-6, atol=0.0)
 
 
+@pytest.mark.behaviour
 def test_images_of_different_kinds_keep_their_own_unknowns() -> None:
     """18 and 4 unknowns: the rest of the row is zero, matrices and names have the right sizes, labels hold."""
     solution = fg.adjust(mixed())
@@ -99,6 +111,7 @@ def test_images_of_different_kinds_keep_their_own_unknowns() -> None:
     assert set(solution.rank_defect) == {"left", "right"}
 
 
+@pytest.mark.oracle
 def test_optimisers_agree() -> None:
     """Gauss-Newton, Levenberg-Marquardt, Dogleg and GTSAM's own on a mixed block."""
     block = mixed()
@@ -108,6 +121,7 @@ def test_optimisers_agree() -> None:
         assert np.abs(other.state.image - base.state.image).max() <= 1e-9, optimizer
 
 
+@pytest.mark.oracle
 def test_estimate_of_scipy() -> None:
     """Own residuals (pyproj, the model term by term), own optimiser: the same compensation and points."""
     block = few_points(rpc_twin("affine", seed=3).block)
@@ -146,6 +160,7 @@ def few_points(block: Block, count: int = 9) -> Block:
     return replace(block, observations=block.observations.take(block.observations.point % 5 == 0))
 
 
+@pytest.mark.oracle
 def test_residuals_are_those_of_the_corrected_sensor() -> None:
     """Adjusted minus observed pixels, with the compensation that the solution hands out."""
     block = mixed("affine")
@@ -155,10 +170,17 @@ def test_residuals_are_those_of_the_corrected_sensor() -> None:
         rows = np.flatnonzero(o.image == k)
         line, sample = image.sensor.project(solution.ground_m[o.point[rows]], solution.correction(image.id))
         v = np.stack([line - o.line[rows], sample - o.sample[rows]], axis=1)
+        if k == 1:  # the RPC by the evaluation written apart, the terms of the compensation in normalised pixels
+            model, geodetic = image.sensor.model, TO_GEODETIC.transform(*solution.ground_m[o.point[rows]].T)
+            plain = np.array(reference_project(model, *geodetic), float)
+            normal = np.vstack([np.ones((1, len(rows))), (plain - model.offsets[:2, None]) / model.scales[:2, None]])
+            moved = plain + np.asarray(solution.correction(image.id)).reshape(3, 2).T @ normal
+            assert np.abs((moved - [o.line[rows], o.sample[rows]]).T - solution.residuals_px[rows]).max() < 1e-6
         # the rigorous image is whitened with derivatives at the start: second order in the correction
         assert np.abs(v - solution.residuals_px[rows]).max() < (1e-9 if k == 1 else 1e-4)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_truth_is_met_within_the_covariance(kind: str) -> None:
     """Ten blocks with compensation from the priors: squares of normalised errors inside chi2 at 99.9 %."""
@@ -189,6 +211,7 @@ def _error(twin: RpcTwin, solution: fg.Solution) -> tuple[np.ndarray, np.ndarray
 # --- datum --------------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_block_without_control_is_refused_unless_it_may_be_relative() -> None:
     free = without_control(rpc_twin("shift").block)
     with pytest.raises(InputError) as caught:
@@ -199,6 +222,7 @@ def test_block_without_control_is_refused_unless_it_may_be_relative() -> None:
     assert caught.value.problems[0].code == "adjust.relative_priors"
 
 
+@pytest.mark.oracle
 def test_relative_adjustment_names_its_datum_and_removes_parallax() -> None:
     """Three common shifts, with words; y-parallax falls from pixels to noise; no figure of accuracy."""
     twin = rpc_twin("shift", seed=5)
@@ -215,6 +239,7 @@ def test_relative_adjustment_names_its_datum_and_removes_parallax() -> None:
     assert len(solution.accuracy.control) == len(solution.accuracy.check) == 0
 
 
+@pytest.mark.oracle
 def test_parallax_is_what_one_image_is_off() -> None:
     """Noise-free block, right image moved across its epipolar lines: the parallax is that movement."""
     twin = rpc_twin("shift", noise_px=0.0)
@@ -231,6 +256,7 @@ def test_parallax_is_what_one_image_is_off() -> None:
     assert parallax == pytest.approx(np.full(len(parallax), 2.0), rel=0.05)
 
 
+@pytest.mark.consistency
 def test_control_fixes_the_datum_also_when_priors_may_hold_it() -> None:
     block = rpc_twin("shift").block
     solution = fg.adjust(block, datum="priors")
@@ -248,6 +274,7 @@ def with_control(block: Block, keep: tuple[int, ...]) -> Block:
     return replace(block, points=points, withheld=replace(block.withheld, ids=()))
 
 
+@pytest.mark.behaviour
 def test_without_priors_what_an_image_cannot_show_is_refused_in_words() -> None:
     """Two control points in one image carry four of six terms; the sentences name the others."""
     block = rpc_twin("affine").block
@@ -264,6 +291,7 @@ def test_without_priors_what_an_image_cannot_show_is_refused_in_words() -> None:
     assert fg.adjust(few).rank_defect == {"left": 2}  # with priors it is said, and solved
 
 
+@pytest.mark.behaviour
 def test_without_priors_weak_directions_are_pointed_out() -> None:
     """One control point in both images holds twelve unknowns by the curvature of the models only."""
     block = rpc_twin("affine").block
@@ -275,6 +303,7 @@ def test_without_priors_weak_directions_are_pointed_out() -> None:
     assert np.abs(free.correction("left") - fg.adjust(block).correction("left")).max() < 0.5
 
 
+@pytest.mark.behaviour
 def test_sensor_without_model_is_refused() -> None:
     block = rpc_twin("shift").block
 
@@ -289,6 +318,7 @@ def test_sensor_without_model_is_refused() -> None:
     assert caught.value.problems[0].place == "image right"
 
 
+@pytest.mark.oracle
 def test_cofactors_are_the_inverse_of_the_normal_matrix() -> None:
     """Mixed block: the joint cofactors of all unknowns against numpy, with the dense rows."""
     from fg_orient.adjustment.dense import DenseBackend, assemble

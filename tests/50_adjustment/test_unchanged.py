@@ -14,6 +14,8 @@ from fg_orient.block import Block, Coordinates, GroundPoints
 from fg_orient.names import Role
 from fg_orient.simulate.block import BlockOptions, grid_block
 
+pytestmark = pytest.mark.consistency
+
 
 @pytest.fixture(scope="module")
 def block() -> Block:

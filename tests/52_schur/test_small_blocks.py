@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from fg_orient.adjustment.loop import STEP_TOLERANCE
 from fg_orient.block import Block
 from fg_orient.names import Role
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from tests.support.full_statistics import step_of_numpy
+
+pytestmark = pytest.mark.consistency
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +41,7 @@ def test_auto_says_what_the_graph_says(
     block = thinned(twin, n_control, images, rng)
     auto, graph = (fg.adjust(block, eop_set=eop_set, backend=backend) for backend in ("auto", "graph"))
     assert (auto.backend, graph.backend) == ("schur", "graph")
+    assert step_of_numpy(auto.problem, auto.state)[0] <= STEP_TOLERANCE
     assert (auto.status, auto.warnings, auto.redundancy) == (graph.status, graph.warnings, graph.redundancy)
     assert np.abs(auto.state.image - graph.state.image).max() <= 1e-9
     for image in images:

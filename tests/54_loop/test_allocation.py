@@ -10,6 +10,8 @@ import pytest
 
 from fg_orient.adjustment.allocation import calm_memory, keep_freed_memory
 
+pytestmark = pytest.mark.behaviour
+
 CHUNKS, CHUNK_BYTES = 4000, 4096
 
 
@@ -21,20 +23,16 @@ def page_faults_of_a_turn() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
-def test_the_collector_rests_and_is_woken() -> None:
+@pytest.mark.parametrize("on", [True, False])
+def test_the_collector_rests_and_is_as_it_was(on: bool) -> None:
     assert gc.isenabled()
-    with pytest.raises(ZeroDivisionError), calm_memory():
-        assert not gc.isenabled()
-        _ = 1 / 0
-    assert gc.isenabled()
-
-
-def test_a_collector_that_was_off_stays_off() -> None:
-    gc.disable()
     try:
-        with calm_memory():
-            pass
-        assert not gc.isenabled()
+        if not on:
+            gc.disable()
+        with pytest.raises(ZeroDivisionError), calm_memory():
+            assert not gc.isenabled()
+            _ = 1 / 0
+        assert gc.isenabled() is on
     finally:
         gc.enable()
 

@@ -72,6 +72,7 @@ def assert_same_bits(a: Estimate, b: Estimate) -> None:
         assert repr(replace(one, seconds=0.0)) == repr(replace(other, seconds=0.0))
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(("backend", "optimizer"), [*(("schur", o) for o in OPTIMIZERS), ("graph", "dogleg")])
 def test_resumed_run_has_the_same_bits(
     backend: str, optimizer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -81,6 +82,7 @@ def test_resumed_run_has_the_same_bits(
     assert_same_bits(solve_in_two(problem, tmp_path / "file", 3, monkeypatch), solve(problem))
 
 
+@pytest.mark.consistency
 def test_resumed_stages_have_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = spoiled(optimizer="levenberg-marquardt", backend="schur", loss="tls", gnc=True)
     whole = solve(problem)
@@ -90,6 +92,7 @@ def test_resumed_stages_have_the_same_bits(tmp_path: Path, monkeypatch: pytest.M
         assert_same_bits(solve_in_two(problem, tmp_path / "file", after, monkeypatch), whole)
 
 
+@pytest.mark.consistency
 def test_rejected_steps_are_carried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A start 30000 prior sigmas off makes Levenberg-Marquardt refuse steps; the stop falls among them."""
     rng = np.random.default_rng(1)
@@ -109,6 +112,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate_block(tmp_path_factory.mktemp("block") / "project", BlockOptions(rows=1, columns=2, points=24))
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(
     ("options", "after"),
     [
@@ -140,6 +144,7 @@ def test_killed_process_is_resumed_with_the_same_bits(
     assert len(lines[0]) == len(lines[1]) == record["iterations"]
 
 
+@pytest.mark.behaviour
 def test_interrupt_leaves_a_checkpoint_and_says_so(project: Path, tmp_path: Path, monkeypatch: Any) -> None:
     out = tmp_path / "out"
 
@@ -164,6 +169,7 @@ def test_interrupt_leaves_a_checkpoint_and_says_so(project: Path, tmp_path: Path
     assert "no checkpoint .out.checkpoint.npz to resume: starting from the beginning" in again.stderr
 
 
+@pytest.mark.behaviour
 def test_files_of_others_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, problem = tmp_path / "file", spoiled(backend="schur")
     carried = Carried(problem.start)
@@ -201,6 +207,7 @@ def test_files_of_others_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert fingerprint(problem) != fingerprint(problem, "4 parts")
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("left_out", ["fingerprint", "backend", "numbers", "log", "all"])
 def test_a_file_with_something_missing_is_no_checkpoint(tmp_path: Path, left_out: str) -> None:
     path, problem = tmp_path / "file", spoiled(backend="schur")
@@ -215,6 +222,7 @@ def test_a_file_with_something_missing_is_no_checkpoint(tmp_path: Path, left_out
         Checkpoint(path, resume=True).read(problem)
 
 
+@pytest.mark.behaviour
 def test_a_checkpoint_used_for_two_problems_belongs_to_the_second(tmp_path: Path) -> None:
     path, first, second = tmp_path / "file", spoiled(backend="schur"), spoiled(backend="schur", eop_set=2)
     keeper = Checkpoint(path, every_s=0.0)

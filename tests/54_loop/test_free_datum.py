@@ -38,6 +38,7 @@ class Distance(Backend):
         return state + step.data
 
 
+@pytest.mark.truth
 def test_damping_makes_them_regular_and_the_loop_ends() -> None:
     result = levenberg_marquardt(Distance(), np.array([0.0, 0.0, 7.0, 1.0]), 60)
     assert result.converged, result.reason
@@ -47,6 +48,7 @@ def test_damping_makes_them_regular_and_the_loop_ends() -> None:
     assert len(result.log) < 20
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("optimizer", [gauss_newton, dogleg])
 def test_without_damping_they_are_an_error(optimizer) -> None:
     with pytest.raises(RuntimeError, match="singular"):

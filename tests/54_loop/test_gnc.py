@@ -20,6 +20,7 @@ from fg_orient.errors import InputError
 from fg_orient.quality.verdict import DOWN
 from fg_orient.run import run_project
 from fg_orient.simulate.block import BlockOptions, simulate_block
+from tests.support.full_statistics import step_of_numpy
 
 from .conftest import clean_block, spoiled_block, with_options
 
@@ -28,6 +29,7 @@ def adjusted(block: fg.Block, **options: object) -> Estimate:
     return solve(compile_problem(with_options(block, **{"backend": "schur", "gnc": True, **options})))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_a_quarter_of_gross_errors_is_found(loss: str) -> None:
     """One ray in four, 5 to 60 px off; all are found, the result is the clean run's within three sigmas."""
@@ -53,6 +55,7 @@ def test_a_quarter_of_gross_errors_is_found(loss: str) -> None:
     )
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_graph_and_schur_alike(loss: str) -> None:
     block, _ = spoiled_block((3.0, 6.0), 2, 2, 40)
@@ -61,8 +64,11 @@ def test_graph_and_schur_alike(loss: str) -> None:
     assert np.abs(a.state.image - b.state.image).max() <= 1e-9
     assert np.abs(a.state.ground - b.state.ground).max() <= 1e-8
     assert a.chi2 == pytest.approx(b.chi2, rel=1e-10)
+    problem = compile_problem(with_options(block, loss=loss, gnc=True))
+    assert step_of_numpy(problem, a.state, Graduated.of(problem.block.options).robust(EXACT))[0] <= 1e-6
 
 
+@pytest.mark.oracle
 def test_truncated_weights_are_all_or_nothing_and_limits_are_quantiles() -> None:
     block, _ = spoiled_block((5.0, 30.0))
     found = adjusted(block, loss="tls", inlier_probability=0.95)
@@ -75,6 +81,7 @@ def test_truncated_weights_are_all_or_nothing_and_limits_are_quantiles() -> None
     assert plan.control_limit == pytest.approx(np.sqrt(chi2.ppf(0.99, 3)), rel=1e-12)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("loss", SCHEDULES)
 def test_without_gross_errors_it_stays_least_squares(loss: str) -> None:
     """Limits far beyond all residuals: one plain stage and the loss itself."""
@@ -86,6 +93,7 @@ def test_without_gross_errors_it_stays_least_squares(loss: str) -> None:
     assert np.abs(found.state.image - plain.state.image).max() <= limit
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("name", SCHEDULES)
 def test_surrogates_start_where_all_count_and_end_at_the_loss(name: str) -> None:
     u, schedule = np.linspace(1e-3, 50.0, 4001), SCHEDULES[name]
@@ -99,6 +107,7 @@ def test_surrogates_start_where_all_count_and_end_at_the_loss(name: str) -> None
     assert schedule.first(0.4) == EXACT
 
 
+@pytest.mark.behaviour
 def test_stages_left() -> None:
     rising, falling = [PLAIN, 1.0, 1.4], [PLAIN, 8.0, 8.0 / 1.4]
     assert stages_left(rising[:2]) is None
@@ -107,6 +116,7 @@ def test_stages_left() -> None:
     assert stages_left(falling) == np.ceil(np.log(8.0 / 1.4) / np.log(1.4))
 
 
+@pytest.mark.behaviour
 def test_refusals() -> None:
     block = clean_block(2, 2, 40)
     for options, words in (
@@ -121,6 +131,7 @@ def test_refusals() -> None:
         with_options(block, inlier_probability=1.0)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("loss", ["geman_mcclure", "welsch", "tukey", "tls"])
 def test_bounded_losses_start_from_least_squares(loss: str) -> None:
     """At the metadata most residuals lie beyond c: without the plain stage they would have no weight."""
@@ -134,6 +145,7 @@ def test_bounded_losses_start_from_least_squares(loss: str) -> None:
     assert np.median(np.linalg.norm(residual, axis=1)) > 10.0
 
 
+@pytest.mark.behaviour
 def test_solution_says_what_its_figures_are() -> None:
     block, bad = spoiled_block((5.0, 30.0))
     solution = fg.adjust(block, loss="tls", gnc=True)
@@ -150,6 +162,7 @@ def test_solution_says_what_its_figures_are() -> None:
         solution.outlier_tests()
 
 
+@pytest.mark.behaviour
 def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
     """Sigmas fifty times too small: nothing fits."""
     block = clean_block(2, 2, 40)
@@ -162,6 +175,7 @@ def test_a_loss_that_turns_most_points_down_is_not_trusted() -> None:
     assert "have a weight below 0.5: the model does not hold" in solution.reason
 
 
+@pytest.mark.oracle
 def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
     """Schur and graph against the inverse of the dense normal equations of the weighted problem."""
     block, _ = spoiled_block((3.0, 6.0), 2, 2, 40)
@@ -181,6 +195,7 @@ def test_cofactors_are_those_of_least_squares_with_the_weights() -> None:
         assert np.abs(solution.cofactors.point(turned_down) - expected).max() <= 1e-7 * np.abs(expected).max()
 
 
+@pytest.mark.oracle
 def test_result_folder_under_a_loss(tmp_path: Path) -> None:
     """Weights stand in the tables, chi2 follows from them, and the report does not say that the observations fit."""
     project = simulate_block(tmp_path / "project", BlockOptions(rows=1, columns=2, points=24))

@@ -13,6 +13,8 @@ from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.cli.log import opened
 from fg_orient.cli.progress import Silence, describe, iterations_left, progress
 
+pytestmark = pytest.mark.behaviour
+
 
 def log(*steps: float, mus: tuple[float, ...] = (), accepted: bool = True) -> list[IterationRecord]:
     """Iterations of half a second each."""

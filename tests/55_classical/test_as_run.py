@@ -57,6 +57,7 @@ def predicted(run: TwoStage) -> np.ndarray:
     return truth - oracle.two_rays(rays[0], rays[1] / oracle.norm(rays[1]), rays[2], rays[3] / oracle.norm(rays[3]))
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("distortion", [0.0, 3e-6])
 @pytest.mark.parametrize("seed", range(1, 7))
 def test_real_orbit_and_attitude_leave_a_constant_error(seed: int, distortion: float) -> None:
@@ -66,6 +67,7 @@ def test_real_orbit_and_attitude_leave_a_constant_error(seed: int, distortion: f
     assert np.all(errors.std(axis=0, ddof=1) <= 0.02)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("point_set", ["H-0", "H-20"])
 def test_the_error_does_not_depend_on_the_number_of_points(point_set: str) -> None:
     """As published: the same with 47 and with 27 control points."""
@@ -75,6 +77,7 @@ def test_the_error_does_not_depend_on_the_number_of_points(point_set: str) -> No
     assert np.abs(here.mean(axis=0) - usual.mean(axis=0)).max() < 0.01
 
 
+@pytest.mark.truth
 def test_radial_velocity_alone() -> None:
     """As an independent twin: 0.54 / 0.34 / 0.56 m for 8 m/s, 0.67 / 0.18 / 0.42 m with attitude."""
     alone = stage(WITHOUT_NUMBERED, errors="none", radial_velocity_m_s=8.0).look_only().gcp_rmse
@@ -83,6 +86,7 @@ def test_radial_velocity_alone() -> None:
     assert both == pytest.approx([0.67, 0.18, 0.42], abs=0.05)  # other ground points, other range
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("errors", ["none", "constant"])
 def test_second_order_theory_predicts_the_error_of_every_point(errors: str) -> None:
     run = stage(WITHOUT_NUMBERED, errors=errors, **REAL)
@@ -92,6 +96,7 @@ def test_second_order_theory_predicts_the_error_of_every_point(errors: str) -> N
     assert np.abs(found - expected).max() < 3e-6
 
 
+@pytest.mark.oracle
 def test_small_angles_of_the_default_twin_leave_half_a_millimetre() -> None:
     """Files with constant errors hold 20 microrad attitudes: a (a . w) of them is 4e-10 x 8e5 m."""
     run = stage(WITHOUT_NUMBERED)
@@ -103,6 +108,7 @@ def test_small_angles_of_the_default_twin_leave_half_a_millimetre() -> None:
     assert np.abs(found - expected).max() < 2e-8
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(("as_run", "options"), [
     (PROGRAM.without("test_after"), {"errors": "none"}), (False, {"errors": "none"}), (False, {}), (False, REAL),
     (False, {"distortion_rad": 3e-6, **REAL}), (False, {"image_noise_px": 1.0, **REAL}),
@@ -113,6 +119,7 @@ def test_orthonormal_matrices_leave_nothing(as_run: bool | Switches, options: di
     assert np.abs(gcp_errors(run)).max() < 1e-6
 
 
+@pytest.mark.oracle
 def test_control_points_are_intersected_from_the_metadata_positions() -> None:
     """As run, a position correction never reaches the centre of projection: its error is not undone."""
     for positions, as_run in ((False, False), (True, WITHOUT_NUMBERED)):
@@ -133,6 +140,7 @@ def test_control_points_are_intersected_from_the_metadata_positions() -> None:
     _stage.cache_clear()  # two of them were bent
 
 
+@pytest.mark.consistency
 def test_as_run_step_one_ends_within_a_tenth_of_a_second_of_arc() -> None:
     faithful, program = stage(False, **REAL).look, stage(True, **REAL).look
     assert program.cycles < faithful.cycles <= 5

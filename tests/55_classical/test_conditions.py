@@ -13,6 +13,7 @@ from fg_orient.classical import conditions
 from fg_orient.classical.switches import PROGRAM, TEXT, Switches
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support import published_conditions as oracle
+from tests.support.published_rays import state
 
 ALL = tuple(range(27))
 ATTITUDE = (-1.6e-4, -7.2e-4, 9e-4)
@@ -69,6 +70,7 @@ def shortening_derivatives(eop: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
+@pytest.mark.oracle
 @BOTH
 def test_values_and_derivatives_are_those_of_the_formulas(block: Block, switches: Switches, as_run: bool) -> None:
     ground = block.points.known.ecef_m
@@ -86,6 +88,7 @@ def test_values_and_derivatives_are_those_of_the_formulas(block: Block, switches
     assert deviation(lin.eop, design) < 1e-11
 
 
+@pytest.mark.oracle
 def test_a_length_that_stays_leaves_out_its_own_derivative(block: Block) -> None:
     """D5 off: (f1/f3, f2/f3) dln s is missing, and s - 1 = 6e-7 and attitude (1e-3) times it."""
     ground, o = block.points.known.ecef_m, block.observations
@@ -97,6 +100,7 @@ def test_a_length_that_stays_leaves_out_its_own_derivative(block: Block) -> None
     assert deviation(at.linearise(ALL, nothing(block)).eop[:, :, ::3] + left_out, d_eop) < 2e-5
 
 
+@pytest.mark.oracle
 def test_quotients_of_the_look_angles_add_the_misclosure(block: Block) -> None:
     """D8: A exceeds the derivative by F df3/f3, nothing where the condition is met."""
     ground, o, look = block.points.known.ecef_m, block.observations, look_of(block)
@@ -114,6 +118,7 @@ def test_quotients_of_the_look_angles_add_the_misclosure(block: Block) -> None:
     assert deviation(closed.eop[:, :, ::3], d_eop) < 1e-11
 
 
+@pytest.mark.oracle
 def test_lines_are_counted_from_the_centre_of_the_scene(block: Block) -> None:
     """D1: -6000 to 6000; columns of degree 0 stay."""
     ground = block.points.known.ecef_m
@@ -122,11 +127,14 @@ def test_lines_are_counted_from_the_centre_of_the_scene(block: Block) -> None:
         for switches in (TEXT, TEXT.with_("centred_lines"))
     )
     x = block.observations.line - 6000.0
+    by_eop, _, _ = oracle.derivatives(oracle.all_eop(block), look_of(block), ground[block.observations.point], False)
+    assert deviation(centred, oracle.coefficient_columns(by_eop, x, ALL)) < 1e-9
     assert np.array_equal(centred[:, :, ::3], first[:, :, ::3])
     assert np.allclose(centred[:, :, 1::3], first[:, :, ::3] * x[:, None, None], rtol=1e-14, atol=0.0)
     assert np.allclose(centred[:, :, 2::3], first[:, :, ::3] * x[:, None, None] ** 2, rtol=1e-14, atol=0.0)
 
 
+@pytest.mark.oracle
 def test_line_exact_orbits_differ_from_polynomials_by_centimetres(block: Block) -> None:
     """D3: Lagrange through the state vectors, as the sensor gives them."""
     ground, o = block.points.known.ecef_m, block.observations
@@ -135,20 +143,29 @@ def test_line_exact_orbits_differ_from_polynomials_by_centimetres(block: Block) 
     for k, image in enumerate(block.images):
         rows = o.image == k
         assert np.array_equal(at.records[rows, RECORD.position], image.sensor.states(o.line[rows]).position_m)
+        m = image.sensor.metadata
+        time_s = m.timing.reference_time_s + (o.line[rows] - m.timing.reference_line) * m.timing.line_period_s
+        assert (
+            np.abs(at.records[rows, RECORD.position] - state(m.ephemeris, time_s)[0]).max() < 1e-7
+        )  # polynomials by scipy
     apart = np.linalg.norm(at.records[:, RECORD.position] - smooth.records[:, RECORD.position], axis=1)
     assert 1e-3 < apart.max() < 0.1
     joined = at.with_orbit(smooth)
     assert np.array_equal(joined.records, smooth.records)
 
 
+@pytest.mark.oracle
 def test_columns_are_per_line_and_per_line_squared(block: Block) -> None:
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m)
     a = at.linearise(ALL, nothing(block)).eop.reshape(-1, 2, 9, 3)
+    by_eop, _, _ = oracle.derivatives(oracle.all_eop(block), at.look_rad, block.points.known.ecef_m[at.point], False)
+    assert deviation(a[..., 0], by_eop) < 1e-9
     line = block.observations.line[:, None, None]
     assert np.allclose(a[..., 1], a[..., 0] * line, rtol=1e-14, atol=0.0)
     assert np.allclose(a[..., 2], a[..., 0] * line**2, rtol=1e-14, atol=0.0)
 
 
+@pytest.mark.oracle
 def test_written_out_derivatives_of_the_publication(block: Block) -> None:
     """The printed derivatives (small-angle attitude) are those of the kernel's small-angle form."""
     ground = block.points.known.ecef_m
@@ -160,6 +177,7 @@ def test_written_out_derivatives_of_the_publication(block: Block) -> None:
     assert deviation(lin.eop[:, :, ::3], printed) < 1e-11
 
 
+@pytest.mark.oracle
 @BOTH
 def test_corrections_of_the_orbit_are_polynomials_of_the_line(
     block: Block, switches: Switches, as_run: bool, rng: np.random.Generator
@@ -174,11 +192,15 @@ def test_corrections_of_the_orbit_are_polynomials_of_the_line(
     assert np.abs(at.linearise(ALL, x).value - value).max() < ROUNDING
 
 
+@pytest.mark.oracle
 @BOTH
 def test_velocity_acts_through_its_direction_only(block: Block, switches: Switches, as_run: bool) -> None:
     """dF/dV . V = 0, and dF/dV . P = 0 but for the length of the short axis (D5): V is a yaw."""
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m, switches=switches)
     a = at.linearise((9, 12, 15), nothing(block, (9, 12, 15))).eop
+    ground = block.points.known.ecef_m[at.point]
+    by_eop, _, _ = oracle.derivatives(oracle.all_eop(block), at.look_rad, ground, as_run)
+    assert deviation(a, by_eop[:, :, 3:6]) < 1e-6
     p, v = at.records[:, RECORD.position], at.records[:, RECORD.velocity]
     for direction, alive in ((p, as_run), (v, False)):
         unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
@@ -186,12 +208,15 @@ def test_velocity_acts_through_its_direction_only(block: Block, switches: Switch
         assert 1e-4 < effect < 1e-2 if alive else effect < 1e-13
 
 
+@pytest.mark.oracle
 def test_velocity_across_track_is_a_yaw() -> None:
     """Without roll and pitch dF/dV . X = -(dF/d yaw)/V, V normal to P, exactly."""
     level = zonguldak_block(ZonguldakOptions(point_set="H-0", errors="none", radial_velocity_m_s=8.0))[0]
     at = conditions.build(level.images, level.observations, level.points.known.ecef_m)
     lin = at.linearise((9, 12, 15, 24), nothing(level, (9, 12, 15, 24)))
     p, v = at.records[:, RECORD.position], at.records[:, RECORD.velocity]
+    by_eop, _, _ = oracle.derivatives(oracle.all_eop(level), at.look_rad, level.points.known.ecef_m[at.point], False)
+    assert deviation(lin.eop, by_eop[:, :, [3, 4, 5, 8]]) < 1e-6
     across = np.einsum("nij,nj->ni", lin.eop[:, :, :3], oracle.frame(p, v, False)[:, :, 0])
     normal = np.linalg.norm(np.cross(v, p), axis=1) / np.linalg.norm(p, axis=1)
     yaw = lin.eop[:, :, 3]
@@ -199,6 +224,7 @@ def test_velocity_across_track_is_a_yaw() -> None:
     assert np.abs(across * normal[:, None] + yaw).max() < 1e-14
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("corrected", [False, True])
 def test_points_of_a_ray_fulfil_the_conditions(block: Block, corrected: bool, rng: np.random.Generator) -> None:
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m)
@@ -206,11 +232,17 @@ def test_points_of_a_ray_fulfil_the_conditions(block: Block, corrected: bool, rn
     x = rng.standard_normal((2, 27)) * size if corrected else nothing(block)
     centre, direction = at.rays(ALL, x)
     assert np.allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-15)
+    eop, line = oracle.all_eop(block), block.observations.line[:, None]
+    for degree in range(3):
+        eop = eop + x[block.observations.image, degree::3] * line**degree
+    assert np.abs(direction - oracle.ray(eop, at.look_rad, False)).max() < 1e-13
+    assert np.abs(centre - eop[:, :3]).max() < 1e-7
     for distance in (7e5, 9e5):
         on_ray = at.with_ground(centre + distance * direction)
         assert np.abs(on_ray.linearise(ALL, x).value).max() < 5e-15
 
 
+@pytest.mark.oracle
 @BOTH
 @pytest.mark.parametrize("third", [-1.0, 1.0])
 def test_rays_are_those_of_the_formulas(block: Block, switches: Switches, as_run: bool, third: float) -> None:
@@ -221,18 +253,23 @@ def test_rays_are_those_of_the_formulas(block: Block, switches: Switches, as_run
     assert np.abs(direction - oracle.ray(eop, look_of(block), as_run, third)).max() < 1e-14
 
 
+@pytest.mark.oracle
 def test_metadata_position_keeps_the_centre_and_turns_the_camera(block: Block) -> None:
     at = conditions.build(block.images, block.observations, block.points.known.ecef_m)
     codes, x = (0, 3, 6), np.full((2, 3), 50.0)
     moved, turned = at.rays(codes, x)
     held, same = at.rays(codes, x, metadata_position=True)
     given, straight = at.rays((), nothing(block, ()))
+    eop = oracle.all_eop(block)
+    assert np.abs(held - eop[:, :3]).max() < 1e-7
+    assert np.abs(same - oracle.ray(eop + 50.0 * (np.arange(9) < 3), at.look_rad, False)).max() < 1e-13
     assert np.array_equal(held, given)
     assert np.allclose(moved - given, 50.0, rtol=0.0, atol=1e-8)
     assert np.array_equal(turned, same)
     assert np.abs(turned - straight).max() > 1e-6
 
 
+@pytest.mark.oracle
 @BOTH
 def test_moving_the_reference_changes_no_condition(
     block: Block, switches: Switches, as_run: bool, rng: np.random.Generator
@@ -244,6 +281,8 @@ def test_moving_the_reference_changes_no_condition(
     anew = conditions.build(block.images, block.observations, other, switches=switches)
     moved = at.with_ground(other[at.point])
     a, b = (c.linearise(ALL, nothing(block)) for c in (moved, anew))
+    written_out = oracle.conditions(oracle.all_eop(block), at.look_rad, other[at.point], as_run)
+    assert np.abs(a.value - written_out).max() < ROUNDING
     assert np.abs(a.value - b.value).max() < 1e-14
     assert np.allclose(a.eop, b.eop, rtol=1e-12, atol=0.0)
     back = moved.with_ground(at.approximate_m).linearise(ALL, nothing(block)).value

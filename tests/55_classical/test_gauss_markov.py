@@ -33,6 +33,7 @@ def observed(rng: np.random.Generator) -> np.ndarray:
     return decay(np.array([5.0, 0.8, 1.0]))[0] + 0.05 * rng.normal(size=len(TIMES))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", ["weights", "cofactors"])
 @pytest.mark.parametrize("full", [False, True])
 def test_linear_equals_numpy_in_one_step(rng: np.random.Generator, kind: str, full: bool) -> None:
@@ -64,6 +65,7 @@ def test_linear_equals_numpy_in_one_step(rng: np.random.Generator, kind: str, fu
     assert np.allclose(found.correlations_adjusted_x, a @ q_x / sigma, atol=1e-9)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("solver", ["qr", "cholesky_elimination", "moore_penrose_inverse", "svd_scaled"])
 def test_not_linear_equals_scipy(rng: np.random.Generator, observed: np.ndarray, solver: str) -> None:
     sigma = rng.uniform(0.02, 0.08, len(TIMES))
@@ -81,6 +83,7 @@ def test_not_linear_equals_scipy(rng: np.random.Generator, observed: np.ndarray,
     assert np.allclose(found.adjusted - observed, found.v)
 
 
+@pytest.mark.consistency
 def test_the_stop_does_not_depend_on_units(observed: np.ndarray) -> None:
     """The same observations in other units, unit weights: the same iterations and the same answer.
 
@@ -99,14 +102,19 @@ def test_the_stop_does_not_depend_on_units(observed: np.ndarray) -> None:
     assert b.m0 == pytest.approx(unit * a.m0, rel=1e-10)
 
 
+@pytest.mark.oracle
 def test_weights_of_one_variance_change_nothing_but_the_scale(observed: np.ndarray) -> None:
     start = np.array([4.0, 0.5, 0.0])
     a, b = gauss_markov(decay, observed, start), gauss_markov(decay, observed, start, weights=np.full(14, 25.0))
+    scipys = least_squares(lambda x: decay(x)[0] - observed, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert a.x == pytest.approx(scipys.x, rel=1e-7)
+    assert a.m0 == pytest.approx(np.sqrt(2.0 * scipys.cost / 11), rel=1e-9)
     assert np.allclose(a.x, b.x, rtol=1e-10)
     assert b.m0 == pytest.approx(5.0 * a.m0, rel=1e-10)
     assert np.allclose(b.cofactors_x, a.cofactors_x / 25.0, rtol=1e-9)
 
 
+@pytest.mark.truth
 def test_without_redundancy_there_is_no_m0_and_a_reason() -> None:
     found = gauss_markov(lambda x: (x**3, np.diag(3.0 * x**2)), np.array([8.0, 27.0]), np.array([1.5, 4.0]))
     assert found.converged
@@ -116,6 +124,7 @@ def test_without_redundancy_there_is_no_m0_and_a_reason() -> None:
     assert np.abs(found.cofactors_v).max() < 1e-15
 
 
+@pytest.mark.oracle
 def test_a_singular_design_is_solved_by_svd_with_a_note() -> None:
     """Two unknowns that act alike: QR refuses, SVD gives their sum, rank and redundancy say so."""
 
@@ -129,11 +138,15 @@ def test_a_singular_design_is_solved_by_svd_with_a_note() -> None:
     found, plain = gauss_markov(doubled, observed, np.zeros(3), solver="svd"), gauss_markov(line, observed, np.zeros(2))
     assert found.redundancy == plain.redundancy == 12
     assert found.x[0] + found.x[1] == pytest.approx(plain.x[0], rel=1e-12)
+    assert found.x == pytest.approx(np.linalg.lstsq(doubled(np.zeros(3))[1], observed, rcond=None)[0], rel=1e-10)
+    a = line(np.zeros(2))[1]
+    assert np.allclose(found.cofactors_adjusted, a @ np.linalg.inv(a.T @ a) @ a.T, atol=1e-13)
     assert "rank 2 of 3" in found.notes[-1]
     assert np.allclose(found.cofactors_adjusted, plain.cofactors_adjusted, atol=1e-14)
     assert plain.notes == ()
 
 
+@pytest.mark.behaviour
 def test_no_convergence_is_said(observed: np.ndarray) -> None:
     found = gauss_markov(decay, observed, np.array([4.0, 0.5, 0.0]), max_iterations=1)
     assert not found.converged
@@ -141,6 +154,7 @@ def test_no_convergence_is_said(observed: np.ndarray) -> None:
     assert gauss_markov(decay, observed, np.array([4.0, 0.5, 0.0])).reason == "the step is below the tolerance"
 
 
+@pytest.mark.behaviour
 def test_start_and_observations_are_left_alone(observed: np.ndarray) -> None:
     start, copy = np.array([4.0, 0.5, 0.0]), observed.copy()
 
@@ -154,6 +168,7 @@ def test_start_and_observations_are_left_alone(observed: np.ndarray) -> None:
     assert np.array_equal(observed, copy)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "code"),
     [
@@ -183,6 +198,7 @@ def test_bad_input_is_refused(change: dict[str, object], code: str) -> None:
     assert [p.code for p in caught.value.problems] == [code]
 
 
+@pytest.mark.behaviour
 def test_values_that_are_not_finite_are_no_solution() -> None:
     with pytest.raises(fg.NoSolutionError, match="not finite"):
         gauss_markov(lambda x: (np.full(3, np.nan), np.ones((3, 1))), np.ones(3), np.zeros(1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -107,6 +108,7 @@ def independent(run: TwoStage) -> Independent:
 # --- counts and step 1 -----------------------------------------------------------------------
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(("eop_set", "unknowns"), [(1, 48), (9, 48), (15, 66), (20, 84)])
 def test_counts_are_the_published_ones(run: TwoStage, eop_set: int, unknowns: int) -> None:
     assert (len(run.control_ids), len(run.check_ids)) == (37, 10)
@@ -120,15 +122,21 @@ def test_counts_are_the_published_ones(run: TwoStage, eop_set: int, unknowns: in
     assert bundle.accuracy.icp_m.shape == (10, 3)
 
 
+@pytest.mark.oracle
 def test_step_one_closes_every_condition(run: TwoStage) -> None:
     look = run.look
     assert look.largest_misclosure <= 1e-15
+    control = np.isin(run.pre_adjusted.point, run._control)
+    ground = run.block.points.known.ecef_m[run.pre_adjusted.point[control]]
+    closed = oracle.conditions(oracle.all_eop(run.block)[control], look.adjusted_rad[control], ground, False)
+    assert np.abs(closed).max() < 2e-14
     assert 1 < look.cycles <= 5
     errors = run.look_only()
     assert np.abs(errors.gcp_m).max() < 1e-6
     assert 0.1 < errors.icp_max < 15.0
 
 
+@pytest.mark.oracle
 def test_step_one_is_a_back_projection(run: TwoStage, independent: Independent) -> None:
     """Whatever is wrong goes into the look angles: v is what the control point itself asks for."""
     control = independent.control
@@ -140,11 +148,13 @@ def test_step_one_is_a_back_projection(run: TwoStage, independent: Independent) 
     assert 5e-6 < run.look.m0_rad < 5e-5
 
 
+@pytest.mark.oracle
 def test_check_angles_are_a_parabola_of_the_column(run: TwoStage, independent: Independent) -> None:
     # polyfit in raw columns of 1e4: 1e-16 x 0.4 rad x condition 1e2
     assert np.abs(run.look.adjusted_rad - independent.look).max() < 1e-13
 
 
+@pytest.mark.oracle
 def test_parabola_of_the_corrections_leaves_the_cubic_part_in(run: TwoStage) -> None:
     """A parabola through the angles misses their cubic part: 3e-6 rad over the field, metres on the ground."""
     block, o = run.block, run.block.observations
@@ -163,6 +173,7 @@ def test_parabola_of_the_corrections_leaves_the_cubic_part_in(run: TwoStage) -> 
     assert 5e-7 < apart[1] < 6e-6
 
 
+@pytest.mark.oracle
 def test_the_printed_sign_reflects_the_intersection(run: TwoStage) -> None:
     """+1 as the third component: the rays meet 1.9e6 m away, above the satellites; -1: bias level."""
     right, printed = run.uncorrected(), run.uncorrected(look_sign=1.0)
@@ -182,6 +193,7 @@ def test_the_printed_sign_reflects_the_intersection(run: TwoStage) -> None:
 # --- step 2 ----------------------------------------------------------------------------------
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("eop_set", [1, 9])
 def test_step_two_solves_rounding_noise(run: TwoStage, eop_set: int) -> None:
     step = run.pre_adjust(1, eop_set, "qr_scaled")
@@ -191,6 +203,7 @@ def test_step_two_solves_rounding_noise(run: TwoStage, eop_set: int) -> None:
     assert step.repeats == 1
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("image", [0, 1])
 @pytest.mark.parametrize("eop_set", [2, 10, 14])
 def test_step_two_equals_least_squares(run: TwoStage, independent: Independent, image: int, eop_set: int) -> None:
@@ -217,6 +230,7 @@ def test_step_two_equals_least_squares(run: TwoStage, independent: Independent, 
     assert step.names == tuple(two_stage.parameter_name(c) for c in codes)
 
 
+@pytest.mark.behaviour
 def test_as_run_step_two_repeats_while_corrections_are_large(run: TwoStage, monkeypatch: pytest.MonkeyPatch) -> None:
     """10 m or 10 seconds of arc, and A of full rank; one limit for a set (D7), or one for each unknown."""
     program = TwoStage(run.block, as_run=True)
@@ -264,6 +278,7 @@ def test_as_run_step_two_repeats_while_corrections_are_large(run: TwoStage, monk
 # --- bundle ----------------------------------------------------------------------------------
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     ("eop_set", "solver"),
     # not the pseudo-inverse with set 10: radians beside metres, so it keeps few digits of the metres
@@ -288,6 +303,7 @@ def test_bundle_equals_an_independent_one(run: TwoStage, independent: Independen
     assert np.abs(found.accuracy.gcp_m - (run.block.points.known.ecef_m - ground)[control]).max() < 1e-6
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("eop_set", [2, 10])
 def test_residuals_fulfil_the_linearised_conditions(run: TwoStage, independent: Independent, eop_set: int) -> None:
     """A dP + B v + w = 0 with v^T v smallest: v is orthogonal to what dP can still change."""
@@ -299,6 +315,7 @@ def test_residuals_fulfil_the_linearised_conditions(run: TwoStage, independent: 
     assert np.abs(columns.T @ found.v).max() < 1e-9 * np.linalg.norm(found.v)
 
 
+@pytest.mark.consistency
 def test_type_two_starts_from_step_two(run: TwoStage) -> None:
     """dP of a type 2 run holds that of step 2; with a good set step 2 is nothing."""
     one, two = run.bundle(2, 1, SOLVER), run.bundle(2, 2, SOLVER)
@@ -306,6 +323,7 @@ def test_type_two_starts_from_step_two(run: TwoStage) -> None:
     assert np.abs(one.accuracy.icp_m - two.accuracy.icp_m).max() < 1e-6
 
 
+@pytest.mark.oracle
 def test_type_two_goes_on_from_step_two(run: TwoStage) -> None:
     """From the file's look angles step 2 finds real corrections; check points start where its rays meet."""
     open_run = TwoStage(run.block)
@@ -325,6 +343,7 @@ def test_type_two_goes_on_from_step_two(run: TwoStage) -> None:
     assert np.abs(found.accuracy.icp_m - (icp - ground[j])).max() < 1e-6
 
 
+@pytest.mark.consistency
 def test_without_eop_unknowns_only_check_points_move(run: TwoStage) -> None:
     bundle = run.bundle(None, 1, SOLVER)
     assert (bundle.n_unknowns, bundle.dP.shape) == (30, (2, 0))
@@ -333,6 +352,7 @@ def test_without_eop_unknowns_only_check_points_move(run: TwoStage) -> None:
     assert np.array_equal(bundle.accuracy.icp_m, run.bundle(None, 2, SOLVER).accuracy.icp_m)
 
 
+@pytest.mark.oracle
 def test_further_iterations_close_the_conditions(run: TwoStage) -> None:
     """Adjusted observations are the new ones: the misclosures vanish quadratically, v adds up."""
     first, third = run.bundle(2, 1, SOLVER), run.bundle(2, 1, SOLVER, iterations=3)
@@ -344,8 +364,14 @@ def test_further_iterations_close_the_conditions(run: TwoStage) -> None:
     control = np.isin(at.point, run._control)
     value = at.take(np.flatnonzero(control)).linearise(eop_codes(2), third.dP).value
     assert np.abs(value).max() < 1e-14
+    eop, at_line = oracle.all_eop(run.block), run.block.observations
+    for column, code in enumerate(eop_codes(2)):
+        eop[:, code // 3] += third.dP[at_line.image, column] * at_line.line ** (code % 3)
+    ground = run.block.points.known.ecef_m[at.point]
+    assert np.abs(oracle.conditions(eop, at.look_rad, ground, False)[control]).max() < 2e-14
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("point_set", ["H-0", "G-A"])
 def test_other_point_sets(point_set: str) -> None:
     block = zonguldak_block(ZonguldakOptions(point_set=point_set))[0]
@@ -388,6 +414,7 @@ def _exact_block() -> tuple[Block, np.ndarray]:
     return replace(block, images=tuple(images), observations=observations), truth.ecef_m
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("kind", [1, 2])
 @pytest.mark.parametrize("eop_set", [2, 10])
 def test_perfect_data_are_left_alone(eop_set: int, kind: two_stage.Kind) -> None:
@@ -402,6 +429,7 @@ def test_perfect_data_are_left_alone(eop_set: int, kind: two_stage.Kind) -> None
     assert np.abs(bundle.accuracy.gcp_m).max() < 1e-6
 
 
+@pytest.mark.consistency
 def test_a_real_orbit_is_no_parabola() -> None:
     """Of perfect data the published model keeps what parabolas leave of the orbit: about 3 cm."""
     options = ZonguldakOptions(errors="none", image_noise_px=0.0, ground_noise_m=(0.0, 0.0, 0.0))
@@ -417,6 +445,7 @@ def grid(columns: int = 3, **options: object) -> Block:
     return grid_block(BlockOptions(columns=columns, **settings))[0]
 
 
+@pytest.mark.behaviour
 def test_three_images_and_tie_points() -> None:
     """A point in three images counts three times; tie points are unknowns without an accuracy."""
     block = grid()
@@ -438,6 +467,7 @@ def without(block: Block, point: int, image: int) -> Block:
     return replace(block, observations=o.take(~((o.point == point) & (o.image == image))))
 
 
+@pytest.mark.behaviour
 def test_a_control_point_of_one_image_is_no_failure() -> None:
     """It takes part, has no intersection, and is left out of the accuracy."""
     block = zonguldak_block(ZonguldakOptions())[0]
@@ -450,6 +480,7 @@ def test_a_control_point_of_one_image_is_no_failure() -> None:
     assert less.bundle(2, 1, SOLVER).n_observations == 186
 
 
+@pytest.mark.behaviour
 def test_a_point_that_nobody_sees_is_ignored() -> None:
     block = zonguldak_block(ZonguldakOptions())[0]
     for role in (Role.CONTROL, Role.CHECK):
@@ -471,6 +502,7 @@ def pleiades(repository: Path, real_data: Path) -> Block:
     return scene.block(example.farthest_points(scene.ecef_m, 0, 20), 0.3)
 
 
+@pytest.mark.consistency
 @pytest.mark.real_data
 def test_pleiades_pair(pleiades: Block) -> None:
     """Quaternions fixed to the Earth: the same procedure, sane numbers (direct georeferencing is 8 m off)."""
@@ -485,6 +517,7 @@ def test_pleiades_pair(pleiades: Block) -> None:
         assert bundle.accuracy.gcp_max < 0.1
 
 
+@pytest.mark.consistency
 @pytest.mark.real_data
 def test_pleiades_pair_as_run(pleiades: Block) -> None:
     """The real radial velocity leaves its constant error at the control points, cos(V, Z)^2 of the distance."""
@@ -509,6 +542,7 @@ def assert_nothing(bundle: two_stage.Bundle, n_gcp: int = 37, n_icp: int = 10) -
         assert np.isnan(value).all()
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("kind", [1, 2])
 @pytest.mark.parametrize("iterations", [1, 3])
 def test_a_breakdown_gives_nan_and_its_reason(
@@ -524,12 +558,14 @@ def test_a_breakdown_gives_nan_and_its_reason(
     assert bundle.n_unknowns == 48
 
 
+@pytest.mark.behaviour
 def test_cholesky_breaks_down_on_a_set_with_velocity(run: TwoStage) -> None:
     bundle = run.bundle(5, 1, "cholesky_inverse")
     assert_nothing(bundle)
     assert "radicand" in bundle.failure
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("size", [1e100, 1e200, 1e300])
 @pytest.mark.parametrize("iterations", [1, 4])
 @pytest.mark.parametrize("as_run", [False, True])
@@ -547,6 +583,7 @@ def test_wild_corrections_are_reported(
                 assert bundle.failure
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("eop_set", [2, 15, 20])
 def test_control_points_that_cannot_be_intersected_are_a_failure(
     run: TwoStage, monkeypatch: pytest.MonkeyPatch, eop_set: int
@@ -565,36 +602,47 @@ def test_control_points_that_cannot_be_intersected_are_a_failure(
 # --- refusals --------------------------------------------------------------------------------
 
 
-def test_one_image_is_refused(run: TwoStage) -> None:
-    block, o = run.block, run.block.observations
-    alone = replace(block, images=block.images[:1], observations=o.take(o.image == 0))
-    with pytest.raises(InputError, match="at least two images"):
-        TwoStage(alone)
+def one_image(block: Block) -> Block:
+    o = block.observations
+    return replace(block, images=block.images[:1], observations=o.take(o.image == 0))
 
 
-def test_few_control_points_are_refused(run: TwoStage) -> None:
-    block, o = run.block, run.block.observations
-    few = block.points.where(Role.CONTROL)[:2]
+def few_control_points(block: Block) -> Block:
+    """Two in the right image."""
+    o, few = block.observations, block.points.where(Role.CONTROL)[:2]
     kept = np.isin(o.point, few) | np.isin(o.point, block.points.where(Role.CHECK)) | (o.image == 0)
-    with pytest.raises(InputError, match=r"image right.*at least 3 different columns.*found 2"):
-        TwoStage(replace(block, observations=o.take(kept)))
+    return replace(block, observations=o.take(kept))
 
 
-def test_control_points_of_one_column_are_refused(run: TwoStage) -> None:
-    block, o = run.block, run.block.observations
+def one_column(block: Block) -> Block:
+    o = block.observations
     sample = np.where(np.isin(o.point, block.points.where(Role.CONTROL)) & (o.image == 0), 4000.0, o.sample)
-    moved = ImagePoints(o.image, o.point, o.line, sample, o.sigma_line_px, o.sigma_sample_px)
-    with pytest.raises(InputError, match=r"image left.*different columns.*found 1"):
-        TwoStage(replace(block, observations=moved))
+    return replace(
+        block, observations=ImagePoints(o.image, o.point, o.line, sample, o.sigma_line_px, o.sigma_sample_px)
+    )
 
 
-def test_a_check_point_of_one_image_is_refused(run: TwoStage) -> None:
-    point = int(run.block.points.where(Role.CHECK)[0])
-    with pytest.raises(InputError, match=f"point {run.block.points.ids[point]}") as caught:
-        TwoStage(without(run.block, point, 0)).look_only()
-    assert caught.value.problems[0].code == "initial.seen_once"
+def check_point_of_one_image(block: Block) -> Block:
+    return without(block, int(block.points.where(Role.CHECK)[0]), 0)
 
 
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [(one_image, "at least two images"),
+     (few_control_points, r"image right.*at least 3 different columns.*found 2"),
+     (one_column, r"image left.*different columns.*found 1"), (check_point_of_one_image, "point POINT")],
+)  # fmt: skip
+def test_blocks_that_the_procedure_cannot_take_are_refused(
+    run: TwoStage, change: Callable[[Block], Block], message: str
+) -> None:
+    first = run.block.points.ids[int(run.block.points.where(Role.CHECK)[0])]
+    with pytest.raises(InputError, match=message.replace("POINT", first)) as caught:
+        TwoStage(change(run.block)).look_only()
+    assert change is not check_point_of_one_image or caught.value.problems[0].code == "initial.seen_once"
+
+
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("arguments", "message"), [
     ((0, 1, SOLVER), "no such EOP set"), ((21, 1, SOLVER), "no such EOP set"),
     ((2, 3, SOLVER), "no such bundle adjustment"), ((2, 1, SOLVER, 0), "no such bundle adjustment"),
@@ -608,6 +656,7 @@ def test_bundles_that_do_not_exist_are_refused(run: TwoStage, arguments: tuple[o
 # --- errors per axis -------------------------------------------------------------------------
 
 
+@pytest.mark.truth
 def test_rms_of_wild_and_of_no_values() -> None:
     values = np.array([[3.0, 4e300, 0.0], [4.0, 3e300, 0.0], [0.0, 0.0, 0.0]])
     root = 5.0 / np.sqrt(3.0)
@@ -616,6 +665,7 @@ def test_rms_of_wild_and_of_no_values() -> None:
     assert np.isnan(rms(np.array([[np.nan, 1.0, 2.0]]))[0])
 
 
+@pytest.mark.oracle
 def test_two_rays_meet_on_the_first(rng: np.random.Generator) -> None:
     """Skew rays: the foot of the common perpendicular on the first ray; parallel ones and single ones are nan."""
     centre = rng.normal(size=(6, 3))

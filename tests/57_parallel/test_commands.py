@@ -34,6 +34,7 @@ def table(path: Path, name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.consistency
 def test_adjust_in_parts_writes_the_same_result(project: Path, tmp_path: Path) -> None:
     records = []
     for name, words in (("whole", ("--backend", "schur")), ("parts", ("--parts", 3, "--work-dir", tmp_path))):
@@ -46,6 +47,7 @@ def test_adjust_in_parts_writes_the_same_result(project: Path, tmp_path: Path) -
     assert sorted(p.name for p in tmp_path.iterdir()) == ["parts", "whole"]
 
 
+@pytest.mark.consistency
 @pytest.mark.slow
 def test_adjust_on_a_scheduler(project: Path, client: Any, tmp_path: Path) -> None:
     bits = []
@@ -56,6 +58,7 @@ def test_adjust_on_a_scheduler(project: Path, client: Any, tmp_path: Path) -> No
     assert bits[0] == bits[1]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "code", "place"),
     [
@@ -69,6 +72,7 @@ def test_adjust_names_what_is_wrong(project: Path, tmp_path: Path, words: Any, c
     assert (ended.code, problem["code"], problem["place"]) == (2, code, place)
 
 
+@pytest.mark.consistency
 @pytest.mark.slow
 def test_compare_shares_the_sets(project: Path, client: Any, tmp_path: Path) -> None:
     words = ("--eop-sets", "1,9", "--solvers", "qr", "--backends", "dense,graph", "--json")
@@ -85,6 +89,7 @@ def test_compare_shares_the_sets(project: Path, client: Any, tmp_path: Path) -> 
     assert json.loads((tmp_path / "shared" / "result.json").read_text("utf-8"))["eop_sets"] == [1, 9]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("code", "kept"), [("parallel.lost", True), ("parallel.killed", True), ("adjust.broken_down", False)]
 )
@@ -103,6 +108,7 @@ def test_a_lost_cluster_leaves_the_checkpoint(
     assert checkpoint_path(tmp_path / "out").exists() == kept
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     "fault", [OSError("Timed out trying to connect"), RuntimeError("ConnectionPool is closed"), TimeoutError()]
 )
@@ -111,6 +117,7 @@ def test_what_dask_says_of_a_lost_scheduler_is_one_message(fault: Exception) -> 
         raise fault
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("fault", [FileNotFoundError(2, "no file"), RuntimeError("another"), Singular("point")])
 def test_other_faults_pass(fault: Exception) -> None:
     with pytest.raises(type(fault)) as caught, pool._failures():
@@ -118,6 +125,7 @@ def test_other_faults_pass(fault: Exception) -> None:
     assert caught.value is fault
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     "wrong", [{"parts": 2.5}, {"parts": "3"}, {"parts": True}, {"workers": "2"}, {"work_dir": 5}, {"cluster": 7}]
 )

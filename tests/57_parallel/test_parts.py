@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fg_orient as fg
+from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.gnc import EXACT, PLAIN, Graduated
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.robust import weighted_problem
+from fg_orient.adjustment.robust import robust_of, weighted_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
 from fg_orient.block import Block, ExtraObservation
@@ -25,6 +27,7 @@ from fg_orient.parallel.parts import default_parts, divide, part_file, read_part
 from fg_orient.parallel.pool import Execution, InProcess
 from fg_orient.parallel.solve import solve_in_parts
 from fg_orient.quality.covariance import cofactors_of
+from tests.support.full_statistics import after_numpy, step_of_numpy
 from tests.support.parallel_block import block
 from tests.support.rpc_block import rpc_twin
 from tests.support.states import largest, moved
@@ -37,6 +40,7 @@ def with_options(problem: Problem, **options: object) -> Problem:
     return compile_problem(replace(problem.block, options=replace(problem.block.options, **options)))
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("count", [1, 2, 7, 60])
 def test_parts_hold_every_point_and_ray_once(problem: Problem, count: int) -> None:
     points = divide(problem, count)
@@ -53,6 +57,7 @@ def test_parts_hold_every_point_and_ray_once(problem: Problem, count: int) -> No
     assert max(work) <= sum(work) / count + heaviest
 
 
+@pytest.mark.behaviour
 def test_the_number_of_parts_follows_from_the_block(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     n = len(problem.observations)
     for size, expected in ((n, 1), (n - 1, 2), (1, n)):
@@ -60,9 +65,10 @@ def test_the_number_of_parts_follows_from_the_block(problem: Problem, monkeypatc
         assert default_parts(problem) == min(expected, parts_module.MAX_PARTS)
 
 
+@pytest.mark.oracle
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(st.data())
-def test_a_step_in_parts_is_the_step_in_one_piece(
+def test_a_step_in_parts_is_the_step_in_one_piece_and_of_numpy(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     """Any set, look polynomial, damping, number of parts: step, errors, lengths, and the state that follows."""
@@ -85,6 +91,8 @@ def test_a_step_in_parts_is_the_step_in_one_piece(
     assert ours.norm == pytest.approx(step.norm, rel=1e-7)
     assert ours.predicted_error == pytest.approx(step.predicted_error, rel=1e-9)
     newton = a.solve(0.0).norm
+    image, ground = largest(problem, after_numpy(problem, state), parted.retract(state, b.solve(0.0)))
+    assert max(image, ground) <= 1e-7 * max(1.0, newton)
     for radius in (1e-3 * newton, 0.5 * newton):
         step, ours = a.dogleg(radius), b.dogleg(radius)
         assert ours.norm == pytest.approx(min(radius, newton), rel=1e-7)
@@ -93,6 +101,7 @@ def test_a_step_in_parts_is_the_step_in_one_piece(
         assert ours.predicted_error == pytest.approx(step.predicted_error, rel=1e-9)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("optimizer", "loss"), [*((name, "none") for name in OPTIMIZERS), ("dogleg", "huber")])
 def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss: str) -> None:
     chosen = with_options(problem, optimizer=optimizer, loss=loss)
@@ -101,6 +110,8 @@ def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss:
     image, ground = largest(chosen, whole.state, parted.state)
     assert image <= SIGMAS and ground <= METRES
     assert parted.chi2 == pytest.approx(whole.chi2, rel=1e-12)
+    image, ground = step_of_numpy(chosen, parted.state, robust_of(chosen.block.options))
+    assert image <= 1e-6 and ground <= 1e-4  # reweighted steps shrink by a tenth each
     theirs, ours = (
         cofactors_of(chosen if e.weights is None else weighted_problem(chosen, e.weights), e) for e in (whole, parted)
     )
@@ -113,6 +124,7 @@ def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss:
         np.testing.assert_allclose(b / scale, a / scale, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.oracle
 def test_losses_that_change_reach_the_parts(problem: Problem, tmp_path: Path) -> None:
     plan, state = Graduated.of(replace(problem.block.options, loss="tls", gnc=True)), moved(problem, 2)
     one, parted = SchurBackend(problem), PartedBackend(problem, InProcess(), tmp_path, 4)
@@ -125,9 +137,13 @@ def test_losses_that_change_reach_the_parts(problem: Problem, tmp_path: Path) ->
         assert parted.error(state) == pytest.approx(errors[-1], rel=1e-12)
         a, b = one.linearise(state).solve(0.0), parted.linearise(state).solve(0.0)
         np.testing.assert_allclose(b.image, a.image, rtol=0.0, atol=1e-9 * max(1.0, a.length))
+        numpys = after_numpy(problem, state, plan.robust(mu)).image - state.image
+        after = parted.retract(state, b).image - state.image
+        np.testing.assert_allclose(after, numpys, rtol=0.0, atol=1e-6 * max(1.0, float(np.abs(numpys).max())))
     assert len(set(errors)) == 4
 
 
+@pytest.mark.consistency
 @pytest.mark.slow
 def test_graduated_non_convexity_in_parts(problem: Problem) -> None:
     """Stages change the losses and look at all residuals: bad image points are found alike."""
@@ -141,36 +157,41 @@ def test_graduated_non_convexity_in_parts(problem: Problem) -> None:
     assert image <= SIGMAS and ground <= METRES
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", ["shift", "affine"])
 def test_images_with_rational_functions_in_parts(kind: str) -> None:
     twin = rpc_twin(kind).block
     problem = compile_problem(replace(twin, options=replace(twin.options, backend="schur")))
-    whole, parted = solve(problem), solve_in_parts(problem, Execution(parts=3))
-    image, ground = largest(problem, whole.state, parted.state)
+    image, ground = step_of_numpy(problem, solve_in_parts(problem, Execution(parts=3)).state)
     assert image <= SIGMAS and ground <= METRES
 
 
+@pytest.mark.oracle
 def test_adjust_takes_parts(small: Block) -> None:
     whole, parted = fg.adjust(small), fg.adjust(small, parts=3)
     assert parted.status == whole.status and parted.backend == "schur"
     assert parted.sigma0 == pytest.approx(whole.sigma0, rel=1e-12)
+    image, ground = step_of_numpy(parted.problem, parted.state)
+    assert image <= SIGMAS and ground <= METRES
     np.testing.assert_allclose(parted.ground_m, whole.ground_m, rtol=0.0, atol=METRES)
     for role in ("control", "check"):
         a, b = (getattr(s.accuracy, role).statistics() for s in (whole, parted))
         assert b == pytest.approx(a, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.oracle
 def test_a_state_from_elsewhere_is_written_for_the_parts(problem: Problem, tmp_path: Path) -> None:
     backend, state = PartedBackend(problem, InProcess(), tmp_path, 4), moved(problem, 3)
-    one = SchurBackend(problem)
-    assert backend.error(state) == pytest.approx(one.error(state), rel=1e-12)
-    assert backend.error(backend.initial()) == pytest.approx(one.error(problem.start), rel=1e-12)
+    for error, at in ((backend.error(state), state), (backend.error(backend.initial()), problem.start)):
+        residual, _ = assemble(problem, at)
+        assert error == pytest.approx(0.5 * residual @ residual, rel=1e-12)
     step = backend.linearise(state).solve(0.0)
     with pytest.raises(ValueError, match="another state"):
         backend.retract(problem.start, step)
     np.testing.assert_array_equal(backend.initial().ground, problem.start.ground)
 
 
+@pytest.mark.behaviour
 def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path: Path) -> None:
     counts = Counter[int]()
 
@@ -184,27 +205,27 @@ def test_the_work_folder_does_not_grow_and_is_removed(problem: Problem, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_part_file_that_is_not_whole_is_named(problem: Problem, tmp_path: Path) -> None:
+@pytest.mark.behaviour
+def test_parts_that_cannot_be_read_are_named(problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker of another version; a file that is not whole, and one that is not there."""
     PartedBackend(problem, InProcess(), tmp_path, 2)
     path = part_file(tmp_path, 1)
-    path.write_bytes(path.read_bytes()[:1000])
-    for number in (1, 2):
+
+    def refusal(number: int) -> Any:
         with pytest.raises(fg.InputError) as caught:
             read_part(str(tmp_path), number)
-        assert caught.value.problems[0].code == "parallel.folder"
-        assert "option work_dir" in caught.value.problems[0].remedy
+        return caught.value.problems[0]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(parts_module, "__version__", "9.9.9")
+        assert refusal(1).code == "parallel.version"
+    path.write_bytes(path.read_bytes()[:1000])
+    for number in (1, 2):
+        assert refusal(number).code == "parallel.folder"
+        assert "option work_dir" in refusal(number).remedy
 
 
-def test_a_worker_of_another_version_is_refused(
-    problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    PartedBackend(problem, InProcess(), tmp_path, 2)
-    monkeypatch.setattr(parts_module, "__version__", "9.9.9")
-    with pytest.raises(fg.InputError) as caught:
-        read_part(str(tmp_path), 1)
-    assert caught.value.problems[0].code == "parallel.version"
-
-
+@pytest.mark.behaviour
 def test_a_value_that_is_not_finite_names_its_point(problem: Problem) -> None:
     records = problem.records.copy()
     records[7] = np.nan
@@ -213,6 +234,7 @@ def test_a_value_that_is_not_finite_names_its_point(problem: Problem) -> None:
     assert problem.label(7) in str(caught.value)
 
 
+@pytest.mark.behaviour
 def test_refusals(small: Block, tmp_path: Path) -> None:
     def code(block: Block, **execution: object) -> str:
         with pytest.raises(fg.InputError) as caught:
@@ -228,6 +250,7 @@ def test_refusals(small: Block, tmp_path: Path) -> None:
     assert code(replace(small, options=native), parts=2) == "adjust.native_dense"
 
 
+@pytest.mark.behaviour
 def test_own_observations_are_refused(small: Block) -> None:
     from factors.control import CONTROL_POINT
 

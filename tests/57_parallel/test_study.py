@@ -29,6 +29,7 @@ def assert_same(a: list[Any], b: list[Any]) -> None:
         np.testing.assert_array_equal(x["values"], y["values"])
 
 
+@pytest.mark.consistency
 def test_results_keep_their_bits() -> None:
     found, again = spectrum(3), loads(dumps(spectrum(3)))
     assert_same([found], [again])
@@ -38,6 +39,7 @@ def test_results_keep_their_bits() -> None:
             dumps(bad)
 
 
+@pytest.mark.behaviour
 def test_an_interrupted_study_goes_on(tmp_path: Path) -> None:
     cases, seen, told = list(range(6)), [], []
 
@@ -58,26 +60,25 @@ def test_an_interrupted_study_goes_on(tmp_path: Path) -> None:
     assert len(seen) == 7 + 6
 
 
-def test_a_kept_file_that_is_not_whole_is_named(tmp_path: Path) -> None:
+@pytest.mark.behaviour
+def test_a_kept_file_that_is_not_whole_and_a_folder_that_cannot_be_made_are_named(tmp_path: Path) -> None:
     study(spectrum, [1], folder=tmp_path)
     (path,) = tmp_path.iterdir()
     path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(fg.InputError) as caught:
-        study(spectrum, [1], folder=tmp_path)
-    assert (caught.value.problems[0].code, caught.value.problems[0].file) == ("parallel.result", str(path))
-
-
-def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("", "utf-8")
-    with pytest.raises(fg.InputError) as caught:
-        study(spectrum, [1], folder=tmp_path / "file" / "below")
-    assert caught.value.problems[0].code == "output.unwritable"
+    for folder, code, file in (
+        (tmp_path, "parallel.result", str(path)), (path / "below", "output.unwritable", ""),
+    ):  # fmt: skip
+        with pytest.raises(fg.InputError) as caught:
+            study(spectrum, [1], folder=folder)
+        assert caught.value.problems[0].code == code
+        assert caught.value.problems[0].file == file or not file
 
 
 def even(at: Any) -> Outcome:
     return outcome({"even": at.seed % 2 == 0}, half=at.seed / 2)
 
 
+@pytest.mark.behaviour
 def test_claims_are_shared_by_seed() -> None:
     told: list[tuple[int, int]] = []
     (found,) = run_claims([1, 2, 3, 4], lambda *step: told.append(step), [Claim("C0", "even seeds", even)])
@@ -97,6 +98,7 @@ def without_times(rows: Any) -> list[dict[str, Any]]:
     return [{k: v for k, v in row.as_dict().items() if k != "seconds"} for row in rows]
 
 
+@pytest.mark.consistency
 def test_a_comparison_keeps_its_sets(small: Block, tmp_path: Path) -> None:
     """The same rows as without; a second run takes them, a comparison of another kind does not."""
     given: dict[str, Any] = {"eop_sets": [1, 15], "solvers": "qr", "backends": "dense"}
@@ -110,6 +112,7 @@ def test_a_comparison_keeps_its_sets(small: Block, tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 3
 
 
+@pytest.mark.consistency
 @pytest.mark.slow
 def test_workers_share_a_comparison(client: Any, small: Block) -> None:
     given: dict[str, Any] = {"eop_sets": [1, 15], "solvers": "qr", "backends": "dense,graph"}

@@ -26,6 +26,7 @@ from fg_orient.parallel.pool import Cluster, Execution, InProcess, Pool, branche
 from fg_orient.parallel.study import study
 from fg_orient.parallel.tasks import forget
 from fg_orient.simulate.block import BlockOptions, grid_block
+from tests.support.full_statistics import step_of_numpy
 
 PARTS = 4
 
@@ -84,6 +85,7 @@ def assert_same_bits(a: State, b: State) -> None:
     np.testing.assert_array_equal(a.ground, b.ground)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("count", [1, 2])
 def test_the_bits_do_not_depend_on_the_number_of_workers(
     problem: Problem, client: Any, alone: State, count: int
@@ -91,12 +93,14 @@ def test_the_bits_do_not_depend_on_the_number_of_workers(
     assert_same_bits(run(problem, Few(client, count)), alone)
 
 
+@pytest.mark.consistency
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [3, 4])
 def test_nor_of_more_workers(problem: Problem, four: Any, alone: State, count: int) -> None:
     assert_same_bits(run(problem, Few(four, count)), alone)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 8])
 def test_branches_are_those_of_the_tree(count: int) -> None:
     """Words show the order of the sum; whatever the depth, the top adds the branches as the whole tree does."""
@@ -114,14 +118,18 @@ def test_branches_are_those_of_the_tree(count: int) -> None:
         assert pool_module._top(sums, count, depth) == whole
 
 
+@pytest.mark.oracle
 def test_workers_agree_with_one_piece(small: Block, problem: Problem, client: Any) -> None:
     """Within 1e-9 prior sigma; ground points within 1e-7 m."""
     whole, shared = solve(problem), fg.adjust(small, parts=PARTS, cluster=client)
     assert shared.status == fg.Status.CONVERGED
+    image, ground = step_of_numpy(problem, shared.state)
+    assert image <= 1e-9 and ground <= 1e-7
     assert np.abs(shared.state.image - whole.state.image).max() <= 1e-9
     assert np.nanmax(np.abs(shared.state.ground - whole.state.ground)) <= 1e-7
 
 
+@pytest.mark.consistency
 def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: State, tmp_path: Path) -> None:
     """One ends when it has nearly eliminated its points: its work is done again elsewhere."""
     deadly = Deadly(client, tmp_path, (3,))
@@ -131,6 +139,7 @@ def test_workers_that_die_change_nothing(problem: Problem, client: Any, alone: S
     assert len(before - set(client.run(os.getpid).values())) == 1
 
 
+@pytest.mark.consistency
 @pytest.mark.slow
 def test_a_worker_killed_between_tasks_changes_nothing(small: Block, four: Any) -> None:
     shared, seen = fg.adjust(small, parts=PARTS, optimizer="dogleg"), []
@@ -146,6 +155,7 @@ def test_a_worker_killed_between_tasks_changes_nothing(small: Block, four: Any) 
     assert 2 in seen
 
 
+@pytest.mark.consistency
 @pytest.mark.slow
 def test_a_large_block_on_workers_that_die(four: Any, tmp_path: Path) -> None:
     """1e5 image points in 36 images: as in one piece, and the same bits on any workers, two of them killed."""
@@ -160,6 +170,7 @@ def test_a_large_block_on_workers_that_die(four: Any, tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.behaviour
 def test_faults_come_back_from_a_worker_in_words(client: Any, tmp_path: Path) -> None:
     with pytest.raises(fg.InputError) as caught:
         Cluster(client).total(read_part, [(str(tmp_path / "elsewhere"), 0)])
@@ -167,10 +178,12 @@ def test_faults_come_back_from_a_worker_in_words(client: Any, tmp_path: Path) ->
     assert caught.value.problems[0].file.endswith("part-0000.npz")
 
 
+@pytest.mark.behaviour
 def test_workers_share_a_study(client: Any) -> None:
     assert study(partial(operator.mul, 3), [5, 1, 4], cluster=client) == [15, 3, 12]
 
 
+@pytest.mark.behaviour
 def test_the_end_of_every_worker_is_said() -> None:
     """As dask says it; the slow test below ends them."""
     lost = pytest.importorskip("distributed").KilledWorker("task", "tcp://127.0.0.1:9", 1)
@@ -179,6 +192,7 @@ def test_the_end_of_every_worker_is_said() -> None:
     assert (caught.value.problems[0].code, caught.value.problems[0].value) == ("parallel.killed", "tcp://127.0.0.1:9")
 
 
+@pytest.mark.behaviour
 @pytest.mark.slow
 def test_work_that_ends_every_worker_is_given_up(client: Any) -> None:
     def allow(failures: int, dask_scheduler: Any) -> int:
@@ -192,6 +206,7 @@ def test_work_that_ends_every_worker_is_given_up(client: Any) -> None:
     assert caught.value.problems[0].code == "parallel.killed"
 
 
+@pytest.mark.behaviour
 def test_what_is_missing_is_said(small: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool_module, "CONNECT_S", 0.3)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
@@ -205,6 +220,7 @@ def test_what_is_missing_is_said(small: Block, monkeypatch: pytest.MonkeyPatch) 
     assert "fg-orient[cluster]" in caught.value.problems[0].remedy
 
 
+@pytest.mark.behaviour
 def test_one_worker_needs_no_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool_module, "find_spec", lambda name: None)
     for workers in (0, 1):

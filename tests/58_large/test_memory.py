@@ -21,6 +21,7 @@ def block() -> Block:
     return grid_block(BlockOptions(points=250))[0]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["schur", "dense"])
 def test_estimate_covers_what_is_allocated_and_not_much_more(block: Block, backend: str) -> None:
     """Arrays are counted by tracemalloc; GTSAM's own memory is not seen by it."""
@@ -35,12 +36,14 @@ def test_estimate_covers_what_is_allocated_and_not_much_more(block: Block, backe
     assert peak < solution.memory.needed < 4.0 * peak
 
 
+@pytest.mark.behaviour
 def test_dense_needs_more_than_graph_and_graph_more_than_schur(block: Block) -> None:
     needed = [adjust(block, backend=name, max_iterations=1).memory for name in ("schur", "graph", "dense")]
     sizes = [need.needed for need in needed if need is not None]
     assert sizes == sorted(sizes) and sizes[0] < sizes[1] < sizes[2]
 
 
+@pytest.mark.behaviour
 def test_refused_before_anything_is_compiled(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     def never(_: Block) -> None:
         raise AssertionError("compiled in spite of the limit")
@@ -52,6 +55,7 @@ def test_refused_before_anything_is_compiled(block: Block, monkeypatch: pytest.M
     assert found.code == "adjust.memory" and found.value.endswith(" GB") and "0.0001 GB" in found.message
 
 
+@pytest.mark.behaviour
 def test_commands_tell_the_need_and_refuse(tmp_path: Path) -> None:
     project = simulate_block(tmp_path / "block", BlockOptions(points=60))
     told = in_process("validate", project, "--json").json["memory"]
@@ -66,6 +70,7 @@ def test_commands_tell_the_need_and_refuse(tmp_path: Path) -> None:
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "adjust.memory")
 
 
+@pytest.mark.behaviour
 def test_available_memory_is_that_of_system_and_control_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     information = tmp_path / "meminfo"
     information.write_text("MemTotal: 9000 kB\nMemAvailable:    4000 kB\n")

@@ -13,6 +13,8 @@ from fg_orient.report.html import MANY
 from fg_orient.simulate.block import BlockOptions, simulate_block
 from tests.support.command import in_process
 
+pytestmark = pytest.mark.behaviour
+
 
 def test_long_lists_are_cut_and_the_rest_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     project = simulate_block(tmp_path / "block", BlockOptions(points=60))

@@ -31,6 +31,7 @@ def absent(record: dict[str, Any], figure: str) -> str:
     return str(code)
 
 
+@pytest.mark.behaviour
 def test_keys(adjusted: tuple[Path, Any]) -> None:
     out, ended = adjusted
     record = ended.json
@@ -48,6 +49,7 @@ def test_keys(adjusted: tuple[Path, Any]) -> None:
     assert (record["n_unknowns"], record["redundancy"]) == (36 + 141, 2 * 94 + 3 * 37 + 36 - 177)
 
 
+@pytest.mark.behaviour
 def test_seconds_cover_the_work(run: Any, twin: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the end of the imports to the printing of the result, and the phases add up: within 5 % of the work.
 
@@ -82,6 +84,7 @@ def test_seconds_cover_the_work(run: Any, twin: Path, monkeypatch: pytest.Monkey
     assert ended.json["us_per_observation_iteration"] == pytest.approx(per, rel=1e-12)
 
 
+@pytest.mark.behaviour
 def test_one_json_object_and_nothing_else_on_standard_output(fresh: Any, twin: Path) -> None:
     ended = fresh("adjust", "project.toml", "--json", cwd=twin.parent)
     assert ended.code == 0
@@ -90,6 +93,7 @@ def test_one_json_object_and_nothing_else_on_standard_output(fresh: Any, twin: P
     assert (twin.parent / "result" / "report.html").is_file()  # the default folder, beside the project
 
 
+@pytest.mark.behaviour
 def test_not_trustworthy_is_exit_4_with_result(run: Any, twin: Path) -> None:
     """Set 5 (velocity) cannot take up a constant offset of position and attitude."""
     ended = run("adjust", twin, "--eop-set", "V", "--json")
@@ -104,6 +108,7 @@ def test_not_trustworthy_is_exit_4_with_result(run: Any, twin: Path) -> None:
     assert json.loads((twin.parent / "result" / "result.json").read_text("utf-8"))["status"] == "not_trustworthy"
 
 
+@pytest.mark.behaviour
 def test_rank_deficient_is_exit_3_with_a_report_and_no_coordinates(run: Any, twin: Path) -> None:
     ended = run("adjust", twin, "--eop-set", 20, "--no-priors", "--json")
     record, out = ended.json, twin.parent / "result"
@@ -127,6 +132,7 @@ def test_rank_deficient_is_exit_3_with_a_report_and_no_coordinates(run: Any, twi
     assert not [v for n, v in structure(out / "report.html").attributes if v.startswith("http")]
 
 
+@pytest.mark.behaviour
 def test_what_reads_results_refuses_one_where_nothing_was_adjusted(run: Any, twin: Path) -> None:
     out = twin.parent / "result"
     assert run("adjust", twin, "--eop-set", 20, "--no-priors", "--quiet").code == 3
@@ -144,6 +150,7 @@ def test_what_reads_results_refuses_one_where_nothing_was_adjusted(run: Any, twi
     assert again.code == 0 and again.json["equal"] and again.json["tables"] == {"start_points.csv": True}
 
 
+@pytest.mark.behaviour
 def test_rank_deficient_for_people(run: Any, twin: Path) -> None:
     ended = run("adjust", twin, "--eop-set", 20, "--no-priors")
     assert ended.code == 3
@@ -154,6 +161,7 @@ def test_rank_deficient_for_people(run: Any, twin: Path) -> None:
     assert "| and 15 more (--json has all): not observable without priors; keep the priors or" in line
 
 
+@pytest.mark.behaviour
 def test_directions_without_control_points_are_one_line(run: Any, twin: Path) -> None:
     """Not one line per direction that control points which do not exist fail to fix; the way out is the datum."""
     points = twin.parent / "points.csv"
@@ -174,6 +182,7 @@ def test_directions_without_control_points_are_one_line(run: Any, twin: Path) ->
     assert '<td class="id">whole block</td>' in (twin.parent / "result" / "report.html").read_text("utf-8")
 
 
+@pytest.mark.behaviour
 def test_not_converged_is_exit_3(run: Any, twin: Path) -> None:
     ended = run("adjust", twin, "--max-iterations", 1, "--json")
     record = ended.json
@@ -183,6 +192,7 @@ def test_not_converged_is_exit_3(run: Any, twin: Path) -> None:
     assert "No solution" in (twin.parent / "result" / "report.html").read_text("utf-8")
 
 
+@pytest.mark.behaviour
 def test_without_redundancy_sigma0_is_null_with_a_reason(run: Any, twin: Path) -> None:
     """One control and two check points, two times roll, pitch, yaw: 12 + 3 equations, 6 + 9 unknowns."""
     folder = twin.parent
@@ -201,6 +211,7 @@ def test_without_redundancy_sigma0_is_null_with_a_reason(run: Any, twin: Path) -
     assert "prior" in (folder / "result" / "points.csv").read_text("utf-8").splitlines()[1].split(",")
 
 
+@pytest.mark.behaviour
 def test_options_replace_those_of_the_project(run: Any, twin: Path) -> None:
     words = ("--look-polynomial", 2, "--optimizer", "dogleg", "--check-points", "exclude", "--max-iterations", 30)
     record = run("adjust", twin, "--eop-set", 16, *words, "--backend", "graph", "--json").json
@@ -212,6 +223,7 @@ def test_options_replace_those_of_the_project(run: Any, twin: Path) -> None:
     assert written["provenance"]["options"]["max_iterations"] == 30
 
 
+@pytest.mark.consistency
 def test_dense_backend_and_its_solver(run: Any, twin: Path) -> None:
     """From the command line and from the project file; the figures are those of the graph."""
     graph = run("adjust", twin, "--eop-set", 16, "--backend", "graph", "--json").json
@@ -228,6 +240,7 @@ def test_dense_backend_and_its_solver(run: Any, twin: Path) -> None:
     assert (again["backend"], again["solver"]) == ("dense", "svd")
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "seen"),
     [(("--eop-set", "21"), "21"), (("--optimizer", "newton"), "newton"), (("--check-points", "perhaps"), "perhaps"),
@@ -247,12 +260,14 @@ def test_bad_option_is_one_line_and_exit_2(run: Any, twin: Path, words: tuple[st
     assert not (twin.parent / "result").exists()
 
 
+@pytest.mark.behaviour
 def test_missing_project(run: Any, tmp_path: Path) -> None:
     ended = run("adjust", tmp_path / "none.toml", "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "project.missing_file")
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.behaviour
 def test_for_people_warnings_come_first_and_lines_fit(run: Any, twin: Path) -> None:
     ended = run("adjust", twin)
     lines = ended.stdout.splitlines()

@@ -15,6 +15,8 @@ from fg_orient.run.provenance import provenance, relative
 from fg_orient.selftest import self_test
 from tests.support.command import entry_point
 
+pytestmark = pytest.mark.behaviour
+
 
 def test_simulate_zonguldak_passes_every_option_on(run: Any, tmp_path: Path) -> None:
     out = tmp_path / "twin"

@@ -15,6 +15,8 @@ import factors._compile
 import fg_orient
 from fg_orient import doctor
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -75,10 +77,14 @@ def test_no_cache_is_a_warning_with_a_remedy(run: Any, monkeypatch: pytest.Monke
     assert check["detail"] == "none"
 
 
-def test_cache_that_is_not_made_yet(cache: Path) -> None:
+def test_caches_without_a_reason_to_warn(cache: Path) -> None:
+    """Of the user alone; below a sticky folder, which is as good as /tmp; not made yet."""
+    assert doctor.cache_findings(cache) == []
     found = doctor.examine_cache(cache / "deep" / "er")
     assert (found["exists"], found["files"], found["bytes"], found["rights"]) == (False, 0, 0, "rwxr-xr-x")
     assert doctor.cache_findings(cache / "deep" / "er") == []
+    cache.parent.chmod(0o1777)
+    assert doctor.cache_findings(cache) == []
 
 
 def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,10 +100,6 @@ def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch
         patched.setattr(os, "stat", refused)
         found, warnings = doctor.examine_cache(cache), doctor.cache_findings(cache)
     assert (found["exists"], found["files"], warnings) == (False, 0, [])
-
-
-def test_cache_of_the_user_alone_is_no_reason_to_warn(cache: Path) -> None:
-    assert doctor.cache_findings(cache) == []
 
 
 @pytest.mark.parametrize(
@@ -126,11 +128,6 @@ def test_all_open_places_are_counted(cache: Path) -> None:
         (cache / "factors_1" / name).chmod(0o666)
     (warning,) = doctor.cache_findings(cache)
     assert str(warning).startswith(f"{cache / 'factors_1' / 'a.1.nbc'} and 1 more: ")
-
-
-def test_sticky_folder_above_is_as_good_as_tmp(cache: Path) -> None:
-    cache.parent.chmod(0o1777)
-    assert doctor.cache_findings(cache) == []
 
 
 def status(mode: int, user: int, group: int) -> os.stat_result:

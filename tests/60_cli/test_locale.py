@@ -15,6 +15,8 @@ import pytest
 
 from tests.support.command import in_process
 
+pytestmark = pytest.mark.behaviour
+
 #: A host program that takes the user's locale, as QGIS does: C libraries then write "1,5". Python itself does not.
 PROGRAM = """
 import json, locale, sys

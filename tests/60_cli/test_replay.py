@@ -45,6 +45,7 @@ def record_of(folder: Path) -> Any:
     return json.loads((folder / "result.json").read_text("utf-8"))
 
 
+@pytest.mark.consistency
 def test_resumed_robust_run_comes_out_again(run: Any, robust: Path, tmp_path: Path) -> None:
     assert record_of(robust / "result")["resumed_at_iteration"]
     ended = run("replay", robust / "result", "--out", tmp_path / "again", "--json")
@@ -57,6 +58,7 @@ def test_resumed_robust_run_comes_out_again(run: Any, robust: Path, tmp_path: Pa
     assert now["provenance"]["repeat"] == then["provenance"]["repeat"]
 
 
+@pytest.mark.behaviour
 def test_changed_input_is_refused_by_name_or_its_effect_is_listed(run: Any, spoiled: Path) -> None:
     table = spoiled / "points.csv"
     lines = table.read_text("utf-8").splitlines()
@@ -82,6 +84,7 @@ def test_changed_input_is_refused_by_name_or_its_effect_is_listed(run: Any, spoi
     assert ended.code == 2 and ended.stderr.startswith(f"error: {table}: the file has changed since"), "not its faults"
 
 
+@pytest.mark.behaviour
 def test_records_that_cannot_be_repeated(run: Any, spoiled: Path, tmp_path: Path) -> None:
     result, project = spoiled / "result", spoiled / "project.toml"
     assert "would replace the result" in run("replay", result, "--out", result, "--overwrite").stderr
@@ -98,6 +101,7 @@ def test_records_that_cannot_be_repeated(run: Any, spoiled: Path, tmp_path: Path
     assert ended.code == 2 and "does not say how to repeat its run" in ended.stderr
 
 
+@pytest.mark.behaviour
 def test_unread_and_new_inputs_are_named(robust: Path) -> None:
     block = fg.read_project(robust / "project.toml")
     recorded = {entry["file"]: entry["sha256"] for entry in record_of(robust / "result")["provenance"]["inputs"]}
@@ -107,6 +111,7 @@ def test_unread_and_new_inputs_are_named(robust: Path) -> None:
     assert {name: p.code for name, p in found.items()} == {"points.csv": "replay.new", "gone.csv": "replay.missing"}
 
 
+@pytest.mark.behaviour
 def test_any_bit_counts_and_times_do_not() -> None:
     then: dict[str, Any] = {"a": [1.0, {"b": 0.1}], "c": 0.0, "d": None, "e": [], **dict.fromkeys(OCCASION, 1)}
     assert compare_records(then, {**then, **dict.fromkeys(OCCASION, 2)}) == (5, ())
@@ -117,6 +122,7 @@ def test_any_bit_counts_and_times_do_not() -> None:
     assert found[1] == {"key": "a[1].b", "then": 0.1, "now": math.nextafter(0.1, 1.0)}
 
 
+@pytest.mark.behaviour
 def test_tables_are_compared_byte_by_byte(tmp_path: Path) -> None:
     then, now = tmp_path / "then", tmp_path / "now"
     for folder in (then, now):
@@ -132,6 +138,7 @@ def test_tables_are_compared_byte_by_byte(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.behaviour
 def test_what_people_read(capsys: pytest.CaptureFixture[str]) -> None:
     changed = finding("replay.changed", file="points.csv", then="1", now="2")
     differences = tuple({"key": f"a[{k}]", "then": 0.1, "now": None} for k in range(30))

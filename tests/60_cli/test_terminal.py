@@ -27,6 +27,8 @@ from fg_orient.cli.progress import describe_steps, duration, progress_bar
 from fg_orient.errors import InputError
 from tests.support.command import Run, entry_point
 
+pytestmark = pytest.mark.behaviour
+
 UTC = re.compile(r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z$")
 SHARED = {"quiet", "log", "as_json", "debug"}
 #: Wide numbers, an id with a space, a text of several words.

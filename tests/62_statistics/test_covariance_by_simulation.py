@@ -22,6 +22,8 @@ from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.solution import Solution
 from tests.support.full_statistics import Full, options
 
+pytestmark = pytest.mark.oracle
+
 PARTS = ("images", "points", "residuals", "observations")
 
 

@@ -72,27 +72,32 @@ def share(r: np.ndarray, select: np.ndarray, rows: np.ndarray, columns: np.ndarr
     return np.einsum("na,ab,nb,ng->g", effect, own, effect, select, optimize=True) / max(rank, 1)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_every_backend(grid: Block, backend: str) -> None:
     assert_equal_to_full_matrix(fg.adjust(measured_twice(fixed(grid, 3), 9), backend=backend))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["dense", "graph"])
 def test_points_that_own_observations_name(grid: Block, backend: str) -> None:
     assert_equal_to_full_matrix(fg.adjust(own_observations(fixed(grid, 3)), backend=backend))
 
 
+@pytest.mark.oracle
 def test_without_priors_and_a_group_of_its_own(grid: Block) -> None:
     """Image points belong to no group."""
     assert_equal_to_full_matrix(fg.adjust(options(grid, eop_set=2), priors=False), ("control",))
 
 
+@pytest.mark.oracle
 def test_images_of_different_kinds(twin: Block) -> None:
     """A frame camera above the pushbroom pair: 6 unknowns beside 12."""
     solution = fg.adjust(with_frame_above(options(twin, eop_set=16)), backend="schur")
     assert_equal_to_full_matrix(solution, ("image_by_sensor", "control"))
 
 
+@pytest.mark.oracle
 def test_unknowns_in_common(twin: Block) -> None:
     block = options(twin, eop_set=4, look_polynomial=1, look_shared=True)
     solution = fg.adjust(block, backend="schur")
@@ -100,6 +105,7 @@ def test_unknowns_in_common(twin: Block) -> None:
     assert_equal_to_full_matrix(solution)
 
 
+@pytest.mark.consistency
 def test_any_division_gives_the_same(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     solution = fg.adjust(grid, backend="schur")
     found = suspects(solution.problem, solution.state, solution.cofactors)[0]
@@ -112,6 +118,7 @@ def test_any_division_gives_the_same(grid: Block, monkeypatch: pytest.MonkeyPatc
     assert np.abs(parts.parts.shares(*given) - whole.parts.shares(*given)).max() < 1e-10
 
 
+@pytest.mark.oracle
 def test_rows_of_S_add_up_to_the_redundancies(grid: Block) -> None:
     """R is idempotent; with one weight that is not that of the cofactors it is not."""
     solution = fg.adjust(grid, backend="schur")

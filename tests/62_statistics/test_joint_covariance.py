@@ -53,6 +53,7 @@ def expected(solution: Solution) -> np.ndarray:
     return np.asarray(maps @ maps.T)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("backend", ["dense", "graph", "schur"])
 def test_joint_cofactors_by_name(grid: Block, backend: str) -> None:
     solution = fg.adjust(grid, backend=backend)
@@ -71,6 +72,7 @@ def test_joint_cofactors_by_name(grid: Block, backend: str) -> None:
     assert np.abs(r).max() < 1.0 + 1e-9
 
 
+@pytest.mark.oracle
 def test_residuals_go_with_nothing_that_is_adjusted(grid: Block) -> None:
     """Corrected form: unknowns and adjusted observations are independent of the residuals; T(2.76) prints another."""
     solution = fg.adjust(grid)
@@ -88,6 +90,7 @@ def test_residuals_go_with_nothing_that_is_adjusted(grid: Block) -> None:
     assert both + rest_of == pytest.approx(np.diag([o.sigma_line_px[row], o.sigma_sample_px[row]]) ** 2, abs=1e-9)
 
 
+@pytest.mark.oracle
 def test_wrong_weight_is_seen(grid: Block) -> None:
     """One sigma 20 % off, and adjusted observation plus residual are no longer the observation."""
     solution = fg.adjust(grid)
@@ -98,6 +101,7 @@ def test_wrong_weight_is_seen(grid: Block) -> None:
     assert np.abs(found / wanted - 1.0)[-3, -3] > 0.1
 
 
+@pytest.mark.oracle
 def test_measured_twice(grid: Block) -> None:
     """Both measurements of a point in one image: their residuals are correlated, each with its own sigma."""
     solution = fg.adjust(measured_twice(grid, 1))
@@ -112,6 +116,7 @@ def test_measured_twice(grid: Block) -> None:
     assert found.values == pytest.approx(full.residuals[np.ix_(index, index)] * np.outer(sigma, sigma), abs=1e-9)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     "name", ["image:image1.speed", "image:nowhere", "point:nowhere.x", "observation:image1/nowhere", "residual:", "x"]
 )

@@ -71,6 +71,7 @@ def assert_same(found: np.ndarray, wanted: np.ndarray) -> None:
     assert np.abs((found - wanted) / scale).max() < 1e-4
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("height_sigma_m", [0.0, 2.5])
 def test_one_image_at_a_height(solution: Solution, height_sigma_m: float) -> None:
     def locate(changed: Solution, e: np.ndarray) -> np.ndarray:
@@ -83,6 +84,7 @@ def test_one_image_at_a_height(solution: Solution, height_sigma_m: float) -> Non
     assert found.lon_lat_height[2] == pytest.approx(700.0, abs=1e-6)
 
 
+@pytest.mark.oracle
 def test_one_image_on_a_slope(solution: Solution) -> None:
     def locate(changed: Solution, e: np.ndarray) -> np.ndarray:
         return changed.locate("right", 2900.0 + e[0], 4000.0 + e[1], dem=Plane(e[2])).ground_m
@@ -94,6 +96,7 @@ def test_one_image_on_a_slope(solution: Solution) -> None:
     assert abs(found.sigma_enu_m[2] - flat.sigma_enu_m[2]) > 0.05
 
 
+@pytest.mark.oracle
 def test_two_images(solution: Solution) -> None:
     pixels = pixels_of(solution, 3)
 
@@ -111,6 +114,7 @@ def pixels_of(solution: Solution, j: int) -> dict[str, tuple[float, float]]:
             for r in np.flatnonzero(o.point == j)}  # fmt: skip
 
 
+@pytest.mark.consistency
 def test_many_images_are_those_of_excluded_check_points(twin: Block) -> None:
     """Check points that took no part are located by other code; default sigmas are the block's own times sigma0."""
     solution = fg.adjust(twin, eop_set=10, check_points="exclude")
@@ -121,6 +125,7 @@ def test_many_images_are_those_of_excluded_check_points(twin: Block) -> None:
         assert found.sigma_enu_m == pytest.approx(solution.scale * check.predicted_sigma_enu_m[k], rel=1e-6)
 
 
+@pytest.mark.oracle
 def test_images_with_rpc() -> None:
     solution = fg.adjust(rpc_twin().block)
     left = solution.locate("left", 3100.0, 4200.0, height_m=500.0, sigma_px=(0.3, 0.3))
@@ -143,6 +148,7 @@ def test_images_with_rpc() -> None:
     assert point.se90_m > max(point.ce90_m, point.le90_m)
 
 
+@pytest.mark.behaviour
 def test_an_intersection_that_does_not_settle_is_refused(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     solution = fg.adjust(twin, eop_set=10)
     monkeypatch.setattr(located_point, "MAX_STEPS", 1)
@@ -150,6 +156,7 @@ def test_an_intersection_that_does_not_settle_is_refused(twin: Block, monkeypatc
         solution.intersect(pixels_of(solution, 3))
 
 
+@pytest.mark.behaviour
 def test_excluded_check_points_that_do_not_settle_have_no_coordinates(
     twin: Block, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -171,12 +178,14 @@ def coverage(point: LocatedPoint, factor: float = 1.0, n: int = 40_000) -> list[
     return [bool(low <= np.sum(length < limit) <= high) for length, limit in inside]
 
 
+@pytest.mark.oracle
 def test_radii_hold_ninety_percent(solution: Solution) -> None:
     point = solution.intersect(pixels_of(solution, 3))
     assert coverage(point) == [True] * 3
     assert coverage(point, 1.2) == [False] * 3  # the check sees sigmas that are 20 % off
 
 
+@pytest.mark.oracle
 def test_radii_of_circle_sphere_and_line() -> None:
     for d in (1, 2, 3):
         for probability in (0.5, 0.9, 0.99):
@@ -190,6 +199,7 @@ def test_radii_of_circle_sphere_and_line() -> None:
     assert radius(np.zeros((3, 3))) == 0.0
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("ratio", [0.8, 0.3, 0.1, 0.02, 0.004])
 def test_radii_of_ellipses_hold_their_share(ratio: float) -> None:
     """Probability inside by an integral over angles, which the function does not use."""
@@ -200,6 +210,7 @@ def test_radii_of_ellipses_hold_their_share(ratio: float) -> None:
     assert share == pytest.approx(0.9, abs=1e-9)
 
 
+@pytest.mark.truth
 def test_error_ellipse() -> None:
     for azimuth in (0.0, 30.0, 90.0, 135.0):
         a = np.radians(azimuth)
@@ -210,8 +221,17 @@ def test_error_ellipse() -> None:
         assert found.azimuth_deg == pytest.approx(azimuth, abs=1e-9)
 
 
+@pytest.mark.behaviour
 def test_refusals(solution: Solution) -> None:
+    class Gap(Plane):
+        """No height beside the point, so no slope."""
+
+        def height_m(self, lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:
+            found = super().height_m(lon_deg, lat_deg)
+            return np.full_like(found, np.nan) if len(found) == 4 else found  # four neighbours are asked at once
+
     refused = (
+        ("statistics.dem_border", lambda: solution.locate("left", 3100.0, 4200.0, dem=Gap())),
         ("statistics.one_height", lambda: solution.locate("left", 1.0, 1.0)),
         ("statistics.one_height", lambda: solution.locate("left", 1.0, 1.0, height_m=0.0, dem=Plane())),
         ("statistics.height_sigma", lambda: solution.locate("left", 1.0, 1.0, height_m=0.0, height_sigma_m=-1.0)),
@@ -223,14 +243,3 @@ def test_refusals(solution: Solution) -> None:
         with pytest.raises(fg.InputError) as caught:
             ask()
         assert caught.value.problems[0].code == code
-
-
-def test_a_gap_beside_the_point_leaves_no_slope(solution: Solution) -> None:
-    class Gap(Plane):
-        def height_m(self, lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:
-            found = super().height_m(lon_deg, lat_deg)
-            return np.full_like(found, np.nan) if len(found) == 4 else found  # four neighbours are asked at once
-
-    with pytest.raises(fg.InputError) as caught:
-        solution.locate("left", 3100.0, 4200.0, dem=Gap())
-    assert caught.value.problems[0].code == "statistics.dem_border"

@@ -29,6 +29,7 @@ def found(solution: Solution) -> BlockReliability:
     return solution.reliability()
 
 
+@pytest.mark.truth
 def test_noncentrality_is_that_of_baarda() -> None:
     """17.075 as printed; for one coordinate the sum of two normal quantiles, for more the distribution itself."""
     assert round(noncentrality(), 3) == 17.075
@@ -40,9 +41,13 @@ def test_noncentrality_is_that_of_baarda() -> None:
         assert noncentrality(alpha, power, d) == pytest.approx(expected, rel=1e-7)
 
 
-def test_sum_is_the_redundancy(grid: Block, solution: Solution, found: BlockReliability) -> None:
+@pytest.mark.oracle
+def test_sums_are_the_trace_of_the_full_matrix(grid: Block, solution: Solution, found: BlockReliability) -> None:
     parts = [found.image.redundancy, found.control.redundancy, found.prior]
-    assert sum(float(p.sum()) for p in parts) == pytest.approx(solution.redundancy, abs=1e-8)
+    share, n, m = np.diag(Full.of(solution.problem, solution.state).residuals), *(2 * len(parts[0]), 3 * len(parts[1]))
+    expected = [share[:n].sum(), share[n : n + m].sum(), share[n + m :].sum()]
+    assert [float(p.sum()) for p in parts] == pytest.approx(expected, abs=1e-7)
+    assert sum(expected) == pytest.approx(solution.redundancy, abs=1e-8)
     own = fg.adjust(own_observations(grid)).reliability()
     assert own.redundancy_sum == pytest.approx(own_redundancy(own), abs=1e-8)
     numbers = np.concatenate([found.image.redundancy.ravel(), found.control.redundancy.ravel(), found.prior])
@@ -61,6 +66,7 @@ def biased(solution: Solution, whitened: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(design, -whitened, rcond=None)[0]
 
 
+@pytest.mark.oracle
 def test_effects_of_a_bias_are_those_of_the_adjustment_with_it(solution: Solution, found: BlockReliability) -> None:
     """A bias of its minimal size in one coordinate: shift of the ground point, of the image, and the test statistic."""
     problem, full = solution.problem, Full.of(solution.problem, solution.state)
@@ -82,6 +88,7 @@ def test_effects_of_a_bias_are_those_of_the_adjustment_with_it(solution: Solutio
         assert w**2 == pytest.approx(noncentrality(), rel=1e-6)
 
 
+@pytest.mark.oracle
 def test_control_points_in_their_own_axes(solution: Solution, found: BlockReliability) -> None:
     """Redundancy of East, North, Up and the shift by the minimal bias, from a bias put into the measured point."""
     problem, full = solution.problem, Full.of(solution.problem, solution.state)
@@ -102,6 +109,7 @@ def test_control_points_in_their_own_axes(solution: Solution, found: BlockReliab
         assert seen == pytest.approx(found.control.redundancy[k, axis], abs=1e-7)
 
 
+@pytest.mark.oracle
 def test_normalised_residuals(solution: Solution, found: BlockReliability) -> None:
     problem, full = solution.problem, Full.of(solution.problem, solution.state)
     n = 2 * len(problem.observations)
@@ -113,6 +121,7 @@ def test_normalised_residuals(solution: Solution, found: BlockReliability) -> No
     assert np.sign(given[known]) == pytest.approx(np.sign(solution.residuals_px.ravel()[known]))
 
 
+@pytest.mark.oracle
 def test_smallest_and_largest_bias_of_an_image_point(solution: Solution, found: BlockReliability) -> None:
     """Both are met, and not passed, by all directions of the plane."""
     o, q = solution.problem.observations, solution.residual_cofactors.image
@@ -124,6 +133,7 @@ def test_smallest_and_largest_bias_of_an_image_point(solution: Solution, found: 
         assert needed.max() == pytest.approx(found.image.largest[row], rel=1e-6)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("alpha", "power"), [(0.0, 0.8), (-0.1, 0.8), (0.8, 0.8), (0.9, 0.8), (0.001, 1.0), (np.nan, 0.8), (0.001, np.nan)]
 )
@@ -133,6 +143,7 @@ def test_probabilities_that_are_none_are_refused(solution: Solution, alpha: floa
     assert [p.code for p in caught.value.problems] == ["statistics.power"]
 
 
+@pytest.mark.oracle
 def test_two_rays_do_not_check_the_epipolar_line(grid: Block, solution: Solution, found: BlockReliability) -> None:
     """The direction of redundancy 0 is that in which the point moves along its other ray."""
     problem, o = solution.problem, solution.problem.observations
@@ -155,6 +166,7 @@ def test_two_rays_do_not_check_the_epipolar_line(grid: Block, solution: Solution
     assert found.image.not_checkable[np.isin(o.point, two)].all()
 
 
+@pytest.mark.behaviour
 def test_fixed_points_are_checked_in_full_but_for_the_image(grid: Block) -> None:
     solution = fg.adjust(fixed(grid, 100), eop_set=10)
     found = solution.reliability()
@@ -165,6 +177,7 @@ def test_fixed_points_are_checked_in_full_but_for_the_image(grid: Block) -> None
     assert len(found.control.redundancy) == 0
 
 
+@pytest.mark.behaviour
 def test_figures_that_do_not_exist_have_a_reason(grid: Block) -> None:
     with pytest.raises(fg.NoSolutionError) as caught:
         fg.adjust(grid, loss="huber").reliability()
@@ -174,6 +187,7 @@ def test_figures_that_do_not_exist_have_a_reason(grid: Block) -> None:
     assert caught.value.problems[0].code == "covariance.withheld"
 
 
+@pytest.mark.consistency
 def test_second_measurement_checks_the_first(grid: Block, solution: Solution, found: BlockReliability) -> None:
     """Measured twice, an image point of two rays has no direction left that nothing checks."""
     o = solution.problem.observations
@@ -217,10 +231,12 @@ def power_of_the_test(solution: Solution, runs: int, *, factor: float = 1.0, see
     return Rates(float(single), float(group), low / runs, high / runs)
 
 
+@pytest.mark.oracle
 def test_power_is_the_stated_one(solution: Solution) -> None:
     assert power_of_the_test(solution, 2000).hold
 
 
+@pytest.mark.oracle
 def test_power_of_another_bias_is_not(solution: Solution) -> None:
     """Weights 20 % off make a bias 20 % off: the check sees it."""
     for factor in (0.8, 1.2):
@@ -229,6 +245,7 @@ def test_power_of_another_bias_is_not(solution: Solution) -> None:
         assert not rates.low <= rates.group <= rates.high
 
 
+@pytest.mark.oracle
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_power_in_ten_thousand_runs(solution: Solution, seed: int) -> None:
@@ -237,6 +254,7 @@ def test_power_in_ten_thousand_runs(solution: Solution, seed: int) -> None:
     assert rates.hold
 
 
+@pytest.mark.consistency
 def test_wrong_weight_is_seen_in_the_test_statistic(solution: Solution) -> None:
     """The bias found with a sigma that is 20 % too large gives another non-centrality than asked for."""
     o = solution.problem.observations

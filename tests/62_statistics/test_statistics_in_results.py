@@ -16,11 +16,12 @@ import fg_orient as fg
 from fg_orient.adjustment import memory
 from fg_orient.adjustment.point_cofactors import AUTO_LIMIT, full_statistics
 from fg_orient.block import Block, Options
+from fg_orient.io.project import read_project
 from fg_orient.names import Role
 from fg_orient.run import run_project, statistics
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
 from fg_orient.solution import Solution
-from tests.support.full_statistics import fixed, options
+from tests.support.full_statistics import Full, fixed, options
 
 IMAGE = ("redundancy_line", "redundancy_sample", "redundancy_least", "w_line", "w_sample", "mdb_line_px",
          "mdb_sample_px", "external_m", "external_point", "external_image")  # fmt: skip
@@ -49,12 +50,17 @@ def run(project: Path, name: str, **given: object) -> tuple[dict[str, Any], Path
     return record, out
 
 
-def test_tables_sum_to_the_redundancy(project: Path) -> None:
+@pytest.mark.oracle
+def test_tables_sum_to_the_trace_of_the_full_matrix(project: Path) -> None:
     record, out = run(project, "full")
     found, rays, points = record["reliability"], table(out / "residuals.csv"), table(out / "points.csv")
     assert set(IMAGE) < set(rays)
     image = total(rays["redundancy_line"]) + total(rays["redundancy_sample"])
     control = sum(total(points[f"redundancy_{axis}"]) for axis in ("east", "north", "up"))
+    solution = fg.adjust(read_project(project), eop_set=16)
+    share, n = np.diag(Full.of(solution.problem, solution.state).residuals), 2 * len(rays["redundancy_line"])
+    assert image == pytest.approx(share[:n].sum(), abs=1e-6)
+    assert control == pytest.approx(share[n : n + 3 * int(solution.problem.observed.sum())].sum(), abs=1e-6)
     assert image == pytest.approx(found["redundancy"]["image_points"], rel=1e-12)
     assert control == pytest.approx(found["redundancy"]["control_points"], rel=1e-12)
     assert image + control + found["redundancy"]["priors"] == pytest.approx(record["redundancy"], abs=1e-7)
@@ -64,6 +70,7 @@ def test_tables_sum_to_the_redundancy(project: Path) -> None:
     assert found["least"]["redundancy"] == min(numbers)
 
 
+@pytest.mark.behaviour
 def test_unbounded_effects_are_empty_cells(project: Path) -> None:
     """A tie point of two rays has no bound; nothing in the tables is nan or 0 for want of a figure."""
     record, out = run(project, "full")
@@ -84,6 +91,7 @@ def test_unbounded_effects_are_empty_cells(project: Path) -> None:
     assert 'id="reliability"' in (out / "report.html").read_text("utf-8")
 
 
+@pytest.mark.behaviour
 def test_basic_leaves_them_out_and_says_so(project: Path) -> None:
     record, out = run(project, "basic", statistics="basic")
     assert record["reliability"] is None
@@ -94,6 +102,7 @@ def test_basic_leaves_them_out_and_says_so(project: Path) -> None:
     assert "w_east" not in table(out / "points.csv")
 
 
+@pytest.mark.behaviour
 def test_a_loss_leaves_the_redundancy_numbers(project: Path) -> None:
     record, out = run(project, "huber", loss="huber")
     assert record["reliability"] is None
@@ -102,6 +111,7 @@ def test_a_loss_leaves_the_redundancy_numbers(project: Path) -> None:
     assert "redundancy_line" in rays and "mdb_line_px" not in rays
 
 
+@pytest.mark.behaviour
 def test_without_covariance_there_is_a_reason(grid: Block) -> None:
     solution = fg.adjust(grid, datum="free", priors=False, eop_set=2)
     assert statistics.reliability_record(solution) is None
@@ -110,6 +120,7 @@ def test_without_covariance_there_is_a_reason(grid: Block) -> None:
     assert (why.code, why.data["figures"]) == ("absent.covariance", ["reliability", "correlations"])
 
 
+@pytest.mark.behaviour
 def test_large_blocks_are_asked_for() -> None:
     assert full_statistics(Options(), AUTO_LIMIT, 100)
     assert not full_statistics(Options(), AUTO_LIMIT + 1, 100)
@@ -118,6 +129,7 @@ def test_large_blocks_are_asked_for() -> None:
     assert not full_statistics(Options(statistics="basic"), 10, 10)
 
 
+@pytest.mark.behaviour
 def test_limit_is_said(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fg_orient.adjustment.point_cofactors.AUTO_LIMIT", 10)
     solution = fg.adjust(grid)
@@ -125,6 +137,7 @@ def test_limit_is_said(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     assert 'ask with option statistics "full"' in str(statistics.missing(solution)[0])
 
 
+@pytest.mark.oracle
 def test_correlations_are_those_of_the_covariance(grid: Block) -> None:
     """Position and attitude of a pushbroom image: the pairs above the limit, between images too."""
     solution = fg.adjust(options(grid, eop_set=16))
@@ -141,6 +154,7 @@ def test_correlations_are_those_of_the_covariance(grid: Block) -> None:
     assert r[i, j] == pytest.approx(abs(top["correlation"]))
 
 
+@pytest.mark.behaviour
 def test_control_points_that_nothing_checks_are_named(grid: Block) -> None:
     """Control coordinates of a centimetre are not checked by pixels of metres."""
     known = grid.points.known
@@ -156,6 +170,7 @@ def test_control_points_that_nothing_checks_are_named(grid: Block) -> None:
     assert first not in [o["id"] for o in control]
 
 
+@pytest.mark.oracle
 def test_memory_estimate_covers_the_statistics() -> None:
     block = grid_block(BlockOptions(points=800, check_share=0.0))[0]
     solution = fg.adjust(block)

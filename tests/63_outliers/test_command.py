@@ -15,6 +15,8 @@ from fg_orient.run.summary import summary
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -99,17 +101,15 @@ def test_impossible_choices(project: Path, tmp_path: Path, words: tuple[str, ...
     assert ended.json["errors"][0]["place"] == place
 
 
-def test_basic_statistics_say_why_nothing_is_tested(project: Path) -> None:
-    record = summary(fg.adjust(read_project(project), statistics="basic"))
-    assert record["outlier_tests"] is None
-    assert record["suspicious_observations"] is None
-    figures = [found["data"]["figures"] for found in record["findings"] if found["code"] == "absent.basic"]
-    assert ["outlier_tests", "suspicious_observations"] in figures
-
-
-def test_under_a_loss_nothing_is_tested(project: Path) -> None:
-    record = summary(fg.adjust(read_project(project), loss="huber"))
-    assert record["global_test"] is None
-    assert record["outlier_tests"] is None
-    figures = [found["data"]["figures"] for found in record["findings"] if found["code"] == "absent.loss"]
-    assert ["global_test", "outlier_tests", "suspicious_observations"] in figures
+@pytest.mark.parametrize(
+    ("options", "none", "code"),
+    [({"statistics": "basic"}, ["outlier_tests", "suspicious_observations"], "absent.basic"),
+     ({"loss": "huber"}, ["global_test", "outlier_tests", "suspicious_observations"], "absent.loss")],
+    ids=["basic statistics", "a loss"],
+)  # fmt: skip
+def test_where_nothing_is_tested_it_is_said_why(
+    project: Path, options: dict[str, str], none: list[str], code: str
+) -> None:
+    record = summary(fg.adjust(read_project(project), **options))
+    assert [record[name] for name in none] == [None] * len(none)
+    assert none in [found["data"]["figures"] for found in record["findings"] if found["code"] == code]

@@ -14,6 +14,7 @@ LEVELS = (0.05, 1e-3, 1e-9)
 FREEDOMS = (3, 10, 158, 100_000)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("f", FREEDOMS)
 @pytest.mark.parametrize("level", LEVELS)
 def test_limits_are_those_of_scipy(f: int, level: float) -> None:
@@ -29,6 +30,7 @@ def test_limits_are_those_of_scipy(f: int, level: float) -> None:
     assert limits(level, two, f, "pope")[0] == pytest.approx(f * stats.beta.isf(level, 1, 0.5 * (f - 2)), rel=1e-9)
 
 
+@pytest.mark.truth
 def test_known_limits() -> None:
     """Baarda 1968: 3.29 for 0.1 %, 1.96 for 5 %; Pope 1976: tau never exceeds sqrt(f)."""
     one = np.array([1])
@@ -37,6 +39,7 @@ def test_known_limits() -> None:
     assert limits(1e-12, one, 4, "pope")[0] == pytest.approx(2.0, abs=1e-3)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("d", [1, 2, 5])
 def test_probabilities_are_those_of_scipy_and_pope_decides_as_t(d: int) -> None:
     f, chi2 = 12, 30.0
@@ -51,6 +54,7 @@ def test_probabilities_are_those_of_scipy_and_pope_decides_as_t(d: int) -> None:
         assert np.array_equal(beyond, probabilities(t, freedom, chi2, f, test) < 0.01)
 
 
+@pytest.mark.oracle
 def test_tau_by_simulation() -> None:
     """A mean of six numbers, the largest share of one residual: 50 000 samples against Pope's limit at 5 %.
 
@@ -66,6 +70,7 @@ def test_tau_by_simulation() -> None:
     assert not low <= np.mean(tau > limits(0.05, one, n - 1, "t")[0]) <= high
 
 
+@pytest.mark.behaviour
 def test_what_cannot_be_tested() -> None:
     """No freedom of the suspect; for an estimated scale none of the rest."""
     d = np.array([0, 1, 2, 3])
@@ -90,6 +95,7 @@ def stepwise(p: np.ndarray, level: float, control: str) -> set[int]:
     return {k for k in order if p[k] <= each}
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("control", ["none", "bonferroni", "sidak", "holm", "benjamini_hochberg"])
 def test_controls_reject_what_their_definitions_reject(control: str) -> None:
     """200 sets of 1 to 30 probabilities, a third of them small; the step-wise ones reject more than Bonferroni."""
@@ -104,12 +110,14 @@ def test_controls_reject_what_their_definitions_reject(control: str) -> None:
     assert (more > 0) is (control != "bonferroni")
 
 
+@pytest.mark.oracle
 def test_sidak_of_many_tests_keeps_its_digits() -> None:
     each = level_of_each(np.ones(10**6), 0.05, "sidak")
     assert each == pytest.approx(-np.log(0.95) / 1e6, rel=1e-6)
     assert level_of_each(np.zeros(0), 0.05, "sidak") == 0.05
 
 
+@pytest.mark.oracle
 def test_global_test() -> None:
     found = global_test(30.0, 12, 0.05)
     assert found is not None
@@ -127,6 +135,7 @@ def test_global_test() -> None:
     assert median.accepted
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("test", "control", "level", "place"),
     [("F", "none", 0.05, "test"), ("t", "fdr", 0.05, "control"), ("t", "none", 0.0, "level"),
@@ -138,6 +147,7 @@ def test_impossible_choices_are_refused(test: str, control: str, level: float, p
     assert error.value.problems[0].place == place
 
 
+@pytest.mark.oracle
 def test_a_suspect_that_takes_all_squares_has_a_finite_statistic() -> None:
     """T = v^T v but for rounding: F is bounded by 1 / eps, whatever the scale of the squares."""
     for size in (1e-20, 1.0, 1e20):

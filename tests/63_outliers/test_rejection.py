@@ -9,6 +9,8 @@ import pytest
 
 from fg_orient.quality.rejection import Change, Rejection, reject
 
+pytestmark = pytest.mark.behaviour
+
 VALUES = np.array([1.0, 1.1, 0.9, 1.05, 9.0, 0.95, -5.0])
 #: Distance from the mean of the others beyond which a value is suspicious.
 FAR = 2.0

@@ -44,6 +44,7 @@ def name_of(block: Block, row: int) -> str:
     return f"point {block.points.ids[o.point[row]]} in image {block.images[o.image[row]].id}"
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("backend", "test"), [("graph", "t"), ("dense", "pope"), ("schur", "baarda")])
 def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
     """Two image points 6 and 4 px off: found one after the other, largest first, on every backend alike."""
@@ -64,6 +65,7 @@ def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
     assert any("snooping left out 2 observation(s) in 3 rounds" in text for text in found.solution.warnings)
 
 
+@pytest.mark.behaviour
 def test_what_went_with_it_is_counted_and_named() -> None:
     """A check point with one wrong ray of two: two image points go, and the point is no longer in the accuracy."""
     block = twin()
@@ -82,6 +84,7 @@ def test_what_went_with_it_is_counted_and_named() -> None:
     assert (control.search.went_with, control.search.check_points) == ((), ())
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("role", [Role.CONTROL, Role.CHECK])
 def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
     """Statistic and probability from the rest are those of the adjustment with it, for points that vanish, too.
@@ -105,6 +108,7 @@ def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
         assert only.test.inseparable == only.with_it
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("error", [(8.0, 0.0, 0.0), (0.0, 0.0, 30.0)])
 def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
     """Position or height of a control point: it becomes a tie point, and its test from the rest is the same."""
@@ -123,6 +127,7 @@ def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
     assert found.search.rounds[0].redundancy - found.search.rounds[1].redundancy == 3
 
 
+@pytest.mark.oracle
 def test_whole_points() -> None:
     """A wrong target, measured alike in both images of a control point: all of the point goes at once."""
     block = twin()
@@ -156,6 +161,7 @@ def leave_out_first(block: Block, rows: list[int], monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(outlier_search._Rounds, "_removal", chosen)
 
 
+@pytest.mark.behaviour
 def test_what_was_left_out_in_vain_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """A good ray is left out first, in place of the wrong one: it comes back, and only the wrong one stays out."""
     block = twin()
@@ -174,6 +180,7 @@ def test_what_was_left_out_in_vain_comes_back(monkeypatch: pytest.MonkeyPatch) -
     assert "put back after round 2" in found.search.found[0].sentence()
 
 
+@pytest.mark.behaviour
 def test_nothing_comes_back_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     """Left out again after it came back, an observation stays out: the search ends although it always fits."""
     block = twin()
@@ -186,6 +193,7 @@ def test_nothing_comes_back_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(found.search.rounds) == 5
 
 
+@pytest.mark.behaviour
 def test_many_errors_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """A fifth of the image points wrong by tens of sigmas: given up at the share that is allowed, with the reason."""
     monkeypatch.setattr(outlier_search, "MOST", 0.05)
@@ -202,6 +210,7 @@ def test_many_errors_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     assert any("given up: 5 % of the image points" in text for text in found.solution.warnings)
 
 
+@pytest.mark.behaviour
 def test_last_control_point_is_not_given_up() -> None:
     """The coordinates of the only control point are wrong: without them there is no datum, and that is said."""
     block = twin()
@@ -222,6 +231,7 @@ def test_last_control_point_is_not_given_up() -> None:
     assert found.solution.problem.observed[j]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("rows", "columns", "points"), [(1, 4, 300)])
 def test_block_of_several_images(rows: int, columns: int, points: int) -> None:
     """Twelve wrong image points among 700, seen two to four times: all that are checked are found, nothing else."""
@@ -241,6 +251,7 @@ def test_block_of_several_images(rows: int, columns: int, points: int) -> None:
     assert parted.chi2 == pytest.approx(found.solution.chi2, rel=1e-9)
 
 
+@pytest.mark.consistency
 def test_each_round_begins_where_the_last_one_ended() -> None:
     """The second adjustment begins at a sum of squares near its end, the first at that of the metadata."""
     block = twin()
@@ -259,6 +270,7 @@ def test_each_round_begins_where_the_last_one_ended() -> None:
     np.testing.assert_allclose(again.state.image, solution.state.image, atol=1e-8)
 
 
+@pytest.mark.behaviour
 def test_refusals() -> None:
     block = twin()
     with pytest.raises(InputError, match="not under a robust loss"):

@@ -14,6 +14,8 @@ from fg_orient.quality.reliability import noncentrality
 from fg_orient.quality.suspects import Suspects
 from tests.support.linear_twin import LinearTwin, linear_twin
 
+pytestmark = pytest.mark.oracle
+
 TESTS = ("baarda", "pope", "t")
 LEVELS = (0.05, 0.001)
 #: Seed, runs: the full simulation and its fast twin.

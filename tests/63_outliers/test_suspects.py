@@ -20,6 +20,7 @@ from tests.support.rpc_block import rpc_twin
 KINDS: tuple[Kind, ...] = ("groups", "coordinates", "points")
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_quadratic_forms_are_what_more_unknowns_gain(kind: Kind) -> None:
     """Mean-shift model: v^T v with and without the error as unknown, by projection of the full matrix.
@@ -43,6 +44,7 @@ def test_quadratic_forms_are_what_more_unknowns_gain(kind: Kind) -> None:
             assert t[k] != pytest.approx(replace(found, v=np.roll(found.v, 1, axis=0)).quadratic()[0][k], rel=1e-3)
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("backend", ["graph", "schur"])
 def test_all_backends_test_alike(backend: str) -> None:
     """The same statistics as from full matrices: all kinds, all tests."""
@@ -55,6 +57,7 @@ def test_all_backends_test_alike(backend: str) -> None:
         np.testing.assert_allclose(one.quadratic[order_one], two.quadratic[order_two], rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.behaviour
 def test_rows_and_columns_say_the_same() -> None:
     twin = linear_twin()
     tests = twin.solution.outlier_tests(kind="coordinates")
@@ -80,6 +83,7 @@ def one_ray_more_than_needed() -> Block:
     return rpc_twin("shift").block
 
 
+@pytest.mark.behaviour
 def test_inseparable_suspects_are_one_hypothesis() -> None:
     """Both rays of a tie point stand or fall together: two suspects, one test in the count."""
     solution = fg.adjust(one_ray_more_than_needed())
@@ -90,6 +94,7 @@ def test_inseparable_suspects_are_one_hypothesis() -> None:
     assert np.allclose(tests.level_each, 1.0 - 0.95 ** (1.0 / tests.n_tested))
 
 
+@pytest.mark.behaviour
 def test_what_is_not_tested_has_no_figures() -> None:
     """Without redundancy for the scale: None, not 0 or nan, and the sentence says why."""
     twin = rpc_twin("shift")
@@ -107,26 +112,24 @@ def test_what_is_not_tested_has_no_figures() -> None:
     assert solution.outlier_tests(test="baarda")[0].statistic is not None
 
 
-def test_no_covariance_no_test() -> None:
-    solution = replace(
-        linear_twin().solution, cofactors=None, withheld=(finding("withheld.indeterminate", why="singular"),)
+@pytest.mark.behaviour
+def test_tests_that_cannot_be_are_refused() -> None:
+    """No covariance, weights of a loss, a kind that is none."""
+    plain = linear_twin().solution
+    bare, robust = (
+        replace(plain, cofactors=None, withheld=(finding("withheld.indeterminate", why="singular"),)),
+        fg.adjust(rpc_twin("shift").block, loss="huber"),
     )
-    with pytest.raises(NoSolutionError, match="no covariance"):
-        solution.outlier_tests()
-
-
-def test_under_a_loss_both_tests_are_refused() -> None:
-    solution = fg.adjust(rpc_twin("shift").block, loss="huber")
-    for refused, words in ((solution.outlier_tests, "robust loss"), (solution.global_test, "needs least squares")):
-        with pytest.raises(NoSolutionError, match=words):
+    for refused, error, words in (
+        (bare.outlier_tests, NoSolutionError, "no covariance"), (robust.outlier_tests, NoSolutionError, "robust loss"),
+        (robust.global_test, NoSolutionError, "needs least squares"),
+        (lambda: plain.outlier_tests(kind="images"), InputError, "groups, coordinates, points"),  # type: ignore[arg-type]
+    ):  # fmt: skip
+        with pytest.raises(error, match=words):
             refused()
 
 
-def test_other_kinds_are_refused() -> None:
-    with pytest.raises(InputError, match="groups, coordinates, points"):
-        linear_twin().solution.outlier_tests(kind="images")  # type: ignore[arg-type]
-
-
+@pytest.mark.behaviour
 def test_what_an_intersection_takes_up_is_not_checked() -> None:
     """Errors of observations that only place their own point: nothing left of them, or rounding, is no direction."""
     v, s = np.array([0.3, -0.2]), np.eye(2)
@@ -147,6 +150,7 @@ def test_what_an_intersection_takes_up_is_not_checked() -> None:
     assert (alone.dimension, alone.statistic) == (0, None)
 
 
+@pytest.mark.behaviour
 def test_suspects_of_different_points_are_never_one_class() -> None:
     """The same T and d by chance in another point: told apart by the point, in the tests and in the names."""
     twin = linear_twin()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -36,17 +37,20 @@ def inconsistency(loss: Loss) -> float:
     )
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 def test_cost_is_the_integral_of_the_weight(name: str) -> None:
     assert inconsistency(losses()[name]) <= 1e-10
 
 
+@pytest.mark.oracle
 def test_a_cost_of_another_weight_is_found() -> None:
     known = losses()
     for a, b in (("huber", "hampel"), ("tukey", "andrews"), ("danish", "welsch")):
         assert inconsistency(replace(known[a], cost=known[b].cost)) > 1e-2
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 def test_made_of_its_weight_a_loss_is_the_registered_one(name: str) -> None:
     loss = losses()[name]
@@ -54,9 +58,16 @@ def test_made_of_its_weight_a_loss_is_the_registered_one(name: str) -> None:
     assert made.constants == pytest.approx(loss.constants, rel=2e-9)
     u = np.concatenate([[0.0, 1e-9], np.linspace(0.01, 20.0, 397), np.geomspace(20.0, 1e6, 50)])
     expected = loss.cost(u)
+    for at in (0.3, 1.0, 2.5, 9.0):
+        ends = [0.0, *(c for c in loss.corners if c < at), at]
+        integral = sum(
+            quad(lambda s: s * float(loss.weight(np.array(s))), a, b, epsabs=1e-13)[0] for a, b in pairwise(ends)
+        )
+        assert float(made.cost(np.array(at))) == pytest.approx(integral, rel=1e-9)
     assert np.abs(made.cost(u) - expected).max() <= 1e-11 * max(1.0, float(expected.max()))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 def test_efficiency_against_scipy(dimension: int) -> None:
     for name in ("huber", "hampel", "tls"):
@@ -71,6 +82,7 @@ def test_efficiency_against_scipy(dimension: int) -> None:
             assert efficiency(loss.weight, c, dimension, loss.corners) == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.truth
 def test_constants_of_the_literature() -> None:
     """Hampel's 1.7 : 3.4 : 8.5 has 0.98 or so; Andrews 1.339, Danish 2 (Holland & Welsch 1977; Kubik)."""
     known = losses()
@@ -86,6 +98,7 @@ def hard_weight(u: np.ndarray) -> np.ndarray:
     return np.where(u <= 1.0, 1.0, 0.05)
 
 
+@pytest.mark.oracle
 def test_a_weight_with_a_jump() -> None:
     loss = loss_from_weight("hard", hard_weight, corners=(1.0,), source="nobody")
     u = np.array([0.0, 0.5, 1.0, 1.0 + 1e-9, 3.0, 500.0])
@@ -94,19 +107,19 @@ def test_a_weight_with_a_jump() -> None:
     assert floored.weights(np.array([1e6])) == pytest.approx(FLOOR + (1.0 - FLOOR) * 0.05)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
-    "weight", [lambda u: 0.5 * np.ones_like(u), lambda u: 1.0 + u, lambda u: 1.0 - u, lambda u: u / 0.0 * 0.0]
-)
-def test_what_is_no_weight_is_refused(weight: object) -> None:
-    with np.errstate(all="ignore"), pytest.raises(ValueError, match="is not 1 at 0"):
-        loss_from_weight("bad", weight)  # type: ignore[arg-type]
+    ("make", "words"),
+    [*((lambda w=weight: loss_from_weight("bad", w), "is not 1 at 0") for weight in (
+        lambda u: 0.5 * np.ones_like(u), lambda u: 1.0 + u, lambda u: 1.0 - u, lambda u: u / 0.0 * 0.0)),
+     (lambda: constant_for(np.ones_like, 2), "no constant")],
+)  # fmt: skip
+def test_what_is_no_weight_and_has_no_constant_is_refused(make: Callable[[], object], words: str) -> None:
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match=words):
+        make()
 
 
-def test_a_constant_that_does_not_exist() -> None:
-    with pytest.raises(ValueError, match="no constant"):
-        constant_for(np.ones_like, 2)
-
-
+@pytest.mark.behaviour
 def test_other_names(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
     assert find("beaton_tukey") is losses()["tukey"]
@@ -116,6 +129,7 @@ def test_other_names(monkeypatch: pytest.MonkeyPatch) -> None:
             register(replace(losses()["huber"], name=name))
 
 
+@pytest.mark.behaviour
 def test_scales_multiply_the_constants() -> None:
     loss = losses()["hampel"]
     robust = scaled(loss, (2.0, 0.5))

@@ -25,6 +25,7 @@ def means(records: list[dict[str, object]]) -> dict[tuple[float, str], float]:
     return {key: float(np.mean(values)) for key, values in found.items()}
 
 
+@pytest.mark.behaviour
 def test_errors_are_where_and_as_large_as_the_case_says() -> None:
     clean = study.clean("twin", 1)
     spoiled = study.spoil("twin", 1, 0.2)
@@ -39,6 +40,7 @@ def test_errors_are_where_and_as_large_as_the_case_says() -> None:
     assert spoiled.truth is clean.truth
 
 
+@pytest.mark.truth
 def test_what_is_checkable_follows_from_the_redundancy_of_its_direction() -> None:
     """An error of 20 sigmas in a direction that keeps 1 % of it leaves 2 sigmas; in another that keeps half, 14."""
     q = np.array([[[0.01, 0.0], [0.0, 0.5]]] * 3)
@@ -47,6 +49,7 @@ def test_what_is_checkable_follows_from_the_redundancy_of_its_direction() -> Non
     assert 0.1 * 41.0 < TRACE < 0.1 * 42.0
 
 
+@pytest.mark.oracle
 def test_a_small_twin_of_the_study() -> None:
     """One pair, 20 % wrong: Tukey's loss and Hampel's keep the check points, least squares loses them."""
     records = study.study(1, ["twin"], 1, shares=(0.0, 0.2), methods=(PLAIN, "tukey", "hampel"))
@@ -61,6 +64,7 @@ def test_a_small_twin_of_the_study() -> None:
             assert record["missed"] == record["false"] == 0
 
 
+@pytest.mark.behaviour
 def test_only_what_is_missing_runs_and_is_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file with one seed gets the second; the first is not run again, and what is gathered can be spread again."""
     asked: list[tuple[str, int, float]] = []
@@ -81,6 +85,7 @@ def test_only_what_is_missing_runs_and_is_added(tmp_path: Path, monkeypatch: pyt
     assert found["head"]["seeds"] == 2
 
 
+@pytest.mark.repository
 def test_the_page_is_made_of_the_results() -> None:
     results = json.loads(RESULTS.read_text("utf-8"))
     assert PAGE.read_text("utf-8") == with_study(PAGE.read_text("utf-8"), results), (
@@ -98,6 +103,7 @@ def test_the_page_is_made_of_the_results() -> None:
         assert found[case, 0.2, PLAIN] > 2.0
 
 
+@pytest.mark.oracle
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["twin", "block"])
 def test_at_20_percent_the_winners_keep_the_check_points(case: str) -> None:

@@ -8,6 +8,8 @@ from scipy.stats import norm
 
 from factors.losses import Loss, losses
 
+pytestmark = pytest.mark.oracle
+
 NAMES = tuple(losses())
 LEVEL = 0.999
 

@@ -40,6 +40,7 @@ def fitted(a: Array, b: Array, dimension: int, rule: irls.Rule = least_absolute)
     return reweight(fit, norms, lambda x: 1.0, rule, (dimension,)).fit
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_one_dimension_against_linear_programming(seed: int) -> None:
     """min sum s, -s <= b - a x <= s."""
@@ -55,6 +56,7 @@ def test_one_dimension_against_linear_programming(seed: int) -> None:
     assert np.abs(b - a @ np.linalg.lstsq(a, b, rcond=None)[0]).sum() > 1.1 * found.fun
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seed", [1, 2])
 def test_two_dimensions_between_bounds_of_a_polygon(seed: int) -> None:
     """|r| is at least its projections on 64 directions, and at most 1 / cos(pi / 64) of the largest: 0.12 %."""
@@ -74,6 +76,7 @@ def test_two_dimensions_between_bounds_of_a_polygon(seed: int) -> None:
     assert found.fun * (1.0 - 1e-9) <= cost <= found.fun / np.cos(np.pi / k) * (1.0 + 2e-4)
 
 
+@pytest.mark.oracle
 def test_another_weight_misses_the_bound() -> None:
     """1 / t^2 instead of 1 / t: the check above fails."""
     a, b = line(1)
@@ -81,6 +84,7 @@ def test_another_weight_misses_the_bound() -> None:
     assert np.abs(b - a @ x).sum() > np.abs(b - a @ fitted(a, b, 1)).sum() * (1.0 + 2e-4)
 
 
+@pytest.mark.oracle
 def test_rules() -> None:
     norm, one = np.array([0.0, 2.9, 3.0, 4.0, 1e4]), np.ones(5)
     assert danish_limit(1) == pytest.approx(2.5, rel=1e-12)
@@ -96,6 +100,7 @@ def test_rules() -> None:
     assert least_absolute(one, norm, 1, 2, 1.0)[0] == 1.0 / EPSILON
 
 
+@pytest.mark.oracle
 def test_least_absolute_values_of_a_block() -> None:
     """No state around the end has a smaller sum of norms (and half squares of priors); least squares has."""
     block, bad = spoiled(twin(), 0.1, 3)
@@ -119,6 +124,7 @@ def test_least_absolute_values_of_a_block() -> None:
     assert (end.weights.image[bad] < 0.5).all()
 
 
+@pytest.mark.oracle
 def test_the_danish_method_on_a_block() -> None:
     block, bad = spoiled(twin(), 0.2, 3)
     solution = fg.adjust(block, loss="danish_original")
@@ -131,6 +137,7 @@ def test_the_danish_method_on_a_block() -> None:
     assert solution.cofactors is not None
 
 
+@pytest.mark.consistency
 def test_rows_weighted_in_place_and_problems_weighted_anew_end_alike() -> None:
     """The Schur backend keeps its arrays from cycle to cycle, the dense one makes a problem of each."""
     block, _ = spoiled(twin(), 0.1, 3)
@@ -144,6 +151,7 @@ def test_rows_weighted_in_place_and_problems_weighted_anew_end_alike() -> None:
     assert arrays.chi2 == pytest.approx(matrices.chi2, rel=1e-9)
 
 
+@pytest.mark.behaviour
 def test_cycles_that_do_not_settle_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fg_orient.adjustment.irls.TOLERANCE", 0.0)
     found = reweight(
@@ -153,6 +161,7 @@ def test_cycles_that_do_not_settle_are_said(monkeypatch: pytest.MonkeyPatch) -> 
     assert (found.cycles, found.settled, found.fit) == (3, False, 3.0)
 
 
+@pytest.mark.behaviour
 def test_no_loss_of_theirs() -> None:
     for options in ({"gnc": True}, {"robust_scale": "mad"}, {"robust_start": "lms"}):
         with pytest.raises(InputError, match=r"iteration of its own|leads to a bounded loss"):

@@ -19,6 +19,7 @@ from fg_orient.simulate.block import BlockOptions, grid_block
 from .conftest import adjusted, control_rays, moved, problem_of, spoiled, twin
 
 
+@pytest.mark.oracle
 def test_number_of_subsets_by_counting() -> None:
     """The least m with (1 - p)^m <= 0.001, p the probability that 5 of many are clean."""
     for size in (5, 9):
@@ -32,6 +33,7 @@ def test_number_of_subsets_by_counting() -> None:
     assert math.comb(30, 5) / math.comb(50, 5) == pytest.approx((1.0 - SHARE) ** 5, rel=0.15)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("method", METHODS)
 def test_clean_images_are_resected_by_all_their_points(method: str) -> None:
     """The reweighted fit is that of scipy on the kept points with ground points held, sigmas of image points alone."""
@@ -57,6 +59,7 @@ def test_clean_images_are_resected_by_all_their_points(method: str) -> None:
         assert np.array_equal(state.image[k], resection.unknowns)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("method", METHODS)
 def test_a_third_of_wrong_points_is_left_out(method: str) -> None:
     block, bad = spoiled(twin(), 0.33, 4, (6.0, 30.0))
@@ -68,6 +71,7 @@ def test_a_third_of_wrong_points_is_left_out(method: str) -> None:
         assert resection.scale <= 2.5
 
 
+@pytest.mark.consistency
 def test_the_same_seed_gives_the_same_start() -> None:
     problem = problem_of(spoiled(twin(), 0.3, 4)[0])
     a, b, c = (resection_start(problem, "lms", seed) for seed in (1, 1, 2))
@@ -75,6 +79,7 @@ def test_the_same_seed_gives_the_same_start() -> None:
     assert a[1][0].scale == b[1][0].scale != c[1][0].scale
 
 
+@pytest.mark.oracle
 def test_equal_errors_at_one_end_that_huber_follows() -> None:
     """The first 12 of 37 points along the left image wrong by the same 100 px, priors 100 times as wide as usual.
 
@@ -97,6 +102,7 @@ def test_equal_errors_at_one_end_that_huber_follows() -> None:
     assert away["huber"] > 100.0
 
 
+@pytest.mark.consistency
 def test_images_with_little_control_follow_their_neighbours() -> None:
     block, _ = grid_block(BlockOptions(rows=2, columns=3, points=150, seed=3, control_share=0.12, check_share=0.2))
     problem = problem_of(block)
@@ -112,6 +118,7 @@ def test_images_with_little_control_follow_their_neighbours() -> None:
     assert np.abs(state.image - plain.state.image).max() <= 3.0
 
 
+@pytest.mark.behaviour
 def test_too_few_control_points_are_named() -> None:
     block, _ = grid_block(BlockOptions(rows=1, columns=2, points=40, seed=3, control_share=0.1))
     with pytest.raises(InputError) as raised:

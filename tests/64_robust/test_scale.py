@@ -11,11 +11,12 @@ from fg_orient.adjustment.robust import A_PRIORI
 from fg_orient.adjustment.robust_scale import LEAST, LOWEST, robust_scale
 from fg_orient.adjustment.rows import residuals
 from fg_orient.distributions import chi_square_median
-from fg_orient.quality.residuals import residual_cofactors
+from tests.support.full_statistics import Full
 
 from .conftest import adjusted, grid, problem_of, spoiled, twin, with_sigmas
 
 
+@pytest.mark.oracle
 def test_factors_are_medians_of_chi_square() -> None:
     for d in (1, 2, 3):
         assert float(chi_square_median(d)) == pytest.approx(chi2.median(d), rel=1e-12)
@@ -24,9 +25,9 @@ def test_factors_are_medians_of_chi_square() -> None:
 
 
 def exact_image_scale(solution: fg.Solution) -> float:
-    """The same median with the exact cofactors of the residuals."""
-    assert solution.cofactors is not None
-    q = residual_cofactors(solution.problem, solution.state, solution.cofactors).image
+    """The same median with the cofactors of the residuals from the full matrix, by numpy."""
+    whole = Full.of(solution.problem, solution.state).residuals
+    q = np.array([whole[k : k + 2, k : k + 2] for k in range(0, 2 * len(solution.problem.observations), 2)])
     v = residuals(solution.problem, solution.state)
     size, axes = np.linalg.eigh(q)
     part = np.einsum("nij,ni->nj", axes, v)
@@ -36,6 +37,7 @@ def exact_image_scale(solution: fg.Solution) -> float:
     return float(np.sqrt(np.median(t[d > 0] / chi2.median(d[d > 0]))))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("block", [twin(), grid()], ids=["twin", "grid"])
 def test_as_with_exact_cofactors(block: fg.Block) -> None:
     """Points and images one at a time instead of all unknowns together: 5 % on blocks of this size."""
@@ -45,6 +47,7 @@ def test_as_with_exact_cofactors(block: fg.Block) -> None:
     assert image == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.oracle
 def test_residuals_taken_as_errors_are_found_out() -> None:
     """Without the share that the unknowns take up, the check above fails by far."""
     solution = fg.adjust(grid())
@@ -53,6 +56,7 @@ def test_residuals_taken_as_errors_are_found_out() -> None:
     assert plain < 0.75 * exact_image_scale(solution)
 
 
+@pytest.mark.oracle
 def test_wrong_sigmas_are_seen() -> None:
     """Sigmas a third as large: both scales are three times as large."""
     right, wrong = (fg.adjust(with_sigmas(grid(), f)) for f in (1.0, 1.0 / 3.0))
@@ -60,6 +64,7 @@ def test_wrong_sigmas_are_seen() -> None:
     assert np.divide(*scales[::-1]) == pytest.approx([3.0, 3.0], rel=0.1)
 
 
+@pytest.mark.behaviour
 def test_few_control_points_and_vanishing_residuals() -> None:
     block = grid(40, 0.15)
     problem = problem_of(block)
@@ -71,6 +76,7 @@ def test_few_control_points_and_vanishing_residuals() -> None:
     assert robust_scale(exact, exact.start)[1] == LOWEST  # control points start at their measured coordinates
 
 
+@pytest.mark.oracle
 def test_gross_errors_hardly_move_it() -> None:
     """30 % of the rays of control points, 10 to 100 sigmas: the scale at the end is below 1.6, sigma0 above 10."""
     block, bad = spoiled(twin(), 0.3, 3)
@@ -82,6 +88,7 @@ def test_gross_errors_hardly_move_it() -> None:
     assert np.sqrt(adjusted(block).chi2 / problem_of(block).redundancy) > 10.0
 
 
+@pytest.mark.oracle
 def test_wrong_sigmas_without_and_with_the_scale() -> None:
     """Sigmas a tenth as large: half of the points are turned down unless the scale is measured."""
     block = with_sigmas(grid(), 0.1)

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
+from factors.losses import losses
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.gnc import EXACT, PLAIN
 from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.adjustment.robust import scaled
 from fg_orient.adjustment.solve import solve
 from fg_orient.adjustment.stages import FROM_RESECTIONS, START, START_STAGES, WIDE, Direct, plan_of
 from fg_orient.run.summary import summary
+from tests.support.full_statistics import step_of_numpy
 
 from .conftest import adjusted, control_rays, grid, moved, problem_of, spoiled, twin, with_options
 
@@ -22,6 +25,7 @@ def stages(log: tuple[IterationRecord, ...]) -> list[float]:
     return list(dict.fromkeys(record.mu for record in log))
 
 
+@pytest.mark.behaviour
 def test_stages_of_each_start() -> None:
     block, _ = spoiled(twin(), 0.1, 3)
     expected = {
@@ -37,6 +41,7 @@ def test_stages_of_each_start() -> None:
     assert measured[-1] == EXACT
 
 
+@pytest.mark.behaviour
 def test_scale_settles_or_the_stages_end() -> None:
     plan = plan_of(with_options(twin(), loss="tukey", robust_scale="mad").options)
     assert isinstance(plan, Direct)
@@ -53,6 +58,7 @@ def test_scale_settles_or_the_stages_end() -> None:
     assert wide.control.constant == 8.0 * exact.control.constant
 
 
+@pytest.mark.oracle
 def test_the_start_decides_between_minima() -> None:
     """35 % wrong: from least squares Tukey's loss turns down good points, from Huber's minimum it does not."""
     block, bad = spoiled(twin(), 0.35, 8, (3.0, 60.0))
@@ -66,6 +72,7 @@ def test_the_start_decides_between_minima() -> None:
     assert down["none"] > 20
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("options", [{"robust_scale": "mad"}, {"robust_start": "lms", "robust_scale": "mad"}])
 def test_a_stopped_run_goes_on_with_its_scale(tmp_path: Path, options: dict[str, str]) -> None:
     problem = problem_of(spoiled(twin(), 0.2, 3)[0], loss="tukey", **options)
@@ -89,6 +96,7 @@ def test_a_stopped_run_goes_on_with_its_scale(tmp_path: Path, options: dict[str,
     assert again.weights.scale == whole.weights.scale != (1.0, 1.0)
 
 
+@pytest.mark.behaviour
 def test_an_image_turned_down_is_said() -> None:
     """30 of 47 points of the left image off by 30 to 60 px, each elsewhere: no majority there."""
     block, rng = twin(), np.random.default_rng(4)
@@ -104,6 +112,7 @@ def test_an_image_turned_down_is_said() -> None:
     assert not [w for w in clean.warnings if "all rays of" in w]
 
 
+@pytest.mark.behaviour
 def test_a_point_without_ray_is_said() -> None:
     block = twin()
     point = block.points.where(fg.Role.CHECK)[0]
@@ -113,6 +122,7 @@ def test_a_point_without_ray_is_said() -> None:
     assert block.points.ids[point] in text
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("image", [0, 1])
 def test_a_point_left_on_one_ray_is_said(image: int) -> None:
     """A check point with a sample 40 px wrong: one ray is turned down, along the other nothing holds it."""
@@ -133,6 +143,7 @@ def test_a_point_left_on_one_ray_is_said(image: int) -> None:
     assert not [w for w in clean.warnings if "one ray of" in w]
 
 
+@pytest.mark.behaviour
 def test_least_absolute_values_have_no_covariance_and_turn_nothing_down() -> None:
     solution = fg.adjust(twin(), loss="lad", max_iterations=200)
     assert solution.weights is not None and solution.weights.image.max() > 1.0
@@ -149,6 +160,7 @@ def test_least_absolute_values_have_no_covariance_and_turn_nothing_down() -> Non
     assert "too weakly" not in free.reason  # what is withheld is no matter of the control points
 
 
+@pytest.mark.behaviour
 def test_statistics_of_least_squares_say_why_they_refuse_a_loss() -> None:
     solution = fg.adjust(twin(), loss="tukey", max_iterations=200)
     codes = {
@@ -162,12 +174,14 @@ def test_statistics_of_least_squares_say_why_they_refuse_a_loss() -> None:
         assert [p.code for p in caught.value.problems] == [code], method
 
 
+@pytest.mark.behaviour
 def test_names_of_losses_are_told_with_their_other_names() -> None:
     with pytest.raises(fg.InputError) as caught:
         fg.adjust(twin(), loss="foo")
     assert {"tukey", "beaton_tukey", "lorentz", "lad"} <= set(caught.value.problems[0].remedy.replace(",", "").split())
 
 
+@pytest.mark.behaviour
 def test_the_unit_of_the_loss_is_said() -> None:
     block, _ = spoiled(twin(), 0.1, 3)
     solution = fg.adjust(block, loss="tukey", robust_scale="mad", max_iterations=200)
@@ -176,13 +190,16 @@ def test_the_unit_of_the_loss_is_said() -> None:
     assert f"its unit is {solution.weights.scale[0]:.2f} sigmas of image points" in text
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("options", [{"robust_scale": "mad"}, {"robust_start": "lts"}])
-def test_backends_alike(options: dict[str, str]) -> None:
+def test_backends_end_where_numpy_has_no_step_left(options: dict[str, str]) -> None:
     """Graph, Schur, dense and parts take the same way to the same end: 1e-9 prior sigma, scales to 1e-9."""
     block, _ = spoiled(grid(), 0.1, 3)
     wanted = {"loss": "tukey", "max_iterations": 200, **options}
     first = fg.adjust(block, backend="schur", **wanted)  # type: ignore[arg-type]
     assert first.weights is not None
+    robust = scaled(losses()["tukey"], first.weights.scale)
+    assert step_of_numpy(first.problem, first.state, robust)[0] <= 1e-6
     for how in ({"backend": "graph"}, {"backend": "dense"}, {"parts": 2}):
         other = fg.adjust(block, **how, **wanted)  # type: ignore[arg-type]
         assert other.weights is not None

@@ -84,6 +84,7 @@ def same(text: str, value: Any) -> bool:
     return float(text) == value if isinstance(value, (int, float)) else text == value
 
 
+@pytest.mark.behaviour
 def test_folder_and_exit_code(written: tuple[Path, Any]) -> None:
     out, ended = written
     assert ended.code == 0, ended.stderr
@@ -92,6 +93,7 @@ def test_folder_and_exit_code(written: tuple[Path, Any]) -> None:
     assert json.loads((out / "result.json").read_text("utf-8")) == ended.json | {"out": out.name}
 
 
+@pytest.mark.behaviour
 def test_json_keys(written: tuple[Path, Any]) -> None:
     record = written[1].json
     assert set(record["rows"][0]) == set(COLUMNS) >= ROW_KEYS
@@ -99,6 +101,7 @@ def test_json_keys(written: tuple[Path, Any]) -> None:
     assert record["provenance"]["inputs"] and record["warnings"] == []
 
 
+@pytest.mark.consistency
 def test_table_equals_the_rows_of_the_library(written: tuple[Path, Any], comparison: Comparison) -> None:
     """The project folder gives the numbers of the block in memory; times and rounding noise aside."""
     found = rows_of(written[0] / "compare.csv")
@@ -112,6 +115,7 @@ def test_table_equals_the_rows_of_the_library(written: tuple[Path, Any], compari
         assert text["failure"] == "" or not text["check_rmse_m"]
 
 
+@pytest.mark.consistency
 def test_spectra_table(written: tuple[Path, Any]) -> None:
     found = rows_of(written[0] / "spectra.csv")
     graph = next(r for r in written[1].json["rows"] if (r["backend"], r["eop_set"]) == ("graph", 2))
@@ -121,6 +125,7 @@ def test_spectra_table(written: tuple[Path, Any]) -> None:
     assert (values[0] / values[-1]) ** 2 == pytest.approx(graph["cond_raw"], rel=1e-12)
 
 
+@pytest.mark.behaviour
 def test_report_is_one_safe_file(written: tuple[Path, Any]) -> None:
     text = (written[0] / "report.html").read_text("utf-8")
     found = structure(text)
@@ -138,6 +143,7 @@ def test_report_is_one_safe_file(written: tuple[Path, Any]) -> None:
     assert text.index('id="verdict"') < text.index('id="outcomes"') < text.index("<svg")
 
 
+@pytest.mark.behaviour
 def test_report_and_figures_escape_what_others_wrote(comparison: Comparison, written: tuple[Path, Any]) -> None:
     spoiled = replace(comparison, labels=comparison.labels | {"qr": "<script>$x_1$&"})
     figures = plots.figures(spoiled)
@@ -149,6 +155,7 @@ def test_report_and_figures_escape_what_others_wrote(comparison: Comparison, wri
     assert structure(html).tags.count("script") == 1 and "alert(1)</script>" not in html
 
 
+@pytest.mark.behaviour
 def test_figures_show_the_numbers(written: tuple[Path, Any], comparison: Comparison) -> None:
     text = (written[0] / "heatmap_check.svg").read_text("utf-8")
     graph = comparison.select(backend="graph", eop_set=17)[0]
@@ -157,6 +164,7 @@ def test_figures_show_the_numbers(written: tuple[Path, Any], comparison: Compari
     assert "dense · Cramer" not in text  # never tried
 
 
+@pytest.mark.consistency
 def test_heat_maps_and_outcomes_are_the_rows(comparison: Comparison, written: tuple[Path, Any]) -> None:
     """Each adjustment that was tried stands in its field, on the side of the target where its number lies."""
     counted = heat.counts(comparison)
@@ -182,6 +190,7 @@ def test_heat_maps_and_outcomes_are_the_rows(comparison: Comparison, written: tu
         assert f"<b>{sign} {counted[key]}</b> {words}<span>{meaning}</span>" in page
 
 
+@pytest.mark.behaviour
 def test_rows_without_numbers_have_their_reason_in_the_page(comparison: Comparison, written: tuple[Path, Any]) -> None:
     page = (written[0] / "report.html").read_text("utf-8")
     parts = dict(re.findall(r'<section id="([\w-]+)">(.*?)</section>', page, re.DOTALL))
@@ -195,6 +204,7 @@ def test_rows_without_numbers_have_their_reason_in_the_page(comparison: Comparis
         assert str(escape(reason)) in parts["left-out"] and str(escape(reason)) not in parts.get("failures", "")
 
 
+@pytest.mark.behaviour
 def test_condition_numbers_stand_by_set(comparison: Comparison, written: tuple[Path, Any]) -> None:
     page = (written[0] / "report.html").read_text("utf-8")
     part = page.partition('id="condition-table"')[2].partition("</section>")[0]
@@ -208,6 +218,7 @@ def test_condition_numbers_stand_by_set(comparison: Comparison, written: tuple[P
         assert float(shown) == pytest.approx(s.condition, rel=1e-8)
 
 
+@pytest.mark.behaviour
 def test_verdict_in_words(comparison: Comparison) -> None:
     found = verdict(comparison)
     text = " ".join(found["text"])
@@ -220,12 +231,14 @@ def test_verdict_in_words(comparison: Comparison) -> None:
     assert "Not tried (6 rows; each says why): dense Cramer inverse; dense Tikhonov OD." in text
 
 
+@pytest.mark.behaviour
 def test_words_for_numbers() -> None:
     assert ranges([20, 1, 5, 6, 7, 1]) == "1, 5-7, 20"
     assert ranges([]) == ""
     assert [short(v) for v in (0.0, 1.234, 0.001, 2e6, math.nan, None)] == ["0.00", "1.23", "1e−3", "2e6", "–", "–"]
 
 
+@pytest.mark.behaviour
 def test_tables_for_people(run: Any, project: Path, tmp_path: Path) -> None:
     ended = run("compare", project, "--eop-sets", "2", "--solvers", "qr", "--types", "1", "--out", tmp_path / "out")
     assert ended.code == 0, ended.stderr
@@ -235,6 +248,7 @@ def test_tables_for_people(run: Any, project: Path, tmp_path: Path) -> None:
     assert max(map(len, ended.stdout.splitlines())) < 200
 
 
+@pytest.mark.behaviour
 def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(style, "find_spec", lambda name: None)
     out = tmp_path / "out"
@@ -245,6 +259,7 @@ def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch
     assert "svg" not in structure((out / "report.html").read_text("utf-8")).tags
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "place"),
     [
@@ -267,6 +282,7 @@ def test_bad_options_are_one_line(run: Any, project: Path, tmp_path: Path, words
     assert [e["place"] for e in as_json.json["errors"]] == [place]
 
 
+@pytest.mark.behaviour
 def test_missing_project_and_missing_control(run: Any, project: Path, tmp_path: Path) -> None:
     assert run("compare", tmp_path / "no.toml").code == 2
     shutil.copytree(project.parent, tmp_path / "twin")
@@ -277,6 +293,7 @@ def test_missing_project_and_missing_control(run: Any, project: Path, tmp_path: 
     assert len(ended.stderr.splitlines()) == 1 and "control" in ended.stderr
 
 
+@pytest.mark.behaviour
 def test_existing_folders(run: Any, project: Path, written: tuple[Path, Any], tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(written[0], out)
@@ -290,6 +307,7 @@ def test_existing_folders(run: Any, project: Path, written: tuple[Path, Any], tm
     assert (out / "mine.txt").read_text("utf-8") == "kept"
 
 
+@pytest.mark.behaviour
 def test_no_solution_at_all(run: Any, tmp_path: Path) -> None:
     """Two control points carry no look-angle polynomial: the published procedure alone gives exit code 3."""
     project = simulate_zonguldak(tmp_path / "twin", ZonguldakOptions())
@@ -305,6 +323,7 @@ def test_no_solution_at_all(run: Any, tmp_path: Path) -> None:
     assert "different columns" in ended.stderr and not out.exists()
 
 
+@pytest.mark.behaviour
 def test_interrupted_run_leaves_nothing(
     run: Any, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -318,12 +337,14 @@ def test_interrupted_run_leaves_nothing(
     assert not out.parent.exists()
 
 
+@pytest.mark.behaviour
 def test_figures_repeat_to_the_last_byte(comparison: Comparison) -> None:
     few = replace(comparison, rows=(), curves=())
     assert set(plots.figures(few)) == {"conditions.svg", "spectra.svg"}
     assert plots.figures(few) == plots.figures(few)
 
 
+@pytest.mark.behaviour
 def test_figures_of_rows_without_any_solution(comparison: Comparison) -> None:
     rows = tuple(r for r in comparison.rows if r.failure)
     assert rows and all(not np.isfinite(r.check_rmse_m) for r in rows)

@@ -25,6 +25,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("number", [2, 5, 17])
 def test_directions_are_those_of_adjust(twin: Block, comparison: Comparison, number: int) -> None:
     solution = fg.adjust(twin, eop_set=number)
@@ -36,6 +37,7 @@ def test_directions_are_those_of_adjust(twin: Block, comparison: Comparison, num
     assert held == [(o.image, words) for o in solution.observability for words in o.held]
 
 
+@pytest.mark.behaviour
 def test_motions_of_the_block_are_named_too(twin: Block) -> None:
     """One control point leaves turns of the whole block to the priors."""
     roles = twin.points.roles
@@ -50,6 +52,7 @@ def test_motions_of_the_block_are_named_too(twin: Block) -> None:
     assert [f"block: {d.words}" for d in of_block] == said
 
 
+@pytest.mark.behaviour
 def test_page_and_table_name_them(written: tuple[Path, Any], comparison: Comparison) -> None:
     text = (written[0] / "report.html").read_text("utf-8")
     part = text.partition('<section id="directions"')[2].partition("</section>")[0]
@@ -67,17 +70,20 @@ def test_page_and_table_name_them(written: tuple[Path, Any], comparison: Compari
     assert written[1].json["directions"] == [asdict(d) for d in comparison.directions]
 
 
+@pytest.mark.behaviour
 def test_titles_of_the_spectra_count_what_is_silent(comparison: Comparison) -> None:
     drawn = plots.figures(comparison)["spectra.svg"]
     assert "17 VA: 18 silent" in drawn and "2 PU0<" in drawn
 
 
+@pytest.mark.behaviour
 def test_hostile_image_ids_are_escaped(comparison: Comparison, written: tuple[Path, Any]) -> None:
     hostile = (Direction(2, "<img src=x>", "<b>", "nothing"),)
     text = render(replace(comparison, directions=hostile), written[1].json, {})
     assert "<img src=x>" not in text and "&lt;img src=x&gt;" in text and "&lt;b&gt;" in text
 
 
+@pytest.mark.consistency
 def test_curves_are_those_of_the_published_bundle(
     twin: Block, comparison: Comparison, written: tuple[Path, Any]
 ) -> None:
@@ -99,6 +105,7 @@ def test_curves_are_those_of_the_published_bundle(
     assert [float(r["kappa"]) for r in table] == pytest.approx(curve.kappa.tolist(), rel=1e-6)
 
 
+@pytest.mark.consistency
 def test_curves_survive_the_way_from_a_worker(comparison: Comparison) -> None:
     one = comparison.curves[0]
     again = Curve.from_dict(asdict(one))
@@ -106,6 +113,7 @@ def test_curves_survive_the_way_from_a_worker(comparison: Comparison) -> None:
     assert repr(again.curve.choices) == repr(one.curve.choices)
 
 
+@pytest.mark.behaviour
 def test_without_a_tikhonov_solver_there_is_no_curve(twin: Block) -> None:
     found = compare(twin, eop_sets=2, solvers="qr", backends="faithful", types=1)
     assert found.curves == () == found.directions and "l_curves.svg" not in plots.figures(found)

@@ -28,10 +28,12 @@ def one(comparison: Comparison, **wanted: object) -> Row:
     return row
 
 
+@pytest.mark.behaviour
 def test_public_name_is_the_function() -> None:
     assert fg.compare is compare
 
 
+@pytest.mark.behaviour
 def test_one_row_per_set_backend_type_and_solver(comparison: Comparison) -> None:
     per_set = 2 * 5 + 5 + 1
     assert len(comparison.rows) == 3 * per_set
@@ -40,6 +42,7 @@ def test_one_row_per_set_backend_type_and_solver(comparison: Comparison) -> None
     assert [r.eop_set_name for r in comparison.select(backend="graph")] == ["PU0", "V", "VA"]
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("kind", [1, 2])
 @pytest.mark.parametrize("solver", ["moore_penrose_inverse", "cholesky_inverse", "qr"])
 def test_published_rows_are_those_of_the_procedure(
@@ -61,6 +64,7 @@ def test_published_rows_are_those_of_the_procedure(
                 assert row.m0_rad == pytest.approx(math.sqrt((bundle.v**2).sum() / freedom), rel=1e-12)
 
 
+@pytest.mark.consistency
 def test_adjustment_rows_are_those_of_adjust(twin: Block, comparison: Comparison) -> None:
     for eop_set in comparison.eop_sets:
         graph = fg.adjust(twin, eop_set=eop_set, backend="graph")
@@ -79,6 +83,7 @@ def test_adjustment_rows_are_those_of_adjust(twin: Block, comparison: Comparison
             assert row.seconds > 0.0
 
 
+@pytest.mark.consistency
 def test_dense_equals_graph_with_priors(comparison: Comparison) -> None:
     rows = [r for r in comparison.select(backend="dense") if not r.left_out]
     assert len(rows) == 3 * 3
@@ -87,6 +92,7 @@ def test_dense_equals_graph_with_priors(comparison: Comparison) -> None:
     assert all(math.isnan(r.difference_sigmas) for r in comparison.rows if r.backend != "dense" or r.left_out)
 
 
+@pytest.mark.truth
 def test_difference_is_measured(twin: Block, comparison: Comparison) -> None:
     """A reference that is off by a known amount shows as that amount."""
     with one_blas_thread():
@@ -98,22 +104,26 @@ def test_difference_is_measured(twin: Block, comparison: Comparison) -> None:
     assert row.difference_m == pytest.approx(3.0, abs=1e-7)
 
 
+@pytest.mark.behaviour
 def test_what_is_not_tried_says_why(comparison: Comparison) -> None:
     left_out = [r for r in comparison.rows if r.left_out]
     assert {(r.backend, r.solver) for r in left_out} == {("dense", "cramer_inverse"), ("dense", "tikhonov_od")}
     assert all(r.failure and not r.reached and math.isnan(r.control_rmse_m) for r in left_out)
 
 
+@pytest.mark.behaviour
 def test_breakdowns_are_rows(comparison: Comparison) -> None:
     row = one(comparison, eop_set=17, backend="faithful", type=1, solver="cholesky_inverse")
     assert "radicand" in row.failure and not row.reached and math.isnan(row.check_rmse_m)
 
 
+@pytest.mark.behaviour
 def test_kappa_of_the_published_regularisation(comparison: Comparison) -> None:
     assert 0.0 < one(comparison, eop_set=5, backend="faithful", type=1, solver="tikhonov_od").kappa <= 1.0
     assert math.isnan(one(comparison, eop_set=5, backend="faithful", type=1, solver="qr").kappa)
 
 
+@pytest.mark.oracle
 def test_condition_numbers_against_numpy(twin: Block, comparison: Comparison) -> None:
     design, _ = TwoStage(twin).bundle(2, 1, "qr").system.require_design("test")  # type: ignore[union-attr]
     row = one(comparison, eop_set=2, backend="faithful", type=1, solver="qr")
@@ -123,6 +133,7 @@ def test_condition_numbers_against_numpy(twin: Block, comparison: Comparison) ->
     assert (row.rank, row.order) == (np.linalg.matrix_rank(design), 36)
 
 
+@pytest.mark.behaviour
 def test_singular_sets_lack_rank(comparison: Comparison) -> None:
     for eop_set in (5, 17):
         row = one(comparison, eop_set=eop_set, backend="faithful", type=1, solver="moore_penrose_inverse")
@@ -134,6 +145,7 @@ def test_singular_sets_lack_rank(comparison: Comparison) -> None:
     assert graph.cond_scaled < 1e6  # priors and scaling cure it
 
 
+@pytest.mark.truth
 def test_priors_add_one_to_the_squares_of_each_image_unknown(comparison: Comparison) -> None:
     """Trace of N: in prior units every prior row adds exactly 1."""
     for eop_set, count in ((2, 3), (5, 9), (17, 18)):
@@ -145,6 +157,7 @@ def test_priors_add_one_to_the_squares_of_each_image_unknown(comparison: Compari
         assert trace["adjustment"] - trace["no priors"] == pytest.approx(2 * count, rel=1e-6)
 
 
+@pytest.mark.behaviour
 def test_spectra_are_complete(comparison: Comparison) -> None:
     found = {(s.eop_set, s.system, s.scaling) for s in comparison.spectra}
     assert len(found) == len(comparison.spectra) == 3 * (2 * 2 + 2 * 3)
@@ -155,12 +168,14 @@ def test_spectra_are_complete(comparison: Comparison) -> None:
             assert float((s.values**2).sum()) == pytest.approx(len(s.values) - zero, rel=1e-9)
 
 
+@pytest.mark.behaviour
 def test_condition_is_capped() -> None:
     assert Spectrum(1, "adjustment", "raw", np.array([1e6, 1.0])).condition == pytest.approx(1e12)
     assert Spectrum(1, "adjustment", "raw", np.array([1.0, 0.0])).condition == LARGEST_CONDITION
     assert Spectrum(1, "adjustment", "raw", np.array([1.0, 1e-40])).condition == LARGEST_CONDITION
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("control", "check", "failure", "expected"),
     [
@@ -177,6 +192,7 @@ def test_reached(control: float, check: float, failure: str, expected: bool) -> 
     assert reached(row, 5.0) is expected
 
 
+@pytest.mark.behaviour
 def test_reached_follows_the_target(twin: Block, comparison: Comparison) -> None:
     (row,) = compare(twin, eop_sets=[17], backends="graph").rows
     assert row.check_rmse_m == one(comparison, eop_set=17, backend="graph").check_rmse_m
@@ -185,6 +201,7 @@ def test_reached_follows_the_target(twin: Block, comparison: Comparison) -> None
     assert not compare(twin, eop_sets=[17], backends="graph", target_m=0.9999 * limit).rows[0].reached
 
 
+@pytest.mark.consistency
 def test_default_target_is_one_pixel(twin: Block, comparison: Comparison) -> None:
     """Half a target off the centre projects to at most half a pixel in any image."""
     target = ground_sampling_m(twin)
@@ -203,6 +220,7 @@ def test_default_target_is_one_pixel(twin: Block, comparison: Comparison) -> Non
     assert largest == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.behaviour
 def test_look_polynomial_goes_to_dense_and_graph(twin: Block) -> None:
     found = compare(twin, eop_sets=[2], solvers="qr", types=[1], look_polynomial=2)
     plain = compare(twin, eop_sets=[2], solvers="qr", types=[1])
@@ -211,6 +229,7 @@ def test_look_polynomial_goes_to_dense_and_graph(twin: Block) -> None:
     assert found.block.options.look_polynomial == 2
 
 
+@pytest.mark.behaviour
 def test_as_run_reaches_the_published_procedure() -> None:
     """With a radial velocity the matrices as run leave decimetres at the control points; as specified, nothing."""
     block = zonguldak_block(ZonguldakOptions(radial_velocity_m_s=8.0))[0]
@@ -221,12 +240,14 @@ def test_as_run_reaches_the_published_procedure() -> None:
     assert specified.control_rmse_m < 1e-6
 
 
+@pytest.mark.behaviour
 def test_all_sets_reach_the_target_through_the_graph(twin: Block) -> None:
     found = compare(twin, backends="graph", look_polynomial=2, target_m=5.0)
     assert [r.eop_set for r in found.rows] == list(range(1, 21))
     assert all(r.reached for r in found.rows)
 
 
+@pytest.mark.behaviour
 @pytest.mark.slow
 def test_all_sets_and_published_solvers(twin: Block) -> None:
     found = compare(twin, solvers="published", look_polynomial=2, target_m=5.0)
@@ -237,6 +258,7 @@ def test_all_sets_and_published_solvers(twin: Block) -> None:
     assert len(found.select(backend="faithful", solver="cholesky_inverse", reached=True)) < 40
 
 
+@pytest.mark.behaviour
 def test_too_many_unknowns_for_dense(monkeypatch: pytest.MonkeyPatch) -> None:
     """Dense rows say so, graph rows still come; nothing of u x u is made."""
     block = grid_block(BlockOptions(rows=1, columns=2, points=700))[0]
@@ -249,6 +271,7 @@ def test_too_many_unknowns_for_dense(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.spectra == ()
 
 
+@pytest.mark.behaviour
 def test_published_procedure_with_too_many_unknowns(twin: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines, "MAX_UNKNOWNS", 40)
     small, large = compare(twin, eop_sets=[2, 1], solvers="qr", backends="faithful", types=1).rows
@@ -256,6 +279,7 @@ def test_published_procedure_with_too_many_unknowns(twin: Block, monkeypatch: py
     assert large.left_out and "too many" in large.failure
 
 
+@pytest.mark.behaviour
 def test_single_image_has_no_published_procedure(twin: Block) -> None:
     """The rows of the published procedure say why; the others come."""
     o = twin.observations
@@ -270,6 +294,7 @@ def test_single_image_has_no_published_procedure(twin: Block) -> None:
     assert "no check points" in said
 
 
+@pytest.mark.behaviour
 def test_without_priors_deficient_sets_are_rows_with_a_reason(twin: Block) -> None:
     block = replace(twin, options=replace(twin.options, priors=False))
     found = compare(block, eop_sets=[2, 5], solvers="qr", backends="dense,graph")
@@ -279,6 +304,7 @@ def test_without_priors_deficient_sets_are_rows_with_a_reason(twin: Block) -> No
     assert {s.system for s in found.spectra} == {"adjustment"}
 
 
+@pytest.mark.behaviour
 def test_progress(twin: Block) -> None:
     calls: list[tuple[int, int, str]] = []
     compare(twin, eop_sets=[2], solvers="qr,svd", types="2", callback=lambda *call: calls.append(call))
@@ -286,6 +312,7 @@ def test_progress(twin: Block) -> None:
     assert "set 2 PU0" in calls[0][2] and "type 2" in calls[0][2]
 
 
+@pytest.mark.behaviour
 def test_table_with_and_without_pandas(comparison: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
     frame = comparison.table
     assert tuple(frame.columns) == COLUMNS and len(frame) == len(comparison.rows)
@@ -295,6 +322,7 @@ def test_table_with_and_without_pandas(comparison: Comparison, monkeypatch: pyte
     assert [tuple(r) for r in records] == [COLUMNS] * len(comparison.rows)
 
 
+@pytest.mark.behaviour
 def test_control_points_are_required(twin: Block) -> None:
     points = twin.points
     ties = tuple(Role.TIE if r is Role.CONTROL else r for r in points.roles)

@@ -12,6 +12,8 @@ from fg_orient.block import Block
 from fg_orient.comparison import selection
 from fg_orient.linear.registry import solvers
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.mark.parametrize(
     ("given", "expected"),

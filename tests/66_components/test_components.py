@@ -66,6 +66,7 @@ def calibrated(errors: np.ndarray, stated: np.ndarray) -> bool:
     return bool(low * widened < m.mean() / errors.shape[1] - 1.0 < high * widened)
 
 
+@pytest.mark.oracle
 def test_planted_components_are_met_within_their_stated_deviations() -> None:
     errors, stated = relative_errors(range(100, 104))
     assert calibrated(errors, stated)
@@ -73,6 +74,7 @@ def test_planted_components_are_met_within_their_stated_deviations() -> None:
     assert not calibrated(errors + 1.0, stated), "a variance twice as large must not pass"
 
 
+@pytest.mark.oracle
 @pytest.mark.slow
 def test_planted_components_of_200_seeds() -> None:
     errors, stated = relative_errors(range(1000, 1200))
@@ -85,6 +87,7 @@ def test_planted_components_of_200_seeds() -> None:
     assert not calibrated(errors, stated / 2.0)
 
 
+@pytest.mark.oracle
 def test_maximum_of_an_independent_restricted_likelihood() -> None:
     """The linear model at the solution as full matrices: -2 ln L = ln|V| + ln|A^T V^-1 A| + l^T P l, by scipy."""
     start = fg.adjust(drawn(1), **DENSE)
@@ -117,6 +120,7 @@ def test_maximum_of_an_independent_restricted_likelihood() -> None:
     assert minus_two_log(best.x + np.array([0.0, 0.0, 0.1])) > best.fun + 0.1
 
 
+@pytest.mark.oracle
 def test_after_the_rounds_each_group_has_the_squares_that_its_redundancy_says(solution: fg.Solution) -> None:
     """From the residuals in pixels and the sigmas of the block found, without the code of the components."""
     o, components = solution.problem.observations, solution.components
@@ -133,6 +137,7 @@ def test_after_the_rounds_each_group_has_the_squares_that_its_redundancy_says(so
     assert [c.factor for c in once.components] == pytest.approx([1.0] * 3, abs=1e-5)
 
 
+@pytest.mark.consistency
 def test_all_backends_and_both_equations_have_one_fixed_point(monkeypatch: pytest.MonkeyPatch) -> None:
     block, factors = drawn(1), []
     for backend in ("graph", "schur", "dense"):
@@ -147,6 +152,7 @@ def test_all_backends_and_both_equations_have_one_fixed_point(monkeypatch: pytes
     assert "lower bounds" in str(found.findings[-1]) and "too many false alarms" in str(found.findings[-1])
 
 
+@pytest.mark.behaviour
 def test_groups_by_image_and_of_priors() -> None:
     rng = np.random.default_rng(5)
     block = planted().draw(rng)
@@ -161,6 +167,7 @@ def test_groups_by_image_and_of_priors() -> None:
     assert shift.block.options.rpc_shift_sigma_px == pytest.approx(20.0 * shift.components.factor("prior RPC shift"))
 
 
+@pytest.mark.behaviour
 def test_too_little_redundancy_is_held_and_said() -> None:
     known = planted().block.points.known
     sigma = known.sigma_enu_m * [1e-3, 1e-3, 1.0]
@@ -183,6 +190,7 @@ def with_sigmas(block: Block, image: float, control: float) -> Block:
     return replace(block, observations=o, points=replace(block.points, known=known))
 
 
+@pytest.mark.consistency
 def test_the_start_does_not_matter() -> None:
     """Given sigmas of image points and coordinates wrong by 100, against each other."""
     block = drawn(1)
@@ -197,6 +205,7 @@ def test_the_start_does_not_matter() -> None:
     )
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("factors", "code"), [
     ({"image": 1e-9, "position": 1.0, "height": 1.0}, "statistics.component_negative"),
     ({"image": 1.0, "position": 1.0, "height": 1.0}, "statistics.component_explodes"),
@@ -210,6 +219,7 @@ def test_what_cannot_be_estimated_is_refused_in_words(factors: dict[str, float],
     assert caught.value.problems[0].code == code
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("options", "code"), [
     ({"variance_components": ("pixels",)}, "statistics.groups"),
     ({"variance_components": ("image", "image_by_image")}, "statistics.groups_overlap"),
@@ -222,6 +232,7 @@ def test_impossible_choices(options: dict[str, object], code: str) -> None:
     assert caught.value.problems[0].code == code
 
 
+@pytest.mark.oracle
 def test_medians_withstand_gross_errors() -> None:
     """A sixth of the image points 30 px wrong; control points twice as good as image points leave them no place."""
     block = drawn(4, image=1.0, position=0.1, height=0.1)
@@ -244,6 +255,7 @@ def test_medians_withstand_gross_errors() -> None:
     assert medians.components[0].sd is None
 
 
+@pytest.mark.oracle
 def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.Solution) -> None:
     """c_j = dVar / ds_j^2 of the error estimated with the weights held fixed, from full matrices."""
     problem, state, cofactors, components = solution.problem, solution.state, solution.cofactors, solution.components
@@ -291,6 +303,7 @@ def test_freedom_of_a_suspect_is_that_of_the_variance_of_its_error(solution: fg.
     assert solution.outlier_tests().critical.max() > known.outlier_tests().critical.max()
 
 
+@pytest.mark.behaviour
 def test_sigma0_does_not_test_a_model_whose_sigmas_it_gave(solution: fg.Solution) -> None:
     assert solution.sigma0 == pytest.approx(1.0, abs=0.05)
     assert np.isnan(solution.sigma0_interval).all()
@@ -302,6 +315,7 @@ def test_sigma0_does_not_test_a_model_whose_sigmas_it_gave(solution: fg.Solution
     assert known.global_test() is not None and known.sigma0_interval[0] < 1.0
 
 
+@pytest.mark.oracle
 def test_freedom_of_an_unknown_is_that_of_its_variance(solution: fg.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """c_j from the derivative of the propagated variance by the components, from full matrices."""
     problem, components = solution.problem, solution.components
@@ -348,6 +362,7 @@ def false_alarms(seeds: range, level: float) -> tuple[int, int]:
     return alarms, total
 
 
+@pytest.mark.oracle
 @pytest.mark.slow
 def test_false_alarms_with_estimated_components() -> None:
     """Rate of alarms at 1 % each, 100 blocks of 188 tests: within five deviations of independent tests."""
@@ -356,6 +371,7 @@ def test_false_alarms_with_estimated_components() -> None:
     assert abs(alarms - 0.01 * total) < 5.0 * np.sqrt(0.01 * total)
 
 
+@pytest.mark.oracle
 def test_gross_errors_are_found_although_sigmas_are_unknown() -> None:
     block = drawn(6, image=1.0, position=1.0, height=1.0)
     o, known = block.observations, block.points.known

@@ -16,6 +16,8 @@ from fg_orient.quality.variance_components import Residuals, variance_components
 from tests.support.full_statistics import turned_design
 from tests.support.planted_errors import planted_large
 
+pytestmark = pytest.mark.oracle
+
 GROUPS = ("image", "position", "height")
 LEVEL = 0.05
 

@@ -18,6 +18,7 @@ WITH_VELOCITY = {5, 6, 7, 8, 13, 14, 17, 18, 19, 20}
 ALSO_YAW = {17, 18, 19, 20}
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("eop_set", range(1, 21))
 def test_velocity_is_named_where_it_is_an_unknown_and_nowhere_else(eop_set: int) -> None:
     problem = compile_problem(options(pushbroom(), eop_set=eop_set))
@@ -36,6 +37,7 @@ def test_velocity_is_named_where_it_is_an_unknown_and_nowhere_else(eop_set: int)
         assert ("across-track velocity equals yaw" in found.summary) == (eop_set in ALSO_YAW)
 
 
+@pytest.mark.behaviour
 def test_sentence_of_the_set_with_position_velocity_and_attitude() -> None:
     left, right = judge_observability(compile_problem(options(pushbroom(), eop_set=20)))
     assert left.summary.startswith(
@@ -46,6 +48,7 @@ def test_sentence_of_the_set_with_position_velocity_and_attitude() -> None:
     assert left.summary in solution.warnings and right.summary in solution.warnings
 
 
+@pytest.mark.behaviour
 def test_set_15_is_of_full_rank_and_wants_scaled_units() -> None:
     """Raw units: metres, radians and lines, as in publications, against prior sigmas."""
     problem = compile_problem(options(pushbroom(), eop_set=15))
@@ -62,6 +65,7 @@ def test_set_15_is_of_full_rank_and_wants_scaled_units() -> None:
         )
 
 
+@pytest.mark.oracle
 def test_classes_and_conditions_are_those_of_the_jacobian() -> None:
     """Counted again from the image points' Jacobian by numpy; raw units by central line and prior sigmas."""
     problem = compile_problem(options(pushbroom(), eop_set=15))
@@ -80,6 +84,7 @@ def test_classes_and_conditions_are_those_of_the_jacobian() -> None:
         assert found.raw_condition == pytest.approx(raw, rel=1e-6)
 
 
+@pytest.mark.consistency
 def test_tighter_priors_hold_more() -> None:
     """Mutation: prior sigmas ten times smaller, and the classes must move."""
     block = pushbroom()
@@ -93,6 +98,7 @@ def test_tighter_priors_hold_more() -> None:
     assert b.weak > a.weak
 
 
+@pytest.mark.behaviour
 def test_names_of_what_the_prior_holds() -> None:
     """The distortion k2 of a pinhole image is better known from the prior; the words are those of the model."""
     problem = compile_problem(pinhole((0, 7, 12, 20)))
@@ -105,6 +111,7 @@ def test_names_of_what_the_prior_holds() -> None:
     assert found.determined == 0 and len(found.held) == 6
 
 
+@pytest.mark.truth
 def test_names_stand_in_the_order_of_their_singular_values(rng: np.random.Generator) -> None:
     """Columns of planted lengths, each a direction of its own: those below 1 are named from the longest down."""
     problem = compile_problem(pushbroom())
@@ -117,6 +124,7 @@ def test_names_stand_in_the_order_of_their_singular_values(rng: np.random.Genera
     assert found.singular_values[found.determined :] == pytest.approx(lengths[weak], rel=1e-9)
 
 
+@pytest.mark.behaviour
 def test_record_of_a_solution() -> None:
     solution = fg.adjust(pushbroom(), eop_set=15)
     view = solution.block_view.as_dict()

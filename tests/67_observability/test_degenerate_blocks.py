@@ -44,6 +44,7 @@ def motions(error: fg.FgOrientError) -> list[tuple[str, str]]:
 # --- no control -----------------------------------------------------------------------------------
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(("kind", "count"), [("shift", 3), ("shift_drift", 4), ("affine", 7)])
 def test_no_control_in_an_rpc_block(kind: str, count: int) -> None:
     """Images that can only be shifted do not follow a turn: three motions, not seven."""
@@ -62,6 +63,7 @@ def test_no_control_in_an_rpc_block(kind: str, count: int) -> None:
     assert any(text.startswith(told) and remedy in text for text in held.warnings)
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(("eop_set", "count"), [(2, 3), (15, 7)])
 def test_no_control_in_a_pushbroom_block(eop_set: int, count: int) -> None:
     """Positions follow shifts only; polynomials of position and attitude follow all seven."""
@@ -71,6 +73,7 @@ def test_no_control_in_a_pushbroom_block(eop_set: int, count: int) -> None:
     assert f"images left, right, no control point: {count} motions are free" in place
 
 
+@pytest.mark.truth
 def test_no_control_in_a_frame_block() -> None:
     with pytest.raises(fg.InputError) as caught:
         fg.adjust(options(pinhole(), datum="control"), priors=False)
@@ -82,6 +85,7 @@ def test_no_control_in_a_frame_block() -> None:
 # --- one control point, control points on a line ---------------------------------------------------
 
 
+@pytest.mark.truth
 def test_one_control_point_in_a_frame_block() -> None:
     block = pinhole((6,))
     ((place, remedy),) = motions(refused(block))
@@ -95,6 +99,7 @@ def test_one_control_point_in_a_frame_block() -> None:
     assert not any("no control point tells" in text for text in held.warnings)
 
 
+@pytest.mark.truth
 def test_one_control_point_in_a_pushbroom_block() -> None:
     block = with_control(pushbroom(), pushbroom().points.where(Role.CONTROL)[:1])
     error = refused(block, eop_set=15)
@@ -104,6 +109,7 @@ def test_one_control_point_in_a_pushbroom_block() -> None:
     assert any("4 motions are held by the priors alone" in text for text in held.warnings)
 
 
+@pytest.mark.truth
 def test_control_points_on_a_line_in_a_frame_block() -> None:
     block = pinhole(ON_LINE, on_line=True)
     ((place, remedy),) = motions(refused(block))
@@ -119,6 +125,7 @@ def test_control_points_on_a_line_in_a_frame_block() -> None:
     assert cured.unobservable == ()
 
 
+@pytest.mark.truth
 def test_two_control_points_in_pushbroom_and_rpc_blocks() -> None:
     """Two are always on a line. With an affine compensation the models resist a little, so only priors-on warns."""
     first = pushbroom().points.where(Role.CONTROL)[:2]
@@ -131,16 +138,24 @@ def test_two_control_points_in_pushbroom_and_rpc_blocks() -> None:
     assert any("1 motion is held by the priors alone (turned about the line" in text for text in held.warnings)
 
 
-def test_well_spread_control_leaves_no_motion() -> None:
-    for block in (pushbroom(), rpc(), pinhole((0, 7, 12, 20))):
-        solution = fg.adjust(block)
-        assert solution.block_view.n_free_motions == 0
-        assert not any("motion" in text for text in solution.warnings)
+@pytest.mark.behaviour
+@pytest.mark.parametrize(
+    ("make", "parts"),
+    [(pushbroom, 1), (rpc, 1), (lambda: pinhole((0, 7, 12, 20)), 1),
+     (lambda: two_pinhole_blocks((0, 7, 12, 20, 25, 32, 37, 45)), 2)],
+    ids=["pushbroom", "rpc", "pinhole", "two blocks"],
+)  # fmt: skip
+def test_well_spread_control_leaves_no_motion(make, parts: int) -> None:
+    solution = fg.adjust(make())
+    assert solution.block_view.n_free_motions == 0
+    assert solution.block_view.structure.n_parts == parts
+    assert not any("parts" in text or "motion" in text for text in solution.warnings)
 
 
 # --- two blocks ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_two_blocks_one_of_them_without_control() -> None:
     block = two_pinhole_blocks((0, 7, 12, 20))
     ((place, remedy),) = motions(refused(block))
@@ -154,6 +169,7 @@ def test_two_blocks_one_of_them_without_control() -> None:
     assert len(held.unobservable) == 7
 
 
+@pytest.mark.behaviour
 def test_images_of_a_pushbroom_pair_that_no_point_links() -> None:
     """Each image alone with its own control points, the right one without any."""
     block = pushbroom()
@@ -166,15 +182,10 @@ def test_images_of_a_pushbroom_pair_that_no_point_links() -> None:
     assert [p.place for p in error.problems] == ["image right: in no observation, its 3 unknowns are free"]
 
 
-def test_two_blocks_with_control_each_are_no_deficiency() -> None:
-    solution = fg.adjust(two_pinhole_blocks((0, 7, 12, 20, 25, 32, 37, 45)))
-    assert solution.block_view.structure.n_parts == 2
-    assert not any("parts" in text or "motion" in text for text in solution.warnings)
-
-
 # --- points seen once ---------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("make", [pushbroom, rpc])
 def test_points_seen_once_without_coordinates_have_no_start_value(make) -> None:
     block = make()
@@ -193,6 +204,7 @@ def test_points_seen_once_without_coordinates_have_no_start_value(make) -> None:
 # --- what the sentences rest on -----------------------------------------------------------------------
 
 
+@pytest.mark.truth
 def test_motions_of_pinhole_images_are_exact() -> None:
     """A similarity of cameras and ground changes no pixel: singular values at rounding, seven in all."""
     view = analyse_block(compile_problem(pinhole()))
@@ -201,6 +213,7 @@ def test_motions_of_pinhole_images_are_exact() -> None:
     assert view.unexplained == 0 and len(view.sentences) == 7
 
 
+@pytest.mark.oracle
 def test_counts_are_those_of_the_full_jacobian() -> None:
     """Ground points eliminated by numpy's least squares from the dense matrix, point columns projected away."""
     from fg_orient.adjustment.dense import assemble
@@ -217,6 +230,7 @@ def test_counts_are_those_of_the_full_jacobian() -> None:
         assert own[:u] == pytest.approx(s, rel=1e-6, abs=1e-9 * s[0])
 
 
+@pytest.mark.truth
 def test_images_that_do_not_follow_have_no_motion() -> None:
     """Mutation: without the question whether images follow, a shifted RPC pair seems free to turn."""
     from fg_orient.quality import motions as module
@@ -230,6 +244,7 @@ def test_images_that_do_not_follow_have_no_motion() -> None:
         assert len(free_motions(problem, rows, rest, np.arange(2))) == 7
 
 
+@pytest.mark.consistency
 def test_large_blocks_are_judged_without_elimination() -> None:
     """The motions found without eliminating the points are the same."""
     for block in (pinhole((6,)), pinhole(ON_LINE, on_line=True), two_pinhole_blocks((0, 7, 12, 20))):
@@ -239,6 +254,7 @@ def test_large_blocks_are_judged_without_elimination() -> None:
         assert b.counts is None and a.counts is not None
 
 
+@pytest.mark.consistency
 def test_some_points_tell_the_motions_of_large_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     from fg_orient.quality import deficiency
 
@@ -250,6 +266,7 @@ def test_some_points_tell_the_motions_of_large_blocks(monkeypatch: pytest.Monkey
     assert any("1 control point only, 7: 4 motions are held" in text for text in solution.warnings)
 
 
+@pytest.mark.behaviour
 def test_own_observations_hold_what_they_see() -> None:
     """One control point, and two more points observed by own equations: no motion is left, nothing is refused."""
     block = pinhole((6,))
@@ -267,6 +284,7 @@ def test_own_observations_hold_what_they_see() -> None:
     assert solution.unobservable == ()
 
 
+@pytest.mark.behaviour
 def test_record_of_a_refused_block_has_every_sentence() -> None:
     error = refused(pinhole((6,)))
     record = deficient_summary(error, pinhole((6,)))

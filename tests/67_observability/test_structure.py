@@ -60,6 +60,7 @@ def under_determined(design: np.ndarray) -> set[int]:
     return reached
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("priors", [False, True])
 def test_rank_and_names_are_those_of_single_unknowns(priors: bool) -> None:
     defects = []
@@ -77,6 +78,7 @@ def test_rank_and_names_are_those_of_single_unknowns(priors: bool) -> None:
     assert 0 in defects and max(defects) > 3, "both kinds are among the seeds"
 
 
+@pytest.mark.oracle
 def test_a_ray_that_counts_three_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = thinned(1, priors=False)
     design = incidence(problem)
@@ -86,6 +88,7 @@ def test_a_ray_that_counts_three_is_noticed(monkeypatch: pytest.MonkeyPatch) -> 
     assert analyse_structure(problem).defect != design.shape[1] - csgraph.structural_rank(sparse.csr_matrix(design))
 
 
+@pytest.mark.consistency
 def test_equal_shares_are_never_too_generous() -> None:
     """What passes the quick test has no defect by the flow either."""
     passed = 0
@@ -97,6 +100,7 @@ def test_equal_shares_are_never_too_generous() -> None:
     assert passed
 
 
+@pytest.mark.truth
 def test_parts_of_a_block() -> None:
     found = analyse_structure(compile_problem(two_pinhole_blocks(())))
     assert found.n_parts == 2
@@ -104,6 +108,7 @@ def test_parts_of_a_block() -> None:
     assert found.point_part.tolist() == [0] * 25 + [1] * 25
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("priors", [True, False])
 def test_points_seen_once_are_refused_with_their_number(priors: bool) -> None:
     """Priors of images do not hold the depth of a point, so it is refused with them, too."""
@@ -117,10 +122,12 @@ def test_points_seen_once_are_refused_with_their_number(priors: bool) -> None:
     assert "second image" in first.remedy and caught.value.exit_code == 3
 
 
+@pytest.mark.behaviour
 def test_control_points_seen_once_are_determined() -> None:
     assert fg.adjust(seen_once(pinhole((0, 7, 12)), [0])).status is fg.Status.CONVERGED
 
 
+@pytest.mark.behaviour
 def test_images_with_too_few_points_and_without_any() -> None:
     block = pinhole((0, 7, 12, 20))
     o = block.observations
@@ -136,6 +143,7 @@ def test_images_with_too_few_points_and_without_any() -> None:
     assert len(remedies) == 2 and all("measure more points in image" in text for text in remedies)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seed", range(12))
 def test_parts_are_the_connected_components(seed: int) -> None:
     """Of images linked at random, sparsely: many parts, long chains."""
@@ -149,6 +157,7 @@ def test_parts_are_the_connected_components(seed: int) -> None:
     assert np.array_equal(np.equal.outer(found, found), np.equal.outer(expected, expected))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seed", range(20))
 def test_directions_are_named_as_by_the_best_assignment(seed: int) -> None:
     """Also where two directions would like the same unknown, and where shares are equal."""

@@ -33,6 +33,7 @@ def observed(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return decay(X, 5.0, 0.7, 2.0) + sigma * rng.standard_normal(len(X)), sigma
 
 
+@pytest.mark.oracle
 def test_equals_scipy(observed: tuple[np.ndarray, np.ndarray]) -> None:
     y, sigma = observed
     fit = fit_curve(decay, X, y, START, sigma=sigma)
@@ -43,6 +44,7 @@ def test_equals_scipy(observed: tuple[np.ndarray, np.ndarray]) -> None:
     assert fit.chi2 == pytest.approx(np.sum((fit.residuals / sigma) ** 2), rel=1e-12)
 
 
+@pytest.mark.oracle
 def test_redundancy_numbers_and_correlations(observed: tuple[np.ndarray, np.ndarray]) -> None:
     """Against the hat matrix; they add up to the redundancy, wrong weights break it."""
     y, sigma = observed
@@ -57,12 +59,14 @@ def test_redundancy_numbers_and_correlations(observed: tuple[np.ndarray, np.ndar
     assert not np.allclose(unweighted.redundancy_numbers, 1.0 - hat.diagonal(), atol=1e-2)
 
 
+@pytest.mark.oracle
 def test_complex_steps_equal_given_derivatives(observed: tuple[np.ndarray, np.ndarray]) -> None:
     y, _ = observed
     a, b = (fit_curve(decay, X, y, START, jacobian=j) for j in (None, decay_derivatives))
     assert np.allclose(a.parameters, b.parameters, rtol=1e-12)
 
 
+@pytest.mark.oracle
 def test_units_change_nothing(observed: tuple[np.ndarray, np.ndarray]) -> None:
     """Observations in nanometres or megametres, parameters in any unit: the same steps.
 
@@ -70,6 +74,8 @@ def test_units_change_nothing(observed: tuple[np.ndarray, np.ndarray]) -> None:
     """
     y, _ = observed
     fit = fit_curve(decay, X, y, START)
+    scipys, _ = curve_fit(decay, X, y, START, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert np.allclose(fit.parameters, scipys, rtol=1e-6)
     for unit in (2.0**-30, 2.0**20):
 
         def other(x: Any, height: Any, rate: Any, level: Any, unit: float = unit) -> Any:
@@ -81,6 +87,7 @@ def test_units_change_nothing(observed: tuple[np.ndarray, np.ndarray]) -> None:
         assert moved.chi2 == pytest.approx(fit.chi2 * unit**2, rel=1e-9)
 
 
+@pytest.mark.oracle
 def test_monte_carlo_covariance_of_the_parameters() -> None:
     """Mean of e^T C^-1 e over seeds 0-39 inside its 99.9 % interval; with sigmas halved outside."""
     from scipy.stats import chi2
@@ -100,6 +107,7 @@ def test_monte_carlo_covariance_of_the_parameters() -> None:
     assert not low < means[0.5] < high
 
 
+@pytest.mark.truth
 def test_without_redundancy_there_is_no_sigma0() -> None:
     fit = fit_curve(lambda x, a, b: a + b * x, np.array([0.0, 2.0]), [1.0, 5.0], [0.0, 0.0])
     assert np.allclose(fit.parameters, [1.0, 2.0])
@@ -107,12 +115,14 @@ def test_without_redundancy_there_is_no_sigma0() -> None:
     assert fit.cofactors is not None
 
 
+@pytest.mark.behaviour
 def test_a_parameter_that_acts_on_nothing_of_its_own_is_named() -> None:
     fit = fit_curve(lambda x, a, b: (a + b) * x, X, 3.0 * X + 0.1 * np.sin(X), [1.0, 1.0])
     assert fit.cofactors is None and fit.correlations is None and fit.redundancy_numbers is None
     assert "parameter 2" in fit.withheld
 
 
+@pytest.mark.truth
 def test_far_starts_are_named_by_gauss_newton_and_met_by_damping() -> None:
     """An exponent that runs away at the first full step."""
     y = 200.0 * (1.0 - np.exp(-0.5 * X[1:])) + np.sin(7.0 * X[1:])
@@ -125,6 +135,7 @@ def test_far_starts_are_named_by_gauss_newton_and_met_by_damping() -> None:
     assert np.allclose(fit_curve(saturation, X[1:], y, [1.0, 1.0]).parameters, [200.0, 0.5], rtol=0.02)
 
 
+@pytest.mark.behaviour
 def test_callback_and_public_name() -> None:
     seen: list[IterationRecord] = []
     fit = fg.fit_curve(decay, X, decay(X, 5.0, 0.7, 2.0), START, callback=seen.append)
@@ -132,6 +143,7 @@ def test_callback_and_public_name() -> None:
     assert fit.chi2 < 1e-25
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -12,6 +12,8 @@ from fg_orient.adjustment.regression import CurveFit, fit_curve
 from fg_orient.errors import NoSolutionError
 from tests.support.nist import MODELS, Certified, digits, read_set
 
+pytestmark = pytest.mark.truth
+
 #: Digits that the certified values must be met to, as the issue asks.
 DIGITS = 6.0
 #: Gauss-Newton does not reach the certified values from these starts: equations without a solution, an error that

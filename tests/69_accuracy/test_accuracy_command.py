@@ -33,6 +33,7 @@ def raster(path: Path, height_m: float, crs: str = "EPSG:4326") -> Path:
     return path
 
 
+@pytest.mark.oracle
 def test_heights_against_a_raster(folder: Path, tmp_path: Path) -> None:
     dem = raster(tmp_path / "dem.tif", 40.0)
     found = in_process("accuracy", folder, "--dem", dem, "--role", "check", "--json").json
@@ -48,6 +49,7 @@ def test_heights_against_a_raster(folder: Path, tmp_path: Path) -> None:
     assert "nmad_m" in told.stdout and "shift withheld" in told.stderr
 
 
+@pytest.mark.behaviour
 def test_refusals(folder: Path, tmp_path: Path) -> None:
     dem = raster(tmp_path / "dem.tif", 0.0)
     for words, message in (

@@ -26,6 +26,7 @@ def points(enu: np.ndarray, predicted: float = 1.0, own: float = 0.5) -> PointDi
     )
 
 
+@pytest.mark.oracle
 def test_radial_figures(rng: np.random.Generator) -> None:
     d = rng.normal([0.1, -0.2, 0.5], [1.0, 1.2, 2.0], (40, 3))
     found = points(d).statistics()
@@ -35,6 +36,7 @@ def test_radial_figures(rng: np.random.Generator) -> None:
     assert found["max_3d_m"] == pytest.approx(np.linalg.norm(d, axis=1).max())
 
 
+@pytest.mark.oracle
 def test_factors_of_rmse_hold_90_and_95_percent(rng: np.random.Generator) -> None:
     """200 000 normal errors: shares inside the radii; with the factors of the other axis count they are missed."""
     d = rng.normal(0.0, 1.0, (200_000, 3))
@@ -50,6 +52,7 @@ def test_factors_of_rmse_hold_90_and_95_percent(rng: np.random.Generator) -> Non
     assert found["ce90_m"] == pytest.approx(found["ce90_rmse_m"], rel=0.01)
 
 
+@pytest.mark.behaviour
 def test_circular_factors_are_absent_where_they_do_not_hold() -> None:
     d = np.random.default_rng(1).normal(0.0, [1.0, 0.5, 1.0], (5000, 3))
     found = points(d).statistics()
@@ -58,6 +61,7 @@ def test_circular_factors_are_absent_where_they_do_not_hold() -> None:
     assert not {"ce90_m", "le90_m", "le90_rmse_m"} & set(points(d[:1]).statistics())
 
 
+@pytest.mark.oracle
 def test_binomial_limit_is_the_quantile() -> None:
     for n in (0, 1, 3, 30, 90, 300, 9360, 1_000_000):
         assert binomial_limit(n, BEYOND, CHANCE) == binom.ppf(1.0 - CHANCE, n, BEYOND), n
@@ -65,6 +69,7 @@ def test_binomial_limit_is_the_quantile() -> None:
     assert pytest.approx(chi2.sf(9.0, 1)) == BEYOND
 
 
+@pytest.mark.behaviour
 def test_as_many_differences_beyond_three_as_chance_gives_are_no_warning() -> None:
     """3120 good points have some 25 coordinates beyond; half as many again, or one far off, are a warning."""
     d = np.random.default_rng(4).normal(0.0, np.hypot(1.0, 0.5), (3120, 3))
@@ -86,6 +91,7 @@ def test_as_many_differences_beyond_three_as_chance_gives_are_no_warning() -> No
     assert "beyond 5.3 " in told
 
 
+@pytest.mark.behaviour
 def test_few_check_points_are_named_by_number_or_size() -> None:
     """Of ten points two coordinates beyond three are not unusual, three are, and one at five is."""
     d = np.zeros((10, 3))
@@ -102,6 +108,7 @@ def test_few_check_points_are_named_by_number_or_size() -> None:
     assert (withheld.n, withheld.by_chance, withheld.sentence) == (0, True, "")
 
 
+@pytest.mark.oracle
 def test_bias_test_is_students(rng: np.random.Generator) -> None:
     d = rng.normal(0.0, 1.0, (20, 3)) + np.array([0.0, 0.0, 2.0])
     found = bias_test(points(d))
@@ -113,6 +120,7 @@ def test_bias_test_is_students(rng: np.random.Generator) -> None:
     assert bias_test(points(d[:1])) == {} and bias_test(points(np.ones((5, 3)))) == {}
 
 
+@pytest.mark.oracle
 def test_bias_test_has_its_size() -> None:
     """1000 samples without a bias (seed 3); judged by normal instead of Student limits it would fail."""
     d = np.random.default_rng(3).normal(size=(1000, 6, 3))
@@ -128,6 +136,7 @@ def solved(seed: int) -> Solution:
     return fg.adjust(block, eop_set=20)
 
 
+@pytest.mark.oracle
 def test_statistic_is_that_of_the_joint_covariance() -> None:
     """Against the inverse of the dense normal matrix."""
     from fg_orient.adjustment.dense import Columns, assemble
@@ -151,6 +160,7 @@ def test_statistic_is_that_of_the_joint_covariance() -> None:
     assert np.array_equal(found.within[:, 0], (check.ratio <= 1.0).sum(axis=0))
 
 
+@pytest.mark.oracle
 def test_honest_predictions_are_believed_and_others_not() -> None:
     """Sum of T over five seeds in its 99.9 % interval; with sigmas halved or doubled outside, and named."""
     total = {1.0: 0.0, 0.5: 0.0, 2.0: 0.0}
@@ -179,6 +189,7 @@ def scaled(solution: Solution, scale: float) -> PredictionTest:
     return prediction_test(solution.problem, solution.state, Scaled(), check)
 
 
+@pytest.mark.behaviour
 def test_reasons_instead_of_figures() -> None:
     block, _ = grid_block(BlockOptions(rows=1, columns=2, points=60, seed=1, check_share=0.2))
     with pytest.raises(NoSolutionError, match="located afterwards"):
@@ -188,6 +199,7 @@ def test_reasons_instead_of_figures() -> None:
         empty.prediction_test()
 
 
+@pytest.mark.behaviour
 def test_record_of_the_result() -> None:
     from fg_orient.run.summary import summary
 

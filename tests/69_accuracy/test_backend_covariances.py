@@ -1,8 +1,8 @@
 """Covariance blocks of all backends on random blocks: images, points, image with point, point with point.
 
-Compared with each other, element by element in units of ``sqrt(c_ii c_jj)``: within 1e-8 wherever the condition of the
-normal matrix (unknowns in prior sigmas and metres) is at most 1e6. Beyond it
-the difference stays below rounding times the condition.
+Compared with each other and with numpy's inverse of the full matrix, element by element in units of
+``sqrt(c_ii c_jj)``: within 1e-8 wherever the condition of the normal matrix (unknowns in prior sigmas and metres) is at
+most 1e6. Beyond it the difference stays below rounding times the condition.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,25 +24,47 @@ from fg_orient.parallel.pool import Execution
 from fg_orient.parallel.solve import solve_in_parts
 from fg_orient.quality.covariance import Cofactors, DenseCofactors, GraphCofactors, cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
+from tests.support.full_statistics import Full
 from tests.support.rpc_block import rpc_twin
 from tests.support.states import moved
+
+pytestmark = pytest.mark.oracle
 
 LIMIT = 1e-8
 CONDITION = 1e6
 EPS = np.finfo(float).eps
 
 
-def all_cofactors(problem: Problem, state: State) -> dict[str, Cofactors]:
+class Inverse:
+    """Blocks of the inverse by numpy."""
+
+    def __init__(self, problem: Problem, state: State) -> None:
+        self.full = Full.of(problem, state)
+
+    def image(self, k: int) -> np.ndarray:
+        return self.joint((k,), ())
+
+    def points(self, index: np.ndarray) -> np.ndarray:
+        return np.array([self.joint((), (j,)) for j in index.tolist()])
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> np.ndarray:
+        parts = [self.full.columns.image(k) for k in images] + [self.full.columns.point(j) for j in points]
+        columns = np.r_[tuple(parts)]
+        return self.full.unknowns[np.ix_(columns, columns)]
+
+
+def all_cofactors(problem: Problem, state: State) -> dict[str, Cofactors | Inverse]:
     graph = GraphBackend(problem)
     linear = graph.linearise(graph.values(state)).linear
     return {
         "dense": DenseCofactors(problem, assemble(problem, state)[1]),
         "graph": GraphCofactors(problem, state, linear, graph.zero),
         "schur": SchurCofactors(problem, SchurBackend(problem).linearise(state)),
+        "numpy": Inverse(problem, state),
     }
 
 
-def blocks_of(problem: Problem, found: Cofactors, seed: int) -> list[np.ndarray]:
+def blocks_of(problem: Problem, found: Cofactors | Inverse, seed: int) -> list[np.ndarray]:
     """All images and points alone, two images with three points jointly, five points alone jointly."""
     active = np.flatnonzero(problem.active)
     chosen = [int(j) for j in np.random.default_rng(seed).permutation(active)[:5]]
@@ -49,7 +72,7 @@ def blocks_of(problem: Problem, found: Cofactors, seed: int) -> list[np.ndarray]
     return [*single, found.joint((1, 0), tuple(chosen[:3])), found.joint((), tuple(chosen))]
 
 
-def largest_difference(problem: Problem, cofactors: dict[str, Cofactors], seed: int) -> float:
+def largest_difference(problem: Problem, cofactors: dict[str, Cofactors | Inverse], seed: int) -> float:
     """Largest of all pairs of backends, in units of sqrt(c_ii c_jj)."""
     every = [blocks_of(problem, found, seed) for found in cofactors.values()]
     worst = 0.0

@@ -47,6 +47,7 @@ def on_the_hills(hills: Hills, seed: int, shift: tuple[float, float, float], noi
     return ground + np.einsum("k,nkj->nj", np.array(shift), enu_from_ecef(lon, lat))
 
 
+@pytest.mark.oracle
 def test_figures(rng: np.random.Generator) -> None:
     lon, lat = LON + rng.uniform(-0.08, 0.1, 300), LAT + rng.uniform(-0.08, 0.08, 300)
     error = rng.normal(0.5, 2.0, 300)
@@ -64,6 +65,7 @@ def test_figures(rng: np.random.Generator) -> None:
         assert figures[key] == pytest.approx(value, rel=1e-4, abs=1e-6), key
 
 
+@pytest.mark.truth
 def test_a_shift_of_the_points_shows_in_every_figure_of_its_kind() -> None:
     """3 m upwards, planted: mean, median, RMSE and quantiles leave their values, deviations from the mean keep them."""
     lon, lat = LON + 0.01 * np.arange(-7, 8), LAT + 0.01 * np.arange(-7, 8)
@@ -79,6 +81,7 @@ def test_a_shift_of_the_points_shows_in_every_figure_of_its_kind() -> None:
         assert up[key] == pytest.approx(plain[key], abs=1e-4), key
 
 
+@pytest.mark.truth
 def test_nmad_is_the_standard_deviation_and_stands_blunders() -> None:
     d = np.random.default_rng(2).normal(3.0, 2.0, 100_000)
     assert nmad(d) == pytest.approx(2.0, rel=0.02)
@@ -86,6 +89,7 @@ def test_nmad_is_the_standard_deviation_and_stands_blunders() -> None:
     assert nmad(d) == pytest.approx(2.0, rel=0.2)
 
 
+@pytest.mark.truth
 def test_shift_is_found_through_blunders() -> None:
     put_in = np.array([12.0, -7.0, 3.0])
     ground = on_the_hills(Hills(), 4, tuple(put_in), 0.5)
@@ -100,6 +104,7 @@ def test_shift_is_found_through_blunders() -> None:
     assert found.as_dict()["shift"]["significant"] == ["east", "north", "up"]
 
 
+@pytest.mark.oracle
 def test_sigmas_of_the_shift_are_calibrated() -> None:
     """30 seeds without blunders: sum of squares of (found - true) / sigma in its 99.9 % interval; halved outside."""
     put_in, total = np.array([2.0, 1.0, -1.0]), np.zeros(3)
@@ -112,6 +117,7 @@ def test_sigmas_of_the_shift_are_calibrated() -> None:
     assert np.all(4.0 * total > high)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("hills", "word"), [(Hills(height=0.0), "slopes"), (Hills(height=0.0, tilt=0.05), "slopes")])
 def test_no_shift_without_slopes_of_different_aspect(hills: Hills, word: str) -> None:
     found = compare_dem(on_the_hills(hills, 1, (5.0, 0.0, 2.0), 0.1), hills)
@@ -121,6 +127,7 @@ def test_no_shift_without_slopes_of_different_aspect(hills: Hills, word: str) ->
     assert few.shift is None and "10 are needed" in str(few.withheld)
 
 
+@pytest.mark.behaviour
 def test_solution_and_refusals() -> None:
     block, _ = grid_block(BlockOptions(rows=1, columns=2, points=60, seed=1))
     solution = fg.adjust(block, eop_set=2)

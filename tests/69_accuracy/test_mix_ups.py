@@ -33,6 +33,7 @@ def misread(block: Block, kind: str) -> Block:
     return replace(block, observations=replace(o, line=line, sample=sample))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", ["exchanged", "lines counted", "samples counted"])
 def test_what_fits_is_named(block: Block, kind: str) -> None:
     (sentence,) = map(str, mix_ups(misread(block, kind)))
@@ -40,6 +41,7 @@ def test_what_fits_is_named(block: Block, kind: str) -> None:
     assert f"image {block.images[0].id}:" in sentence
 
 
+@pytest.mark.behaviour
 def test_columns_as_they_should_be_are_not_doubted(block: Block) -> None:
     assert mix_ups(block) == ()
     rng = np.random.default_rng(5)
@@ -48,6 +50,7 @@ def test_columns_as_they_should_be_are_not_doubted(block: Block) -> None:
     assert mix_ups(replace(block, observations=noisy)) == ()
 
 
+@pytest.mark.behaviour
 def test_the_adjustment_says_it_after_its_verdict(block: Block) -> None:
     solution = fg.adjust(misread(block, "exchanged"))
     assert solution.status is Status.NOT_TRUSTWORTHY

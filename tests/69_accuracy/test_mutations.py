@@ -16,6 +16,8 @@ from fg_orient.orient import judge_observability
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.solution import Solution
 
+pytestmark = pytest.mark.oracle
+
 
 @pytest.fixture(scope="module")
 def block() -> Block:

@@ -13,6 +13,7 @@ from fg_orient.names import Role, Status
 from fg_orient.orient import adjust
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
 from fg_orient.simulate.simulation import Truth
+from tests.support.published_rays import misses_m
 
 OPTIONS = BlockOptions(rows=2, columns=3, points=150, seed=7, control_share=0.1, check_share=0.2)
 
@@ -27,6 +28,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate_block(tmp_path_factory.mktemp("block") / "block", OPTIONS)
 
 
+@pytest.mark.behaviour
 def test_counts(made: tuple[Block, Truth]) -> None:
     block, _ = made
     assert len(block.images) == 6
@@ -37,12 +39,14 @@ def test_counts(made: tuple[Block, Truth]) -> None:
     assert len(grid_block(BlockOptions(points=12, control_share=0.0))[0].points.where(Role.CONTROL)) == 6
 
 
+@pytest.mark.truth
 def test_neighbours_look_from_opposite_sides(made: tuple[Block, Truth]) -> None:
     mirror = [np.degrees(image.sensor.look_angles(5999.5)[1][0]) for image in made[0].images]
     # the middle of the chord is not the middle of the angle: 12 (1 - cos 2.06 deg) is below 0.01 degrees
     np.testing.assert_allclose(mirror, [-12, 12, -12, 12, -12, 12], atol=0.01)
 
 
+@pytest.mark.consistency
 def test_the_block_in_memory_is_the_block_of_the_files(made: tuple[Block, Truth], written: Path) -> None:
     block, read = made[0], read_project(written)
     for a, b in zip(block.images, read.images, strict=True):
@@ -57,6 +61,7 @@ def test_the_block_in_memory_is_the_block_of_the_files(made: tuple[Block, Truth]
         np.testing.assert_array_equal(getattr(block.observations, name), getattr(read.observations, name))
 
 
+@pytest.mark.behaviour
 def test_same_seed_same_bytes(written: Path, tmp_path: Path) -> None:
     again = simulate_block(tmp_path / "block", OPTIONS)
     files = sorted(p.relative_to(written.parent) for p in written.parent.rglob("*") if p.is_file())
@@ -67,14 +72,18 @@ def test_same_seed_same_bytes(written: Path, tmp_path: Path) -> None:
     assert max(metadata) < 100_000, "the look table is compact: with 12000 rows a file has 1.4 MB"
 
 
+@pytest.mark.oracle
 def test_true_unknowns_give_the_noise_free_pixels(made: tuple[Block, Truth]) -> None:
     block, truth = made
     for k, (image, correction) in enumerate(zip(block.images, truth.corrections, strict=True)):
         rows = block.observations.image == k
         seen = np.stack(image.sensor.project(truth.ecef_m[block.observations.point[rows]], correction), axis=1)
         np.testing.assert_allclose(seen, truth.pixels[rows], rtol=0.0, atol=1e-8)  # one digit of the time: 5e-9 px
+        ground = truth.ecef_m[block.observations.point[rows]]
+        assert misses_m(image.sensor.metadata, *truth.pixels[rows].T, ground, correction).max() < 1e-6
 
 
+@pytest.mark.oracle
 def test_it_can_be_adjusted(made: tuple[Block, Truth]) -> None:
     block, truth = made
     solution = adjust(block, eop_set=15)

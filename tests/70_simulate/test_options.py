@@ -8,6 +8,8 @@ from fg_orient.errors import InputError
 from fg_orient.simulate.block import BlockOptions
 from fg_orient.simulate.zonguldak import ZonguldakOptions
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.mark.parametrize(
     ("options", "change", "name"),

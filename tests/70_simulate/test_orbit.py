@@ -13,6 +13,7 @@ from fg_orient.simulate.orbit import EARTH_RATE_RAD_S, GM_M3_S2, HEIGHT_M, MEAN_
 TARGET = geodetic_to_ecef(31.85, 41.3, 0.0)[0]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("radial_velocity", [0.0, 8.0])
 def test_velocity_is_the_derivative_of_the_position(radial_velocity: float) -> None:
     orbit = find_pass(TARGET, math.radians(-18.0), radial_velocity_m_s=radial_velocity)
@@ -23,6 +24,7 @@ def test_velocity_is_the_derivative_of_the_position(radial_velocity: float) -> N
     np.testing.assert_allclose(velocity, difference, rtol=0.0, atol=3e-5)
 
 
+@pytest.mark.truth
 def test_inertial_motion_is_the_circle_of_the_elements() -> None:
     """Undo the Earth's rotation: constant radius and orbit normal, Kepler's speed, inclination 98.7 degrees."""
     orbit = find_pass(TARGET, math.radians(20.0))
@@ -40,6 +42,7 @@ def test_inertial_motion_is_the_circle_of_the_elements() -> None:
     assert (velocity[:, 2] < 0.0).all(), "descending"
 
 
+@pytest.mark.truth
 def test_radial_velocity_changes_the_distance_only() -> None:
     t = np.array([-100.0, 0.0, 100.0])
     fixed, rising = (CircularPass(7.2e6, 1.7, 0.3, 2.4, v) for v in (0.0, 8.0))
@@ -50,6 +53,7 @@ def test_radial_velocity_changes_the_distance_only() -> None:
     np.testing.assert_allclose(np.einsum("ij,ij->i", v0, p0), 0.0, atol=1e-2)  # eps |P| |V| = 1e-5 m^2/s
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (-1.6e-4, -7.2e-4, 9e-4)])
 @pytest.mark.parametrize("roll_deg", [-25.0, 0.0, 20.0])
 def test_the_pass_sees_the_point(roll_deg: float, attitude: tuple[float, float, float]) -> None:
@@ -74,12 +78,14 @@ def test_the_pass_sees_the_point(roll_deg: float, attitude: tuple[float, float, 
         assert forward == pytest.approx(expected, abs=2e-6)
 
 
+@pytest.mark.truth
 def test_positive_angles_look_left_to_the_east() -> None:
     west, _, _ = ecef_to_geodetic(find_pass(TARGET, math.radians(20.0)).states(0.0)[0])
     east, _, _ = ecef_to_geodetic(find_pass(TARGET, math.radians(-18.0)).states(0.0)[0])
     assert west[0] < 31.85 < east[0]
 
 
+@pytest.mark.behaviour
 def test_no_pass() -> None:
     with pytest.raises(ValueError, match="latitudes"):
         find_pass(geodetic_to_ecef(10.0, 89.0, 0.0)[0], 0.0)

@@ -22,6 +22,7 @@ def split(point_set: str, pixels: np.ndarray, seed: int = 4) -> tuple[np.ndarray
     return tuple(np.array([k for k, r in enumerate(roles) if r is role], int) for role in (Role.CONTROL, Role.CHECK))
 
 
+@pytest.mark.truth
 def test_published_sizes(pixels: np.ndarray) -> None:
     counts = {"H-0": 0, "H-10": 10, "H-20": 20, "H-30": 30, "H-40": 40, "G-A": 24, "G-B": 23, "G-C": 30}
     assert counts == CHECK_COUNT
@@ -30,12 +31,14 @@ def test_published_sizes(pixels: np.ndarray) -> None:
         assert (len(control), len(check)) == (47 - count, count), name
 
 
+@pytest.mark.behaviour
 def test_homogeneous_sets_are_nested_and_drawn_by_the_seed(pixels: np.ndarray) -> None:
     sets = [set(split(f"H-{n}", pixels)[1].tolist()) for n in (10, 20, 30, 40)]
     assert all(a < b for a, b in itertools.pairwise(sets))
     assert sets[0] != set(split("H-10", pixels, seed=5)[1].tolist())
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("name", "axis"), [("G-A", 1), ("G-B", 0)])
 def test_grouped_sets_leave_one_side_without_control(name: str, axis: int, pixels: np.ndarray) -> None:
     sides = set()
@@ -47,6 +50,7 @@ def test_grouped_sets_leave_one_side_without_control(name: str, axis: int, pixel
     assert sides == {True, False}, "the side is drawn"
 
 
+@pytest.mark.behaviour
 def test_central_set(pixels: np.ndarray) -> None:
     control, check = split("G-C", pixels)
     distance = np.linalg.norm(pixels - pixels.mean(axis=0), axis=1)

@@ -12,6 +12,7 @@ from fg_orient.simulate.orbit import find_pass
 from fg_orient.simulate.quick_projection import QuickProjection
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES, Scene, as_read
 from fg_orient.simulate.simulation import draw_errors
+from tests.support.published_rays import misses_m
 
 ROUNDING_PX = 1e-8  # one digit of a time of day is 5e-9 px
 
@@ -23,6 +24,7 @@ def sensor():
     return as_read(Scene("image", orbit, 0.2, block_module.FIRST_DAY, 1041, full_look_table=False).metadata())
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("top_m", [0.0, 500.0, 8000.0])
 @pytest.mark.parametrize("errors", ["none", "prior"])
 def test_it_is_the_projection_of_the_sensor(sensor, top_m: float, errors: str) -> None:
@@ -33,12 +35,15 @@ def test_it_is_the_projection_of_the_sensor(sensor, top_m: float, errors: str) -
     height = rng.uniform(-50.0, top_m + 200.0, 400)  # some outside the heights of the fit
     ground = sensor.locate(line, sample, height_m=height, correction=correction)
     expected = np.stack(sensor.project(ground, correction), axis=1)
-    np.testing.assert_allclose(camera.project(ground, height), expected, rtol=0.0, atol=ROUNDING_PX)
+    found = camera.project(ground, height)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=ROUNDING_PX)
+    assert misses_m(sensor.metadata, *found.T, ground, correction).max() < 1e-6
     inside = (height >= 0.0) & (height <= top_m)
     assert np.abs(camera.estimate(ground, height) - expected)[inside].max(initial=0.0) < 2.0 * camera.error_px + 1e-3
     assert len(camera.near(ground)) == 400
 
 
+@pytest.mark.consistency
 def test_points_outside_the_image_are_projected_as_well(sensor) -> None:
     ground = sensor.locate([5.0, 11990.0], [5.0, 11990.0], height_m=100.0) + np.array(
         [[3e3, 0.0, 0.0], [0.0, 9e3, 0.0]]
@@ -49,6 +54,7 @@ def test_points_outside_the_image_are_projected_as_well(sensor) -> None:
     np.testing.assert_array_equal(camera.project(ground, np.full(2, 100.0)), expected)
 
 
+@pytest.mark.consistency
 def test_each_point_is_measured_where_the_sensor_sees_it() -> None:
     block, truth = grid_block(BlockOptions(rows=2, columns=2, points=800, seed=3, errors="none"))
     size = np.array([N_LINES, N_SAMPLES])

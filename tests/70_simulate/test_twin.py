@@ -27,6 +27,7 @@ from fg_orient.simulate.point_sets import N_POINTS
 from fg_orient.simulate.scene import N_LINES, N_SAMPLES
 from fg_orient.simulate.simulation import Truth
 from fg_orient.simulate.zonguldak import MARGIN_PX, ZonguldakOptions, simulate_zonguldak, zonguldak_block
+from tests.support.published_rays import misses_m, rays
 
 OPTIONS = ZonguldakOptions(
     seed=3, errors="prior", distortion_rad=3e-6, radial_velocity_m_s=8.0, attitude_rad=(-1.6e-4, -7.2e-4, 9e-4)
@@ -72,6 +73,7 @@ def assert_same(a: object, b: object, place: str = "") -> None:
 # --- files -----------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_files(written: Path) -> None:
     assert set(contents(written)) == {
         "left.DIM", "right.DIM", "points.csv", "observations.csv", "project.toml",
@@ -80,12 +82,14 @@ def test_files(written: Path) -> None:
     assert not [p for p in written.parent.iterdir() if p != written], "no temporary folder is left"
 
 
+@pytest.mark.behaviour
 def test_no_file_holds_a_path(written: Path) -> None:
     for name, content in contents(written).items():
         assert str(written.parent).encode() not in content, name
         assert b"/tmp" not in content and b"/home" not in content, name
 
 
+@pytest.mark.consistency
 def test_the_block_in_memory_is_the_block_of_the_files(written: Path) -> None:
     block, _ = zonguldak_block(OPTIONS)
     read = read_project(written / "project.toml")
@@ -100,6 +104,7 @@ def test_the_block_in_memory_is_the_block_of_the_files(written: Path) -> None:
     assert_same(block.options, read.options, "options")
 
 
+@pytest.mark.behaviour
 def test_the_metadata_are_as_defined(written: Path) -> None:
     for image in read_project(written / "project.toml").images:
         m = image.sensor.metadata
@@ -119,6 +124,7 @@ def test_the_metadata_are_as_defined(written: Path) -> None:
             assert np.linalg.norm(geodetic_to_ecef(p.lon_deg, p.lat_deg, 0.0) - seen) < 1e-3  # height solved to 1e-5 m
 
 
+@pytest.mark.consistency
 def test_truth_files(written: Path) -> None:
     _, truth = zonguldak_block(OPTIONS)
     with (written / "truth" / "eop.csv").open(newline="") as stream:
@@ -142,6 +148,7 @@ def test_truth_files(written: Path) -> None:
     assert options["seed"] == 3 and options["errors"] == "prior" and options["command"] == "simulate zonguldak"
 
 
+@pytest.mark.behaviour
 def test_the_same_seed_gives_the_same_bytes(written: Path, tmp_path: Path) -> None:
     again = simulate_zonguldak(tmp_path / "again", OPTIONS).parent
     assert contents(again) == contents(written)
@@ -150,6 +157,7 @@ def test_the_same_seed_gives_the_same_bytes(written: Path, tmp_path: Path) -> No
     assert changed == set(contents(written)), "every file depends on the seed"
 
 
+@pytest.mark.behaviour
 def test_an_existing_folder_is_kept(written: Path, tmp_path: Path) -> None:
     target = tmp_path / "twin"
     shutil.copytree(written, target)
@@ -175,6 +183,7 @@ def test_an_existing_folder_is_kept(written: Path, tmp_path: Path) -> None:
     assert [p.name for p in foreign.iterdir()] == ["thesis.txt"]
 
 
+@pytest.mark.behaviour
 def test_a_failure_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import fg_orient.simulate.files as files
 
@@ -187,6 +196,7 @@ def test_a_failure_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.behaviour
 def test_truth_is_not_needed(written: Path, tmp_path: Path) -> None:
     target = tmp_path / "twin"
     shutil.copytree(written, target)
@@ -202,17 +212,21 @@ def test_truth_is_not_needed(written: Path, tmp_path: Path) -> None:
 # --- truth -----------------------------------------------------------------------------------
 
 
+@pytest.mark.oracle
 def test_true_unknowns_give_the_noise_free_pixels(written: Path) -> None:
     block, truth = read_project(written / "project.toml"), zonguldak_block(OPTIONS)[1]
     for k, (image, correction) in enumerate(zip(block.images, truth.corrections, strict=True)):
         rows = block.observations.image == k
         seen = np.stack(image.sensor.project(truth.ecef_m[block.observations.point[rows]], correction), axis=1)
         np.testing.assert_allclose(seen, truth.pixels[rows], rtol=0.0, atol=TIME_ROUNDING_PX)
+        ground = truth.ecef_m[block.observations.point[rows]]
+        assert misses_m(image.sensor.metadata, *truth.pixels[rows].T, ground, correction).max() < 1e-6
         found = image.sensor.locate(*truth.pixels[rows].T, height_m=truth.lon_lat_height[:, 2], correction=correction)
         # locate solves the height to 1e-5 m; seen at 24 degrees at most
         assert np.linalg.norm(found - truth.ecef_m, axis=1).max() < 3e-5
 
 
+@pytest.mark.oracle
 def test_metadata_are_true_minus_error() -> None:
     """With the correction the sensor with errors is the sensor without, also where time bends the attitude."""
     wrong, truth = zonguldak_block(replace(OPTIONS, distortion_rad=0.0))
@@ -221,13 +235,14 @@ def test_metadata_are_true_minus_error() -> None:
     for a, b, correction in zip(wrong.images, right.images, truth.corrections, strict=True):
         assert np.abs(correction.eop).min() > 0.0
         p, u = a.sensor.rays(line, sample, correction)
-        q, v = b.sensor.rays(line, sample)
+        q, v = rays(b.sensor.metadata, line, sample)
         # ephemeris: polynomials of degree 2 are interpolated exactly, rounding of 7e6 m amplified by weights below 10
         assert np.abs(p - q).max() < 1e-7
         # attitude: chord of c2 tau^2 over 0.125 s, |c2| (0.0139)^2 = 1e-9 rad for 3 sigma, c2 = 6e-6 rad
         assert np.abs(u - v).max() < 2e-9
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("eop_set", [1, 6, 10, 12, 15, 20])
 def test_without_errors_nothing_is_corrected(eop_set: int) -> None:
     """Claim C2: no noise, no errors, then corrections and residuals are rounding."""
@@ -240,14 +255,19 @@ def test_without_errors_nothing_is_corrected(eop_set: int) -> None:
     assert np.linalg.norm(solution.ground_m - truth.ecef_m, axis=1).max() < 1e-6
 
 
+@pytest.mark.oracle
 def test_intersection_is_exact() -> None:
     """Claim C2: the noise-free rays meet in the true points, from pixels alone."""
     block, truth = zonguldak_block(replace(EXACT, point_set="H-40"))
     nothing = np.full_like(truth.ecef_m, np.nan)
     found = initial.ground_points(block.images, block.observations, block.points.ids, nothing)
     assert np.linalg.norm(found - truth.ecef_m, axis=1).max() < 1e-6
+    for k, image in enumerate(block.images):
+        o, rows = block.observations, block.observations.image == k
+        assert misses_m(image.sensor.metadata, o.line[rows], o.sample[rows], found[o.point[rows]]).max() < 1e-6
 
 
+@pytest.mark.truth
 def test_noise_is_what_was_asked_for() -> None:
     block, truth = zonguldak_block(ZonguldakOptions(seed=1, image_noise_px=0.5))
     noise = np.stack([block.observations.line, block.observations.sample], axis=1) - truth.pixels
@@ -259,6 +279,7 @@ def test_noise_is_what_was_asked_for() -> None:
     assert set(nominal.observations.sigma_line_px) == {0.3}
 
 
+@pytest.mark.truth
 def test_control_and_check_coordinates_are_measured() -> None:
     """Each has the noise 0.06 / 0.06 / 1.0 m; the check coordinates are those of the file, not the truth."""
     normalised = []
@@ -279,6 +300,7 @@ def test_control_and_check_coordinates_are_measured() -> None:
     np.testing.assert_allclose(np.vstack(normalised).std(axis=0), 1.0, rtol=0.21)
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("seed", [1, 2])
 def test_constant_errors(seed: int) -> None:
     _, truth = zonguldak_block(ZonguldakOptions(seed=seed))
@@ -290,6 +312,7 @@ def test_constant_errors(seed: int) -> None:
     assert not np.array_equal(*signs), "drawn per image"
 
 
+@pytest.mark.behaviour
 def test_one_stream_does_not_disturb_the_others(default: tuple[Block, Truth]) -> None:
     block, truth = default
     noise = np.stack([block.observations.line, block.observations.sample], axis=1) - truth.pixels
@@ -309,6 +332,7 @@ def test_one_stream_does_not_disturb_the_others(default: tuple[Block, Truth]) ->
 # --- geometry --------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_points_lie_well_inside_both_images(default: tuple[Block, Truth]) -> None:
     block, truth = default
     assert len(truth.point_ids) == N_POINTS == 47
@@ -320,6 +344,7 @@ def test_points_lie_well_inside_both_images(default: tuple[Block, Truth]) -> Non
     assert np.ptp(truth.pixels, axis=0).min() > 9000.0, "spread over the images"
 
 
+@pytest.mark.truth
 def test_the_views_come_from_opposite_sides(default: tuple[Block, Truth]) -> None:
     block, _ = default
     target = geodetic_to_ecef(31.85, 41.3, 0.0)[0]
@@ -336,6 +361,7 @@ def test_the_views_come_from_opposite_sides(default: tuple[Block, Truth]) -> Non
     assert 0.75 < base / 834e3 < 0.80
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     ("roll_deg", "low_km", "high_km"), [(-19.0, 280, 330), (21.0, 280, 330), (-18.0, 268, 278), (20.0, 300, 311)]
 )
@@ -362,6 +388,7 @@ def forward_axes(sensor: PushbroomSensor, line: np.ndarray) -> np.ndarray:
     return forward / np.linalg.norm(forward, axis=1, keepdims=True)
 
 
+@pytest.mark.oracle
 def test_angles_of_a_pixel(default: tuple[Block, Truth]) -> None:
     """Across track p/f / cos^2 psi_y; along track the motion over a line, less the turn of the orbital frame."""
     for image in default[0].images:

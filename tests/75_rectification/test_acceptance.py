@@ -23,6 +23,7 @@ TM_5, TM_10, TM_20, SPOT = (19.97, 15.48, 17.95), (19.05, 17.35, 15.90), (19.65,
 BUYUKADA_M2, BUYUKADA_COAST_M, BUYUKADA_VERTICES = 5_398_290.83, 14_301.43, 1038
 
 
+@pytest.mark.truth
 def test_1_tables_of_the_islands_follow_from_each_other_with_the_two_corrections(rows: Rows) -> None:
     wrong = {name for name, row in rows.items() if row.table in {"7.3", "7.5", "7.6"} and row.verdict == "differs"}
     assert wrong == {
@@ -70,6 +71,7 @@ def ek2(x: np.ndarray, y: np.ndarray, plane: np.ndarray, degree: int) -> tuple[n
     return v.reshape(2, -1).T, math.sqrt(float(v @ v) / (2 * len(x) - (degree + 1) * (degree + 2)))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     ("degree", "n", "kind"),
     [(1, 30, np.float64), (2, 30, np.float64), (3, 30, np.float64), (1, 4, np.longdouble), (2, 7, np.longdouble),
@@ -87,6 +89,7 @@ def test_2_ek2_equals_the_centred_least_squares(degree: int, n: int, kind: type[
     assert np.abs(found.residuals - v).max() <= 1e-9 * np.abs(v).max()
 
 
+@pytest.mark.oracle
 def test_2_full_metres_spoil_ek2_and_not_the_centred_fit() -> None:
     rng = np.random.default_rng(8)
     centre = np.array([678_000.0, 4_525_000.0])
@@ -98,6 +101,7 @@ def test_2_full_metres_spoil_ek2_and_not_the_centred_fit() -> None:
     assert ek2(*(near[0] + centre).T, near[1] + centre, 2)[1] > 5.0 * m0
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("degree", "n"), [(1, 3), (2, 5), (2, 6), (3, 10), (5, 21)])
 def test_3_no_m0_without_redundancy(degree: int, n: int) -> None:
     image = np.random.default_rng(1).uniform(0.0, 1000.0, (n, 2))
@@ -106,6 +110,7 @@ def test_3_no_m0_without_redundancy(degree: int, n: int) -> None:
     assert caught.value.problems[0].code == "rectify.few_points"
 
 
+@pytest.mark.truth
 def test_4_distances_against_m0() -> None:
     """The mean of 60 runs has a standard deviation of 0.007; the full study below takes 400."""
     found = distance_ratios(60, seed=1).ratio
@@ -113,6 +118,7 @@ def test_4_distances_against_m0() -> None:
     assert 0.03 <= found.std(ddof=1) <= 0.08
 
 
+@pytest.mark.truth
 @pytest.mark.slow
 def test_4_distances_against_m0_over_400_runs() -> None:
     found = distance_ratios(RUNS, seed=1).ratio
@@ -120,15 +126,18 @@ def test_4_distances_against_m0_over_400_runs() -> None:
     assert found.std(ddof=1) == pytest.approx(0.05, abs=0.01)
 
 
+@pytest.mark.truth
 def test_5_area_ratio_of_gauss_krueger_and_lambert() -> None:
     assert area_ratio("buyukada", BUYUKADA_M2, lambert_polar(6_370_000.0)) == pytest.approx(1.002439, abs=2e-6)
 
 
+@pytest.mark.truth
 def test_6_space_oblique_mercator() -> None:
     found = project(space_oblique_mercator(5, 180), 29.0, 41.1)[0]
     assert found == pytest.approx([15_501_099.14, 593_683.52], abs=0.01)
 
 
+@pytest.mark.truth
 def test_7_pixel_count_by_simulation() -> None:
     coast = synthetic_outline(BUYUKADA_M2, BUYUKADA_COAST_M, BUYUKADA_VERTICES, seed=1)
     areas = simulate_pixel_areas_m2(coast, 30.0, 200, seed=1)
@@ -137,6 +146,7 @@ def test_7_pixel_count_by_simulation() -> None:
     assert pixel_area_sigma_m2(BUYUKADA_COAST_M, 30.0) == pytest.approx(5.2e3, rel=0.10)
 
 
+@pytest.mark.truth
 @pytest.mark.slow
 def test_7_pixel_count_of_many_coasts_in_all_and_in_one_orientation(capsys: pytest.CaptureFixture[str]) -> None:
     turned, fixed = [], []
@@ -156,6 +166,7 @@ def by_degree(m0: tuple[float, float, float]) -> dict[int, float]:
     return dict(zip((1, 2, 3), m0, strict=True))
 
 
+@pytest.mark.truth
 def test_table_7_1_given_30_points_marks_one_row() -> None:
     assert growing_degrees(by_degree(TM_5), 30) == (3,)
     assert [growing_degrees(by_degree(row), 30) for row in (TM_10, TM_20, SPOT)] == [(), (), ()]
@@ -166,12 +177,14 @@ def test_table_7_1_given_30_points_marks_one_row() -> None:
     assert admissible_points(by_degree(TM_10), most=500)[-1] == 500  # falling m0s: no limit but that of the search
 
 
+@pytest.mark.truth
 def test_table_7_1_given_5_points_refuses_degrees_2_and_3() -> None:
     assert without_redundancy((1, 2, 3), 5) == (2, 3)
     with pytest.raises(InputError, match="degree 2"):
         growing_degrees(by_degree(TM_5), 5)
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(
     ("row", "low", "high", "f", "p"),
     [(TM_20, 1, 2, 8.3, 4e-6), (TM_5, 1, 2, 7.0, 2e-5), (TM_10, 1, 2, 2.9, 0.02), (SPOT, 1, 2, 0.7, None),
@@ -186,5 +199,6 @@ def test_table_7_1_degrees_compared(
     assert p is None or float(f"{probability:.{2 if p == 0.054 else 1}g}") == p
 
 
+@pytest.mark.behaviour
 def test_squares_that_grow_have_no_f_test() -> None:
     assert np.isnan(improvement_test(TM_5[1], 2, TM_5[2], 3, 30)).all()

@@ -17,6 +17,8 @@ from fg_orient.rectification.fit import Observations, fit
 from fg_orient.rectification.models import find_model
 from fg_orient.rectification.outliers import prune
 
+pytestmark = pytest.mark.behaviour
+
 BOX = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 20.0], [0.0, 20.0]])
 GK = projections.gauss_krueger(27.0)
 TM = scanner.Scanner(705e3, 42.5e-6, 42.5e-6)
@@ -88,12 +90,11 @@ def test_nonsense_is_refused(case: tuple[Callable[..., Any], tuple[Any, ...], tu
             }, (place, value)  # fmt: skip
 
 
-@pytest.mark.parametrize("layouts", [0, -1, 2.5])
-def test_a_study_needs_layouts(layouts: object) -> None:
+@pytest.mark.parametrize(
+    "ask",
+    [*(lambda n=n: study.design_study(GROUND, GROUND, [5], [1], layouts=n) for n in (0, -1, 2.5)),
+     scanner.error_budget],
+)  # fmt: skip
+def test_a_study_needs_layouts_and_a_budget_errors(ask: Callable[[], object]) -> None:
     with pytest.raises(InputError):
-        study.design_study(GROUND, GROUND, [5], [1], layouts=layouts)  # type: ignore[arg-type]
-
-
-def test_no_errors_are_no_budget() -> None:
-    with pytest.raises(InputError):
-        scanner.error_budget()
+        ask()

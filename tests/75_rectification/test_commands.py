@@ -9,6 +9,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 
 from fg_orient.rectification.transformation import read_transformation
@@ -27,6 +28,7 @@ def points(tmp_path: Path, rng: np.random.Generator) -> Path:
     return write_points(tmp_path / "points.csv", image, plane, check=10, heights=heights)
 
 
+@pytest.mark.oracle
 def test_fit_writes_a_folder_that_says_what_the_json_says(points: Path, tmp_path: Path) -> None:
     out = tmp_path / "fit"
     done = run(
@@ -53,6 +55,7 @@ def test_fit_writes_a_folder_that_says_what_the_json_says(points: Path, tmp_path
     assert t.apply(image) - given == pytest.approx(v, abs=1e-8)
 
 
+@pytest.mark.behaviour
 def test_figure_and_report_are_well_formed_and_escaped(tmp_path: Path, rng: np.random.Generator) -> None:
     image, plane, _ = scene(rng, 12)
     plane[3] += (400.0, 0.0)
@@ -75,6 +78,7 @@ def test_figure_and_report_are_well_formed_and_escaped(tmp_path: Path, rng: np.r
     assert not [value for name, value in found.attributes if value.startswith("http") and name != "xmlns"]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("model", ["affine", "helmert", "projective", "affine-3d", "parallel", "dlt"])
 def test_every_model_by_its_name(model: str, points: Path) -> None:
     record = run("rectify", "fit", points, "--model", model, "--json").json
@@ -83,6 +87,7 @@ def test_every_model_by_its_name(model: str, points: Path) -> None:
     assert record["redundancy"] == 60 - record["n_unknowns"]
 
 
+@pytest.mark.consistency
 def test_map_to_image_is_the_other_way(points: Path) -> None:
     record = run("rectify", "fit", points, "--model", "affine", "--direction", "map-to-image", "--json").json
     assert (record["unit"], record["axes"]) == ("px", ["sample", "line"])
@@ -90,6 +95,7 @@ def test_map_to_image_is_the_other_way(points: Path) -> None:
     assert record["rmse"]["radial"] == pytest.approx(there["rmse"]["radial"] / 28.7, rel=0.05)
 
 
+@pytest.mark.behaviour
 def test_pruning_from_the_command(tmp_path: Path, rng: np.random.Generator) -> None:
     image, plane, _ = scene(rng, 20)
     plane[6] += (300.0, 0.0)
@@ -102,11 +108,11 @@ def test_pruning_from_the_command(tmp_path: Path, rng: np.random.Generator) -> N
     assert failed.code == 3 and "target is not reached" in failed.stderr
 
 
+@pytest.mark.oracle
 def test_longitudes_are_projected(tmp_path: Path, rng: np.random.Generator) -> None:
-    from fg_orient.rectification.projections import unproject, utm
-
     image, plane, _ = scene(rng, 12)
-    lonlat = unproject(utm(35), plane)
+    to_degrees = pyproj.Transformer.from_crs("EPSG:32635", "EPSG:4326", always_xy=True)
+    lonlat = np.stack(to_degrees.transform(*plane.T), axis=1)
     path = write_points(tmp_path / "p.csv", image, lonlat)
     path.write_text(path.read_text("utf-8").replace("easting_m,northing_m", "lon_deg,lat_deg"), "utf-8")
     metres = run("rectify", "fit", write_points(tmp_path / "m.csv", image, plane), "--json").json
@@ -118,6 +124,7 @@ def test_longitudes_are_projected(tmp_path: Path, rng: np.random.Generator) -> N
     assert refused.code == 2 and "not a map projection" in refused.stderr
 
 
+@pytest.mark.behaviour
 def test_sigmas_weight_and_are_refused_on_the_other_side(tmp_path: Path, rng: np.random.Generator) -> None:
     image, plane, _ = scene(rng, 12)
     path = write_points(tmp_path / "p.csv", image, plane, sigma="sigma_easting_m,sigma_northing_m")
@@ -127,6 +134,7 @@ def test_sigmas_weight_and_are_refused_on_the_other_side(tmp_path: Path, rng: np
     assert refused.code == 2 and "sigma_line_px" in refused.stderr
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
@@ -145,6 +153,7 @@ def test_faults_of_the_table(old: str, new: str, text: str, tmp_path: Path, rng:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "text"),
     [(("--degree", "9"), "degree"), (("--model", "spline"), "no such transformation"),
@@ -158,14 +167,21 @@ def test_refusals_of_fit(words: tuple[str, ...], text: str, tmp_path: Path, rng:
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_collinear_and_only_check_points_are_refused(tmp_path: Path) -> None:
+@pytest.mark.behaviour
+def test_points_that_do_not_do_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
+    """On a line; check points only; for a study no check points."""
     line = np.column_stack([np.arange(10.0), 2.0 * np.arange(10.0)])
-    done = run("rectify", "fit", write_points(tmp_path / "p.csv", line, 30.0 * line + 5.0))
-    assert done.code == 2 and "straight line" in done.stderr
-    done = run("rectify", "fit", write_points(tmp_path / "q.csv", line, line, check=10))
-    assert done.code == 2 and "0 control points" in done.stderr
+    image, plane, _ = scene(rng, 8)
+    for command, table, words in (
+        (("fit",), write_points(tmp_path / "p.csv", line, 30.0 * line + 5.0), "straight line"),
+        (("fit",), write_points(tmp_path / "q.csv", line, line, check=10), "0 control points"),
+        (("study", "--counts", "5"), write_points(tmp_path / "r.csv", image, plane), "no check points"),
+    ):
+        done = run("rectify", command[0], table, *command[1:])
+        assert done.code == 2 and words in done.stderr
 
 
+@pytest.mark.behaviour
 def test_an_existing_folder_is_kept(points: Path, tmp_path: Path) -> None:
     out = tmp_path / "fit"
     assert run("rectify", "fit", points, "--out", out).code == 0
@@ -176,6 +192,7 @@ def test_an_existing_folder_is_kept(points: Path, tmp_path: Path) -> None:
     assert run("rectify", "fit", points, "--out", out, "--overwrite").code == 2
 
 
+@pytest.mark.behaviour
 def test_study_tells_why_a_cell_is_empty(points: Path) -> None:
     done = run("rectify", "study", points, "--counts", "5,30", "--degrees", "1,2", "--layouts", "4", "--json")
     cells = {(c["n_points"], c["degree"]): c for c in done.json["cells"]}
@@ -192,12 +209,7 @@ def test_study_tells_why_a_cell_is_empty(points: Path) -> None:
         assert run("rectify", "study", points, *words).code == 2
 
 
-def test_study_needs_check_points(tmp_path: Path, rng: np.random.Generator) -> None:
-    image, plane, _ = scene(rng, 8)
-    done = run("rectify", "study", write_points(tmp_path / "p.csv", image, plane), "--counts", "5")
-    assert done.code == 2 and "no check points" in done.stderr
-
-
+@pytest.mark.behaviour
 def test_check_judges_tables_and_result_folders(points: Path, tmp_path: Path) -> None:
     out = tmp_path / "fit"
     fitted = run("rectify", "fit", points, "--degree", "2", "--out", out, "--json").json
@@ -221,6 +233,7 @@ def test_check_judges_tables_and_result_folders(points: Path, tmp_path: Path) ->
     assert same["rmse_m"] == pytest.approx(good.json["rmse_m"], abs=1e-8)
 
 
+@pytest.mark.behaviour
 def test_check_refuses_what_it_cannot_judge(points: Path, tmp_path: Path) -> None:
     out = tmp_path / "fit"
     assert run("rectify", "fit", points, "--model", "dlt", "--out", out).code == 0
@@ -232,6 +245,7 @@ def test_check_refuses_what_it_cannot_judge(points: Path, tmp_path: Path) -> Non
     assert run("rectify", "check", tmp_path / "nowhere.csv").code == 2
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", ["role", "residual_easting_m", "residual_northing_m"])
 @pytest.mark.parametrize("value", [None, "x"], ids=["missing", "word"])
 def test_check_refuses_an_edited_result(name: str, value: object, points: Path, tmp_path: Path) -> None:
@@ -248,6 +262,7 @@ def test_check_refuses_an_edited_result(name: str, value: object, points: Path, 
     assert done.code == 2 and "not a result of rectify fit" in done.stderr
 
 
+@pytest.mark.behaviour
 def test_check_does_not_judge_points_chosen_by_their_residuals(tmp_path: Path, rng: np.random.Generator) -> None:
     image, plane, _ = scene(rng, 20)
     plane[6] += (300.0, 0.0)

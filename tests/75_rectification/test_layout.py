@@ -42,6 +42,7 @@ def refusal(points: Observations, name: str = "affine", degree: int | None = Non
     return caught.value
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("angle", [0.0, 0.7, 1.5708])
 @pytest.mark.parametrize("n", [12, 30, 300])
 @pytest.mark.parametrize(("name", "degree"), [("affine", None), ("polynomial", 2), ("projective", None)])
@@ -50,12 +51,14 @@ def test_points_within_their_noise_of_a_line_are_refused(name: str, degree: int 
     assert refusal(strip(0.0, angle, n=n, seed=n), name, degree).problems[0].code == "rectify.narrow"
 
 
+@pytest.mark.behaviour
 def test_the_refusal_names_the_direction() -> None:
     text = str(refusal(strip(0.0, 0.0)))
     assert "along line they spread over only" in text
     assert "0.71 sample" in str(refusal(strip(0.0, math.pi / 4.0)))
 
 
+@pytest.mark.consistency
 def test_neither_unit_nor_size_nor_sigma_of_all_enters() -> None:
     """In kilometres, with images of another size, with all sigmas 7: the same judgement."""
     for width, refused in ((0.0, True), (30.0, False)):
@@ -74,6 +77,7 @@ def test_neither_unit_nor_size_nor_sigma_of_all_enters() -> None:
         assert not found or np.ptp(found, axis=0) == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
+@pytest.mark.oracle
 def test_the_ratio_is_that_of_the_extents_and_sigma_that_of_a_simulation() -> None:
     points = strip(40.0, 0.4)
     found = fit(points, find_model("affine"))
@@ -88,6 +92,7 @@ def test_the_ratio_is_that_of_the_extents_and_sigma_that_of_a_simulation() -> No
     assert reach.sigma == pytest.approx(expected, rel=5.0 / math.sqrt(2.0 * 2000))
 
 
+@pytest.mark.behaviour
 def test_narrow_points_are_remarked_and_wide_ones_are_not(tmp_path: Path) -> None:
     for width, remarked in ((30.0, True), (300.0, False)):
         points = strip(width, 0.0)
@@ -96,11 +101,13 @@ def test_narrow_points_are_remarked_and_wide_ones_are_not(tmp_path: Path) -> Non
         assert any("reach little along line" in text for text in words) is remarked
 
 
+@pytest.mark.behaviour
 def test_helmert_needs_no_width() -> None:
     (reach,) = fit(strip(0.0, 0.3), find_model("helmert")).reaches
     assert reach.ratio == pytest.approx(1.0) and not reach.is_weak
 
 
+@pytest.mark.behaviour
 def test_points_near_a_circle_are_remarked_at_degree_2() -> None:
     rng = np.random.default_rng(3)
     angle = rng.uniform(0.0, 2.0 * math.pi, 30)
@@ -111,6 +118,7 @@ def test_points_near_a_circle_are_remarked_at_degree_2() -> None:
         assert any("near a curve" in text for text in words) is remarked
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", SPATIAL)
 def test_heights_that_say_nothing_are_remarked(name: str) -> None:
     """A range of 300 m is 60 pixels of plan; of 1 m it is hidden in noise of 0.3 pixels. Neither is refused."""
@@ -135,6 +143,7 @@ def derivatives(found: Fit, source: Array) -> Array:
     return np.stack([(high - low) / (2.0 * step) for high, low in ends], axis=1)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("name", "degree"), [("helmert", None), ("projective", None), ("polynomial", 2)])
 def test_check_points_against_plain_matrices(name: str, degree: int | None) -> None:
     rng = np.random.default_rng(7)
@@ -153,6 +162,7 @@ def test_check_points_against_plain_matrices(name: str, degree: int | None) -> N
         assert tests.probability[k] == pytest.approx(stats.f.sf(expected, 2, found.redundancy), rel=1e-4)
 
 
+@pytest.mark.oracle
 def test_false_alarms_of_check_points_are_as_stated_and_not_without_the_error_of_the_fit() -> None:
     """200 runs, 8 control points, a check point outside of them, level 20 %; interval of 4 standard deviations."""
     rng, model, level, runs = np.random.default_rng(11), find_model("affine"), 0.2, 200
@@ -169,6 +179,7 @@ def test_false_alarms_of_check_points_are_as_stated_and_not_without_the_error_of
     assert careless / runs > level + half
 
 
+@pytest.mark.behaviour
 def test_each_bad_check_point_is_named(tmp_path: Path, rng: np.random.Generator) -> None:
     image, plane, _ = scene(rng, 40)
     plane[33] += (300.0, -200.0)
@@ -185,6 +196,7 @@ def test_each_bad_check_point_is_named(tmp_path: Path, rng: np.random.Generator)
     assert (out / "report.html").read_text("utf-8").count('class="bad"') == 2
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("sigma", "code"),
     [(1e-300, "rectify.sigma_absurd"), ([[1e-12, 1.0]] + [[1.0, 1.0]] * 11, "rectify.sigma_absurd"),
@@ -198,6 +210,7 @@ def test_absurd_sigmas_are_refused(sigma: object, code: str) -> None:
     assert caught.value.problems[0].code == code
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("sigmas", "text"), [(("1e-4", "1e-4"), "times what the sigmas say"), (("1e6", "1e6"), "times what the sigmas say"),
                          (("15", "15"), ""), (("15", "1e6"), "have no say")],
@@ -212,6 +225,7 @@ def test_sigmas_that_the_residuals_contradict_are_remarked(
     assert any(text in w for w in words) if text else not any("sigma" in w for w in words)
 
 
+@pytest.mark.behaviour
 def test_points_far_from_their_zone_are_remarked(tmp_path: Path, rng: np.random.Generator) -> None:
     """Zone 35 (24 to 30 degrees east): at home, in the next zone beside it, and two zones away."""
     from fg_orient.rectification.projections import project, unproject, utm
@@ -232,6 +246,7 @@ def test_points_far_from_their_zone_are_remarked(tmp_path: Path, rng: np.random.
     assert any("far outside the area" in text for text in words)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("command", ["fit", "check"])
 def test_points_without_ids_are_refused(command: str, tmp_path: Path, rng: np.random.Generator) -> None:
     path = tmp_path / "p.csv"

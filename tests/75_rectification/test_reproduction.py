@@ -24,12 +24,14 @@ from .conftest import key
 Rows = dict[tuple[str, str, str], Row]
 
 
+@pytest.mark.behaviour
 def test_every_table_is_complete(reproduction: Reproduction) -> None:
     assert tuple(reproduction.titles) == TABLES
     counts = Counter(row.table for row in reproduction.rows)
     assert (counts["6.1"], counts["7.1"], counts["7.6"], counts["s7.2"]) == (26, 16, 24, 19)
 
 
+@pytest.mark.truth
 def test_verdicts(reproduction: Reproduction) -> None:
     """A changed count is a changed statement: docs/rectification.md has them, too."""
     assert reproduction.counts() == {
@@ -38,6 +40,7 @@ def test_verdicts(reproduction: Reproduction) -> None:
     assert all(row.reason for row in reproduction.rows)
 
 
+@pytest.mark.truth
 def test_what_differs_is_known(rows: Rows) -> None:
     assert {name for name, row in rows.items() if row.verdict == "differs"} == {
         ("3.3", "TM", "ifov_as_printed_actually_total_scan_angle"),
@@ -54,6 +57,7 @@ def test_what_differs_is_known(rows: Rows) -> None:
     }
 
 
+@pytest.mark.behaviour
 def test_sentences(rows: Rows) -> None:
     impossible = rows["7.1", "landsat5_tm 5 GCPs", "m0_degree_3"]
     assert "impossible over 30 points" in impossible.reason and "with 11 to 21 points" in impossible.reason
@@ -63,6 +67,7 @@ def test_sentences(rows: Rows) -> None:
     assert rows["7.1", "landsat5_tm 5 GCPs", "m0_degree_1"].reason.startswith("control points")
 
 
+@pytest.mark.truth
 def test_area_ratios_of_the_description(rows: Rows) -> None:
     for island, ratio in (("buyukada", 1.002439), ("heybeliada", 1.002423), ("burgazada", 1.002403),
                           ("sedef_adasi", 1.002456), ("kasik_adasi", 1.002412)):  # fmt: skip
@@ -70,6 +75,7 @@ def test_area_ratios_of_the_description(rows: Rows) -> None:
         assert utm / rows["7.4", island, "area_azimuthal"].reproduced == pytest.approx(ratio, abs=2e-6)
 
 
+@pytest.mark.truth
 def test_law_of_table_6_1(rows: Rows) -> None:
     """Misfits as the description has them; only its worst, 27 m with 35 points at degree 5, is beyond the others."""
     fitted = {
@@ -85,6 +91,7 @@ def test_law_of_table_6_1(rows: Rows) -> None:
     assert "+2.4 m" in fitted["1024 x 1024, 35 GCPs, degree 5"].reason
 
 
+@pytest.mark.truth
 def test_a_constant_instead_of_the_law_of_table_6_1_scatters_more_than_twice_as_much(rows: Rows) -> None:
     """What the spread of the verdicts stands on tells a wrong law from the right one: 2.30 m of the description."""
     v = np.array([r.published for n, r in rows.items() if n[0] == "6.1" and n[1].startswith("1024 x 1024")])
@@ -94,6 +101,7 @@ def test_a_constant_instead_of_the_law_of_table_6_1_scatters_more_than_twice_as_
     assert max(half) < 1.96 * 0.5 * constant
 
 
+@pytest.mark.truth
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("extent", "m0", "distance", "helmert"),
@@ -111,6 +119,7 @@ def test_digitised_sheets_over_400_runs(extent: tuple[int, int], m0: float, dist
         assert abs(runs.mean() - expected) <= 4.0 * np.sqrt(2.0 / len(runs)) * runs.std()
 
 
+@pytest.mark.behaviour
 def test_an_altered_copy_changes_the_verdict_of_its_cell(tmp_path: Path) -> None:
     folder = tmp_path / "ipbuker1994"
     shutil.copytree(Path(published.__file__).parent / "ipbuker1994", folder)
@@ -123,6 +132,7 @@ def test_an_altered_copy_changes_the_verdict_of_its_cell(tmp_path: Path) -> None
     assert Counter(found.values()) == {"equal": 7, "differs": 1, "not_reproducible": 8}
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("value", ["nan", "0", "-1e40", "1e40"])
 def test_absurd_numbers_in_a_copy_differ_and_break_nothing(value: str, tmp_path: Path) -> None:
     folder = tmp_path / "ipbuker1994"
@@ -140,12 +150,14 @@ def test_absurd_numbers_in_a_copy_differ_and_break_nothing(value: str, tmp_path:
     assert {row.verdict for row in found.rows if row.table == "7.3" and "spacing" in row.cell} == {"differs"}
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("printed", "kind"), [(0.0, "differs"), (2.0, "order"), (0.05, "differs")])
 def test_sizes_are_compared_with_any_printed_number(printed: float, kind: str, rows: Rows) -> None:
     cell = PublishedCell(key("7.2", "x", "area_rms"), printed, repr(printed), repr(printed))
     assert judge(cell, Found(1.0, is_order=True), "").kind == kind
 
 
+@pytest.mark.behaviour
 def test_command_writes_a_report_without_a_twin(tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = run("reproduce", "ipbuker1994", "--tables", "7.3,7.5-summary", "--out", out)

@@ -23,6 +23,7 @@ from .conftest import Twin
 Array = np.ndarray
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(("image", "number"), [("left", 0), ("right", 1)])
 def test_eop_are_those_of_the_state(twin: Twin, image: str, number: int) -> None:
     found = read_correction(twin.result, twin.sensors[image])
@@ -46,6 +47,7 @@ def folder(path: Path, values: dict[str, float], *, small_angle: bool = False) -
     return path
 
 
+@pytest.mark.behaviour
 def test_look_angles_and_small_angles(twin: Twin, tmp_path: Path) -> None:
     given = {"roll_1": 2e-6, "psi_x_s0": 1e-6, "psi_y_s0": 2e-6, "psi_x_s2": 3e-6, "psi_y_s2": 4e-6}
     found = read_correction(folder(tmp_path, given, small_angle=True), twin.sensors["left"])
@@ -54,6 +56,7 @@ def test_look_angles_and_small_angles(twin: Twin, tmp_path: Path) -> None:
     assert found.look.tolist() == [[1e-6, 0.0, 3e-6], [2e-6, 0.0, 4e-6]]
 
 
+@pytest.mark.truth
 def test_compensation_of_an_rpc_image(twin: Twin, tmp_path: Path) -> None:
     """The compensated model moves a projected point by what the names say."""
     model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0), file="left.DIM")
@@ -73,6 +76,7 @@ def refused(path: Path, sensor: object, image: str = "") -> tuple[str, str]:
     return caught.value.problems[0].code, str(caught.value)
 
 
+@pytest.mark.behaviour
 def test_the_image_asked_for_is_that_of_the_metadata(twin: Twin, tmp_path: Path) -> None:
     """By content: the file of another image is refused whatever its name, a renamed copy of the right one is taken."""
     left = twin.sensors["left"]
@@ -96,6 +100,7 @@ def test_the_image_asked_for_is_that_of_the_metadata(twin: Twin, tmp_path: Path)
     assert refused(twin.result, read_sensor(other), "third")[0] == "ortho.result"
 
 
+@pytest.mark.behaviour
 def test_two_images_with_files_of_one_name_are_told_apart(twin: Twin, tmp_path: Path) -> None:
     """Products of one mission are all called METADATA.DIM; without their contents in the record nothing tells which."""
     files = {}
@@ -118,6 +123,7 @@ def test_two_images_with_files_of_one_name_are_told_apart(twin: Twin, tmp_path: 
     assert read_correction(tmp_path, read_sensor(files["right"]), "right") is not None
 
 
+@pytest.mark.behaviour
 def test_the_command_compares_the_image(twin: Twin, tmp_path: Path) -> None:
     done = run(
         "rectify", "ortho", twin.folder / "left.tif", twin.folder / "left.DIM", "--dem", twin.folder / "dem.tif",

@@ -68,6 +68,7 @@ def picture(tmp_path: Path, rng: np.random.Generator) -> Path:
     return path
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("forward", [True, False])
 @pytest.mark.parametrize("name", list(RESAMPLING))
 def test_a_map_on_the_pixels_of_the_image_is_the_image(picture: Path, forward: bool, name: str) -> None:
@@ -86,6 +87,7 @@ def test_a_map_on_the_pixels_of_the_image_is_the_image(picture: Path, forward: b
     assert record["filled"] == 1.0
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize(("name", "window"), [("nearest", 33), ("bilinear", 17), ("cubic", 48), ("cubic-sharp", 79)])
 def test_pixels_do_not_depend_on_the_windows(twin: Twin, tmp_path: Path, name: str, window: int) -> None:
     whole = ortho(twin, tmp_path / "a.tif", resampling=name)
@@ -93,6 +95,7 @@ def test_pixels_do_not_depend_on_the_windows(twin: Twin, tmp_path: Path, name: s
     assert np.array_equal(whole, ortho(twin, tmp_path / "b.tif", resampling=name, window=window))
 
 
+@pytest.mark.consistency
 def test_another_raster_over_the_same_ground_agrees(twin: Twin, tmp_path: Path) -> None:
     """Its knots lie elsewhere: places differ by the error between knots, grey values by one after rounding."""
     left, bottom, right, top = bounds_about(twin, 0)
@@ -103,6 +106,7 @@ def test_another_raster_over_the_same_ground_agrees(twin: Twin, tmp_path: Path) 
     assert np.abs(whole[7:, 11:] - part)[both].max() <= 1
 
 
+@pytest.mark.oracle
 def test_gdal_makes_the_same_map_of_the_same_rpc(twin: Twin, tmp_path: Path) -> None:
     """GDAL's warper with the RPC fitted to the model, same terrain, kernel and grid: grey values agree."""
     model, _ = fit_image(twin.sensors["left"], (-50.0, 1850.0))
@@ -134,6 +138,7 @@ def test_gdal_makes_the_same_map_of_the_same_rpc(twin: Twin, tmp_path: Path) -> 
     assert np.mean(ours[both] != theirs[both]) < 0.1
 
 
+@pytest.mark.truth
 def test_a_transformation_with_heights_takes_them(picture: Path, tmp_path: Path) -> None:
     """100 m move a point by a line and two samples; at this height the map is the image, shifted by whole pixels."""
     rng, points = np.random.default_rng(3), ["id,line,sample,easting_m,northing_m,height_m"]
@@ -183,6 +188,7 @@ def refused(call: Callable[..., object], *words: object, **options: object) -> s
     return code(error)
 
 
+@pytest.mark.behaviour
 def test_refusals(twin: Twin, tmp_path: Path, picture: Path) -> None:
     image, out = twin.folder / "left.tif", tmp_path / "no.tif"
 
@@ -206,6 +212,7 @@ def test_refusals(twin: Twin, tmp_path: Path, picture: Path) -> None:
     assert not list(tmp_path.glob("*no.tif*")), "nothing is left behind"
 
 
+@pytest.mark.behaviour
 def test_holes_are_refused_or_left_empty(twin: Twin, tmp_path: Path) -> None:
     dem = RasterDem(altered_dem(twin, tmp_path / "hole.tif", hole=True))
     with pytest.raises(InputError) as error:
@@ -219,6 +226,7 @@ def test_holes_are_refused_or_left_empty(twin: Twin, tmp_path: Path) -> None:
     assert np.array_equal(part[~lost], whole[~lost])
 
 
+@pytest.mark.behaviour
 def test_grid_keeps_whole_multiples() -> None:
     grid = MapGrid.over((400_002.0, 4_570_000.0, 400_098.0, 4_570_101.0), 5.0, CRS)
     assert grid.bounds == (400_000.0, 4_570_000.0, 400_100.0, 4_570_105.0)
@@ -226,6 +234,7 @@ def test_grid_keeps_whole_multiples() -> None:
     assert [float(v) for v in grid.centres(0, 0)] == [400_002.5, 4_570_102.5]
 
 
+@pytest.mark.behaviour
 def test_the_command_writes_a_cloud_optimised_file(twin: Twin, tmp_path: Path) -> None:
     out = tmp_path / "map.tif"
     words = ("rectify", "ortho", twin.folder / "left.tif", twin.folder / "left.DIM", "--dem", twin.folder / "dem.tif",
@@ -242,6 +251,7 @@ def test_the_command_writes_a_cloud_optimised_file(twin: Twin, tmp_path: Path) -
     assert again.code == 2 and "exists already" in again.stderr
 
 
+@pytest.mark.truth
 def test_a_fit_by_points_is_taken(picture: Path, tmp_path: Path) -> None:
     points = ["id,line,sample,easting_m,northing_m"]
     for k, (line, sample) in enumerate([(0, 0), (0, 59), (39, 0), (39, 59), (20, 30)]):
@@ -260,6 +270,7 @@ def test_a_fit_by_points_is_taken(picture: Path, tmp_path: Path) -> None:
     assert other.code == 2 and "was fitted in" in other.stderr
 
 
+@pytest.mark.consistency
 def test_knots_come_closer_until_the_bound_is_kept(twin: Twin) -> None:
     """A coarse map has more pixels between knots: the step shrinks, and what it states holds at random places."""
     grid = MapGrid.over((395_000.0, 4_565_000.0, 410_000.0, 4_580_000.0), 30.0, CRS)
@@ -277,11 +288,13 @@ def test_knots_come_closer_until_the_bound_is_kept(twin: Twin) -> None:
     assert np.abs(ours - exact).max() < 1.2 * found.error_px
 
 
+@pytest.mark.behaviour
 def test_rasters_of_the_twin_that_cannot_be() -> None:
     for options in ({"window_px": -1}, {"window_px": 12001}, {"dem_step_m": 1.0}, {"dem_step_m": 500.0}):
         assert refused(RasterOptions, **options) == "options.value"
 
 
+@pytest.mark.behaviour
 def test_progress_ends_at_the_number_of_windows(picture: Path) -> None:
     told: list[tuple[int, int]] = []
     model = PointModel(plain(1005.0, 5025.0, 30.0, forward=True))
@@ -292,6 +305,7 @@ def test_progress_ends_at_the_number_of_windows(picture: Path) -> None:
     assert told == [(k, 4) for k in range(5)]
 
 
+@pytest.mark.behaviour
 def test_knots_far_from_the_image_are_none(twin: Twin) -> None:
     grid = MapGrid.over((495_000.0, 4_565_000.0, 500_000.0, 4_580_000.0), 30.0, CRS)
     assert lattice(grid, twin.left, twin.dem, np.array([-0.5, 11999.5, -0.5, 11999.5])) is None

@@ -44,6 +44,7 @@ def mapped(image: Path, **options: object) -> dict[str, object]:
                         options=OrthoOptions(**options), overwrite=True)  # fmt: skip
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("compress", ["none", "deflate"])
 def test_a_truncated_image_is_named_not_the_output(compress: str, tmp_path: Path) -> None:
     image = picture(tmp_path / "cut.tif", compress=compress)
@@ -58,6 +59,7 @@ def test_a_truncated_image_is_named_not_the_output(compress: str, tmp_path: Path
     assert [path.name for path in tmp_path.iterdir()] == ["cut.tif"]
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     "options", [{"window": 0}, {"window": -1}, {"window": 2.5}, {"compress": "foo"}, {"compress": ""}]
 )
@@ -68,6 +70,7 @@ def test_options_that_cannot_be(options: dict[str, object]) -> None:
     assert caught.value.problems[0].place in options
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("dtype", "nodata"),
     [("uint8", 300.0), ("uint8", -1.0), ("uint8", np.nan), ("uint8", 0.5), ("uint8", np.inf), ("float32", 1e39)],
@@ -78,6 +81,7 @@ def test_a_value_that_the_type_cannot_hold_is_refused(dtype: str, nodata: float,
     assert (caught.value.problems[0].code, caught.value.problems[0].place) == ("options.value", "nodata")
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("dtype", "nodata"), [("uint8", 255.0), ("int16", -32768.0), ("float32", np.nan), ("float32", -9999.0)]
 )
@@ -88,6 +92,7 @@ def test_a_value_that_the_type_holds_is_taken(dtype: str, nodata: float, tmp_pat
         assert np.array_equal(found.nodata, nodata, equal_nan=True)
 
 
+@pytest.mark.truth
 def test_newton_ends_or_says_nan() -> None:
     """x^2 = 4 from 5 ends at 2; x^2 = -1 has no solution; at 0 the slope of x^2 vanishes."""
 
@@ -106,6 +111,7 @@ def folded(east: Array) -> Array:
     return 150.0 - ((east - 5000.0) / 500.0) ** 2
 
 
+@pytest.mark.behaviour
 def test_an_image_beyond_the_fold_of_a_polynomial_has_no_outline(tmp_path: Path) -> None:
     east, north = (a.ravel() for a in np.meshgrid(np.linspace(100.0, 4100.0, 5), np.linspace(0.0, 6000.0, 5)))
     pixel = np.stack([folded(east), north / 30.0], axis=1)
@@ -120,6 +126,7 @@ def test_an_image_beyond_the_fold_of_a_polynomial_has_no_outline(tmp_path: Path)
     assert record["filled"] == 1.0
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("which", ["image", "dem", "model", "foreign"])
 def test_nothing_that_is_read_and_no_foreign_file_is_replaced(tmp_path: Path, which: str) -> None:
     """Whatever --overwrite says; judged before anything is read."""

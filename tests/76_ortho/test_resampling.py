@@ -29,12 +29,14 @@ def places(rng: np.random.Generator) -> tuple[Array, Array]:
     return rng.uniform(-0.5, 22.5, (20, 25)), rng.uniform(-0.5, 30.5, (20, 25))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("kind", "order"), [(NEAREST, 0), (BILINEAR, 1)])
 def test_nearest_and_bilinear_as_scipy(image: Array, places: tuple[Array, Array], kind: int, order: int) -> None:
     expected = map_coordinates(image, places, order=order, mode="nearest")
     assert np.abs(resampled(image, *places, kind) - expected).max() < 1e-11
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("a", [-0.5, -1.0])
 def test_cubic_as_the_kernel_is_printed(image: Array, places: tuple[Array, Array], a: float) -> None:
     """Keys 1981, eq. 4, summed over all pixels of an image with repeated borders."""
@@ -51,6 +53,7 @@ def test_cubic_as_the_kernel_is_printed(image: Array, places: tuple[Array, Array
     assert np.abs(resampled(image, *places, CUBIC, a) - expected).max() < 1e-10
 
 
+@pytest.mark.truth
 def test_cubic_reproduces_what_its_slope_promises() -> None:
     """a = -1/2 reproduces quadratic surfaces (Keys 1981), a = -1 does not."""
     y, x = np.mgrid[0.0:12.0, 0.0:12.0]
@@ -61,6 +64,7 @@ def test_cubic_reproduces_what_its_slope_promises() -> None:
     assert np.abs(resampled(image, p, q, CUBIC, -1.0) - expected).max() > 0.01
 
 
+@pytest.mark.behaviour
 def test_nodata_spreads_over_the_kernel_and_no_further(image: Array) -> None:
     image[10, 10] = np.nan
     line, sample = np.meshgrid(np.arange(5.0, 16.0, 0.25), np.arange(5.0, 16.0, 0.25), indexing="ij")
@@ -74,6 +78,7 @@ def test_nodata_spreads_over_the_kernel_and_no_further(image: Array) -> None:
         assert empty[touched].all()
 
 
+@pytest.mark.behaviour
 def test_places_without_image_stay_empty(image: Array) -> None:
     place = np.array([[np.nan, 3.0]])
     assert np.isnan(resampled(image, place, place, BILINEAR)).tolist() == [[True, False]]

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 
@@ -18,6 +19,7 @@ from fg_orient.simulate.render import Renderer
 from fg_orient.simulate.terrain import terrain_through
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate
 from tests.support.command import in_process as run
+from tests.support.published_rays import misses_m
 
 from .conftest import CRS, DEM_STEP_M, RESOLUTION_M, Twin, find_target, true_positions
 
@@ -51,6 +53,7 @@ def passes(found: Array) -> bool:
     return bool(np.sqrt(np.mean(distance**2)) <= RMS_PX and distance.max() <= LARGEST_PX)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("image", "every", "count"), [("left", 4, 12), ("right", 1, 47)])
 def test_every_target_lies_where_it_should_with_the_adjusted_orientation(
     twin: Twin, tmp_path: Path, image: str, every: int, count: int
@@ -60,6 +63,7 @@ def test_every_target_lies_where_it_should_with_the_adjusted_orientation(
     assert passes(found), found
 
 
+@pytest.mark.oracle
 def test_the_unadjusted_model_is_off_by_the_simulated_bias(twin: Twin, tmp_path: Path) -> None:
     """The bias on the map: where the metadata put the true pixels, on the same terrain."""
     found = misses(twin, "right", tmp_path, adjusted=False, every=6)
@@ -72,6 +76,7 @@ def test_the_unadjusted_model_is_off_by_the_simulated_bias(twin: Twin, tmp_path:
     assert not passes(found)
 
 
+@pytest.mark.oracle
 def test_a_terrain_shifted_by_50_m_fails(twin: Twin, tmp_path: Path) -> None:
     shifted = tmp_path / "shifted.tif"
     with rasterio.open(twin.folder / "dem.tif") as source:
@@ -89,8 +94,9 @@ def test_a_terrain_shifted_by_50_m_fails(twin: Twin, tmp_path: Path) -> None:
         assert not passes(misses(twin, image, tmp_path, adjusted=True, dem=RasterDem(shifted), every=4))
 
 
-def test_rendered_rays_meet_the_terrain_where_the_sensor_says(twin: Twin) -> None:
-    """Corners by the kernel against rays by ``locate``: other code for march, intersection and interpolation."""
+@pytest.mark.oracle
+def test_rendered_rays_meet_the_terrain_on_rays_written_apart(twin: Twin) -> None:
+    """Corners by the kernel lie on the rays from the formulas, and where ``locate`` meets the raster of the terrain."""
     simulation = simulate(ZonguldakOptions())
     terrain = terrain_through(simulation.truth.lon_lat_height, step_m=DEM_STEP_M)
     sensor, correction = twin.sensors["left"], simulation.truth.corrections[0]
@@ -99,16 +105,23 @@ def test_rendered_rays_meet_the_terrain_where_the_sensor_says(twin: Twin) -> Non
     corner = rng.integers(1, 11999, (40, 2))
     ours = np.stack([renderer.corners(line, sample, 0, 0)[0, 0] for line, sample in corner])
     ground = sensor.locate(*(corner - 0.5).T, dem=twin.dem, correction=correction)
+    degrees = np.stack(pyproj.Transformer.from_crs(CRS, "EPSG:4326", always_xy=True).transform(*ours.T))
+    heights = twin.dem.height_m(*degrees)
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    rendered = np.stack(to_ecef.transform(*degrees, heights), axis=1)
+    assert misses_m(sensor.metadata, *(corner - 0.5).T, rendered, correction).max() < 0.02
     lon, lat, _ = ecef_to_geodetic(ground)
     assert np.abs(ours - np.stack(from_geographic(CRS, lon, lat), axis=1)).max() < 0.02
 
 
+@pytest.mark.consistency
 def test_points_lie_on_the_terrain(twin: Twin) -> None:
     truth = simulate(ZonguldakOptions()).truth
     heights = twin.dem.height_m(truth.lon_lat_height[:, 0], truth.lon_lat_height[:, 1])
     assert np.abs(heights - truth.lon_lat_height[:, 2]).max() < 1e-3
 
 
+@pytest.mark.oracle
 @pytest.mark.slow
 def test_whole_images_rectified_in_one_run(tmp_path: Path) -> None:
     """12000 x 12000 pixels each, rendered whole, rectified whole by the command: all targets of both images."""

@@ -63,6 +63,7 @@ def pair_distances(
     return np.asarray(product(both) / (sigma * np.linalg.norm(slopes, axis=0)))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("n", [7, 12])
 def test_relative_orientation_of_two_cameras(n: int) -> None:
     """30 and 150 mm; with 7 points the starts are normal cases, 0.3 rad away."""
@@ -84,6 +85,7 @@ def test_relative_orientation_of_two_cameras(n: int) -> None:
     assert alike(found.cofactors, cofactors(moved, 5), 1e-2)  # distances to first order
 
 
+@pytest.mark.oracle
 def test_resection() -> None:
     rotations, points, rng = scene(2)
     image = Photo.of("", CAMERA, rotations[0], CENTRES[0]).project(points) + rng.normal(scale=NOISE, size=(10, 2))
@@ -96,6 +98,7 @@ def test_resection() -> None:
     assert alike(found.cofactors, cofactors(moved, 6))
 
 
+@pytest.mark.oracle
 def test_dlt() -> None:
     rotations, points, rng = scene(3, 14)
     image = Photo.of("", CAMERA, rotations[0], CENTRES[0]).project(points) + rng.normal(scale=NOISE, size=(14, 2))
@@ -109,6 +112,7 @@ def test_dlt() -> None:
     assert alike(found.cofactors / np.outer(found.values, found.values), cofactors(moved, 11))
 
 
+@pytest.mark.oracle
 def test_intersection() -> None:
     rotations, points, rng = scene(4, 6)
     photos = [Photo.of("", CAMERA, r, at) for r, at in zip(rotations, CENTRES, strict=True)]
@@ -125,6 +129,7 @@ def test_intersection() -> None:
         assert alike(own, cofactors(moved, 3))
 
 
+@pytest.mark.oracle
 def test_absolute_orientation() -> None:
     """Unequal sigmas: the solution for equal ones, which is the start, is another."""
     _, model, rng = scene(5)
@@ -140,6 +145,7 @@ def test_absolute_orientation() -> None:
     assert alike(found.cofactors, cofactors(moved, 7))
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("backend", ["dense", "graph"])
 def test_bundle(backend: str) -> None:
     """From its own solution the same points have the same cofactors."""

@@ -54,6 +54,7 @@ def folder(tmp_path: Path) -> tuple[Path, Array]:
     return tmp_path, points
 
 
+@pytest.mark.oracle
 def test_resect_then_intersect(folder: tuple[Path, Array]) -> None:
     path, points = folder
     done = run("closerange", "resect", path / "control.csv", path / "cameras.toml", "--out", path / "out", "--json")
@@ -72,6 +73,7 @@ def test_resect_then_intersect(folder: tuple[Path, Array]) -> None:
     assert json.loads((path / "out" / "closerange.json").read_text("utf-8"))["kind"] == "resection"
 
 
+@pytest.mark.oracle
 def test_dlt_then_intersect(folder: tuple[Path, Array]) -> None:
     path, points = folder
     done = run("closerange", "dlt", path / "control_plain.csv", "--out", path / "out")
@@ -95,6 +97,7 @@ def surface_table(path: Path, points: Array) -> Path:
     return path
 
 
+@pytest.mark.consistency
 def test_surface(tmp_path: Path, land: Array) -> None:
     table = surface_table(tmp_path / "points.csv", land)
     done = run("closerange", "surface", table, "--kind", "spheroid", "--sigma", "0.001", "--json")
@@ -108,6 +111,7 @@ def test_surface(tmp_path: Path, land: Array) -> None:
     assert "sphere: 49 points, redundancy 45" in text and "normal distances: rms 8.53 mm" in text
 
 
+@pytest.mark.behaviour
 def test_statistics_that_do_not_exist_are_null_with_a_reason(tmp_path: Path) -> None:
     table = surface_table(tmp_path / "four.csv", np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]]))
     record = run("closerange", "surface", table, "--kind", "sphere", "--json").json
@@ -115,6 +119,7 @@ def test_statistics_that_do_not_exist_are_null_with_a_reason(tmp_path: Path) -> 
     assert record["warnings"] == ["no redundancy: standard deviations follow from nothing"]
 
 
+@pytest.mark.behaviour
 def test_two_levels_end_with_2_and_a_prior_helps(tmp_path: Path, land: Array) -> None:
     table = surface_table(tmp_path / "six.csv", land[np.array([1, 4, 7, 10, 13, 49]) - 1])
     words = ("closerange", "surface", table, "--kind", "spheroid", "--sigma", "0.001")
@@ -124,6 +129,7 @@ def test_two_levels_end_with_2_and_a_prior_helps(tmp_path: Path, land: Array) ->
     assert run(*words, "--prior", "b=0.845:0.002").code == 0
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "text"),
     [

@@ -19,6 +19,7 @@ CAMERA = Interior(60.0, y_axis="down")
 SIGMA = 0.005
 
 
+@pytest.mark.truth
 def test_bend_of_a_parabola() -> None:
     """x1 observed with 0.1 beside 3 x0^2, x0 with 0.2, a turn between them: 3 * 0.2^2 / 0.1; m0 = 2 doubles it."""
     turn = Rotation.from_euler("z", 0.4).as_matrix()[:2, :2]
@@ -55,6 +56,7 @@ def squares(distance_m: float, runs: int) -> tuple[Array, Array, Array]:
     return np.array(whole), np.array(single), np.array(bends)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("runs", some_slow([12, 400]))
 def test_a_bend_tells_where_the_covariance_is_optimistic_as_a_whole(runs: int) -> None:
     """Squares of errors are 1 + 3 bend^2/6 per unknown: at 8 m about 1, at 150 m several; single sigmas hold."""
@@ -70,6 +72,7 @@ def test_a_bend_tells_where_the_covariance_is_optimistic_as_a_whole(runs: int) -
     assert ((low <= single.sum(axis=0)) & (single.sum(axis=0) <= high)).all()
 
 
+@pytest.mark.behaviour
 def test_orientations_tell_their_bend() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform([-1.0, -1.0, 4.0], [1.0, 1.0, 6.0], (12, 3))

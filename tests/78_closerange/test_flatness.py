@@ -42,6 +42,7 @@ def tried(points: Array, image: Array, sigma: float | None, distortion: tuple[st
         return error.problems[0].code
 
 
+@pytest.mark.truth
 def test_the_limit_is_where_the_inverse_of_a_number_is_honest() -> None:
     """A number t sigmas from 0, estimated as T: its inverse is T (T - t)/t of its own sigmas off."""
     noise, needed = limits(29, known=True)
@@ -54,6 +55,7 @@ def test_the_limit_is_where_the_inverse_of_a_number_is_honest() -> None:
     assert limits(1, known=False) == pytest.approx((ALLOWED, ALLOWED * needed / noise), rel=1e-9)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("shape", "code"), [("cubic", "closerange.critical"), ("plane", "closerange.plane")])
 def test_deep_points_of_a_critical_configuration_are_no_plane(shape: str, code: str) -> None:
     """Nine points and the camera on a twisted cubic leave L open; they were said to lie in a plane."""
@@ -73,6 +75,7 @@ def test_deep_points_of_a_critical_configuration_are_no_plane(shape: str, code: 
         assert isinstance(tried(points, beside.project(points), SIGMA / 1e3), DltFit)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(("runs", "sizes"), [(8, (8, 20)), pytest.param(300, (6, 8, 20), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("heights_m", [1e-5, 1e-4, 1e-3])
 def test_no_camera_from_flat_points(heights_m: float, runs: int, sizes: tuple[int, ...]) -> None:
@@ -86,6 +89,7 @@ def test_no_camera_from_flat_points(heights_m: float, runs: int, sizes: tuple[in
                 assert tried(points, image, SIGMA, ("k1",)) in ("closerange.flat", "closerange.plane")
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("runs", [60, pytest.param(300, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("heights_m", [0.1, 1.0])
 def test_spatial_points_are_accepted_with_honest_deviations(heights_m: float, runs: int) -> None:
@@ -103,6 +107,7 @@ def test_spatial_points_are_accepted_with_honest_deviations(heights_m: float, ru
     assert not low <= 4.0 * total <= high and not low <= 0.25 * total <= high
 
 
+@pytest.mark.behaviour
 def test_a_projection_parallel_within_the_noise_is_called_so() -> None:
     """Points in space, coarse images: 30 m away a photo is affine, from 10 m hardly central, from 3 m it is."""
     said = []
@@ -114,6 +119,7 @@ def test_a_projection_parallel_within_the_noise_is_called_so() -> None:
     assert "sigmas from a parallel one: standard deviations of the centre" in str(said[1])
 
 
+@pytest.mark.behaviour
 def test_the_command_names_the_flatness_and_asks_for_sigma(tmp_path: Path) -> None:
     def table(heights_m: float, n: int, seed: int) -> Path:
         points, _, image = scene(seed, heights_m, n)

@@ -49,6 +49,7 @@ def require_near(found: RelativeOrientation, rotation: Array, base: Array, *, m0
     assert np.linalg.norm(found.base - base) <= spread and found.m0 is not None and found.m0 <= m0
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seed", some_slow(range(8), 2))
 def test_points_of_a_plane_are_oriented(seed: int) -> None:
     """The essential matrix is open there; the camera may have any turn about its axis."""
@@ -59,6 +60,7 @@ def test_points_of_a_plane_are_oriented(seed: int) -> None:
     require_near(found, rotation, base, m0=2.0)
 
 
+@pytest.mark.oracle
 @pytest.mark.slow
 def test_seven_points_need_more_starts_than_the_axes() -> None:
     """Bases along the axes ended with points behind a camera here, and in 3 of 320 scenes in m0 of 9 to 300."""
@@ -68,6 +70,7 @@ def test_seven_points_need_more_starts_than_the_axes() -> None:
     require_near(found, rotation, base, m0=3.5)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("seed", some_slow([43, 16, 48]))
 def test_a_minimum_that_is_not_determined_decides_where_it_is_the_least(seed: int) -> None:
     """2 cm of base at 5 m: others were the answer, bases 0.3 to 3 rad off by 0.001, with m0 of 3 to 6."""
@@ -77,6 +80,7 @@ def test_a_minimum_that_is_not_determined_decides_where_it_is_the_least(seed: in
         relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seed", some_slow([15, 19, 36]))
 def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
     """Seven points of a plane: what fits best is not the truth, which is the rival; 20 points tell them apart."""
@@ -94,6 +98,7 @@ def test_the_second_orientation_of_a_plane_is_told(seed: int) -> None:
     assert relative_orientation(CAMERA, CAMERA, images[0], images[1], sigma=SIGMA).rival is None
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("n", some_slow([12, 6]))
 def test_photos_of_one_place_are_called_so(n: int) -> None:
     """With a sigma and without; 2 cm of base at 5 m is none of noise, though it does not determine 12 points' pair."""
@@ -110,6 +115,7 @@ def test_photos_of_one_place_are_called_so(n: int) -> None:
     assert caught.value.problems[0].code == "closerange.pair"
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("n_photos", [2, 3])
 def test_rays_of_one_place_are_parallel(n_photos: int) -> None:
     """The iteration runs away along them: the cause, not that it did not converge."""
@@ -121,6 +127,7 @@ def test_rays_of_one_place_are_parallel(n_photos: int) -> None:
         intersect_photos(photos, np.repeat(np.arange(n_photos), 5), np.tile(np.arange(5), n_photos), image, sigma=SIGMA)
 
 
+@pytest.mark.truth
 def test_known_sigmas_tell_minima_apart_by_the_difference() -> None:
     """Squares of 0.01 and 0.2 both fit sigmas of 1; a ratio of 20 alone says otherwise. Large ones: the ratio rules."""
     assert likeness(0.01, 0.2, 2) is None and likeness(0.01, 0.2, 2, known=True) == pytest.approx(20.0)
@@ -129,6 +136,7 @@ def test_known_sigmas_tell_minima_apart_by_the_difference() -> None:
     assert likeness(10.0, 195.0, 2, known=True) is None
 
 
+@pytest.mark.oracle
 def test_eight_points_need_more_starts_than_the_linear_solution() -> None:
     """It has no redundancy there: three of 100 scenes ended with the base reversed and m0 of 16 to 262."""
     rng = np.random.default_rng(5042)
@@ -137,6 +145,7 @@ def test_eight_points_need_more_starts_than_the_linear_solution() -> None:
     require_near(found, rotation, base, m0=2.0)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seed", some_slow([0, 8]))
 def test_few_points_of_a_rolled_camera(seed: int) -> None:
     """Starts were without roll: three of 30 pairs of a camera turned about its view ended wrong with seven points."""
@@ -146,6 +155,7 @@ def test_few_points_of_a_rolled_camera(seed: int) -> None:
     require_near(found, rotation, base / 2.0, m0=2.5)
 
 
+@pytest.mark.behaviour
 def test_points_close_to_a_line_leave_the_turn_open() -> None:
     rng = np.random.default_rng(3)
     model = np.outer(np.arange(5.0), [1.0, 2.0, 3.0])

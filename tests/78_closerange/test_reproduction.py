@@ -34,12 +34,14 @@ def differing(reproduction: Reproduction) -> dict[str, list[str]]:
     return out
 
 
+@pytest.mark.behaviour
 def test_every_table_is_there_with_a_reason(reproduction: Reproduction) -> None:
     assert tuple(reproduction.titles) == TABLES
     assert len(reproduction.rows) == 3138
     assert all(row.reason for row in reproduction.rows)
 
 
+@pytest.mark.truth
 def test_verdicts(reproduction: Reproduction) -> None:
     """A changed count is a changed statement: docs/closerange.md has them, too."""
     counts = reproduction.counts()
@@ -48,6 +50,7 @@ def test_verdicts(reproduction: Reproduction) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.truth
 def test_what_differs_is_known(reproduction: Reproduction) -> None:
     found = differing(reproduction)
     assert found["ek1.bundle"] == ["m0, adjustment"]
@@ -62,6 +65,7 @@ def test_what_differs_is_known(reproduction: Reproduction) -> None:
     assert found["text"] == ["sphere, deviation of field points"]
 
 
+@pytest.mark.truth
 def test_geodesy_recomputes_to_print(values: Values, reproduction: Reproduction) -> None:
     """0.055 mm at most."""
     rows = [row for row in reproduction.rows if row.table in "34" and row.verdict in ("equal", "rounding")]
@@ -69,6 +73,7 @@ def test_geodesy_recomputes_to_print(values: Values, reproduction: Reproduction)
     assert max(abs(row.published - row.reproduced) for row in rows) <= 0.056e-3
 
 
+@pytest.mark.truth
 def test_rings(reproduction: Reproduction) -> None:
     off = {
         table: max(abs(row.published - row.reproduced) for row in reproduction.rows
@@ -78,12 +83,14 @@ def test_rings(reproduction: Reproduction) -> None:
     assert (1e3 * off["1"], 1e3 * off["2"]) == pytest.approx((0.86, 0.36), abs=0.006)
 
 
+@pytest.mark.truth
 def test_land_spheroid_to_four_decimals(land: Array) -> None:
     fit = fit_surface(land, "spheroid", method="algebraic").parameters
     printed = {"a": 0.9418, "b": 0.8437, "x0": 999.9917, "y0": 1005.5012, "z0": 2.3622}
     assert max(abs(fit[name] - value) for name, value in printed.items()) <= 0.5e-4
 
 
+@pytest.mark.truth
 def test_table_3_has_another_depth_than_appendix_1(values: Values) -> None:
     """b 0.84426 and Y0 1005.50077 for 0.8437 and 1005.5012: the other three agree."""
     fit = fit_surface(thesis.points_of(values, "3", ("x_m", "y_m", "z_m")), "spheroid", method="algebraic").parameters
@@ -92,6 +99,7 @@ def test_table_3_has_another_depth_than_appendix_1(values: Values) -> None:
     assert (fit["b"], fit["y0"]) == pytest.approx((0.84426, 1005.50077), abs=0.6e-5)
 
 
+@pytest.mark.truth
 def test_sums_follow_from_the_printed_differences(values: Values) -> None:
     """0.3924/2.0093/0.4857 to a unit of the last digit, the differences being rounded to 1 um."""
     found = np.sum(thesis.points_of(values, "ek1.points", ("dx_cm", "dy_cm", "dz_cm")) ** 2, axis=0)
@@ -99,6 +107,7 @@ def test_sums_follow_from_the_printed_differences(values: Values) -> None:
     assert np.abs(found - printed).max() <= 1.5e-4
 
 
+@pytest.mark.truth
 def test_refined_coordinates_come_back(values: Values) -> None:
     """59 of 60 to 0.01 um with the P2 term doubled; without it they are up to 1 um off."""
     printed = thesis.points_of(values, "ek1.refined", thesis.REFINED, thesis.CONTROL)
@@ -116,6 +125,7 @@ def test_refined_coordinates_come_back(values: Values) -> None:
     assert 1e3 * np.abs(single - printed[:, :2]).max() > 0.1
 
 
+@pytest.mark.truth
 def test_recovered_comparator_coordinates_lie_on_the_grid(values: Values) -> None:
     """Within 0.008 um of whole micrometres; chance would leave 0.25 um on average."""
     refined = thesis.points_of(values, "ek1.refined", thesis.REFINED)
@@ -125,6 +135,7 @@ def test_recovered_comparator_coordinates_lie_on_the_grid(values: Values) -> Non
         assert 1e3 * np.abs(back - refined[:, 2 * k : 2 * k + 2]).max() <= 0.0085
 
 
+@pytest.mark.truth
 def test_sums_control_points_apart(values: Values, land: Array) -> None:
     """From print 0.3933/2.0138/0.4847; ours 0.394/2.038/0.493. The 34 others say what the method is worth."""
     control = np.isin(thesis.POINTS, thesis.CONTROL)
@@ -140,6 +151,7 @@ def test_sums_control_points_apart(values: Values, land: Array) -> None:
     assert compare_points("", land, land, ~control & control).control.rms_mm == [None] * 4
 
 
+@pytest.mark.truth
 def test_deviations_of_the_field_points(land: Array, values: Values) -> None:
     """Spheroid 2.09/1.87/2.16 mm; sphere 2.11/3.41/2.14, so "at most 2 mm" fails at point 26."""
     sphere = thesis.points_of(values, "4", ("x_m", "y_m", "z_m"))
@@ -150,6 +162,7 @@ def test_deviations_of_the_field_points(land: Array, values: Values) -> None:
     assert 1e3 * fit.rms_m == pytest.approx(1.54, abs=0.005)
 
 
+@pytest.mark.truth
 def test_mapping(reproduction: Reproduction) -> None:
     """0.05/0.03/0.06 mm rms, 0.26 mm worst."""
     off = np.array([
@@ -161,6 +174,7 @@ def test_mapping(reproduction: Reproduction) -> None:
     assert np.abs(off).max() == pytest.approx(0.26, abs=0.006)
 
 
+@pytest.mark.behaviour
 def test_large_six_point_differences_name_the_open_direction(reproduction: Reproduction) -> None:
     rows = [row for row in reproduction.rows if "two levels leave open" in row.reason]
     spheroids = [row for row in rows if row.table in ("13", "14", "15", "16")]
@@ -169,6 +183,7 @@ def test_large_six_point_differences_name_the_open_direction(reproduction: Repro
     assert 0.5 <= min(ratios) and max(ratios) <= 1.01
 
 
+@pytest.mark.truth
 def test_the_parallax_row_ignores_the_convergence(reproduction: Reproduction) -> None:
     found = {row.cell: row.reproduced for row in reproduction.rows if row.table == "5"}
     assert found["fyy_cm2, parallax"] > 200.0 > 9.17
@@ -185,6 +200,7 @@ def altered(tmp_path: Path, file: str, old: str, new: str) -> Path:
     return folder
 
 
+@pytest.mark.behaviour
 def test_an_altered_value_changes_what_follows(tmp_path: Path) -> None:
     folder = altered(tmp_path, "table-3-points-spheroid.csv", "3,point 5,x_m,999.0523", "3,point 5,x_m,999.0533")
     found = {row.cell: row.verdict for row in reproduce("ayhan1996", tables="3", published=folder).rows}
@@ -192,12 +208,14 @@ def test_an_altered_value_changes_what_follows(tmp_path: Path) -> None:
     assert found["x_m, point 6"] == "equal"
 
 
+@pytest.mark.behaviour
 def test_numbers_without_a_solution_are_a_reason(tmp_path: Path) -> None:
     folder = altered(tmp_path, "ek-1-cameras.csv", "ek1.cameras,photo 2,c,60.65001678", "ek1.cameras,photo 2,c,-60.0")
     rows = reproduce("ayhan1996", tables="ek1.points", published=folder).rows
     assert all("no solution" in row.reason for row in rows)
 
 
+@pytest.mark.behaviour
 def test_command(tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = run("reproduce", "ayhan1996", "--tables", "1-4,13", "--out", out)

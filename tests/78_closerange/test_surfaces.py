@@ -40,6 +40,7 @@ def ellipsoid_points(n: int, seed: int, noise: float = 0.0, semi: Array = SEMI) 
 # --- feet ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.oracle
 def test_feet_lie_on_the_surface_and_are_the_nearest_points() -> None:
     """Against the minimum over the parametrised surface from many starts, weights included."""
     rng = np.random.default_rng(0)
@@ -59,6 +60,7 @@ def test_feet_lie_on_the_surface_and_are_the_nearest_points() -> None:
         assert np.sum(((f - p) / s) ** 2) == pytest.approx(best, rel=1e-9)
 
 
+@pytest.mark.behaviour
 def test_no_foot_is_no_number() -> None:
     """The centre of a ball has no nearest point, an empty quadric no point at all."""
     middle = np.zeros((1, 3))
@@ -66,6 +68,7 @@ def test_no_foot_is_no_number() -> None:
     assert np.isnan(feet(Conditions(np.eye(3), np.zeros(3), 1.0), middle + 1.0, np.ones((1, 3)))).all()
 
 
+@pytest.mark.oracle
 def test_feet_on_hyperboloids() -> None:
     rng = np.random.default_rng(1)
     conditions = Conditions(np.diag([1.0, -1.0, 0.5]), np.array([0.1, 0.2, 0.3]), -1.0)
@@ -79,6 +82,7 @@ def test_feet_on_hyperboloids() -> None:
 # --- fits against others -------------------------------------------------------------------------
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(
     "row", list(csv.DictReader(FITS.read_text("utf-8").splitlines())), ids=lambda r: f"{r['point_set']} {r['model']}"
 )
@@ -118,6 +122,7 @@ def gauss_helmert_spheroid(points: Array, sigma: Array, start: SurfaceFit) -> tu
     return found.x + np.concatenate([np.zeros(2), offset]), found.cofactors_x, found.weighted_squares
 
 
+@pytest.mark.consistency
 def test_geometric_fit_is_the_general_adjustment_of_conditions(land: Array) -> None:
     """Pope's iteration over all points at once, other code: parameters to 1e-9 m, cofactors, sum of squares.
 
@@ -143,6 +148,7 @@ def without_profile(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(surface_fit, "_require_steep", lambda *given: None)
 
 
+@pytest.mark.oracle
 @pytest.mark.usefixtures("without_profile")
 @pytest.mark.parametrize("runs", [40, pytest.param(500, marks=pytest.mark.slow)])
 def test_standard_deviations_are_those_of_repeated_fits(runs: int) -> None:
@@ -161,6 +167,7 @@ def test_standard_deviations_are_those_of_repeated_fits(runs: int) -> None:
     assert not low <= 4.0 * total <= high
 
 
+@pytest.mark.oracle
 def test_exact_points_give_the_exact_surface() -> None:
     points = ellipsoid_points(40, 5)
     fit = fit_surface(points, "ellipsoid")
@@ -173,6 +180,7 @@ def test_exact_points_give_the_exact_surface() -> None:
     assert free.parameters["b"] == pytest.approx(0.7, abs=1e-9)
 
 
+@pytest.mark.consistency
 @pytest.mark.usefixtures("without_profile")
 def test_quadric_and_ellipsoid_are_one_surface() -> None:
     """Other unknowns, nine each: the same distances."""
@@ -183,6 +191,7 @@ def test_quadric_and_ellipsoid_are_one_surface() -> None:
     assert shape_of(b.surface.coefficients) == "ellipsoid"
 
 
+@pytest.mark.consistency
 def test_thesis_land_spheroid_and_its_free_axis(land: Array) -> None:
     """1.34 mm; a free axis lowers it to 0.97 mm with two unknowns more."""
     fixed, free = fit_surface(land, "spheroid"), fit_surface(land, "spheroid", axis="free")
@@ -193,6 +202,7 @@ def test_thesis_land_spheroid_and_its_free_axis(land: Array) -> None:
 # --- what points leave open ----------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("numbers", "ratio"),
     [((1, 4, 7, 10, 13, 49), -1.00), ((1, 4, 7, 10, 13, 19), -0.56), ((17, 19, 21, 22, 24, 49), -1.0)],
@@ -208,6 +218,7 @@ def test_two_levels_are_refused_by_name(land: Array, numbers: tuple[int, ...], r
     assert f"dy0 = {ratio:+.2f} db" in found.message
 
 
+@pytest.mark.truth
 def test_exact_two_levels_name_the_direction_of_the_theory() -> None:
     """dY0 = -(d/b) db with d the distance of the level from the centre."""
     a, b, d = 0.942, 0.845, 0.447
@@ -220,6 +231,7 @@ def test_exact_two_levels_name_the_direction_of_the_theory() -> None:
     assert float(text.split("dy0 = ")[1].split()[0]) == pytest.approx(-d / b, abs=0.1)  # b is open: so is the place
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("method", ["geometric", "algebraic"])
 @pytest.mark.parametrize(
     "numbers",
@@ -235,6 +247,7 @@ def test_noise_that_splits_a_level_does_not_close_it(
     assert caught.value.problems[0].code == "closerange.undetermined"
 
 
+@pytest.mark.truth
 def test_growth_at_a_distance_is_that_of_the_limit() -> None:
     """A parabola with a standard deviation of 1000 sigmas: the limit; with F and m0 where sigmas have no size."""
     for squares, redundancy, known in ((3.0, 4, True), (50.0, 4, True), (0.3, 4, False)):
@@ -250,6 +263,7 @@ def test_growth_at_a_distance_is_that_of_the_limit() -> None:
     assert few[1] == pytest.approx(405284.0, rel=1e-5) and many[1] == pytest.approx(11.495, abs=1e-3)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("method", ["geometric", "algebraic"])
 def test_what_cannot_be_verified_is_refused(monkeypatch: pytest.MonkeyPatch, land: Array, method: Method) -> None:
     """Neither convergence nor squares that stay above the limit: as after two steps of each fit far away."""
@@ -259,6 +273,7 @@ def test_what_cannot_be_verified_is_refused(monkeypatch: pytest.MonkeyPatch, lan
         fit_surface(land[::6], "spheroid", sigma_m=1e-3, method=method)
 
 
+@pytest.mark.behaviour
 def test_a_fit_that_creeps_is_judged_by_the_limit_that_matters() -> None:
     """Squares 1 + exp(-2x), whose minimum is nowhere: above 0.9, below 2; of 1 and of the minimum nothing is told."""
 
@@ -272,6 +287,7 @@ def test_a_fit_that_creeps_is_judged_by_the_limit_that_matters() -> None:
     assert held(creeping, np.zeros(2), 0, 0.5, 1.0) is None and held(creeping, np.zeros(2), 0, 0.5) is None
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("numbers", [(1, 6, 11, 34, 38, 49), (1, 9, 18, 22, 34, 38)], ids=["3 + 2 + apex", "2 + 2 + 2"])
 def test_three_levels_pass(land: Array, numbers: tuple[int, ...]) -> None:
     fit = fit_surface(land[np.array(numbers) - 1], "spheroid", sigma_m=1e-3)
@@ -279,6 +295,7 @@ def test_three_levels_pass(land: Array, numbers: tuple[int, ...]) -> None:
     assert fit.parameters["b"] == pytest.approx(0.8437, abs=0.006)
 
 
+@pytest.mark.truth
 def test_a_point_on_the_axis_is_no_fault() -> None:
     """Seen from far away in the profile it has no single nearest point, so no derivatives; the set is determined."""
     rings = [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
@@ -286,11 +303,13 @@ def test_a_point_on_the_axis_is_no_fault() -> None:
     assert found.values[:2] == pytest.approx([np.sqrt(2.0 / (1.0 - 1.9**-2)), 1.9], abs=1e-9)
 
 
+@pytest.mark.behaviour
 def test_a_point_at_the_centre_is_told_in_words() -> None:
     with pytest.raises(NoSolutionError, match=r"^sphere: the adjustment does not converge: an equation has no finite"):
         fit_surface([*np.eye(3), *-np.eye(3), np.zeros(3)], "sphere", sigma_m=0.001)
 
 
+@pytest.mark.behaviour
 def test_a_prior_closes_what_is_open(land: Array) -> None:
     points = land[np.array((1, 4, 7, 10, 13, 49)) - 1]
     fit = fit_surface(points, "spheroid", sigma_m=1e-3, priors={"b": (0.845, 0.002)})
@@ -299,6 +318,7 @@ def test_a_prior_closes_what_is_open(land: Array) -> None:
     assert fit.parameters["b"] == pytest.approx(0.845, abs=1e-6)  # the points say nothing against it
 
 
+@pytest.mark.truth
 def test_without_redundancy_there_is_no_sigma() -> None:
     points = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]])
     fit = fit_surface(points, "sphere")
@@ -306,6 +326,7 @@ def test_without_redundancy_there_is_no_sigma() -> None:
     assert fit.parameters["a"] == pytest.approx(1.0)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("code", "points", "options"),
     [
@@ -332,6 +353,7 @@ def test_refusals(code: str, points: Array, options: dict[str, object]) -> None:
 # --- deviations, mapping -------------------------------------------------------------------------
 
 
+@pytest.mark.oracle
 def test_deviations_are_the_adjustment_of_conditions_alone(land: Array) -> None:
     """One linearised step of gauss_helmert without unknowns (eqs. 155-171), and the normal distance to first order."""
     surface = fit_surface(land, "spheroid", method="algebraic").surface
@@ -346,15 +368,19 @@ def test_deviations_are_the_adjustment_of_conditions_alone(land: Array) -> None:
     assert np.abs(np.linalg.norm(deviations, axis=1) - np.abs(surface.distances(land))).max() <= 1e-5
 
 
+@pytest.mark.oracle
 def test_mapped_points_lie_on_the_surface_in_the_same_direction(land: Array) -> None:
     target = Surface("spheroid", np.array([999.99, 1005.5, 2.36]), np.array([0.9, 0.8, 0.9]))
     mapped = map_points(land, target)
+    on_unit_sphere = ((mapped - target.centre) / target.semi_axes) ** 2
+    assert np.abs(on_unit_sphere.sum(axis=1) - 1.0).max() <= 1e-12
     assert np.abs(target.distances(mapped)).max() <= 1e-12
     cross = np.cross(mapped - target.centre, land - target.centre)
     assert np.abs(cross).max() <= 1e-12
     assert (np.sum((mapped - target.centre) * (land - target.centre), axis=1) > 0.0).all()
 
 
+@pytest.mark.behaviour
 def test_general_quadrics_have_no_rays_from_a_centre() -> None:
     quadric = Surface("quadric", np.zeros(3), np.ones(3), coefficients=np.ones(10))
     with pytest.raises(InputError, match="not possible"):
@@ -363,6 +389,7 @@ def test_general_quadrics_have_no_rays_from_a_centre() -> None:
         Surface("sphere", np.zeros(3), -np.ones(3))
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(
     ("diagonal", "constant", "name"),
     [((1, 1, 1), -1, "ellipsoid"), ((1, 1, -1), -1, "hyperboloid of one sheet"),

@@ -45,6 +45,7 @@ def held(values: Values) -> Bundle:
     return thesis.bundle(values)
 
 
+@pytest.mark.consistency
 def test_graph_equals_correlates_on_the_77_unknowns_of_the_thesis(values: Values, held: Bundle) -> None:
     graph = thesis.bundle(values, backend="graph")
     assert len(held.state) == 77 and held.redundancy == 43
@@ -54,6 +55,7 @@ def test_graph_equals_correlates_on_the_77_unknowns_of_the_thesis(values: Values
     assert base == pytest.approx([thesis.BASE_M] * 2, abs=1e-12)
 
 
+@pytest.mark.truth
 def test_mean_errors_of_the_thesis(values: Values, held: Bundle) -> None:
     """Within 1 % rms of the print; theirs leave the held base out, with it X0 would be 24 % smaller."""
     free, ratios = thesis.bundle(values, with_base=False), []
@@ -68,6 +70,7 @@ def test_mean_errors_of_the_thesis(values: Values, held: Bundle) -> None:
     assert thesis.parameters(held, 0)["x0"][1] / values[key] == pytest.approx(0.76, abs=0.01)
 
 
+@pytest.mark.truth
 def test_parameters_of_the_thesis(values: Values, held: Bundle) -> None:
     off = []
     for k, photo in enumerate(PHOTOS):
@@ -83,6 +86,7 @@ def test_parameters_of_the_thesis(values: Values, held: Bundle) -> None:
     assert (rms <= [0.08, 0.08, 0.16]).all()
 
 
+@pytest.mark.truth
 def test_sums_of_the_thesis_from_the_comparator(values: Values, held: Bundle) -> None:
     """0.375/2.070/0.587 for 0.392/2.009/0.486 printed: a pattern, as the weights are inferred."""
     land = points_of(values, "ek1.points", ("x_geodetic_m", "y_geodetic_m", "z_geodetic_m"))
@@ -96,6 +100,7 @@ def test_sums_of_the_thesis_from_the_comparator(values: Values, held: Bundle) ->
     assert sums[:2] == pytest.approx(printed[:2], rel=0.05) and sums[2] == pytest.approx(printed[2], rel=0.25)
 
 
+@pytest.mark.oracle
 def test_bundle_equals_scipy() -> None:
     """Own and shared camera parameters, observed ones, soft and hard distances: an independent minimum."""
     scene = make(1, 12, 2)
@@ -140,6 +145,7 @@ def distorted(scene: Scene, displacement: Callable[[Array], Array]) -> None:
     scene.image = at + scene.interior.principal
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("backend", ["dense", "graph"])
 def test_equal_attitude_and_base_hold_in_the_bundle(backend: str) -> None:
     """Eqs. 111 and 112: two photos of a stereo camera whose rotations and distance are known of each other."""
@@ -156,6 +162,7 @@ def test_equal_attitude_and_base_hold_in_the_bundle(backend: str) -> None:
     assert (found.cofactors <= free.cofactors * (1.0 + 1e-9)).all()  # conditions only add
 
 
+@pytest.mark.behaviour
 def test_a_result_that_misses_a_hard_constraint_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A loop that says it converged where it began."""
 
@@ -169,6 +176,7 @@ def test_a_result_that_misses_a_hard_constraint_is_refused(monkeypatch: pytest.M
         adjusted(scene, scene.photos(), constraints=stated)
 
 
+@pytest.mark.oracle
 def test_brown_parameters_are_recovered() -> None:
     """A photo measured with a2 and a13: the bundle finds them, and refuses to write what no photo file holds."""
     scene = make(2, 40, 2, noise=0.0)
@@ -195,6 +203,7 @@ FORMS = {
 }
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", FORMS)
 def test_forms_of_corrections_are_recovered(name: str) -> None:
     """Photos measured with the formulas of eqs. 44 to 55; c is known, so that all are determined."""
@@ -219,6 +228,7 @@ def test_forms_of_corrections_are_recovered(name: str) -> None:
         assert found.cameras[0][n][0] - start.get(n, 0.0) == pytest.approx(value, rel=2e-5), n
 
 
+@pytest.mark.consistency
 def test_orthogonal_and_odd_powers_span_the_same() -> None:
     """R_3, R_5, R_7 with a scale are r, r^3, r^5, r^7: same points, same m0; better separated."""
     scene = make(5, 40, 3)
@@ -230,6 +240,7 @@ def test_orthogonal_and_odd_powers_span_the_same() -> None:
     assert np.abs(one.points_m - two.points_m).max() <= 1e-8
 
 
+@pytest.mark.behaviour
 def test_sets_are_named() -> None:
     assert parameters_of(("c", "film", "affinity_b", "decentring"), "--shared") == ("c", *NAMES[8:10], *NAMES[6:8])
     with pytest.raises(InputError, match="radial-orthogonal, decentring"):
@@ -240,6 +251,7 @@ def test_sets_are_named() -> None:
     assert "c" in str(caught.value) and "radial_1" in str(caught.value)
 
 
+@pytest.mark.behaviour
 def test_what_nothing_determines_is_named() -> None:
     scene = make(3, 20, 2)
     with pytest.raises(InputError, match="not determined") as caught:
@@ -257,6 +269,7 @@ PLUMB_LINE = Constraint("plumb line", ("p0", "p1", "p2"), sigma=0.005)
 SPHERE = Constraint("sphere", ("p2", "p3", "p4", "p5"), sigma=0.001)
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize(
     ("held", "constraints", "words"),
     [
@@ -279,6 +292,7 @@ def test_open_motions_are_counted(held: int, constraints: list[Constraint], word
     assert caught.value.problems[0].code == "closerange.datum"
 
 
+@pytest.mark.consistency
 def test_motions_leave_image_residuals_alone() -> None:
     """Shifts, turns and scale move points, centres and attitudes: no image coordinate of exact measurements changes."""
     scene = make(8, 12, 2, noise=0.0)
@@ -292,6 +306,7 @@ def test_motions_leave_image_residuals_alone() -> None:
     assert np.abs(design @ moved).max() <= 1e-10 * np.abs(design).max()
 
 
+@pytest.mark.behaviour
 def test_points_without_two_rays_are_named() -> None:
     """All of them at once; one in a constraint is judged by the rows: a plane cuts its ray."""
     scene = make(3, 20, 2)
@@ -315,6 +330,7 @@ def test_points_without_two_rays_are_named() -> None:
     assert found.points_m[7, 1] == pytest.approx(start[7, 1], abs=1e-9)
 
 
+@pytest.mark.behaviour
 def test_refusals() -> None:
     scene = make(4, 8, 2)
     photos = scene.photos()
@@ -335,6 +351,7 @@ def test_refusals() -> None:
         Constraint("distance", ("a", "a"), 1.0)
 
 
+@pytest.mark.oracle
 def test_marginals_of_gtsam_with_a_hard_condition() -> None:
     """Those of single variables are right; a joint one counts the condition as an observation and is not used."""
     variables = tuple(Variable(name, np.zeros(2), ("1", "2")) for name in "ab")

@@ -13,6 +13,8 @@ from tests.support import dbat, photomodeler
 from tests.support.command import Ended
 from tests.support.command import in_process as run
 
+pytestmark = pytest.mark.truth
+
 SHARED = ("c", "x0", "y0", "k1", "k2", "k3", "p1", "p2")
 PRINTED = ("Camera Constant", "px", "py", "K1", "K2", "K3", "P1", "P2")
 

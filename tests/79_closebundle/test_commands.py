@@ -30,6 +30,7 @@ def written(tmp_path: Path) -> Scene:
     return scene
 
 
+@pytest.mark.oracle
 def test_bundle_from_tables(tmp_path: Path) -> None:
     scene = written(tmp_path)
     words = ("closerange", "bundle", tmp_path / "image.csv", tmp_path / "cameras.toml", "--control",
@@ -60,6 +61,7 @@ def test_bundle_from_tables(tmp_path: Path) -> None:
     assert "2 photos, 14 points, 31 unknowns" in text
 
 
+@pytest.mark.behaviour
 def test_what_cannot_be_written_or_was_not_measured_is_said(tmp_path: Path) -> None:
     written(tmp_path)
     with (tmp_path / "control.csv").open("a", encoding="utf-8") as file:
@@ -75,6 +77,7 @@ def test_what_cannot_be_written_or_was_not_measured_is_said(tmp_path: Path) -> N
     assert not (tmp_path / "out" / "photos.toml").exists() and (tmp_path / "out" / "points.csv").exists()
 
 
+@pytest.mark.behaviour
 def test_a_project_with_constraints_is_sent_to_the_bundle(tmp_path: Path) -> None:
     entry = '[[constraints]]\nkind = "distance"\nmembers = ["1", "2"]\nvalue_m = 1.0\n'
     (tmp_path / "project.toml").write_text("schema = 1\n" + entry, "utf-8")
@@ -85,6 +88,7 @@ def test_a_project_with_constraints_is_sent_to_the_bundle(tmp_path: Path) -> Non
         assert "closerange bundle --constraints FILE" in done.stderr + done.stdout
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -146,6 +150,7 @@ def test_bad_input_ends_with_2_and_one_sentence(tmp_path: Path, words: tuple[str
         assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.behaviour
 def test_a_hard_constraint_that_the_images_contradict_is_named(tmp_path: Path) -> None:
     """It can be met, but not by anything near the images: the loop does not converge."""
     written(tmp_path)

@@ -89,8 +89,17 @@ SHAPES: dict[str, Callable[[np.random.Generator], Array]] = {
 }  # fmt: skip
 
 
+@pytest.mark.behaviour
 def test_every_kind_has_a_shape() -> None:
     assert set(SHAPES) == set(KINDS)
+
+
+def step_of_numpy(net: Network, state: Array) -> Array:
+    """The step that is left, of least squares under the conditions, by numpy: the bordered normal equations."""
+    rows = net.rows(state)
+    h, u = rows.border.shape
+    bordered = np.block([[rows.design.T @ rows.design, rows.border.T], [rows.border, np.zeros((h, h))]])
+    return np.linalg.solve(bordered, -np.concatenate([rows.design.T @ rows.residual, rows.condition]))[:u]
 
 
 def networks(kind: str, shape: Array, rng: np.random.Generator, sigmas: Sequence[float | None]) -> list[Network]:
@@ -176,6 +185,7 @@ def check(found: Found) -> None:
     assert found.away[0] <= 0.1 * NOISE and found.away[1] <= 0.03 * found.away[0] + 1e-12
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("runs", "optimizer"), [
     (3, "levenberg-marquardt"),
     *(pytest.param(1000, name, marks=pytest.mark.slow) for name in ("levenberg-marquardt", "gauss-newton")),
@@ -189,17 +199,25 @@ def test_random_configurations(kind: str, runs: int, optimizer: str, monkeypatch
         check(examined(kind, 2 * seed, optimizer))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_graph_equals_correlates(kind: str) -> None:
     """States and standard deviations of every variable, figures included."""
     (net,) = networks(kind, SHAPES[kind](np.random.default_rng(5)), np.random.default_rng(6), [None])
     dense, graph = solved(net), solved(net, GraphNetwork)
-    roots = np.sqrt(bordered_inverse(net.rows(dense)).diagonal())
+    rows = net.rows(dense)
+    h, u = rows.border.shape
+    bordered = np.block([[rows.design.T @ rows.design, rows.border.T], [rows.border, np.zeros((h, h))]])
+    whole = np.linalg.inv(bordered)[:u, :u]
+    roots = np.sqrt(whole.diagonal())
+    assert bordered_inverse(rows).diagonal() == pytest.approx(whole.diagonal(), rel=1e-6, abs=1e-12)
+    assert np.abs(step_of_numpy(net, dense)).max() <= 1e-6 * NOISE
     assert np.abs(dense - graph).max() <= 1e-9 * NOISE
     found = np.concatenate([np.sqrt(q.diagonal()) for q in GraphNetwork(net).cofactors(dense)])
     assert found == pytest.approx(roots, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("kind", KINDS)
 def test_damped_steps_end_where_full_steps_do(kind: str) -> None:
     """Figures have no diagonal but for the damping, and it falls: commands damp, tests of configurations do not."""
@@ -208,3 +226,4 @@ def test_damped_steps_end_where_full_steps_do(kind: str) -> None:
     assert found.converged and len(found.log) <= 12
     assert np.abs(net.rows(found.state).condition).max() <= 1e-12
     assert np.abs(found.state - solved(net)).max() <= 1e-6 * NOISE
+    assert np.abs(step_of_numpy(net, found.state)).max() <= 1e-6 * NOISE

@@ -44,6 +44,7 @@ def refused(points: Array, *stated: Constraint, backend: str = "dense") -> Input
     return caught.value
 
 
+@pytest.mark.behaviour
 def test_two_values_of_one_distance_contradict_each_other() -> None:
     """They were called dependent. Equal values are; with a sigma both are observations, and their mean is found."""
     points = cloud()
@@ -58,6 +59,7 @@ def test_two_values_of_one_distance_contradict_each_other() -> None:
     assert np.linalg.norm(found[0] - found[1]) == pytest.approx(size, abs=2e-6)
 
 
+@pytest.mark.behaviour
 def test_points_that_constraints_make_one_are_named() -> None:
     """Three points of a plumb line on a horizontal circle: the iteration crept towards one place and did not end."""
     error = refused(cloud(), Constraint("plumb line", ("p0", "p1", "p2")),
@@ -67,6 +69,7 @@ def test_points_that_constraints_make_one_are_named() -> None:
     assert "at one place: plumb line of p0, p1, p2; horizontal circle of p0, p1, p2, p3;" in str(error)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("backend", ["dense", "graph"])
 def test_a_plumb_line_and_a_horizontal_circle_with_one_common_point(backend: str) -> None:
     angle, height = np.arange(6.0), np.array([[-0.5], [0.2], [0.6]])
@@ -78,6 +81,7 @@ def test_a_plumb_line_and_a_horizontal_circle_with_one_common_point(backend: str
     assert np.ptp(found[:6, 2]) <= 1e-11
 
 
+@pytest.mark.oracle
 def test_five_points_are_a_sphere_if_their_rays_say_so() -> None:
     """Refused as not determined: its start judged the points by their misfit, which one redundancy does not tell."""
     points = on_sphere(7)
@@ -91,6 +95,7 @@ def test_five_points_are_a_sphere_if_their_rays_say_so() -> None:
     assert refused(flat, Constraint("sphere", names[:5])).problems[0].code == "closerange.undetermined"
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("kind", "flat", "seed"), [("spheroid", 0.7, 2), ("spheroid", 0.7, 3), ("sphere", 1.0, 1)])
 def test_start_points_far_off_are_no_misfit_of_a_figure(kind: str, flat: float, seed: int) -> None:
     """Starts of 0.1 m about an object of 1 m: every third spheroid was called not determined, which the rays deny.
@@ -110,6 +115,7 @@ def test_start_points_far_off_are_no_misfit_of_a_figure(kind: str, flat: float, 
     assert (figure.sigma <= 0.01).all()
 
 
+@pytest.mark.behaviour
 def test_a_constraint_that_follows_where_the_others_hold_is_dependent() -> None:
     """The fifth point of a second sphere lies on it wherever all lie on the first; at the start it does not yet."""
     names = tuple(f"p{k}" for k in range(7))
@@ -120,6 +126,7 @@ def test_a_constraint_that_follows_where_the_others_hold_is_dependent() -> None:
     assert [f["radius"][0] for f in again.figures] == pytest.approx([again.figures[0]["radius"][0]] * 2, abs=1e-9)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("backend", ["dense", "graph"])
 def test_dependence_is_named_where_steps_do_not_end(backend: str) -> None:
     """The fourth point of a circle lies on a sphere of the other three: as a graph it read as not converging."""
@@ -132,6 +139,7 @@ def test_dependence_is_named_where_steps_do_not_end(backend: str) -> None:
     assert error.problems[0].place == "sphere of p0, p1, p2, p3, p4, p5: p3"
 
 
+@pytest.mark.behaviour
 def test_singular_equations_of_a_graph_have_our_words() -> None:
     """Two points with one distance: the reason was a page of GTSAM on its own variables."""
     points = [Variable(f"point p{k}", np.array([float(k), 0.0, 0.0]), ("X", "Y", "Z"), is_point=True) for k in range(2)]
@@ -141,6 +149,7 @@ def test_singular_equations_of_a_graph_have_our_words() -> None:
         GraphNetwork(network).linearise(network.start).solve(0.0)
 
 
+@pytest.mark.behaviour
 def test_lines_at_right_angles_have_no_way_to_be_parallel() -> None:
     """The sine of their angle has no slope there: a single constraint was said to follow from the others."""
     points = cloud()
@@ -151,6 +160,7 @@ def test_lines_at_right_angles_have_no_way_to_be_parallel() -> None:
     assert "parallel of p0, p1, p2, p3" in str(caught.value)
 
 
+@pytest.mark.behaviour
 def test_a_state_that_overflows_is_named_without_a_warning() -> None:
     """Steps that run away printed a warning of NumPy on the terminal."""
     points = [Variable(f"point p{k}", np.array([float(k), 0.0, 0.0]), ("X", "Y", "Z"), is_point=True) for k in range(2)]

@@ -54,10 +54,12 @@ def orientation(record: dict, shift: np.ndarray) -> dict[str, dict[str, tuple[fl
     return out
 
 
+@pytest.mark.behaviour
 def test_the_page_has_all_seven() -> None:
     assert [name for name, *_ in ROWS] == ["cam-fixed", "cam-weighted", "f-op0", "w-op0", "w-op1", "wsmart", "prior-eo"]
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 @pytest.mark.parametrize(
     "row", [pytest.param(row, id=row[0], marks=[pytest.mark.slow] * (row[0] in LONG)) for row in ROWS]
@@ -77,6 +79,7 @@ def test_a_published_run(row: tuple[str, ...], data: Path) -> None:
     assert len(units) == 12 * len(record["photos"]) and max(units) < 1.0
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_the_calibration_and_its_three_failures(data: Path) -> None:
     """Each ends with the sentence of the page; the reports print NaN, 499.142 and 258.848."""

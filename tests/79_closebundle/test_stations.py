@@ -48,6 +48,7 @@ def observed(scene: Scene, sigma: float) -> list[list[object]]:
     return [[f"ph{k}", *map(repr, c.tolist()), sigma, sigma, sigma] for k, c in enumerate(scene.centres)]
 
 
+@pytest.mark.oracle
 def test_stations_are_the_datum_and_do_not_begin_as_observed(tmp_path: Path) -> None:
     """Without control three observed centres hold the block; the photo file begins 2 cm away in each axis."""
     scene = make(5, 16)
@@ -65,6 +66,7 @@ def test_stations_are_the_datum_and_do_not_begin_as_observed(tmp_path: Path) -> 
     assert far < 0.02
 
 
+@pytest.mark.oracle
 def test_the_weight_of_a_station_is_its_sigma(tmp_path: Path) -> None:
     """Against explicit normal equations: x = (N + P)^-1 P d of a centre that is observed 5 mm off."""
     scene = make(9, 14, noise=0.0)
@@ -83,6 +85,7 @@ def test_the_weight_of_a_station_is_its_sigma(tmp_path: Path) -> None:
     assert held["photos"][0]["observed"] is None
 
 
+@pytest.mark.oracle
 def test_an_observed_attitude_orients_a_photo(tmp_path: Path) -> None:
     """With its centre it takes the place of a resection: no control at all."""
     scene = make(11, 12)
@@ -103,6 +106,7 @@ def test_an_observed_attitude_orients_a_photo(tmp_path: Path) -> None:
     assert max(abs(p["z_m"] - at[2]) for p, at in zip(done.json["points"], scene.points, strict=True)) < 0.02
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("rows", "words", "text"),
     [
@@ -127,6 +131,7 @@ def test_bad_stations_end_with_2_and_one_sentence(
     assert done.code == 2 and text in done.stderr and done.stderr.count("\n") == 1, done.stderr
 
 
+@pytest.mark.behaviour
 def test_check_points_take_no_part(tmp_path: Path) -> None:
     scene = make(21, 16)
     words = [*written(tmp_path, scene, 8), "--control", tmp_path / "control.csv"]
@@ -146,6 +151,7 @@ def test_check_points_take_no_part(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.consistency
 @pytest.mark.parametrize("hard", [False, True])
 def test_redundancy_numbers_sum_to_the_redundancy(hard: bool) -> None:
     """Trace of I - J Q J^T; hard conditions count as redundancy of the others."""
@@ -167,6 +173,7 @@ def test_redundancy_numbers_sum_to_the_redundancy(hard: bool) -> None:
     assert values[0] == pytest.approx(1.0 / np.sqrt(spread)) and (np.diff(values) >= 0.0).all()
 
 
+@pytest.mark.oracle
 def test_angles_have_the_deviations_of_small_turns() -> None:
     """Omega, phi, kappa by central differences of the rotation."""
     from fg_orient.sensors.frame import opk_of_rotation
@@ -205,6 +212,7 @@ def imported(project: Path, *words: object) -> Ended:
                project / "tables", *words)  # fmt: skip
 
 
+@pytest.mark.oracle
 def test_a_project_becomes_tables_that_the_bundle_takes(project: Path) -> None:
     done = imported(project, "--stations", project / "positions.txt", "--sigma-image", 0.1, "--json")
     assert done.code == 0, done.stderr
@@ -225,6 +233,7 @@ def test_a_project_becomes_tables_that_the_bundle_takes(project: Path) -> None:
     assert all(abs(n["value"] - truth[n["name"]]) < 4.0 * n["sigma"] < 5e-5 for n in more), more
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "text"),
     [

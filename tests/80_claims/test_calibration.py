@@ -13,6 +13,8 @@ from scipy import stats
 
 from tests.support.twin_study import Calibration, calibrate
 
+pytestmark = pytest.mark.oracle
+
 LEVEL = 0.999
 SINGLE_LEVEL = 1e-3 / 84
 SEEDS = [

@@ -9,6 +9,8 @@ from fg_orient.errors import RankDeficientError
 from fg_orient.orient import adjust
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
+pytestmark = pytest.mark.behaviour
+
 #: Issue 2, "Observability"; per image. Sets 7 and 8 may differ by one: a singular value lies near the limit.
 RANK_DEFECT = {5: 6, 6: 1, 7: 1, 8: 2, 13: 6, 14: 1, 17: 9, 18: 2, 19: 2, 20: 9}
 NEAR_THE_LIMIT = (7, 8)

@@ -44,6 +44,7 @@ def rmse(example: ModuleType, real_data: Path, every: int) -> dict[int, np.ndarr
     return out
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow), 8])
 def test_medians_and_maxima(example: ModuleType, real_data: Path, every: int) -> None:
     found = rmse(example, real_data, every)
@@ -56,12 +57,14 @@ def test_medians_and_maxima(example: ModuleType, real_data: Path, every: int) ->
         assert np.all(values.max(axis=0) <= [0.70, 0.80, 3.5]), (eop_set, values.max(axis=0))
 
 
+@pytest.mark.truth
 def test_direct_geolocation_is_off_by_eight_metres(example: ModuleType, real_data: Path) -> None:
     direct = example.direct_geolocation(example.Scene(real_data / "geoetrim-pleiades"))
     assert direct["rmse_horizontal_m"] == pytest.approx(8.1, abs=0.3)
     assert direct["sd_east_m"] < 1.0
 
 
+@pytest.mark.behaviour
 def test_too_small_sigmas_are_called_untrustworthy(example: ModuleType, real_data: Path) -> None:
     """With 0.05 m (surveyed, not identified) sigma0 is 1.9 and the status says so."""
     scene = example.Scene(real_data / "geoetrim-pleiades")
@@ -71,6 +74,7 @@ def test_too_small_sigmas_are_called_untrustworthy(example: ModuleType, real_dat
     assert "must not be trusted" in runs[0]["reason"]
 
 
+@pytest.mark.behaviour
 def test_example_prints_one_json_object(repository: Path, real_data: Path) -> None:
     command = (repository / "examples" / "pleiades_pair.py", real_data / "geoetrim-pleiades", "--first")
     done = run_script(*command, "3", "--json")

@@ -23,6 +23,7 @@ COMPONENTS = ("image", "position", "height")
 SPOT7_SIGMA_PX = 7.0
 
 
+@pytest.mark.truth
 def test_bias_of_pleiades_1_is_removed(real_data: Path) -> None:
     """16 px across track without control; what 1, 5, 10 control points leave at the others."""
     block = pleiades_1(real_data)
@@ -55,6 +56,7 @@ def searched(real_data: Path) -> Snooping:
     return snoop(pleiades_neo(real_data), rpc_compensation="affine", variance_components=COMPONENTS)
 
 
+@pytest.mark.behaviour
 def test_stated_sigmas_of_the_neo_pair(searched: Snooping) -> None:
     """Pixels and positions are two to four times worse than stated; heights are too weakly checked to tell."""
     components = searched.solution.components
@@ -67,6 +69,7 @@ def test_stated_sigmas_of_the_neo_pair(searched: Snooping) -> None:
     assert components.components[2].held
 
 
+@pytest.mark.truth
 def test_gross_errors_of_the_neo_pair_are_named(searched: Snooping) -> None:
     """Point 53, whose only image point is 50 px beside its place (93 m of height explain it as well), and point 17."""
     print()
@@ -80,6 +83,7 @@ def test_gross_errors_of_the_neo_pair_are_named(searched: Snooping) -> None:
     assert searched.solution.status is Status.CONVERGED
 
 
+@pytest.mark.truth
 def test_point_53_is_found_with_any_model_and_with_the_stated_sigmas(real_data: Path) -> None:
     for kind in ("shift", "shift_drift", "affine"):
         found = snoop(pleiades_neo(real_data), rpc_compensation=kind).found
@@ -87,6 +91,7 @@ def test_point_53_is_found_with_any_model_and_with_the_stated_sigmas(real_data: 
         assert found[0].image.endswith("194")
 
 
+@pytest.mark.truth
 def test_neo_pair_by_shifts(real_data: Path, searched: Snooping) -> None:
     """1, 5, 10 well-spread control points; accuracy at the others that are in both images and pass the test.
 
@@ -123,6 +128,7 @@ def _rmse(solution: fg.Solution) -> np.ndarray:
     return np.array([statistics[f"rmse_{axis}_m"] for axis in ("east", "north", "up")])
 
 
+@pytest.mark.behaviour
 def test_spot7_pair_without_control(real_data: Path) -> None:
     """Relative adjustment: parallaxes fall, the datum is named as not observable, nothing is called accuracy."""
     block = spot7(real_data, 300)

@@ -56,6 +56,7 @@ def assert_accurate(runs: Runs, eop_set: int) -> None:
         assert run.status is Status.CONVERGED, (eop_set, seed, run.reason)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seeds", [FAST, *FULL])
 def test_sets_with_a_constant_term_reach_the_noise(runs: Callable[..., Runs], seeds: range) -> None:
     assert len(CAN_SHIFT) == 12
@@ -63,6 +64,7 @@ def test_sets_with_a_constant_term_reach_the_noise(runs: Callable[..., Runs], se
         assert_accurate(runs(seeds, None), eop_set)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("seeds", [FAST, *FULL])
 def test_sets_without_one_are_called_untrustworthy(runs: Callable[..., Runs], seeds: range) -> None:
     below = set()
@@ -78,6 +80,7 @@ def test_sets_without_one_are_called_untrustworthy(runs: Callable[..., Runs], se
     assert below == {pair for pair in SET_12_BELOW_10_M if pair[1] in seeds}
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seeds", [FAST, *FULL])
 def test_with_a_look_polynomial_all_sets_reach_the_noise(runs: Callable[..., Runs], seeds: range) -> None:
     for eop_set in EOP_SETS:

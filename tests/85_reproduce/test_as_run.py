@@ -30,6 +30,7 @@ def rows_of(printed: Printed, cells: Cells, tables: tuple[str, ...] = TABLES) ->
     return pair(printed["terlemezoglu2019"], cells, SOURCES["terlemezoglu2019"], tables)
 
 
+@pytest.mark.truth
 def test_ranks_and_condition_numbers_of_set_1_are_the_printed_ones(as_run: Cells) -> None:
     """Printed 8, 8.6e17 and 7.6e17: x counted from the scene-centre line."""
     for stage, printed in (("pre-left", 8.6e17), ("pre-right", 7.6e17)):
@@ -40,6 +41,7 @@ def test_ranks_and_condition_numbers_of_set_1_are_the_printed_ones(as_run: Cells
     assert np.all((fifteen > 1e32) & (fifteen < 1e35))  # printed 7.0e33
 
 
+@pytest.mark.truth
 def test_bundles_of_topan_2009_have_the_printed_order(printed: Printed, as_run: Cells) -> None:
     """Set 15 among them (94 m in print), which the equations of the text solve."""
     rows = [row for row in rows_of(printed, as_run, ("4.24",)) if "set 15" in row.cell or "set 19" in row.cell]
@@ -47,6 +49,7 @@ def test_bundles_of_topan_2009_have_the_printed_order(printed: Printed, as_run: 
     assert sum(row.verdict == "order" for row in rows) >= 20
 
 
+@pytest.mark.truth
 def test_corrections_of_set_1_are_noise_as_printed(as_run: Cells) -> None:
     """4.3 to 4.23 follow a step 1 that ends at rounding: 1e-10 m; one cycle would leave 1e-4 m."""
     assert "4.17" in STEP_1_CLOSED
@@ -56,6 +59,7 @@ def test_corrections_of_set_1_are_noise_as_printed(as_run: Cells) -> None:
     assert open_step > 1e-5
 
 
+@pytest.mark.consistency
 def test_type_1_is_the_procedure_without_bundle(as_run: Cells) -> None:
     assert set(TABLES) & WITHOUT_BUNDLE == {"4.30", "4.34"}
     for kind, expected in (
@@ -66,6 +70,7 @@ def test_type_1_is_the_procedure_without_bundle(as_run: Cells) -> None:
         assert as_run[key][0] == pytest.approx(expected.icp_rmse[0], rel=1e-6)
 
 
+@pytest.mark.behaviour
 def test_shuffling_exchanges_values_among_sets_images_and_solvers(printed: Printed) -> None:
     cells = printed["terlemezoglu2019"].cells
     mixed = shuffled(cells, 3)
@@ -81,6 +86,7 @@ def test_shuffling_exchanges_values_among_sets_images_and_solvers(printed: Print
     assert values(mixed) == values(cells)
 
 
+@pytest.mark.truth
 def test_shuffled_values_agree_less_often(printed: Printed, as_run: Cells) -> None:
     """Ranks and sizes of 4.24 and 4.30 are known cell by cell, not only table by table."""
     tables, source = ("4.24", "4.30"), SOURCES["terlemezoglu2019"]

@@ -44,6 +44,7 @@ DEPENDS_ON = {
 }  # fmt: skip
 
 
+@pytest.mark.behaviour
 def test_every_claim_is_there_once() -> None:
     assert [c.id for c in all_claims()] == IDS
 
@@ -53,12 +54,14 @@ def one_seed() -> dict[str, claims.ClaimResult]:
     return {r.id: r for r in run_claims((3,))}
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("name", [i for i in IDS if i not in ROUNDING])
 def test_claim_holds(one_seed: dict[str, claims.ClaimResult], name: str) -> None:
     result = one_seed[name]
     assert result.passed == result.of == 1, (result.reason, result.figures)
 
 
+@pytest.mark.truth
 @pytest.mark.parametrize("name", sorted(ROUNDING))
 def test_rounding_claim_fails_only_in_parts_that_are_rounding(
     one_seed: dict[str, claims.ClaimResult], name: str
@@ -69,6 +72,7 @@ def test_rounding_claim_fails_only_in_parts_that_are_rounding(
     assert result.passed == (0 if failed else 1)
 
 
+@pytest.mark.truth
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [1, 31])
 def test_claims_over_thirty_seeds(first: int, capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,6 +91,7 @@ def test_claims_over_thirty_seeds(first: int, capsys: pytest.CaptureFixture[str]
         assert failed <= parts, reason  # every other part is met
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", ["C4", "C9", "C10"])
 def test_claims_about_the_text_depend_on_switches_of_the_program(name: str) -> None:
     """Those that no rounding decides, on one seed; the bounds are the same."""
@@ -96,6 +101,7 @@ def test_claims_about_the_text_depend_on_switches_of_the_program(name: str) -> N
     assert (program.passed, without.passed) == (0, 1), (program.reason, without.reason)
 
 
+@pytest.mark.truth
 @pytest.mark.slow
 def test_claims_of_the_program_over_thirty_seeds() -> None:
     """C1 to C16 and C22: the same bounds, and for each claim that is missed the switches behind it."""
@@ -111,6 +117,7 @@ def test_claims_of_the_program_over_thirty_seeds() -> None:
         assert failed <= NOT_MET.get(name, set()), (name, r.reason)
 
 
+@pytest.mark.truth
 @pytest.mark.slow
 def test_mean_check_point_rmse() -> None:
     # the other half of C5: the mean over the seeds lies at 5-8 m per axis
@@ -129,6 +136,7 @@ def claims_geometry_c5(seed: int) -> dict[str, float]:
     return c5(Study(seed)).figures
 
 
+@pytest.mark.behaviour
 def test_a_claim_that_fails_is_reported_with_its_part() -> None:
     def judge(study: object) -> claims.Outcome:
         seed = study.seed  # type: ignore[attr-defined]
@@ -140,6 +148,7 @@ def test_a_claim_that_fails_is_reported_with_its_part() -> None:
     assert result.figures == {"seed": (1.0, 3.0, 5.0)}
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("passed", "of"), [(0, 10), (27, 30), (30, 30), (1, 1)])
 def test_wilson_interval_inverts_the_score_test(passed: int, of: int) -> None:
     low, high = wilson(passed, of)
@@ -148,13 +157,11 @@ def test_wilson_interval_inverts_the_score_test(passed: int, of: int) -> None:
     for bound in (low, high):
         if 0.0 < bound < 1.0:
             assert abs(passed / of - bound) == pytest.approx(z * math.sqrt(bound * (1.0 - bound) / of), rel=1e-9)
-
-
-def test_wilson_needs_a_trial() -> None:
     with pytest.raises(ValueError, match="at least one"):
         wilson(0, 0)
 
 
+@pytest.mark.behaviour
 def test_progress_is_told() -> None:
     seen: list[tuple[int, int]] = []
     run_claims((1, 2), lambda done, of: seen.append((done, of)), claims=[Claim("X", "", lambda s: outcome({"": True}))])

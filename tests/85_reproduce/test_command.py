@@ -16,6 +16,8 @@ from fg_orient.cli import app
 from fg_orient.report.page import script_hash
 from fg_orient.reproduce.verdict import KINDS
 
+pytestmark = pytest.mark.behaviour
+
 QUICK = ("--tables", "eq4.1-4.2", "--seeds", "1", "--no-claims")
 
 

@@ -23,6 +23,7 @@ def row(key: CellKey, published: float = 1.0, reproduced: float = 1.0, verdict: 
     return Row(key.table, str(key), published, reproduced, 0.0, 0.0, verdict, "", f"{published:g}", "m", "")
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", ["terlemezoglu2019", "topan2010"])
 def test_grids_lose_no_cell(name: str) -> None:
     """Each published cell of each table stands in its grid once, below its own solver or set."""
@@ -46,6 +47,7 @@ def test_grids_lose_no_cell(name: str) -> None:
     assert drawn > 1 or name == "topan2010"
 
 
+@pytest.mark.behaviour
 def test_scatter_places_sizes_on_logarithmic_axes() -> None:
     keys = [CellKey("1", quantity=q) for q in "abcde"]
     rows = [
@@ -65,6 +67,7 @@ def test_scatter_places_sizes_on_logarithmic_axes() -> None:
     assert scatter(rows[3:]) == ""
 
 
+@pytest.mark.behaviour
 def test_scatter_is_small_and_escaped(rng: np.random.Generator) -> None:
     values = 10.0 ** rng.uniform(-3.0, 3.0, (5_000, 2))
     text = str(scatter([row(CellKey("<b>", quantity="&"), *pair.tolist()) for pair in values]))
@@ -72,6 +75,7 @@ def test_scatter_is_small_and_escaped(rng: np.random.Generator) -> None:
     assert "<b>" not in text and len(re.findall("<circle", text)) < 5_000
 
 
+@pytest.mark.consistency
 def test_kappas_of_the_tables_stand_on_their_l_curves(tmp_path: Path) -> None:
     found, _ = reproduce_to("terlemezoglu2019", tmp_path / "out", tables="4.25,4.27", n_seeds=1, claims=False)
     assert sorted(found.curves) == [5, 13, 15, 17, 19, 20]

@@ -19,6 +19,7 @@ Printed = dict[str, PublishedTables]
 CONDITIONS = "table-4-03-to-09-ls-conditions-spot5.csv"
 
 
+@pytest.mark.truth
 def test_every_table_is_complete(printed: Printed) -> None:
     """Counts of cells as the source's description states them."""
     count = Counter(cell.key.table for cell in printed["terlemezoglu2019"].cells)
@@ -32,6 +33,7 @@ def test_every_table_is_complete(printed: Printed) -> None:
     assert (topan["1"], topan["2"]) == (63, 399)
 
 
+@pytest.mark.truth
 def test_printed_digits_and_doubts_are_kept(printed: Printed) -> None:
     cells = {cell.key: cell for cell in printed["terlemezoglu2019"].cells}
     doubtful = cells[CellKey("4.25", "13", "bundle", "2", "gcp", "rmse_x", "tikhonov_hkb")]
@@ -43,6 +45,7 @@ def test_printed_digits_and_doubts_are_kept(printed: Printed) -> None:
     assert failed.text == "nan"
 
 
+@pytest.mark.truth
 def test_words_and_gaps_are_no_numbers(printed: Printed) -> None:
     words = [c for c in printed["topan2010"].cells if c.key.quantity == "accuracy_order"]
     gaps = [c for c in printed["topan2010"].cells if c.key.table == "1" and not c.text]
@@ -51,6 +54,7 @@ def test_words_and_gaps_are_no_numbers(printed: Printed) -> None:
     assert [c.printed for c in gaps] == ["-"] * 3
 
 
+@pytest.mark.behaviour
 def test_tables_come_in_the_order_of_the_publication(printed: Printed) -> None:
     titles = [name for name in printed["terlemezoglu2019"].titles if name.startswith("4.")]
     assert titles == [f"4.{k}" for k in range(1, 56)]
@@ -59,6 +63,7 @@ def test_tables_come_in_the_order_of_the_publication(printed: Printed) -> None:
     assert places == sorted(places)
 
 
+@pytest.mark.behaviour
 def test_a_copy_of_the_folder_reads_alike(printed: Printed, copied: Callable[[str], Path]) -> None:
     folder = copied("topan2010")
     expected = repr(printed["topan2010"])  # nan is not equal to itself
@@ -66,6 +71,7 @@ def test_a_copy_of_the_folder_reads_alike(printed: Printed, copied: Callable[[st
     assert repr(load("topan2010", folder.parent)) == expected, "the folder above is fine, too"
 
 
+@pytest.mark.behaviour
 def test_package_data_is_not_ignored(repository: Path) -> None:
     """What git ignores, the wheel leaves out."""
     paths = [str(p) for p in (repository / "fg_orient" / "published").rglob("*.csv")]
@@ -82,6 +88,7 @@ def edit(path: Path, line: int, old: str, new: str) -> None:
     path.write_text("\n".join(lines) + "\n", "utf-8")
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("line", "old", "new", "code", "place"),
     [
@@ -108,6 +115,7 @@ def test_damage_is_refused_with_file_and_line(
     assert found.place == place
 
 
+@pytest.mark.behaviour
 def test_missing_and_unreadable_files_are_refused(copied: Callable[[str], Path], tmp_path: Path) -> None:
     folder = copied("terlemezoglu2019")
     path = folder / CONDITIONS

@@ -31,6 +31,7 @@ def rows_of(name: str, printed: PublishedTables, computed: Computed) -> tuple[Ro
     return pair(printed, computed[name], SOURCES[name], tuple(printed.titles))
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", TWINS)
 def test_every_published_cell_is_computed_or_a_fact(name: str, printed: Printed, computed: Computed) -> None:
     elsewhere = ("text", *SOURCES[name].real_tables)  # real points: test_spot6.py
@@ -41,6 +42,7 @@ def test_every_published_cell_is_computed_or_a_fact(name: str, printed: Printed,
     assert len(rows) == len(printed[name].cells)
 
 
+@pytest.mark.truth
 def test_counts_sets_and_members_agree_to_the_digit(printed: Printed, computed: Computed) -> None:
     """What the two misprints of the source are is known (4.5: 188 for 198, 4.6: 18 for 14)."""
     rows = [r for r in rows_of("terlemezoglu2019", printed["terlemezoglu2019"], computed) if r.printed]
@@ -50,6 +52,7 @@ def test_counts_sets_and_members_agree_to_the_digit(printed: Printed, computed: 
     assert sum(r.verdict == "equal" for r in counted) > 250
 
 
+@pytest.mark.oracle
 def test_cells_equal_the_procedure_called_directly(computed: Computed) -> None:
     run, cells = twin(1), computed["terlemezoglu2019"]
     bundle = run.bundle(15, 2, "moore_penrose_inverse").accuracy
@@ -68,6 +71,7 @@ def test_cells_equal_the_procedure_called_directly(computed: Computed) -> None:
     assert observed.shape == (74,)
 
 
+@pytest.mark.oracle
 def test_correlations_equal_those_of_an_orthogonal_basis(computed: Computed) -> None:
     """Independent: 1 / |column rejected from all but one other| gives the pair's correlation by determinants."""
     design, _ = twin(1).pre_adjust(0, 1, LEAST_SQUARES).system.require_design("A")
@@ -106,6 +110,7 @@ def alter(path: Path, row: int) -> CellKey:
     return key_of(of)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", TWINS)
 def test_one_altered_cell_changes_one_verdict(
     name: str, printed: Printed, computed: Computed, copied: Callable[[str], Path]
@@ -129,6 +134,7 @@ def test_one_altered_cell_changes_one_verdict(
         path.write_bytes(original)
 
 
+@pytest.mark.truth
 def test_as_run_shows_the_constant_residual_of_the_program(printed: Printed) -> None:
     """P-Table 1 prints 0.515, 0.169, 0.928 m after step 1: the program's matrices, not the points."""
     source = SOURCES["topan2010"]
@@ -141,6 +147,7 @@ def test_as_run_shows_the_constant_residual_of_the_program(printed: Printed) -> 
     assert {r.verdict for r in gcp} == {"order"}
 
 
+@pytest.mark.truth
 def test_without_as_run_the_residual_is_gone_and_the_sign_error_is_met(printed: Printed, computed: Computed) -> None:
     rows = rows_of("topan2010", printed["topan2010"], computed)
     left = [r for r in rows if r.table == "1" and "pre-adjusted, gcp" in r.cell]
@@ -150,6 +157,7 @@ def test_without_as_run_the_residual_is_gone_and_the_sign_error_is_met(printed: 
     assert all(abs(r.reproduced / r.published - 1.0) < 0.03 for r in uncorrected)
 
 
+@pytest.mark.behaviour
 def test_cells_are_computed_with_one_blas_thread() -> None:
     """Else the number of cores decides the rounding noise that many cells are."""
     from threadpoolctl import threadpool_info, threadpool_limits
@@ -162,6 +170,7 @@ def test_cells_are_computed_with_one_blas_thread() -> None:
     assert len(found) >= 2 and (found == 1.0).all()
 
 
+@pytest.mark.behaviour
 def test_claims_named_by_a_source_exist() -> None:
     known = {claim.id for claim in all_claims()}
     for source in SOURCES.values():
@@ -169,6 +178,7 @@ def test_claims_named_by_a_source_exist() -> None:
     assert known <= {claim for source in SOURCES.values() for claim in source.claims}
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("text", "expected"),
     [("", "abcde"), ("b", "b"), ("b-d", "bcd"), (" d , a-b ", "abd"), ("c,c-c", "c")],
@@ -177,6 +187,7 @@ def test_tables_are_chosen_by_name_and_range(text: str, expected: str) -> None:
     assert "".join(select(text, tuple("abcde"))) == expected
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("text", ["f", "b-f", "d-b", "-b", "a-"])
 def test_unknown_tables_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="known, in order: a, b, c, d, e"):

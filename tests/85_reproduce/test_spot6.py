@@ -52,6 +52,7 @@ def computed(twin: ControlPoints) -> dict[CellKey, np.ndarray]:
         return tables_spot6.compute(tables_spot6.TABLES, twin, permutations=3, degrees=(1, 2))
 
 
+@pytest.mark.behaviour
 def test_every_cell_of_these_degrees_is_computed(
     computed: dict[CellKey, np.ndarray], printed: dict[str, PublishedTables]
 ) -> None:
@@ -61,6 +62,7 @@ def test_every_cell_of_these_degrees_is_computed(
     assert {len(values) for values in computed.values()} == {4}
 
 
+@pytest.mark.oracle
 def test_cells_equal_an_independent_computation(twin: ControlPoints, computed: dict[CellKey, np.ndarray]) -> None:
     """Degree 1, normalised, written out with numpy."""
     n = twin.columns
@@ -87,6 +89,7 @@ def test_cells_equal_an_independent_computation(twin: ControlPoints, computed: d
     np.testing.assert_allclose(computed[m0], np.sqrt(total / 184.0), rtol=1e-9)
 
 
+@pytest.mark.consistency
 def test_permutations_move_noise_and_nothing_else(computed: dict[CellKey, np.ndarray]) -> None:
     noise = computed[CellKey("4.44", stage="rfm degree 2", quantity="m0", method="pivot_inverse")]
     assert len(set(noise.tolist())) == 4
@@ -94,6 +97,7 @@ def test_permutations_move_noise_and_nothing_else(computed: dict[CellKey, np.nda
     assert np.ptp(firm) < 1e-5 * firm[0]
 
 
+@pytest.mark.oracle
 def test_kappas_as_run(twin: ControlPoints) -> None:
     """The square of s0 is missing and dP stands for the canonical coefficients: so the printed numbers come out."""
     run = tables_spot6.Run(twin, 1, False)
@@ -106,6 +110,7 @@ def test_kappas_as_run(twin: ControlPoints) -> None:
     assert 0.0 <= od <= 1.0
 
 
+@pytest.mark.truth
 def test_printed_coefficients_give_the_printed_kappas(printed: dict[str, PublishedTables]) -> None:
     """14 m0/(dP^T dP) with the printed m0 and dP of Cramer is the printed 4.4e-5; with m0^2 it is 1000."""
     cells = {c.key: c.value for c in printed["terlemezoglu2019"].cells}
@@ -124,6 +129,7 @@ def judged(value: float, text: str, runs: list[float], **key: str) -> str:
     return spot6.judge(cell, {cell.key: np.array(runs)}).kind
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("value", "text", "runs", "key", "kind"),
     [
@@ -160,6 +166,7 @@ def test_rules(value: float, text: str, runs: list[float], key: dict[str, str], 
     assert judged(value, text, runs, **key) == kind
 
 
+@pytest.mark.behaviour
 def test_a_steady_number_is_not_called_noise() -> None:
     """Within the limits, but all orders of the points agree and print does not."""
     key = CellKey("4.45", stage="rfm degree 1", quantity="kappa", method="tikhonov_od")
@@ -169,6 +176,7 @@ def test_a_steady_number_is_not_called_noise() -> None:
         assert words in verdict.reason
 
 
+@pytest.mark.behaviour
 def test_without_points_the_command_works_and_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv(spot6.VARIABLE, raising=False)
     words = ["reproduce", "terlemezoglu2019", "--tables", "4.35-4.55", "--no-claims", "--out", str(tmp_path / "out")]
@@ -181,6 +189,7 @@ def test_without_points_the_command_works_and_says_so(monkeypatch: pytest.Monkey
     assert spot6.control_points(None) is None
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("text", "place"),
     [("", ""), ("1 2 3 41.4 31.7\n", "line 1"), ("1 2 3 41.4 31.7 200\n2 a 3 41.4 31.7 200\n", "line 2"),
@@ -194,6 +203,7 @@ def test_damaged_files_are_refused(tmp_path: Path, text: str, place: str) -> Non
     assert (caught.value.problems[0].code, caught.value.problems[0].place) == ("rfm.data", place)
 
 
+@pytest.mark.behaviour
 def test_missing_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="SPOT6"):
         spot6.control_points(tmp_path)
@@ -206,6 +216,7 @@ def test_missing_files_are_refused(tmp_path: Path) -> None:
         reproduce("terlemezoglu2019", tables="4.55", permutations=0)
 
 
+@pytest.mark.behaviour
 def test_a_file_is_read_column_by_column(tmp_path: Path) -> None:
     path = tmp_path / "points.gcp"
     path.write_text("15  9959.5 5587.5 41.41 31.69 201.62\n\n 01 10760.0 3900.75 41.39 31.66 180.04\n", "utf-8")
@@ -262,17 +273,20 @@ def firm(found: Verdicts, degrees: tuple[int, ...]) -> None:
     assert set(hadamard) == {"not_reproducible"}
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_degrees_1_and_2_meet_the_printed_digits(verdicts: Verdicts) -> None:
     firm(verdicts, (1, 2))
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 def test_true_residuals_stand_beside_m0(verdicts: Verdicts) -> None:
     reason = verdicts[CellKey("4.55", stage="rfm degree 2", quantity="m0", method="pivot_inverse")].reason
     assert "true image residuals of the same coefficients: m0 15.4 px" in reason
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_all_degrees_with_fifty_permutations(
@@ -304,12 +318,14 @@ def validated(points: ControlPoints, degree: int, capsys: pytest.CaptureFixture[
     return found.rms_px
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 @pytest.mark.parametrize("degree", some_slow([1, 2]))
 def test_a_held_model_is_good_in_truth(points: ControlPoints, degree: int, capsys: pytest.CaptureFixture[str]) -> None:
     assert (validated(points, degree, capsys) <= 1.0).all()
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_a_held_model_of_degree_3_is_good_in_truth(points: ControlPoints, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,6 +12,8 @@ from fg_orient.published.tables import PublishedCell
 from fg_orient.reproduce.rules import RULES, kind_of
 from fg_orient.reproduce.verdict import KINDS, judge, last_digit
 
+pytestmark = pytest.mark.behaviour
+
 COUNT = CellKey("4.3", "1", "bundle", quantity="n_observations", method="least_squares")
 GCP = CellKey("4.28", "5", "bundle", "1", "gcp", "rmse_x", "pivot_inverse")
 ICP = GCP._replace(point_role="icp")

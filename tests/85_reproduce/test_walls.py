@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.repository
+
 #: Tables that a comparison writes.
 OWN_TABLES = ("compare.csv", "spectra.csv", "directions.csv", "l_curves.csv")
 

@@ -19,6 +19,8 @@ from typer.testing import CliRunner
 from fg_orient.cli import app
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -12,7 +12,7 @@ from fg_orient.report.html import render
 from tests.support.browser import Page
 from tests.support.page import of_large_images
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.behaviour, pytest.mark.browser]
 
 MAP = "document.querySelector('#live-map canvas')"
 TIP = "document.querySelector('#live-map .tip').textContent"

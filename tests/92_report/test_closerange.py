@@ -58,6 +58,7 @@ def record(made: Path) -> dict[str, Any]:
     return json.loads((made / "out" / "closerange.json").read_text("utf-8"))
 
 
+@pytest.mark.behaviour
 def test_the_page_asks_nobody_and_has_its_parts(made: Path) -> None:
     path = made / "out" / "report.html"
     text, found = path.read_text("utf-8"), structure(path)
@@ -76,6 +77,7 @@ def test_the_page_asks_nobody_and_has_its_parts(made: Path) -> None:
     assert {"X0", "turn_x"} <= named and named <= set(re.findall(r"\w+", told))
 
 
+@pytest.mark.behaviour
 def test_hostile_names_are_words(made: Path, tmp_path: Path) -> None:
     page_files.photos_and_control(tmp_path)
     names = dict(zip(("p0", "p13", "left"), HOSTILE, strict=True))
@@ -95,6 +97,7 @@ def test_hostile_names_are_words(made: Path, tmp_path: Path) -> None:
     assert sum("onerror" in part for part in found.text) > 2
 
 
+@pytest.mark.behaviour
 def test_first_page_says_the_accuracy_at_check_points(record: dict[str, Any]) -> None:
     text = render(record)
     first = text[: text.index('id="map"')]
@@ -108,6 +111,7 @@ def test_first_page_says_the_accuracy_at_check_points(record: dict[str, Any]) ->
     assert "There are no check points" in render(record | {"check": None})
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("change", "kind", "said"),
     [
@@ -126,6 +130,7 @@ def test_verdict(record: dict[str, Any], change: dict[str, Any], kind: str, said
     assert f'class="verdict {kind}"' in render(record | quiet | change)
 
 
+@pytest.mark.behaviour
 def test_a_gross_error_is_the_first_problem(made: Path, tmp_path: Path, record: dict[str, Any]) -> None:
     assert words.suspects(record) == []
     page_files.photos_and_control(tmp_path)
@@ -153,6 +158,7 @@ def test_a_gross_error_is_the_first_problem(made: Path, tmp_path: Path, record: 
     assert re.search(r'<tr><td class="id">(.*?)</td><td class="id text">(.*?)</td>', part).groups() == ("right", "p3")  # type: ignore[union-attr]
 
 
+@pytest.mark.behaviour
 def test_names_of_points_do_not_cover_each_other() -> None:
     """Points of a small object between stations far away; a name that has no place stands in the tip of its point."""
     rng = np.random.default_rng(1)
@@ -171,6 +177,7 @@ def test_names_of_points_do_not_cover_each_other() -> None:
         assert all(x + length < a or a + long < x or abs(y - b) > 13.9 for a, b, long in boxes[:j])
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("seed", range(5))
 def test_names_of_stations_do_not_cover_those_of_points(seed: int) -> None:
     """Stations amid the points: every name stands apart from all others and from the squares of the stations."""
@@ -195,6 +202,7 @@ def test_names_of_stations_do_not_cover_those_of_points(seed: int) -> None:
         assert all(b < e + 0.2 or a > f - 0.2 or d < g + 0.2 or c > h - 0.2 for e, f, g, h in boxes[j + 1 :])
 
 
+@pytest.mark.oracle
 def test_w_is_the_residual_over_its_own_sigma(record: dict[str, Any]) -> None:
     for row in record["residuals"]:
         for a in "xy":
@@ -206,6 +214,7 @@ def test_w_is_the_residual_over_its_own_sigma(record: dict[str, Any]) -> None:
             assert row[f"mdb_{a}"] == pytest.approx(np.sqrt(17.075 / r) * 1e-3, rel=1e-4)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("command", ["dlt", "resect", "intersect", "bundle"])
 def test_a_gross_error_is_named_and_its_residual_has_its_sign(command: str, made: Path, tmp_path: Path) -> None:
     """Computed minus measured in all kinds: a coordinate too large by 0.05 leaves a residual below zero.
@@ -234,6 +243,7 @@ def test_a_gross_error_is_named_and_its_residual_has_its_sign(command: str, made
     assert named.get(command, f"{axis} of point {point} in photo {photo}") in told
 
 
+@pytest.mark.behaviour
 def test_an_unknown_camera_parameter_is_told_with_the_known_ones(made: Path) -> None:
     tables = [made / w if w.endswith((".csv", ".toml")) else w for w in BUNDLE[:-1]]
     done = run(*tables, "q9")
@@ -241,6 +251,7 @@ def test_an_unknown_camera_parameter_is_told_with_the_known_ones(made: Path) -> 
     assert "choose one of c, x0, y0, k1" in done.stderr
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("sigma", some_slow([0.001, None]))
 def test_a_point_off_a_surface_is_a_problem(sigma: float | None, tmp_path: Path) -> None:
     """17 mm off among 1 mm of noise: named with its distance; no other point, and none without the error."""
@@ -262,6 +273,7 @@ def test_a_point_off_a_surface_is_a_problem(sigma: float | None, tmp_path: Path)
     assert found is not None and float(found[1]) > 10.0 and 8.0 < float(found[2]) < 25.0
 
 
+@pytest.mark.consistency
 def test_points_and_ellipses_stand_where_the_record_says(record: dict[str, Any]) -> None:
     scene = maps.scene_of(record)
     drawing = maps.view(scene, "plan", 0, 1)
@@ -290,6 +302,7 @@ def test_points_and_ellipses_stand_where_the_record_says(record: dict[str, Any])
     assert drawing.count('class="station"') == 3  # two and the legend
 
 
+@pytest.mark.behaviour
 def test_errors_of_check_points_are_vectors(record: dict[str, Any]) -> None:
     moved = copy.deepcopy(record)
     for point in moved["points"]:
@@ -302,6 +315,7 @@ def test_errors_of_check_points_are_vectors(record: dict[str, Any]) -> None:
     assert (run_ > 0.0).all() and np.median(rise / run_) == pytest.approx(4.0 / 3.0, rel=0.1)
 
 
+@pytest.mark.oracle
 def test_distortion_is_the_polynomial_and_its_band_the_propagated_sigma() -> None:
     lens = {"k1": 2e-5, "k2": -1e-9, "p1": 1e-5}
     camera = np.array([{"c": 50.0, **lens}.get(name, 0.0) for name in NAMES])
@@ -316,6 +330,7 @@ def test_distortion_is_the_polynomial_and_its_band_the_propagated_sigma() -> Non
     assert 'class="band"' in drawing and "± " in drawing and 'class="across"' in drawing
 
 
+@pytest.mark.consistency
 def test_camera_section_is_the_record(record: dict[str, Any]) -> None:
     text = render(record)
     (k1,) = record["cameras"][0]["parameters"]
@@ -327,6 +342,7 @@ def test_camera_section_is_the_record(record: dict[str, Any]) -> None:
     assert 'id="camera"' not in render(record | {"cameras": [], "distortion": []})
 
 
+@pytest.mark.behaviour
 def test_photos_are_drawn_as_they_are_seen() -> None:
     rows = [{"x": x, "y": y, "residual_x": 0.0, "residual_y": 0.01} for x in (0.0, 10.0) for y in (0.0, 8.0)]
     for down, sign in ((False, "-"), (True, "")):
@@ -343,6 +359,7 @@ def fitted(made: Path) -> dict[str, Any]:
     return done.json
 
 
+@pytest.mark.behaviour
 def test_surface_deviations(made: Path, fitted: dict[str, Any]) -> None:
     text = (made / "surface" / "report.html").read_text("utf-8")
     structure(made / "surface" / "report.html")
@@ -360,6 +377,7 @@ def test_surface_deviations(made: Path, fitted: dict[str, Any]) -> None:
         assert f"<td>{words.significant(1e3 * fitted['rms_deviation_m'][value])}</td>" in text, name
 
 
+@pytest.mark.oracle
 def test_outlines_touch_their_surface() -> None:
     """A turned ellipsoid, and the same as ten coefficients about another point; an open quadric has none."""
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
@@ -385,6 +403,7 @@ def test_outlines_touch_their_surface() -> None:
         assert surface.outline(open_.as_dict(), [0, 2]).shape == (0, 2)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("command", ["dlt", "resect", "intersect"])
 def test_the_other_commands_have_a_page(made: Path, tmp_path: Path, command: str) -> None:
     oriented = made / "out" / "photos.toml"
@@ -402,6 +421,7 @@ def test_the_other_commands_have_a_page(made: Path, tmp_path: Path, command: str
     assert away.code == 2 and "no such folder" in away.stderr
 
 
+@pytest.mark.behaviour
 def test_the_report_is_written_again_from_the_folder(made: Path) -> None:
     path = made / "out" / "report.html"
     before = path.read_bytes()
@@ -418,6 +438,7 @@ def test_the_report_is_written_again_from_the_folder(made: Path) -> None:
     assert done.code == 2 and "written by an earlier version" in done.stderr
 
 
+@pytest.mark.behaviour
 def test_figures_for_papers(made: Path, fitted: dict[str, Any]) -> None:
     pytest.importorskip("matplotlib")
     done = run("report", made / "surface", "--figures", "--json")
@@ -425,6 +446,7 @@ def test_figures_for_papers(made: Path, fitted: dict[str, Any]) -> None:
     assert done.json["figures"]["files"] == ["captions.md", "deviations.pdf", "deviations.svg"]
 
 
+@pytest.mark.behaviour
 @pytest.mark.slow
 def test_figures_of_a_bundle(made: Path) -> None:
     pytest.importorskip("matplotlib")
@@ -434,6 +456,7 @@ def test_figures_of_a_bundle(made: Path) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.behaviour
 @pytest.mark.browser
 @pytest.mark.parametrize("name", ["out", "surface"])
 def test_narrow_and_dark(tab: Page, made: Path, fitted: dict[str, Any], name: str) -> None:

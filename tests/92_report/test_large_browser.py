@@ -9,6 +9,8 @@ import pytest
 from benchmarks.report_browser import large_result, measure
 from tests.support.browser import Browser
 
+pytestmark = pytest.mark.behaviour
+
 
 @pytest.mark.slow
 @pytest.mark.browser

@@ -49,6 +49,7 @@ def data(text: str) -> Any:
     return json.loads(elements(text)[0][1])
 
 
+@pytest.mark.behaviour
 def test_one_small_script_and_a_policy_that_names_it(text: str) -> None:
     (data, _), (attributes, run) = elements(text)
     assert 'type="application/json"' in data and attributes == ""
@@ -62,12 +63,14 @@ def test_one_small_script_and_a_policy_that_names_it(text: str) -> None:
     assert text.index("Content-Security-Policy") < text.index("<style>")
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("word", ["eval(", "Function(", "innerHTML", "outerHTML", "insertAdjacent", "document.write",
                                   "import", "fetch", "XMLHttp", "WebSocket", "http:", "https:"])  # fmt: skip
 def test_the_script_makes_no_code_and_asks_nobody(word: str) -> None:
     assert word not in script()
 
 
+@pytest.mark.behaviour
 def test_hostile_ids_are_words(folder: Path, text: str, data: Any) -> None:
     found = structure(folder / "report.html")
     assert found.tags.count("script") == 2 and "img" not in found.tags
@@ -75,6 +78,7 @@ def test_hostile_ids_are_words(folder: Path, text: str, data: Any) -> None:
     assert any("onerror" in name for name in data["points"]["id"])
 
 
+@pytest.mark.consistency
 def test_packed_columns_are_the_tables(result: Result, data: Any) -> None:
     table, rays = result.residuals, data["rays"]
     image = unpacked(rays["image"]).astype(int)
@@ -93,12 +97,14 @@ def test_packed_columns_are_the_tables(result: Result, data: Any) -> None:
     assert len(up) == sum(role != "tie" for role in result.points.words["role"])
 
 
+@pytest.mark.behaviour
 def test_constant_columns_are_one_value() -> None:
     assert payload.pack([0.3, 0.3, 0.3]) == {"one": float(np.float32(0.3)), "n": 3}
     for values in ([], [1.5], [1.5, 2.5], [np.nan, np.nan]):
         np.testing.assert_array_equal(unpacked(payload.pack(values)), np.array(values, np.float32))
 
 
+@pytest.mark.behaviour
 def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
     table = result.residuals
     figures = {**table.figures, "w_line": table.figures["w_line"].copy()}
@@ -118,6 +124,7 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
     assert payload.chosen_rays(planted)[0].tolist() == [3, 50, 90]
 
 
+@pytest.mark.behaviour
 def test_histogram_and_quantiles(result: Result) -> None:
     ratio, tested = residual_plots.normalised(result, np.arange(94))
     assert tested
@@ -136,6 +143,7 @@ def test_histogram_and_quantiles(result: Result) -> None:
     assert float(first.group(2)) == pytest.approx(frame.py(float(np.nanmin(ratio[:, 0]))), abs=0.06)
 
 
+@pytest.mark.behaviour
 def test_what_lies_beyond_the_axis_is_counted(result: Result) -> None:
     table = result.residuals
     figures = {**table.figures, "w_line": table.figures["w_line"].copy()}
@@ -149,6 +157,7 @@ def test_what_lies_beyond_the_axis_is_counted(result: Result) -> None:
     assert (worst["n"], worst["beyond"], worst["expected"]) == (188, 3, f"{188 * 2 * stats.norm.sf(3):.1f}")
 
 
+@pytest.mark.behaviour
 def test_without_redundancy_numbers_residuals_are_divided_by_the_given_sigmas(result: Result) -> None:
     table = result.residuals
     figures = {
@@ -163,6 +172,7 @@ def test_without_redundancy_numbers_residuals_are_divided_by_the_given_sigmas(re
     assert charts.redundancy_chart(plain) == ""
 
 
+@pytest.mark.consistency
 def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
     q = np.array([[4.0, -1.9, 0.0], [-1.9, 1.0, 0.1], [0.0, 0.1, 0.0]])
     np.testing.assert_allclose(correlations(q)[:2, :2], [[1.0, -0.95], [-0.95, 1.0]])
@@ -181,6 +191,7 @@ def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
     assert charts.heat_maps(dataclasses.replace(result, cofactors=first)) == maps
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("models", "words"),
     [
@@ -196,6 +207,7 @@ def test_every_kind_of_image_has_words(result: Result, models: tuple[str, ...], 
     assert orientation_words({**result.record, "images": images, "rpc_compensation": "shift_drift"}) == words
 
 
+@pytest.mark.behaviour
 def test_what_is_rounded_to_zero_has_no_sign(result: Result) -> None:
     assert [signed(v) for v in (-0.0004, 0.0004, 0.0, -0.0006, 1.5)] == ["0.000", "0.000", "0.000", "−0.001", "+1.500"]
     assert signed(-0.04, 1) == "0.0"
@@ -206,6 +218,7 @@ def test_what_is_rounded_to_zero_has_no_sign(result: Result) -> None:
     assert "up 0.000 m" in drawing and "-0.000" not in drawing and "−0.000" not in drawing
 
 
+@pytest.mark.behaviour
 def test_a_map_opens_on_the_points_where_footprints_are_far_larger(result: Result) -> None:
     place = result.points.numbers("lon_deg", "lat_deg")
     low, high = np.nanmin(place, axis=0), np.nanmax(place, axis=0)
@@ -234,6 +247,7 @@ def test_a_map_opens_on_the_points_where_footprints_are_far_larger(result: Resul
     assert len(set(names)) == 2 and all(0 < x < svg.WIDTH and 0 < y < 60 for x, y in names)
 
 
+@pytest.mark.behaviour
 def test_words_stand_below_their_heads(result: Result) -> None:
     """A column whose head is words has cells of words: both begin at the left."""
     held = 0
@@ -249,6 +263,7 @@ def test_words_stand_below_their_heads(result: Result) -> None:
     assert held > 5
 
 
+@pytest.mark.behaviour
 def test_check_points_beyond_three_by_chance_are_no_doubt(result: Result) -> None:
     check = result.record["accuracy"]["check"]
     row = {"id": "c7", "axis": "east", "difference_m": 1.0, "ratio": 3.2}
@@ -263,6 +278,7 @@ def test_check_points_beyond_three_by_chance_are_no_doubt(result: Result) -> Non
         assert told in page and other not in page and "as many as chance gives." in page.replace("gives:", "gives.")
 
 
+@pytest.mark.behaviour
 def test_corrections_stand_at_their_share_of_the_prior(result: Result) -> None:
     rows = [{"name": "roll", "degree": "constant", "value": -3.0, "sigma": 0.5, "prior": 2.0}]
     drawing = charts.correction_chart("left", rows)
@@ -277,6 +293,7 @@ def test_corrections_stand_at_their_share_of_the_prior(result: Result) -> None:
     assert len(corrections(result)) == 2
 
 
+@pytest.mark.behaviour
 def test_iterations_are_drawn_and_rejected_steps_are_not() -> None:
     taken = {"accepted": True, "chi2": 1e4, "chi2_after": 1e2, "step": 1e-3}
     log = [
@@ -289,6 +306,7 @@ def test_iterations_are_drawn_and_rejected_steps_are_not() -> None:
     assert charts.iteration_charts([]) == []
 
 
+@pytest.mark.behaviour
 def test_directions_stand_beside_their_singular_values(result: Result, text: str) -> None:
     part = text.partition("<summary>Directions that the data do not determine</summary>")[2].partition("</table>")[0]
     shown = re.findall(
@@ -301,6 +319,7 @@ def test_directions_stand_beside_their_singular_values(result: Result, text: str
         assert [value for _, value in mine] == pytest.approx([s for s in image["singular_values"] if s < 1.0], rel=6e-3)
 
 
+@pytest.mark.behaviour
 def test_ticks() -> None:
     assert ticks(-5.0, 5.0, 5) == [-4.0, -2.0, 0.0, 2.0, 4.0]
     assert ticks(0.0, 12000.0, 3) == [0.0, 5000.0, 10000.0]
@@ -308,12 +327,14 @@ def test_ticks() -> None:
     assert powers(-8.0, 2.0) == [1e-8, 1e-6, 1e-4, 1e-2, 1.0, 1e2]
 
 
+@pytest.mark.behaviour
 def test_a_folder_without_arrays_has_no_heat_map(result: Result, folder: Path) -> None:
     page = render(dataclasses.replace(result, cofactors={}))
     assert "Correlations of the unknowns" not in page
     assert "Correlations of the unknowns" in (folder / "report.html").read_text("utf-8")
 
 
+@pytest.mark.behaviour
 def test_first_page_names_what_a_test_suspects_and_repeats_no_verdict(result: Result) -> None:
     said = "sigma0 = 51.14 lies above 1.19"
     suspects = [{"sentence": f"point {k} in image right: gross error"} for k in ("a<b", "c", "d", "e", "f")]

@@ -47,6 +47,7 @@ def svg_texts(path: Path) -> list[str]:
     return ["".join(e.itertext()) for e in etree.fromstring(path.read_bytes()).iter("{*}text")]
 
 
+@pytest.mark.behaviour
 def test_every_plot_has_units_and_a_caption(written: Path) -> None:
     assert {p.name for p in written.iterdir()} == {f"{name}.svg" for name in DRAWN} | {"captions.md"}
     told = (written / "captions.md").read_text("utf-8")
@@ -65,6 +66,7 @@ def test_every_plot_has_units_and_a_caption(written: Path) -> None:
         assert all(word in shown for word in wanted), (name, shown)
 
 
+@pytest.mark.behaviour
 def test_files_repeat_and_hold_nothing_of_the_clock(folder: Folder, written: Path) -> None:
     def files(kind: str) -> list[bytes]:
         with matplotlib.rc_context(style.STYLE):
@@ -78,6 +80,7 @@ def test_files_repeat_and_hold_nothing_of_the_clock(folder: Folder, written: Pat
     assert first == second and first.startswith(b"%PDF") and b"CreationDate" not in first
 
 
+@pytest.mark.consistency
 def test_map_shows_the_differences_of_the_table(folder: Folder, adjusted: Path) -> None:
     table = {row["id"]: row for row in rows(adjusted / "points.csv") if row["difference_east_m"]}
     for up in (False, True):
@@ -97,6 +100,7 @@ def test_map_shows_the_differences_of_the_table(folder: Folder, adjusted: Path) 
         assert len(drawn) == 47 and len({q.scale for q in arrows}) == 1
 
 
+@pytest.mark.oracle
 def test_a_kilometre_is_as_long_east_as_north(folder: Folder) -> None:
     """The bar of kilometres and the aspect against pyproj's geodesic."""
     from pyproj import Geod
@@ -113,6 +117,7 @@ def test_a_kilometre_is_as_long_east_as_north(folder: Folder) -> None:
     assert south < middle
 
 
+@pytest.mark.consistency
 def test_residual_vectors_point_as_in_the_image(folder: Folder, adjusted: Path) -> None:
     """Lines run downwards, so a positive residual of the line points down."""
     left = [r for r in rows(adjusted / "residuals.csv") if r["image"] == "left"]
@@ -125,6 +130,7 @@ def test_residual_vectors_point_as_in_the_image(folder: Folder, adjusted: Path) 
     assert "left (47 points)" in axes.get_title()
 
 
+@pytest.mark.behaviour
 def test_large_residuals_survive_thinning(folder: Folder, rng: np.random.Generator) -> None:
     n = 30_000
     v = rng.standard_normal((n, 2))
@@ -137,6 +143,7 @@ def test_large_residuals_survive_thinning(folder: Folder, rng: np.random.Generat
     assert set(largest.tolist()) <= set(drawn.tolist())
 
 
+@pytest.mark.oracle
 def test_histograms_of_normalised_residuals(folder: Folder, adjusted: Path) -> None:
     left = [r for r in rows(adjusted / "residuals.csv") if r["image"] == "left"]
     axes = residuals.histograms(folder, ["left"]).axes[0]
@@ -149,6 +156,7 @@ def test_histograms_of_normalised_residuals(folder: Folder, adjusted: Path) -> N
     assert np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2.0) == pytest.approx(1.0)
 
 
+@pytest.mark.oracle
 def test_band_of_normal_quantiles(rng: np.random.Generator) -> None:
     """One lies within 1.96; of 25 ordered ones each lies in its band in 95 % of 4000 samples, within 4 sigmas."""
     middle, low, high = residuals.normal_band(1)
@@ -160,6 +168,7 @@ def test_band_of_normal_quantiles(rng: np.random.Generator) -> None:
     assert np.abs((samples < middle).mean(axis=0) - 0.5).max() < 4.0 * 0.5 / np.sqrt(4000)
 
 
+@pytest.mark.consistency
 def test_quantiles_draw_every_value(folder: Folder) -> None:
     axes = residuals.quantiles(folder, ["right"]).axes[0]
     w = folder.residuals.figures["w_sample"][folder.rows["right"]]
@@ -169,6 +178,7 @@ def test_quantiles_draw_every_value(folder: Folder) -> None:
     assert len(kept) <= residuals.MAX_QUANTILES and {0, 1, 99_998, 99_999} <= set(kept.tolist())
 
 
+@pytest.mark.oracle
 def test_correlations_are_those_of_the_cofactors(folder: Folder, adjusted: Path) -> None:
     with np.load(adjusted / "arrays.npz") as arrays:
         covariance, names = arrays["image_covariance"][1], arrays["parameter_names"].tolist()
@@ -181,6 +191,7 @@ def test_correlations_are_those_of_the_cofactors(folder: Folder, adjusted: Path)
     assert [t.get_text() for t in axes.get_yticklabels()] == shown
 
 
+@pytest.mark.consistency
 def test_corrections_stand_in_prior_sigmas(folder: Folder, adjusted: Path) -> None:
     table = [r for r in rows(adjusted / "eop.csv") if r["image"] == "left"]
     axes = orientation.corrections(folder, ["left"]).axes[0]
@@ -196,6 +207,7 @@ def test_corrections_stand_in_prior_sigmas(folder: Folder, adjusted: Path) -> No
     assert abs(float(shown[0]) - value) <= 0.5 and float(shown[1]) == pytest.approx(sigma, rel=0.06)
 
 
+@pytest.mark.behaviour
 def test_share_of_biases_that_are_found(folder: Folder) -> None:
     """A point without a minimal detectable bias is never found: the curve ends below one."""
     mdb = folder.residuals.figures["mdb_sample_px"].copy()
@@ -207,6 +219,7 @@ def test_share_of_biases_that_are_found(folder: Folder) -> None:
     assert ends == {"line": 1.0, "sample": pytest.approx(0.5)}
 
 
+@pytest.mark.behaviour
 def test_hostile_names_are_words(adjusted: Path, result: Path, tmp_path: Path) -> None:
     hostile = "<b>$x_1$ & ]]>"
     record = json.loads((result / "result.json").read_text("utf-8"))
@@ -223,6 +236,7 @@ def test_hostile_names_are_words(adjusted: Path, result: Path, tmp_path: Path) -
     assert "\\<b\\>" in told and "<b>" not in told
 
 
+@pytest.mark.behaviour
 def test_what_is_not_drawn_is_told(result: Path) -> None:
     """Without statistics, covariances, coordinates and log the figures of these are missing, each with its reason."""
     table = rows(result / "residuals.csv")
@@ -250,6 +264,7 @@ def test_what_is_not_drawn_is_told(result: Path) -> None:
         assert f"- {name}: {captions.ABSENT[name]}" in told
 
 
+@pytest.mark.behaviour
 def test_images_beyond_the_limit_are_told(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(write, "MAX_IMAGES", 1)
     names = {name: (plot.name, images) for name, plot, images in write.planned(folder) if plot.name in DRAWN}
@@ -257,6 +272,7 @@ def test_images_beyond_the_limit_are_told(folder: Folder, monkeypatch: pytest.Mo
     assert "1 more images have no figures of their own" in captions.page(folder, names)
 
 
+@pytest.mark.behaviour
 def test_command(run: Any, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(write, "PLOTS", tuple(p for p in write.PLOTS if p.name == "iterations"))
     ended = run("report", result, "--figures", "--json", "--log", result.parent / "run.log")
@@ -272,6 +288,7 @@ def test_command(run: Any, result: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert RESULT.first_foreign(result) == ""  # figures do not keep a result from being replaced
 
 
+@pytest.mark.behaviour
 def test_refusals(run: Any, result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("", encoding="utf-8")

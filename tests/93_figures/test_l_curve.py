@@ -42,6 +42,7 @@ def section(folder: Folder) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.oracle
 def test_curve_is_that_of_the_first_step(folder: Folder, section: dict[str, Any]) -> None:
     """Against the rows of the block itself: the first iteration's kappa to the last bit, its step on the curve."""
     log = folder.result.iterations
@@ -58,6 +59,7 @@ def test_curve_is_that_of_the_first_step(folder: Folder, section: dict[str, Any]
     assert chosen["residual_norm"] ** 2 == pytest.approx(log[0]["chi2"] - log[0]["predicted"], rel=1e-9)
 
 
+@pytest.mark.behaviour
 def test_there_is_none_without_such_a_solver(adjusted: Path) -> None:
     record = json.loads((adjusted / "result.json").read_text("utf-8"))
     assert record["regularisation"] is None
@@ -66,6 +68,7 @@ def test_there_is_none_without_such_a_solver(adjusted: Path) -> None:
     assert regularisation.l_curve(read_folder(adjusted)) is None and l_curve_chart(None) == ""
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("choice", [{"loss": "huber"}, {"optimizer": "dogleg"}, {"datum": "inner"}])
 def test_other_ways_through_the_adjustment_have_one_too(choice: dict[str, Any]) -> None:
     """A loss weights the rows, dogleg blends the steps, inner constraints leave out priors."""
@@ -77,6 +80,7 @@ def test_other_ways_through_the_adjustment_have_one_too(choice: dict[str, Any]) 
     assert plain is not None and (found.kappa == plain.kappa) == (choice == {"optimizer": "dogleg"})
 
 
+@pytest.mark.behaviour
 def test_page_draws_the_curve_and_lists_every_rule(damped: Path, section: dict[str, Any]) -> None:
     text = (damped / "report.html").read_text("utf-8")
     part = text[text.index('<section id="regularisation"') :]
@@ -92,6 +96,7 @@ def test_page_draws_the_curve_and_lists_every_rule(damped: Path, section: dict[s
     assert re.search(r"<th>κ</th><th[^>]*>taken", text)
 
 
+@pytest.mark.behaviour
 def test_hostile_words_in_the_section_are_escaped(damped: Path) -> None:
     result = read_result(damped)
     kept = result.record["regularisation"]
@@ -101,6 +106,7 @@ def test_hostile_words_in_the_section_are_escaped(damped: Path) -> None:
     assert "<img src=x>" not in text and "&lt;img src=x&gt;" in text and "[&#39;" not in text
 
 
+@pytest.mark.consistency
 def test_figure_holds_the_curve_and_the_caption_the_kappas(folder: Folder, section: dict[str, Any]) -> None:
     with matplotlib.rc_context(style.STYLE):
         figure = regularisation.l_curve(folder)
@@ -117,6 +123,7 @@ def test_figure_holds_the_curve_and_the_caption_the_kappas(folder: Folder, secti
     assert f"Generalised cross-validation: κ = {section['kappa']:.3g}" in told
 
 
+@pytest.mark.behaviour
 def test_ticks_of_few_and_many_decades() -> None:
     assert np.allclose(10.0 ** np.array(log_ticks(1.2, 2.1)), [20, 50, 100])
     assert log_ticks(-3.2, 2.1) == [-3, -2, -1, 0, 1, 2]

@@ -45,6 +45,7 @@ def package(adjusted: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.consistency
 def test_points_are_those_of_the_table(package: Path, adjusted: Path) -> None:
     geometry, columns = read(package, "points")
     wanted = table(adjusted / "points.csv")
@@ -59,6 +60,7 @@ def test_points_are_those_of_the_table(package: Path, adjusted: Path) -> None:
     assert "mdb_up_m" in columns and np.isnan(columns["mdb_up_m"]).sum() == 10  # of check points there is none
 
 
+@pytest.mark.oracle
 def test_vectors_have_azimuth_and_length_of_the_differences(package: Path, adjusted: Path) -> None:
     """Against geodesics of pyproj."""
     geometry, columns = read(package, "error_vectors")
@@ -73,6 +75,7 @@ def test_vectors_have_azimuth_and_length_of_the_differences(package: Path, adjus
     assert np.allclose(columns["length_m"], np.hypot(east, north))
 
 
+@pytest.mark.behaviour
 def test_footprints_hold_their_points(package: Path) -> None:
     geometry, columns = read(package, "footprints")
     points, _ = read(package, "points")
@@ -81,6 +84,7 @@ def test_footprints_hold_their_points(package: Path) -> None:
     assert (columns["rms_line_px"] > 0.0).all() and columns["n_lines"].tolist() == [12000, 12000]
 
 
+@pytest.mark.behaviour
 def test_files_are_those_of_an_older_standard(package: Path) -> None:
     """Seen in QGIS 3.22: it warns of version 1.4, and of a time that does not say that it is UTC."""
     with sqlite3.connect(package) as base:
@@ -89,6 +93,7 @@ def test_files_are_those_of_an_older_standard(package: Path) -> None:
     assert len(times) == 1 and re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", times[0][0])
 
 
+@pytest.mark.behaviour
 def test_styles_lie_where_qgis_looks(package: Path) -> None:
     """One default style for each layer, of its own geometry column; well-formed, with fields that the layer has."""
     with sqlite3.connect(package) as base:
@@ -106,12 +111,14 @@ def test_styles_lie_where_qgis_looks(package: Path) -> None:
         assert symbols == set(root.xpath("//symbols/symbol/@name"))
 
 
+@pytest.mark.behaviour
 def test_files_repeat(adjusted: Path, package: Path, tmp_path: Path) -> None:
     geofiles.export(adjusted, tmp_path / "again.gpkg", vector_scale=1000.0)
     assert (tmp_path / "again.gpkg").read_bytes() == package.read_bytes()
     assert pyogrio.get_gdal_config_option("OGR_CURRENT_DATE") is None
 
 
+@pytest.mark.behaviour
 def test_geojson(run: Any, result: Path, adjusted: Path, tmp_path: Path) -> None:
     """RFC 7946: longitude first, no crs, rings to the left; read by GDAL as WGS 84."""
     out = tmp_path / "result.geojson"
@@ -134,6 +141,7 @@ def test_geojson(run: Any, result: Path, adjusted: Path, tmp_path: Path) -> None
     assert properties[0]["mdb_up_m"] is None  # nan is no JSON
 
 
+@pytest.mark.behaviour
 def test_across_the_180th_meridian() -> None:
     """A vector stays beside its point; a footprint is cut there."""
     numbers = {"lon_deg": 179.9999, "lat_deg": 10.0, "difference_east_m": 1.0, "difference_north_m": 0.0,
@@ -149,6 +157,7 @@ def test_across_the_180th_meridian() -> None:
     assert foot["type"] == "MultiPolygon" and shapely.geometry.shape(foot).area == pytest.approx(1.0)
 
 
+@pytest.mark.behaviour
 def test_refusals(run: Any, result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def code(*words: object) -> tuple[int, str]:
         ended = run("report", result, "--json", *words)
@@ -176,6 +185,7 @@ def test_refusals(run: Any, result: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result", "there.gpkg"]
 
 
+@pytest.mark.truth
 @pytest.mark.real_data
 def test_the_real_pair(run: Any, real_data: Path, tmp_path: Path) -> None:
     """86 points of the Pléiades pair in a GeoPackage: where they were surveyed, within the adjustment's differences."""

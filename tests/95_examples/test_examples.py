@@ -21,12 +21,14 @@ def run(repository: Path, name: str, *arguments: str, shown: bool = True) -> str
     return ended.stdout
 
 
+@pytest.mark.repository
 def test_every_example_has_a_test(repository: Path) -> None:
     text = Path(__file__).read_text() + (repository / "tests/80_claims/test_pleiades_pair.py").read_text()
     for path in (repository / "examples").glob("*.py"):
         assert path.name in text or path.stem in text
 
 
+@pytest.mark.repository
 def test_every_example_is_shown_with_its_source(repository: Path) -> None:
     names = {path.name for path in (repository / "examples").glob("*.py")}
     page = (repository / PAGE).read_text("utf-8")
@@ -35,6 +37,7 @@ def test_every_example_is_shown_with_its_source(repository: Path) -> None:
     assert all(f"[{name}](#" in page for name in names)
 
 
+@pytest.mark.behaviour
 def test_orient_twin_and_read_its_image(repository: Path, tmp_path: Path) -> None:
     out = run(repository, "orient_twin.py", str(tmp_path / "twin"))
     assert out.count("converged") == 3
@@ -44,6 +47,7 @@ def test_orient_twin_and_read_its_image(repository: Path, tmp_path: Path) -> Non
     assert "and back: line 100.000000, sample 200.500000" in out
 
 
+@pytest.mark.behaviour
 def test_own_factor(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It adds to the registry of equations, which other tests walk through: to a copy."""
     monkeypatch.setattr(_contract, "_REGISTRY", dict(_contract._REGISTRY))
@@ -55,12 +59,14 @@ def test_own_factor(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert after < 0.03  # its sigma is 0.01 m
 
 
+@pytest.mark.behaviour
 def test_program_as_run(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     run(repository, "program_as_run.py", "--only", "D5", "--out", "figures")
     assert (tmp_path / "figures" / "program-as-run.svg").stat().st_size > 10_000
 
 
+@pytest.mark.behaviour
 def test_ill_conditioning(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     out = run(repository, "ill_conditioning.py", "--seeds", "1", "--out", "figures")
@@ -71,6 +77,7 @@ def test_ill_conditioning(repository: Path, tmp_path: Path, monkeypatch: pytest.
     assert len(list((tmp_path / "figures").glob("*.svg"))) == 3
 
 
+@pytest.mark.behaviour
 def test_rpc_bundle(repository: Path) -> None:
     out = run(repository, "rpc_bundle.py")
     found = re.search(r"left: line (\S+) \(\S+\), sample (\S+)", out).groups()
@@ -82,6 +89,7 @@ def test_rpc_bundle(repository: Path) -> None:
     assert out.count("shifted together") == 3
 
 
+@pytest.mark.behaviour
 def test_rectify_by_points(repository: Path) -> None:
     out = run(repository, "rectify_by_points.py")
     assert "suspected: 12\n" in out
@@ -90,6 +98,7 @@ def test_rectify_by_points(repository: Path) -> None:
     assert out.count("1:100000 passed") == 2
 
 
+@pytest.mark.behaviour
 @pytest.mark.real_data
 @pytest.mark.parametrize(
     "name", ["geocosicorr3d/SPOT5.DIM", "geocosicorr3d/SPOT6.XML", "geoetrim-pleiades/DIM_PHR1A_derived_img1.XML"]
@@ -99,6 +108,7 @@ def test_read_dimap(repository: Path, real_data: Path, name: str) -> None:
     assert "and back: line 100.000000, sample 200.500000" in out
 
 
+@pytest.mark.behaviour
 def test_read_dimap_says_what_is_wrong(repository: Path, tmp_path: Path) -> None:
     missing = tmp_path / "nowhere.DIM"
     done = run_script(repository / "examples" / "read_dimap.py", missing)

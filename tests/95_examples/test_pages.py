@@ -138,6 +138,7 @@ def listed(table: dict[tuple[str, str], Any], item: Command | Fence) -> bool:
     return any(fnmatchcase(item.page, page) and part in item.text for page, part in table)
 
 
+@pytest.mark.repository
 def test_no_list_names_what_is_no_longer_there() -> None:
     items = [item for name, path in PAGES.items() for fence in pages.fences(path, name) for item in parts(fence)]
     for table in (NOT_RUN, SLOW, BEFORE):
@@ -153,6 +154,7 @@ def parts(fence: Fence) -> list[Command | Fence]:
     return [fence] if fence.language in ("python", "toml") else list(pages.commands(fence))
 
 
+@pytest.mark.repository
 @pytest.mark.parametrize("name", PAGES)
 def test_options_of_every_command_exist(name: str) -> None:
     for fence in pages.fences(PAGES[name], name):
@@ -161,6 +163,7 @@ def test_options_of_every_command_exist(name: str) -> None:
                 pages.parse_command(item)
 
 
+@pytest.mark.repository
 def test_every_picture_is_small_told_in_words_and_shown() -> None:
     """Alternative text for those who cannot see it; docs/pictures.py draws those of DRAWN."""
     shown: set[Path] = set()
@@ -177,6 +180,7 @@ def test_every_picture_is_small_told_in_words_and_shown() -> None:
         assert picture.stat().st_size < 150_000, picture
 
 
+@pytest.mark.behaviour
 @pytest.mark.slow
 def test_pictures_are_drawn_again(tmp_path: Path) -> None:
     """By the script that stands in the documentation, under the same names."""
@@ -243,11 +247,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("name", with_blocks(slow=False))
 def test_page(name: str, prepared: Path, folder: Path) -> None:
     run_page(name, prepared, folder, slow=False)
 
 
+@pytest.mark.behaviour
 @pytest.mark.slow
 @pytest.mark.parametrize("name", with_blocks(slow=True))
 def test_whole_page(name: str, prepared: Path, folder: Path) -> None:

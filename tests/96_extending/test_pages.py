@@ -98,6 +98,7 @@ def check_jacobians(equation: _contract.Equation) -> None:
         assert np.array_equal(equation.kernel(e.record, e.setup, *e.unknowns, False)[0], value)
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize("page", ["extending", *PAGES])
 def test_commands_and_further_blocks_of_the_page(
     page: str, files: dict[str, Path], repository: Path, monkeypatch: pytest.MonkeyPatch
@@ -131,6 +132,7 @@ def parallel(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> tupl
     return folder, names
 
 
+@pytest.mark.oracle
 def test_sensor_in_a_project_file(parallel: tuple[Path, dict[str, Any]], files: dict[str, Path]) -> None:
     """Adjusted by the command line: the planted shifts are found, and locate takes them from the result."""
     folder, true = parallel
@@ -168,6 +170,7 @@ def place_of(middle: tuple[float, float, float], matrix: np.ndarray, pixel: np.n
 # --- an equation -----------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_equation_in_a_block(files: dict[str, Path], block: Block) -> None:
     """A distance to a check point, 5 m longer than it was, pulls the point along it."""
     page = load_plugin(files["equation"])
@@ -189,6 +192,7 @@ def test_equation_in_a_block(files: dict[str, Path], block: Block) -> None:
 # --- solver and kappa rule -------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 def test_solver_in_a_comparison(files: dict[str, Path], twin: Path, tmp_path: Path) -> None:
     """The page's solver gives the accuracy of QR, published procedure and iterated; its Tikhonov solver another one."""
     words = ("compare", twin, "--solvers", "qr,docs_cgls,docs_tikhonov", "--eop-sets", "2", "--types", "2",
@@ -205,6 +209,7 @@ def test_solver_in_a_comparison(files: dict[str, Path], twin: Path, tmp_path: Pa
     assert (unknown.code, "docs_nothing" in unknown.stderr) == (2, True)
 
 
+@pytest.mark.oracle
 def test_solver_and_rule_against_formed_matrices(files: dict[str, Path]) -> None:
     """The page's solver equals least squares; its rule is Mallows' prediction error."""
     load_plugin(files["solver"]), load_plugin(files["kappa-rule"])
@@ -226,6 +231,7 @@ def test_solver_and_rule_against_formed_matrices(files: dict[str, Path]) -> None
 # --- a loss ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.oracle
 def test_loss_in_an_adjustment(files: dict[str, Path], twin: Path, tmp_path: Path) -> None:
     """By the command line: the weights of the table are those of the page at the residuals of the table."""
     out = tmp_path / "result"
@@ -247,6 +253,7 @@ def test_loss_in_an_adjustment(files: dict[str, Path], twin: Path, tmp_path: Pat
 # --- loading ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
@@ -267,6 +274,7 @@ def test_files_that_cannot_be_loaded(name: str, text: str | None, said: str, tmp
     assert Path(name).stem not in sys.modules or name == "numpy.py"
 
 
+@pytest.mark.behaviour
 def test_a_reader_that_stumbles_is_named_with_its_line(
     files: dict[str, Path], tmp_path: Path, registries: pytest.MonkeyPatch
 ) -> None:
@@ -291,6 +299,7 @@ def test_a_reader_that_stumbles_is_named_with_its_line(
     assert isinstance(caught.value.__cause__, KeyError)
 
 
+@pytest.mark.behaviour
 def test_any_other_exception_of_a_plugin_is_named_too(
     parallel: tuple[Path, dict[str, Any]], files: dict[str, Path], tmp_path: Path, registries: pytest.MonkeyPatch
 ) -> None:
@@ -307,12 +316,14 @@ def test_any_other_exception_of_a_plugin_is_named_too(
     assert "AttributeError" in ended.stderr
 
 
+@pytest.mark.behaviour
 def test_the_environment_names_files_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FG_ORIENT_PLUGIN", str(tmp_path / "absent.py"))
     ended = in_process("report", tmp_path)
     assert (ended.code, "absent.py" in ended.stderr) == (2, True)
 
 
+@pytest.mark.behaviour
 def test_a_file_is_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", list(sys.path))
     path = tmp_path / "docs_counts.py"
@@ -326,6 +337,7 @@ def test_a_file_is_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 # --- files that cannot be loaded -----------------------------------------------------------------
 
 
+@pytest.mark.behaviour
 @pytest.mark.parametrize(
     ("code", "place", "said"),
     [

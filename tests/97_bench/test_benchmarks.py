@@ -27,6 +27,7 @@ def pair() -> Problem:
     return compile_problem(cases.spot_block("94"))
 
 
+@pytest.mark.truth
 def test_counts_of_the_smallest_block(pair: Problem) -> None:
     n = cases.counts(pair)
     # 43 points in both images: 3 pairs each; 6 control points; 27 priors per image
@@ -36,6 +37,7 @@ def test_counts_of_the_smallest_block(pair: Problem) -> None:
     assert (n.image_unknowns, n.half_bandwidth) == (54, 53)
 
 
+@pytest.mark.behaviour
 def test_band_of_images_that_do_not_all_overlap() -> None:
     block = cases.grid_block(cases.BlockOptions(rows=1, columns=6, points=200, spacing_m=4e4, check_share=0.0))[0]
     problem = compile_problem(block)
@@ -44,6 +46,7 @@ def test_band_of_images_that_do_not_all_overlap() -> None:
     assert cases.counts(problem).half_bandwidth == (max(partners) + 1) * k - 1 < 6 * k - 1
 
 
+@pytest.mark.oracle
 def test_flat_problem_is_the_problem_of_our_backends(pair: Problem) -> None:
     flat, schur = FlatProblem(pair), SchurBackend(pair, threads=1)
     flat._rows = flat._rows.py_func  # not compiled: 86 image points
@@ -62,12 +65,14 @@ def test_flat_problem_is_the_problem_of_our_backends(pair: Problem) -> None:
     np.testing.assert_allclose(found.image, expected[: flat.n_image_unknowns], rtol=0.0, atol=1e-8)
 
 
+@pytest.mark.behaviour
 def test_resection_has_one_image_and_constant_points() -> None:
     problem = cases.resection_problem()
     n = cases.counts(problem)
     assert (n.n_images, n.n_ground_points, n.n_image_points, n.n_unknowns, n.n_pairs) == (1, 0, 94, 27, 0)
 
 
+@pytest.mark.truth
 def test_bound_of_an_iteration_by_hand() -> None:
     # 1e6 image points: 450 + 192 B at 20 GB/s; 2.5e6 pairs of 1458 flop at 60 GFlop/s; 2700^3 / 3 at 50 GFlop/s
     expected = 1e6 * 642.0 / 20e9 + 2.5e6 * 1458.0 / 60e9 + 2700.0**3 / 3.0 / 50e9
@@ -103,6 +108,7 @@ def summary(*records: dict[str, Any]) -> Summary:
     })  # fmt: skip
 
 
+@pytest.mark.behaviour
 def test_ratio_is_that_of_the_rounds_and_a_bound_where_the_peer_did_not_arrive() -> None:
     ours = [record("schur", "1e3", seconds, 100.0) for seconds in (1.0, 2.0, 3.0)]
     arrived = [record("pyceres", "1e3", seconds, 100.0 + 0.9e-4) for seconds in (10.0, 60.0, 90.0)]
@@ -119,6 +125,7 @@ def test_ratio_is_that_of_the_rounds_and_a_bound_where_the_peer_did_not_arrive()
     assert summary(*ours, *arrived, *better).ratio("spot", "1e3", "pyceres", "schur", whole_seconds) is None
 
 
+@pytest.mark.behaviour
 def test_hardware_counts_at_its_best_and_exponents_come_out() -> None:
     sizes = ("1e3", "1e4", "1e5", "1e6")
     s = summary(record("schur", "94", 5.0, 1.0), *(record("schur", n, 1e-6 * float(n) ** 1.1, 1.0) for n in sizes))
@@ -128,6 +135,7 @@ def test_hardware_counts_at_its_best_and_exponents_come_out() -> None:
     assert s.working_set("1e4", 2) == 200.0 and s.working_set("1e4", 2, with_records=True) == 300.0
 
 
+@pytest.mark.behaviour
 def test_verdicts() -> None:
     wish = Goal("", lambda s: None, target=40.0, stretch=60.0, more=True)
     for value, expected in ((39.0, "missed"), (40.0, "target met"), (61.0, "stretch met")):
@@ -138,6 +146,7 @@ def test_verdicts() -> None:
     assert [must.verdict(Value(v, v, v, 1)) for v in (2.4, 2.6)] == ["limit met", "missed"]
 
 
+@pytest.mark.behaviour
 def test_every_goal_can_be_measured_or_says_that_it_was_not() -> None:
     empty = all_tables(summary(record("schur", "1e3", 1.0, 1.0)).results)
     for heading, goals in (("What must hold", MUST), ("What is wished for", WISHED)):
@@ -155,6 +164,7 @@ def test_every_goal_can_be_measured_or_says_that_it_was_not() -> None:
     assert [goal.name for goal in (*MUST, *WISHED) if goal.measure(s) is None] == []
 
 
+@pytest.mark.repository
 def test_page_and_figure_are_made_of_the_results_file() -> None:
     text = RESULTS.read_text("utf-8")
     results = json.loads(text)

@@ -9,8 +9,10 @@ import numpy as np
 from factors.control import CONTROL_POINT, POINT
 from fg_orient.adjustment.dense import Columns, assemble
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import Robust
 from fg_orient.block import Block, ExtraObservation, ImagePoints
 from fg_orient.names import Role
+from tests.support.states import largest
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,29 @@ class Full:
         u, s, vt = np.linalg.svd(design / scale, full_matrices=False)
         half = vt.T / s / scale[:, None]
         return cls(v, design, half @ half.T, np.eye(len(v)) - u @ u.T, Columns.of(problem))
+
+
+def after_numpy(problem: Problem, state: State, robust: Robust | None = None) -> State:
+    """State after a Gauss-Newton step by numpy's least squares, with the weights of a loss at the state."""
+    v, design = assemble(problem, state)
+    if robust is not None:
+        n, m = 2 * len(problem.observations), 3 * int(problem.observed.sum())
+        image, control = (np.linalg.norm(part.reshape(-1, k), axis=1) for part, k in ((v[:n], 2), (v[n : n + m], 3)))
+        weights = [np.repeat(robust.image.weights(image), 2), np.repeat(robust.control.weights(control), 3)]
+        root = np.sqrt(np.concatenate([*weights, np.ones(len(v) - n - m)]))
+        v, design = root * v, root[:, None] * design
+    design = design if problem.ties is None else problem.ties.columns(design)
+    scale = np.linalg.norm(design, axis=0)
+    step = np.linalg.lstsq(design / scale, -v, rcond=None)[0] / scale
+    step = step if problem.ties is None else problem.ties.widened(step)
+    ground = state.ground.copy()
+    ground[problem.active] += step[problem.n_image_unknowns :].reshape(-1, 3)
+    return State(state.image + problem.image_matrix(step[: problem.n_image_unknowns]), ground)
+
+
+def step_of_numpy(problem: Problem, state: State, robust: Robust | None = None) -> tuple[float, float]:
+    """Largest part of that step: image unknowns (sigmas), points (m). None is left at the minimum."""
+    return largest(problem, after_numpy(problem, state, robust), state)
 
 
 def turned_design(problem: Problem, state: State) -> np.ndarray:
