@@ -47,16 +47,16 @@ import numpy as np
 import numpy.typing as npt
 
 import fg_orient as fg
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.irls import norms_at
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
 from fg_orient.adjustment.solve import solve
-from fg_orient.block import Block, Coordinates, GroundPoints, ImagePoints
-from fg_orient.io.atomic import write_bytes
-from fg_orient.names import Role
+from fg_orient.cli.selftest import self_test
+from fg_orient.formats.atomic import write_bytes
+from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints
+from fg_orient.model.names import Role
 from fg_orient.quality.residuals import residual_cofactors
-from fg_orient.selftest import self_test
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.simulation import Truth
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
@@ -253,7 +253,7 @@ def _judged(problem: Problem, state: State, ended: bool) -> tuple[Array, Mask, M
 
 
 def _snooped(block: Block) -> tuple[Array, Mask, Mask, bool]:
-    from fg_orient.snooping import snoop
+    from fg_orient.orientation.snooping import snoop
 
     search = snoop(block)
     ids = {name: k for k, name in enumerate(block.points.ids)}

@@ -37,9 +37,9 @@ from benchmarks.flat import FlatProblem
 from benchmarks.hardware import Meter
 from benchmarks.page import write_page
 from benchmarks.table import print_table
-from factors.vectors import LANES
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.io.project import read_project
+from fg_orient.formats.project import read_project
+from fg_orient.kernels.vectors import LANES
 from fg_orient.simulate.block import BlockOptions, simulate_block
 
 RESULTS: Final = Path(__file__).parent / "results" / "fast_path.json"

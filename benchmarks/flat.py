@@ -14,7 +14,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from numba import njit
 
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.problem import Problem
 
 Array = npt.NDArray[np.float64]

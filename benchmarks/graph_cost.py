@@ -26,7 +26,7 @@ from fg_orient.adjustment.allocation import calm_memory
 from fg_orient.adjustment.graph import GraphBackend, image_key, point_key
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.rows import linearised
-from fg_orient.block import Block
+from fg_orient.model.block import Block
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 IMAGE_POINTS_PER_POINT = 3.0  # of a 3 x 3 block, for the first guess

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import counts, spot_block
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import gauss_newton
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.linear.threads import one_blas_thread
 
 
 def status_bytes(name: str) -> int:

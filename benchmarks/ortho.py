@@ -54,9 +54,9 @@ def bounds_of(size: int) -> tuple[float, float, float, float]:
 
 
 def ours(folder: Path, size: int, out: Path) -> dict[str, Any]:
-    from fg_orient.io.sensor import read_sensor
-    from fg_orient.raster.models import SensorModel
-    from fg_orient.raster.ortho import OrthoOptions, orthorectify
+    from fg_orient.formats.sensor import read_sensor
+    from fg_orient.rectification.ortho import OrthoOptions, orthorectify
+    from fg_orient.rectification.ortho_models import SensorModel
     from fg_orient.sensors.surface import RasterDem
 
     dem = RasterDem(folder / "twin/dem.tif")
@@ -93,7 +93,7 @@ def fit_rpc(folder: Path) -> float:
     import rasterio
     from rasterio.rpc import RPC
 
-    from fg_orient.io.sensor import read_sensor
+    from fg_orient.formats.sensor import read_sensor
     from fg_orient.rpc.fitting import fit_image
 
     model, record = fit_image(read_sensor(folder / "twin/left.DIM"), (-50.0, 1850.0))

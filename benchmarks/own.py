@@ -11,13 +11,13 @@ from typing import Any
 import gtsam
 
 from benchmarks.entries import FUNCTION_TOLERANCE, MAX_EVALUATIONS, Outcome
-from factors.batch_pairs import pair_blocks
 from fg_orient.adjustment.graph import GraphBackend, run_native
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord, levenberg_marquardt
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
-from fg_orient.block import Block
+from fg_orient.kernels.batch_pairs import pair_blocks
+from fg_orient.model.block import Block
 
 #: Solutions shorter than this run several times in a row for one record.
 SHORT_S = 0.1

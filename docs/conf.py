@@ -54,20 +54,27 @@ nitpicky = False
 # line, the loops inside the backends and the printed values; a module takes a third of a second of a processor.
 _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
-    factors/batch*
-    fg_orient/__main__.py fg_orient/adjustment/* fg_orient/cells.py fg_orient/cli fg_orient/closerange/*job.py
-    fg_orient/closerange/bundle_record.py fg_orient/closerange/importing.py fg_orient/closerange/report
-    fg_orient/comparison/* fg_orient/doctor.py fg_orient/experiments/* fg_orient/figures/style* fg_orient/io/assemble.py
-    fg_orient/io/atomic.py fg_orient/io/*_checks.py fg_orient/io/folder.py fg_orient/io/rasters.py
-    fg_orient/io/rpc_fields.py fg_orient/io/schema.py fg_orient/messages fg_orient/parallel/* fg_orient/published
-    fg_orient/raster fg_orient/rectification/job.py fg_orient/rectification/record.py fg_orient/rectification/remarks.py
-    fg_orient/rectification/study.py fg_orient/rectification/synthetic.py fg_orient/report fg_orient/reproduce
-    fg_orient/run fg_orient/selftest.py fg_orient/simulate/*
+    fg_orient/__main__.py fg_orient/adjustment/*.py fg_orient/adjustment/models fg_orient/adjustment/parts/*
+    fg_orient/cli fg_orient/closerange/*job.py fg_orient/closerange/bundle_record.py fg_orient/closerange/importing.py
+    fg_orient/closerange/report*.py fg_orient/formats/assemble.py fg_orient/formats/atomic.py
+    fg_orient/formats/*_checks.py fg_orient/formats/folder.py fg_orient/formats/rasters.py
+    fg_orient/formats/rpc_fields.py fg_orient/formats/schema.py fg_orient/kernels/batch* fg_orient/model/cells.py
+    fg_orient/model/messages fg_orient/rectification/job.py fg_orient/rectification/record.py
+    fg_orient/rectification/remarks.py fg_orient/rectification/study.py fg_orient/rectification/synthetic.py
+    fg_orient/rectification/adjusted.py fg_orient/rectification/grid.py fg_orient/rectification/lattice.py
+    fg_orient/rectification/ortho*.py fg_orient/rectification/output.py fg_orient/report/*.py fg_orient/run
+    fg_orient/simulate/* fg_orient/studies/claims*.py fg_orient/studies/comparison/* fg_orient/studies/published
+    fg_orient/studies/reproduce fg_orient/studies/rfm_twin.py fg_orient/studies/study.py
+    fg_orient/studies/switch_effects.py fg_orient/studies/tables_*.py
 """.split()
 _IMPORTED = """
     fg_orient/adjustment/models fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py
-    fg_orient/comparison/compare.py fg_orient/comparison/model.py fg_orient/experiments/study.py
-    fg_orient/parallel/solve.py fg_orient/parallel/study.py
+    fg_orient/studies/comparison/compare.py fg_orient/studies/comparison/model.py fg_orient/studies/study.py
+    fg_orient/adjustment/parts/solve.py fg_orient/adjustment/parts/study.py
+    fg_orient/report/captions.py fg_orient/report/checks.py fg_orient/report/figure_data.py
+    fg_orient/report/figure_orientation.py fg_orient/report/geofiles.py fg_orient/report/layers.py
+    fg_orient/report/maps.py fg_orient/report/regularisation.py fg_orient/report/residuals.py
+    fg_orient/report/write.py
     fg_orient/simulate/block.py fg_orient/simulate/options.py fg_orient/simulate/simulation.py
     fg_orient/simulate/zonguldak.py
 """.split()
@@ -110,7 +117,7 @@ html_theme = "alabaster"
 html_static_path = ["_static"]
 html_theme_options = {"description": "Orientation of optical images", "fixed_sidebar": True}
 
-# Several classes stand under two names (fg_orient.Block is fg_orient.block.Block): either target is right.
+# Several classes stand under two names (fg_orient.Block is fg_orient.model.block.Block): either target is right.
 suppress_warnings = ["ref.python"]
 
 _LITERAL = re.compile(r"(``.+?``|:math:`.+?`)")

@@ -11,17 +11,17 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from fg_orient.declaration import Option, declared  # noqa: E402
-from fg_orient.options import Options, Reading  # noqa: E402
+from fg_orient.model.declaration import Option, declared  # noqa: E402
+from fg_orient.model.options import Options, Reading  # noqa: E402
 
 PAGE = ROOT / "docs" / "options.md"
 HEAD = """\
 # Options
 
-<!-- made by docs/options.py from fg_orient/options.py -->
+<!-- made by docs/options.py from fg_orient/model/options.py -->
 
-Every option has one declaration, in `fg_orient.options`, and can be given in three places; the later one of this list
-wins:
+Every option has one declaration, in `fg_orient.model.options`, and can be given in three places; the later one of this
+list wins:
 
 1. project file: an entry of `[orientation]` or `[adjustment]`, for instance `datum = "inner"`;
 2. command line: `fg-orient adjust project.toml --datum inner`. Yes or no: `--gnc`, `--no-gnc`. Names

@@ -28,10 +28,10 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import fg_orient as fg  # noqa: E402
-from fg_orient.figures import style  # noqa: E402
-from fg_orient.figures.data import read_folder  # noqa: E402
+from fg_orient.formats.sensor import read_sensor  # noqa: E402
 from fg_orient.geodesy import geodetic_to_ecef  # noqa: E402
-from fg_orient.io.sensor import read_sensor  # noqa: E402
+from fg_orient.report import style  # noqa: E402
+from fg_orient.report.figure_data import read_folder  # noqa: E402
 from fg_orient.sensors.correction import Correction  # noqa: E402
 from tests.support import pages  # noqa: E402
 from tests.support.command import in_process  # noqa: E402

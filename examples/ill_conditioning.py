@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from factors.pushbroom import RECORD
-from fg_orient.classical.conditions import Conditions
-from fg_orient.classical.two_stage import TwoStage
-from fg_orient.experiments.study import EXACT, TWIN, Study
+from factors.cameras.pushbroom import RECORD
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
-from fg_orient.parameters import EOP_SETS
+from fg_orient.model.parameters import EOP_SETS
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient.studies.conditions import Conditions
+from fg_orient.studies.study import EXACT, TWIN, Study
+from fg_orient.studies.two_stage import TwoStage
 
 SETS = (1, 9, 15, 5, 13, 17, 19, 20)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")

@@ -17,8 +17,8 @@ import numpy as np
 import fg_orient as fg
 from factors._contract import Argument, Array, Equation, Example, compiled, register
 from factors.records import Record
-from fg_orient.block import ExtraObservation
-from fg_orient.names import Role
+from fg_orient.model.block import ExtraObservation
+from fg_orient.model.names import Role
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
 #: Constants of an observation, m.

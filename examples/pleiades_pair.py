@@ -23,8 +23,8 @@ import numpy as np
 
 import fg_orient as fg
 from fg_orient.adjustment.problem import enu_from_ecef
-from fg_orient.block import Coordinates, WithheldCoordinates
-from fg_orient.initial import all_rays, nearest_points
+from fg_orient.model.block import Coordinates, WithheldCoordinates
+from fg_orient.sensors.initial import all_rays, nearest_points
 
 SETS = (2, 10, 9, 16, 1, 15)
 IMAGE_SIGMA_PX = 0.3

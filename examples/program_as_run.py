@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fg_orient.classical.switches import NUMBERED, label, names
-from fg_orient.experiments.switch_effects import MEASURES, effects
+from fg_orient.studies.switch_effects import MEASURES, effects
+from fg_orient.studies.switches import NUMBERED, label, names
 
 #: Measures that are drawn, with the title of their panel.
 PANELS = {

@@ -14,9 +14,9 @@ import sys
 import numpy as np
 
 import fg_orient as fg
-from fg_orient.ground import frame_records, ground_records
-from fg_orient.parameters import COMPONENTS, UNITS
+from fg_orient.model.parameters import COMPONENTS, UNITS
 from fg_orient.sensors.eop import fit_eop
+from fg_orient.sensors.ground import frame_records, ground_records
 
 
 def main() -> int:

@@ -15,12 +15,12 @@ from dataclasses import replace
 import numpy as np
 
 import fg_orient as fg
-from fg_orient.names import Role
+from fg_orient.model.names import Role
+from fg_orient.orientation.snooping import snoop
 from fg_orient.quality.parallax import rms_px, y_parallaxes
-from fg_orient.rfm.virtual_grid import fit_sensor
+from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
-from fg_orient.snooping import snoop
 
 #: Line and sample bias of both images, pixels: what the compensation has to find.
 BIAS_PX = np.array([[3.0, -16.0, 0.0, 0.0, 0.0, 0.0], [-5.0, 9.0, 0.0, 0.0, 0.0, 0.0]])

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 
-from factors._sources import names_of
+from factors._sources import LIBRARIES, names_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -78,7 +78,11 @@ class _Members:
 def _plain_member(value: Any) -> Any:
     """What a name is bound to, as the form in Python needs it."""
     if isinstance(value, ModuleType):
-        return _Members(value) if value.__name__.startswith("factors") else value
+        return _Members(value) if _is_ours(value.__name__) else value
     function = getattr(value, "py_func", value)
-    ours = isinstance(function, FunctionType) and function.__module__.startswith("factors")
-    return plain(value) if ours else value
+    return plain(value) if isinstance(function, FunctionType) and _is_ours(function.__module__) else value
+
+
+def _is_ours(module: str | None) -> bool:
+    """Whether a module is none of the libraries: kernels may lie in any package."""
+    return (module or "").partition(".")[0] not in LIBRARIES

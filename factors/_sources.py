@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 #: Top-level packages that are not followed: numba's own cache knows its version, numpy is not compiled into kernels.
-_LIBRARIES: Final = frozenset({"numba", "llvmlite", "numpy", "scipy", *sys.stdlib_module_names})
+LIBRARIES: Final = frozenset({"numba", "llvmlite", "numpy", "scipy", *sys.stdlib_module_names})
 
 
 def stamp(function: FunctionType, options: object = None) -> bytes:
@@ -74,7 +74,7 @@ def _bound(function: FunctionType) -> Iterator[tuple[str, Any]]:
             value = space[name]
             if not isinstance(value, ModuleType):
                 yield prefix + name, value
-            elif id(value) not in seen and value.__name__.partition(".")[0] not in _LIBRARIES:
+            elif id(value) not in seen and value.__name__.partition(".")[0] not in LIBRARIES:
                 seen.add(id(value))
                 spaces.append((f"{value.__name__}.", vars(value)))
 
@@ -115,7 +115,7 @@ def _function_of(value: Any) -> FunctionType | None:
 
 
 def _is_followed(function: FunctionType) -> bool:
-    return (function.__module__ or "").partition(".")[0] not in _LIBRARIES
+    return (function.__module__ or "").partition(".")[0] not in LIBRARIES
 
 
 def _constant(value: Any) -> str:

@@ -17,19 +17,19 @@ from os.path import dirname, join
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from fg_orient.adjustment.linear.registry import register_solver
+    from fg_orient.adjustment.linear.system import LinearSystem
     from fg_orient.adjustment.models.contract import register_model
     from fg_orient.adjustment.regression import fit_curve
-    from fg_orient.block import Block, ExtraObservation, GroundPoints, Image, ImagePoints, Options
-    from fg_orient.comparison.compare import compare
-    from fg_orient.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
-    from fg_orient.initial import intersect
-    from fg_orient.io.project import read_project
-    from fg_orient.io.sensor import read_sensor, register_reader
-    from fg_orient.linear.registry import register_solver
-    from fg_orient.linear.system import LinearSystem
-    from fg_orient.names import Role, Status
-    from fg_orient.orient import adjust
-    from fg_orient.solution import Solution
+    from fg_orient.formats.project import read_project
+    from fg_orient.formats.sensor import read_sensor, register_reader
+    from fg_orient.model.block import Block, ExtraObservation, GroundPoints, Image, ImagePoints, Options
+    from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
+    from fg_orient.model.names import Role, Status
+    from fg_orient.orientation.orient import adjust
+    from fg_orient.orientation.solution import Solution
+    from fg_orient.sensors.initial import intersect
+    from fg_orient.studies.comparison.compare import compare
 
 __version__: Final = "0.1.0"
 
@@ -39,7 +39,7 @@ def _require_own_factors() -> None:
     spec = find_spec("factors")
     found = None if spec is None else spec.origin
     if found is None or dirname(found) != join(dirname(dirname(__file__)), "factors"):
-        from fg_orient.clash import clash, is_ours
+        from fg_orient.model.clash import clash, is_ours
 
         if found is None or not is_ours(found):
             raise clash(found, __version__)
@@ -50,7 +50,7 @@ def _require_own_factors() -> None:
     except (Exception, SystemExit):  # ours imports nothing, so that another one lies here
         other = None
     if other != __version__:
-        from fg_orient.clash import clash
+        from fg_orient.model.clash import clash
 
         raise clash(found, __version__, other)
 
@@ -59,29 +59,29 @@ _require_own_factors()
 
 #: Public name -> module that defines it.
 _HOME: Final[dict[str, str]] = {
-    "Block": "fg_orient.block",
-    "ExtraObservation": "fg_orient.block",
-    "FgOrientError": "fg_orient.errors",
-    "GroundPoints": "fg_orient.block",
-    "Image": "fg_orient.block",
-    "ImagePoints": "fg_orient.block",
-    "InputError": "fg_orient.errors",
-    "LinearSystem": "fg_orient.linear.system",
-    "NoSolutionError": "fg_orient.errors",
-    "Options": "fg_orient.block",
-    "RankDeficientError": "fg_orient.errors",
-    "Role": "fg_orient.names",
-    "Solution": "fg_orient.solution",
-    "Status": "fg_orient.names",
-    "adjust": "fg_orient.orient",
-    "compare": "fg_orient.comparison.compare",
+    "Block": "fg_orient.model.block",
+    "ExtraObservation": "fg_orient.model.block",
+    "FgOrientError": "fg_orient.model.errors",
+    "GroundPoints": "fg_orient.model.block",
+    "Image": "fg_orient.model.block",
+    "ImagePoints": "fg_orient.model.block",
+    "InputError": "fg_orient.model.errors",
+    "LinearSystem": "fg_orient.adjustment.linear.system",
+    "NoSolutionError": "fg_orient.model.errors",
+    "Options": "fg_orient.model.block",
+    "RankDeficientError": "fg_orient.model.errors",
+    "Role": "fg_orient.model.names",
+    "Solution": "fg_orient.orientation.solution",
+    "Status": "fg_orient.model.names",
+    "adjust": "fg_orient.orientation.orient",
+    "compare": "fg_orient.studies.comparison.compare",
     "fit_curve": "fg_orient.adjustment.regression",
-    "intersect": "fg_orient.initial",
-    "read_project": "fg_orient.io.project",
-    "read_sensor": "fg_orient.io.sensor",
+    "intersect": "fg_orient.sensors.initial",
+    "read_project": "fg_orient.formats.project",
+    "read_sensor": "fg_orient.formats.sensor",
     "register_model": "fg_orient.adjustment.models.contract",
-    "register_reader": "fg_orient.io.sensor",
-    "register_solver": "fg_orient.linear.registry",
+    "register_reader": "fg_orient.formats.sensor",
+    "register_solver": "fg_orient.adjustment.linear.registry",
 }
 
 __all__ = [

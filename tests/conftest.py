@@ -59,7 +59,7 @@ def look_angles_read_once() -> Iterator[None]:
     """
     from lxml import etree
 
-    from fg_orient.io import dimap1, dimap_write
+    from fg_orient.formats import dimap1, dimap_write
 
     read, write = dimap1._look_angles, dimap_write._look_rows
     known, written = dict[Any, Any](), dict[Any, list[str]]()
@@ -97,7 +97,7 @@ def trees_parsed_once() -> Iterator[None]:
     """Parse the same large metadata file once in each worker while it is in use; nothing changes a tree."""
     from lxml import etree
 
-    from fg_orient.io import xml
+    from fg_orient.formats import xml
 
     class Parser:
         def __getattr__(self, name: str) -> Any:

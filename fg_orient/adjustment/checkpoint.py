@@ -21,8 +21,8 @@ import numpy.typing as npt
 from fg_orient import __version__
 from fg_orient.adjustment.loop import Carried, IterationRecord
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.errors import InputError
-from fg_orient.io.atomic import write_bytes
+from fg_orient.formats.atomic import write_bytes
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.irls import weights_of
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, Carried
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Given
-from fg_orient.linear.threads import one_blas_thread
 
 Array = npt.NDArray[np.float64]
 

@@ -18,15 +18,15 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Equation, NotFiniteError, check_blocks, evaluate
+from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.registry import solver as find_solver
+from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, LinearSystem
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import ExtraArgument, Problem, State
 from fg_orient.adjustment.robust import Robust, control_squares, squares
 from fg_orient.adjustment.rows import linearised, residuals, rows_by_image
-from fg_orient.block import ExtraObservation
-from fg_orient.errors import InputError
-from fg_orient.linear.registry import solve
-from fg_orient.linear.registry import solver as find_solver
-from fg_orient.linear.system import MAX_UNKNOWNS, LinearSystem
+from fg_orient.model.block import ExtraObservation
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from factors.losses import Curve, losses
 from factors.losses.geman_mcclure import GEMAN_MCCLURE
 from fg_orient.adjustment.robust import A_PRIORI, CONTROL, IMAGE, Robust, ScaledLoss, inlier_limit
-from fg_orient.block import Options
+from fg_orient.model.block import Options
 
 Array = npt.NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 One CustomFactor per image point links the image's coefficient vector to the ground point;
 control points and priors are GTSAM's own prior factors with the same weights as
-``factors.control``. GTSAM linearises, eliminates (points first, then images: the Schur
+``factors.conditions.control``. GTSAM linearises, eliminates (points first, then images: the Schur
 complement as an ordering) and retracts; the loop is ours (``fg_orient.adjustment.loop``).
 """
 
@@ -18,15 +18,15 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from factors.control import POINT
+from factors.conditions.control import POINT
 from factors.graph import factor, image_point_factors
 from factors.split import Split
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.models.contract import groups
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust, ScaledLoss, squares
-from fg_orient.block import ExtraObservation
-from fg_orient.errors import InputError
+from fg_orient.model.block import ExtraObservation
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import CONTROL, FLOOR, IMAGE, Weights, control_squares, inlier_limit
 from fg_orient.adjustment.rows import residuals
-from fg_orient.distributions import chi_square_probability
+from fg_orient.model.distributions import chi_square_probability
 
 Array = npt.NDArray[np.float64]
 S = TypeVar("S")

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from factors._preparation import working_clock
-from fg_orient.errors import Finding, finding
+from fg_orient.model.errors import Finding, finding
 
 S = TypeVar("S")
 

@@ -15,14 +15,14 @@ from typing import Final
 
 import numpy as np
 
-from factors import pushbroom
+from factors.cameras import pushbroom
 from fg_orient.adjustment.models.contract import image_models
 from fg_orient.adjustment.point_cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.schur_structure import ALL_KEPT, LEAST_CHUNKS
 from fg_orient.adjustment.solve import suitable_backend
-from fg_orient.block import Block
-from fg_orient.errors import Finding, InputError, finding
-from fg_orient.names import Role
+from fg_orient.model.block import Block
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.names import Role
 
 #: Share of the available memory that a run may take unless told otherwise.
 SHARE: Final = 0.8

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import batch_cofactors, batch_effects
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
-from fg_orient.options import Options
+from fg_orient.kernels import batch_cofactors, batch_effects
+from fg_orient.model.options import Options
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -16,17 +16,18 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid
-from factors.control import POINT
-from fg_orient import geodesy, initial
+from factors.conditions.control import POINT
+from factors.geometry import ellipsoid
+from fg_orient import geodesy
 from fg_orient.adjustment.models.contract import ImageModel, image_models
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.ties import Ties, ties_of
 from fg_orient.adjustment.unchanged import comparable, unchanged_rows
-from fg_orient.block import Block, ExtraObservation, ImagePoints
-from fg_orient.errors import InputError
-from fg_orient.names import Role
-from fg_orient.parameters import ImageParameters
+from fg_orient.model.block import Block, ExtraObservation, ImagePoints
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
+from fg_orient.model.parameters import ImageParameters
+from fg_orient.sensors import initial
 
 Array = npt.NDArray[np.float64]
 #: One ground point by its number, or several by numbers or by True.

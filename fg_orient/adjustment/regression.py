@@ -26,6 +26,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from factors._contract import NotFiniteError
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import (
     SHRINK_REWEIGHTED,
     Callback,
@@ -34,8 +35,7 @@ from fg_orient.adjustment.loop import (
     gauss_newton,
     levenberg_marquardt,
 )
-from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.linear.threads import one_blas_thread
+from fg_orient.model.errors import InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]
 Model = Callable[..., Any]

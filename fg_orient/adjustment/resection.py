@@ -30,8 +30,8 @@ import numpy.typing as npt
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import CONTROL, IMAGE, inlier_limit
 from fg_orient.adjustment.rows import image_rows, linearised, rows_by_image
-from fg_orient.distributions import chi_square_median
-from fg_orient.errors import InputError, finding
+from fg_orient.model.distributions import chi_square_median
+from fg_orient.model.errors import InputError, finding
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

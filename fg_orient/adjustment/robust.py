@@ -17,13 +17,13 @@ from typing import Final, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from factors.control import POINT
+from factors.conditions.control import POINT
 from factors.losses import ALIASES, Curve, Loss, find, losses
 from fg_orient.adjustment.problem import Problem, State, whitened_records
 from fg_orient.adjustment.rows import residuals
-from fg_orient.block import ImagePoints, Options
-from fg_orient.distributions import chi_square_quantile
-from fg_orient.errors import InputError
+from fg_orient.model.block import ImagePoints, Options
+from fg_orient.model.distributions import chi_square_quantile
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

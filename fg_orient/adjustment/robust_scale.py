@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows, rows_by_image
-from fg_orient.distributions import chi_square_median
+from fg_orient.model.distributions import chi_square_median
 
 Array = npt.NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Whitened residuals and Jacobians of image points, through the batches of ``factors.batch``.
+"""Whitened residuals and Jacobians of image points, through the batches of ``fg_orient.kernels.batch``.
 
 The only evaluation of image points outside the solvers' own loops: there is no Python call per image point. An equation
 without a batch is evaluated row by row.
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import evaluate
-from factors.batch import batch, has_batch
+from fg_orient.kernels.batch import batch, has_batch
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem, State

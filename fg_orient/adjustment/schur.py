@@ -2,7 +2,8 @@
 
 The same normal equations as the graph's, with no Python work per observation: linearise, 3 x 3 point blocks, reduced
 camera system, solution (``fg_orient.adjustment.schur_reduced``), back-substitution. Priors and control points are those
-of ``factors.control``. Sums run in an order that does not depend on the number of threads: the same bits for any.
+of ``factors.conditions.control``. Sums run in an order that does not depend on the number of threads: the same bits for
+any.
 """
 
 from __future__ import annotations
@@ -15,12 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.batch_gather import gather_blocks, gather_gradients
-from factors.batch_ground import control_squares, move
-from factors.batch_pairs import image_gradients
-from factors.batch_steps import product
-from factors.batch_weights import scale_rows
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Weighing
@@ -36,7 +32,12 @@ from fg_orient.adjustment.schur_structure import (
     reason_against,
 )
 from fg_orient.adjustment.threads import Index, Workers
-from fg_orient.errors import InputError
+from fg_orient.kernels.batch_gather import gather_blocks, gather_gradients
+from fg_orient.kernels.batch_ground import control_squares, move
+from fg_orient.kernels.batch_pairs import image_gradients
+from fg_orient.kernels.batch_steps import product
+from fg_orient.kernels.batch_weights import scale_rows
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -1,6 +1,7 @@
 """The reduced camera system solved: Cholesky factor of the full or banded matrix, or GTSAM on its blocks.
 
-Where ``factors.batch_band`` pays it factorises full matrices as well, as bands of full width; elsewhere LAPACK does.
+Where ``fg_orient.kernels.batch_band`` pays it factorises full matrices as well, as bands of full width; elsewhere
+LAPACK does.
 
 Blocks are those of the upper triangle, (B, k, k) in the order of ``Pattern.block_row``; the unknowns of image i
 are ``first[i]`` to ``first[i + 1]``. GTSAM eliminates a graph of one HessianFactor per image and one per pair of
@@ -17,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from factors.batch_band import MARGIN, PAYS, TILE, factorise_band
-from factors.batch_matrix import fill_lower
+from fg_orient.kernels.batch_band import MARGIN, PAYS, TILE, factorise_band
+from fg_orient.kernels.batch_matrix import fill_lower
 
 if TYPE_CHECKING:
     import gtsam

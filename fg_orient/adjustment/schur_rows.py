@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.vectors import SLACK, padded
 from fg_orient.adjustment.schur_structure import Structure, Tile
+from fg_orient.kernels.vectors import SLACK, padded
 
 Array = npt.NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def _aligned(*shape: int) -> Array:
 
 
 def row_arrays(n: int, c: int) -> tuple[Array, Array]:
-    """Jacobians of n image points; the first ones with room behind them, see ``factors.vectors``."""
+    """Jacobians of n image points; the first ones with room behind them, see ``fg_orient.kernels.vectors``."""
     space = np.empty(2 * n * c + SLACK)
     space[2 * n * c :] = 0.0
     return space[: 2 * n * c].reshape(n, 2, c), np.empty((n, 2, 3))

@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
-from factors.batch_pairs import pair_blocks
-from factors.batch_points import point_blocks
-from factors.batch_steps import back_substitute
-from factors.batch_weights import scale_rows
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.schur_rows import Buffers, Rows
 from fg_orient.adjustment.schur_structure import ALL_KEPT, Small, Structure
+from fg_orient.kernels.batch_pairs import pair_blocks
+from fg_orient.kernels.batch_points import point_blocks
+from fg_orient.kernels.batch_steps import back_substitute
+from fg_orient.kernels.batch_weights import scale_rows
 
 Array = npt.NDArray[np.float64]
 

@@ -1,7 +1,8 @@
 """A problem compiled to arrays for the Schur backend, once: sorted observations, columns, pieces, chunks, tiles.
 
 Image points are sorted by ground point, and ground points by the images that see them: what is used together lies
-together in memory. The layout is that of ``factors.batch``, ``factors.batch_points`` and ``factors.batch_pairs``.
+together in memory. The layout is that of ``fg_orient.kernels.batch``, ``fg_orient.kernels.batch_points`` and
+``fg_orient.kernels.batch_pairs``.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import batch_sort
-from factors.batch import Columns, batch, has_batch
-from factors.batch_gather import widen
 from fg_orient.adjustment.models.contract import ImageModel, groups
 from fg_orient.adjustment.problem import Problem
+from fg_orient.kernels import batch_sort
+from fg_orient.kernels.batch import Columns, batch, has_batch
+from fg_orient.kernels.batch_gather import widen
 
 if TYPE_CHECKING:
-    from fg_orient.block import Block
+    from fg_orient.model.block import Block
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -110,7 +111,7 @@ class Structure:
     wide, scale : (M, k) arrays
         Place among the wide numbers and factor of each unknown.
     pieces, chunks, slots : int arrays
-        See ``factors.batch_pairs``.
+        See ``fg_orient.kernels.batch_pairs``.
     chunk_places, slot_begin : (N + 1,) int arrays
         First place and first slot of each chunk.
     slot_own : (S,) int array

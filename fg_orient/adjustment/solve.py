@@ -19,6 +19,7 @@ from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.cycles import Fit, fits_on_arrays
 from fg_orient.adjustment.gnc import PLAIN, SCHEDULES
 from fg_orient.adjustment.irls import DIMENSIONS, RULES, norms_at, reweight, weights_of
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import (
     OPTIMIZERS,
     ROUNDING_STEP,
@@ -35,10 +36,9 @@ from fg_orient.adjustment.resection import METHODS, resection_start
 from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, Weights, find_loss, weighted_problem, weights_at
 from fg_orient.adjustment.robust_scale import robust_scale
 from fg_orient.adjustment.stages import FROM_RESECTIONS, plan_of, run_stages
-from fg_orient.block import Block, Options
-from fg_orient.errors import Finding, InputError, NoSolutionError, finding
-from fg_orient.linear.threads import one_blas_thread
-from fg_orient.options import Backend
+from fg_orient.model.block import Block, Options
+from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
+from fg_orient.model.options import Backend
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.dense import DenseSystem
@@ -115,7 +115,7 @@ def solve(
         Called with each record; those of a run that is resumed come first.
     schur : callable, optional
         Makes another backend that does what the Schur backend does, and is then taken whatever the options say
-        (``fg_orient.parallel``).
+        (``fg_orient.adjustment.parts``).
     checkpoint : Checkpoint, optional
         Keeps the run, or is what it goes on from. The caller removes it when the result is safe.
     start : State, optional

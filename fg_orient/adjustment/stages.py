@@ -27,7 +27,7 @@ from factors.losses.huber import HUBER
 from fg_orient.adjustment.gnc import EXACT, PLAIN, Graduated, half_square
 from fg_orient.adjustment.loop import STEP_TOLERANCE, Backend, Carried, LoopResult
 from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, RobustBackend, ScaledLoss, find_loss, scaled
-from fg_orient.options import Options
+from fg_orient.model.options import Options
 
 Array = npt.NDArray[np.float64]
 Scale = tuple[float, float]

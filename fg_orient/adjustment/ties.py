@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
-from fg_orient.parameters import ImageParameters
+from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import ImageParameters
 
 if TYPE_CHECKING:
     from scipy import sparse

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Block, ImagePoints
+from fg_orient.model.block import Block, ImagePoints
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem

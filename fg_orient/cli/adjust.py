@@ -25,13 +25,13 @@ from fg_orient.cli.common import (
 from fg_orient.cli.options import flags, named_as_typed, with_options
 from fg_orient.cli.output import emit, folded, note, say, tell, tell_findings
 from fg_orient.cli.progress import progress
-from fg_orient.errors import InputError, read
-from fg_orient.names import EXIT_CODE, Status
-from fg_orient.options import Options, Reading
+from fg_orient.model.errors import InputError, read
+from fg_orient.model.names import EXIT_CODE, Status
+from fg_orient.model.options import Options, Reading
 
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
-WORKING = ("fg_orient.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.io.schema",
-           "fg_orient.io.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
+WORKING = ("fg_orient.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.formats.schema",
+           "fg_orient.formats.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
 #: The same, of one backend.
 OF_BACKEND = {
     "graph": ("gtsam", "fg_orient.adjustment.graph", "fg_orient.quality.covariance"),

@@ -20,7 +20,7 @@ import fg_orient
 from fg_orient.cli import completion
 from fg_orient.cli.common import INTERRUPTED, outcome
 from fg_orient.cli.output import emit_errors, note
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 #: Name of a command -> module of this package, and what in it declares the command: a function, or a group by itself.
 COMMANDS: Final = {
@@ -145,7 +145,7 @@ def root(
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
     if plugin:
-        from fg_orient.plugins import load_plugin
+        from fg_orient.model.plugins import load_plugin
 
         with outcome(as_json="--json" in sys.argv):
             for path in plugin:

@@ -9,7 +9,7 @@ import typer
 
 from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome
 from fg_orient.cli.output import emit, say
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 app = typer.Typer(
     help="Camera files: from one direction of the distortion polynomial to the other.", no_args_is_help=True
@@ -39,7 +39,7 @@ def convert(
     Neither polynomial inverts the other: the largest and the rms difference in the image are part of the result.
     """
     with outcome(as_json, debug, quiet, log):
-        from fg_orient.io.camera import read_camera, write_camera
+        from fg_orient.formats.camera import read_camera, write_camera
         from fg_orient.sensors.interior import converted
 
         if out.exists() and (not overwrite or out.samefile(camera)):

@@ -10,12 +10,12 @@ import typer
 
 from fg_orient.cli.common import Debug, Json, Log, Quiet, outcome, table
 from fg_orient.cli.output import emit, fault, flag, note, say, tell, tell_findings
-from fg_orient.errors import FgOrientError, Finding, InputError, Option
+from fg_orient.model.errors import FgOrientError, Finding, InputError, Option
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.memory import Need
-    from fg_orient.block import Block
-    from fg_orient.interchange.registry import Format, Settings
+    from fg_orient.formats.exchange.registry import Format, Settings
+    from fg_orient.model.block import Block
 
 
 def validate(
@@ -44,7 +44,7 @@ def validate(
         project = sources[0]
         if len(sources) > 1:
             raise InputError.of("cli.one_project", file=sources[1], place="PROJECT.toml", value=f"{len(sources)} files")
-        from fg_orient.io.validate import checked_project
+        from fg_orient.formats.validate import checked_project
 
         block, found = checked_project(project)
         impossible = [] if block is None else _impossible(block, project)
@@ -76,7 +76,7 @@ def _validate_points(paths: list[Path], format_name: str, crs: str, as_json: boo
 
     The files of a format that has several are one survey; of the others each is one.
     """
-    from fg_orient.interchange.registry import Settings, format_named
+    from fg_orient.formats.exchange.registry import Settings, format_named
 
     found = format_named(format_name, place=Option("format"))
     together = len(found.files) > 1
@@ -118,7 +118,7 @@ class _Checked:
 
 def _checked_points(paths: list[Path], found: Format, settings: Settings) -> _Checked:
     """Read the files of one survey."""
-    from fg_orient.interchange.convert import read_survey
+    from fg_orient.formats.exchange.convert import read_survey
 
     names = [str(p) for p in paths]
     try:
@@ -151,7 +151,7 @@ def doctor(quiet: Quiet = False, log: Log = None, as_json: Json = False, debug: 
     Exit code 1 if the installation is broken.
     """
     with outcome(as_json, debug, quiet, log):
-        from fg_orient.doctor import examine
+        from fg_orient.cli.doctor import examine
 
         found = examine()
         if as_json:

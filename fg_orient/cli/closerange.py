@@ -12,7 +12,7 @@ import typer
 from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, number, outcome, table
 from fg_orient.cli.output import emit, say, tell, tell_findings
 from fg_orient.cli.progress import progress
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
 

@@ -15,9 +15,9 @@ from factors._preparation import told_of_compilation
 from fg_orient.cli.log import COMPILING, COMPILING_IN_VAIN, opened, session
 from fg_orient.cli.output import emit_errors, fault, flag, folded, note, printable, tell
 from fg_orient.cli.tables import print_table
-from fg_orient.declaration import declared
-from fg_orient.errors import FgOrientError, Finding, InputError, finding
-from fg_orient.options import MAX_EXTRAPOLATION_S, Reading
+from fg_orient.model.declaration import declared
+from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
+from fg_orient.model.options import MAX_EXTRAPOLATION_S, Reading
 
 if TYPE_CHECKING:
     from fg_orient.sensors.surface import RasterDem
@@ -133,7 +133,7 @@ def _explained(as_json: bool, debug: bool) -> Iterator[None]:
 
 def _of_a_plugin(error: Exception) -> Finding | None:
     """Describe an exception that a user's own file raised."""
-    from fg_orient.plugins import fault_of
+    from fg_orient.model.plugins import fault_of
 
     return fault_of(error)
 
@@ -167,14 +167,14 @@ def require_project(path: Path) -> None:
         It does not exist, or is a folder.
     """
     if not path.is_file():
-        from fg_orient.io.project import no_project_file
+        from fg_orient.formats.project import no_project_file
 
         raise no_project_file(path)
 
 
 def read_image(path: Path, model: str, extrapolate_s: float, result: Path | None = None, image_id: str = "") -> Any:
     """Read a sensor as the options ``--model``, ``--extrapolate-attitude`` and ``--result`` say."""
-    from fg_orient.io.sensor import read_sensor
+    from fg_orient.formats.sensor import read_sensor
 
     sensor = read_sensor(path, model=model, extrapolate_attitude_s=extrapolate_s)
     return sensor if result is None else with_result(sensor, result, image_id)
@@ -182,7 +182,7 @@ def read_image(path: Path, model: str, extrapolate_s: float, result: Path | None
 
 def with_result(sensor: Any, result: Path, image_id: str = "") -> Any:
     """Sensor with the orientation of a result folder."""
-    from fg_orient.raster.adjusted import read_correction
+    from fg_orient.rectification.adjusted import read_correction
     from fg_orient.sensors.oriented import OrientedSensor
 
     return OrientedSensor(sensor, read_correction(result, sensor, image_id))
@@ -210,7 +210,7 @@ def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str
     import csv
     import io
 
-    from fg_orient.io.atomic import write_text
+    from fg_orient.formats.atomic import write_text
 
     if path.exists() and not overwrite:
         raise InputError.of("output.exists", file=path, option="out")

@@ -14,7 +14,7 @@ from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome, re
 from fg_orient.cli.options import flags, named_as_typed, with_options
 from fg_orient.cli.output import emit, say, tell_findings
 from fg_orient.cli.progress import progress_bar
-from fg_orient.options import Options
+from fg_orient.model.options import Options
 
 #: Places of the library in the words of the command line.
 _TYPED = {
@@ -69,7 +69,7 @@ def compare(
     }  # fmt: skip
     with outcome(as_json, debug, quiet, log):
         require_project(project)
-        from fg_orient.comparison.folder import compare_project
+        from fg_orient.studies.comparison.folder import compare_project
 
         with named_as_typed(_TYPED), progress_bar("reading the project") as callback:
             record = compare_project(

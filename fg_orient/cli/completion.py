@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fg_orient.cli.common import outcome
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 PROGRAM = "fg-orient"
 #: Variable through which the script asks the program.

@@ -10,11 +10,11 @@ import typer
 
 from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome, table
 from fg_orient.cli.output import emit, flag, say, tell
-from fg_orient.errors import Finding, InputError, Option
+from fg_orient.model.errors import Finding, InputError, Option
 
 if TYPE_CHECKING:
-    from fg_orient.interchange.registry import Format, Settings
-    from fg_orient.interchange.survey import Survey
+    from fg_orient.formats.exchange.registry import Format, Settings
+    from fg_orient.formats.exchange.survey import Survey
 
 
 def convert(
@@ -75,9 +75,9 @@ def convert(
     What the new format cannot hold is said, one line each.
     """
     with outcome(as_json, debug, quiet, log):
-        from fg_orient.interchange.convert import Fill, filled, placed, read_survey, write_survey
-        from fg_orient.interchange.registry import Settings, format_named, format_of
-        from fg_orient.interchange.registry import formats as all_formats
+        from fg_orient.formats.exchange.convert import Fill, filled, placed, read_survey, write_survey
+        from fg_orient.formats.exchange.registry import Settings, format_named, format_of
+        from fg_orient.formats.exchange.registry import formats as all_formats
 
         if formats:
             _list(as_json)
@@ -124,8 +124,8 @@ def _convert_model(
     as_json: bool,
 ) -> None:  # fmt: skip
     """Between formats that hold cameras and poses, the whole model."""
-    from fg_orient.interchange.models import convert_model
-    from fg_orient.interchange.ties import model_survey
+    from fg_orient.formats.exchange.models import convert_model
+    from fg_orient.formats.exchange.ties import model_survey
 
     model, lost = convert_model(
         files, reader, out, writer, settings, accept_unverified=accept, overwrite=overwrite
@@ -147,8 +147,8 @@ def _sizes(words: list[str]) -> dict[str, tuple[int, int]]:
 
 
 def _scenes(paths: list[Path]) -> list[Any]:
-    from fg_orient.io.scenes import Scene
-    from fg_orient.io.sensor import read_sensor
+    from fg_orient.formats.scenes import Scene
+    from fg_orient.formats.sensor import read_sensor
 
     return [Scene.from_footprint(path.name, read_sensor(path).footprint()) for path in paths]
 
@@ -183,7 +183,7 @@ def _show(
 
 def _list(as_json: bool) -> None:
     """List the formats with their conventions."""
-    from fg_orient.interchange.registry import formats
+    from fg_orient.formats.exchange.registry import formats
 
     found = formats().values()
     if as_json:

@@ -26,13 +26,13 @@ from fg_orient.cli.common import (
     write_records,
 )
 from fg_orient.cli.output import emit, say, tell
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from fg_orient.block import Image, ImagePoints
+    from fg_orient.model.block import Image, ImagePoints
     from fg_orient.sensors.surface import RasterDem
 
     Array = npt.NDArray[np.float64]
@@ -84,7 +84,7 @@ def locate(
         _exclude({"--line": line, "--sample": sample}, {"--points": points}, {"--frame": frame or None})
         if height is not None and dem is not None:
             raise InputError.of("cli.two_heights", file=image, option="height, dem")
-        from fg_orient.ground import frame_records
+        from fg_orient.sensors.ground import frame_records
 
         sensor = read_image(image, model, extrapolate_attitude, result)
         surface = read_dem(dem, dem_vertical_crs)
@@ -111,7 +111,7 @@ def _located(
     """Records of one pixel or of a CSV file of pixels."""
     import numpy as np
 
-    from fg_orient.ground import ground_records
+    from fg_orient.sensors.ground import ground_records
 
     given_height = height is not None or dem is not None
     if points is not None:
@@ -160,7 +160,7 @@ def project(
         import numpy as np
 
         from fg_orient.geodesy import geodetic_to_ecef
-        from fg_orient.ground import pixel_records
+        from fg_orient.sensors.ground import pixel_records
 
         if points is not None:
             ids, columns = _columns(points, ("lon_deg", "lat_deg", "height_m"))
@@ -197,11 +197,11 @@ def intersect(
     orientation held as free of error.
     """
     with outcome(as_json, debug, quiet, log):
-        from fg_orient.block import Image
-        from fg_orient.ground import intersection_records
+        from fg_orient.model.block import Image
+        from fg_orient.sensors.ground import intersection_records
 
         if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
-            from fg_orient.io.project import read_project
+            from fg_orient.formats.project import read_project
 
             _exclude({"PROJECT.toml": sources[0]}, {"--pixel": pixel or None})
             block = read_project(sources[0], extrapolate_attitude_s=extrapolate_attitude or None)
@@ -241,7 +241,7 @@ def _pixels_of(
     """Images and image points of one ground point, given on the command line."""
     import numpy as np
 
-    from fg_orient.block import Image, ImagePoints
+    from fg_orient.model.block import Image, ImagePoints
 
     if len(sources) < 2:
         raise InputError.of("cli.one_image", file=sources[0], place="IMAGE", value=f"{len(sources)} file")
@@ -274,7 +274,7 @@ def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[li
     """
     import numpy as np
 
-    from fg_orient.io.tables import Faults, number, read_table
+    from fg_orient.formats.tables import Faults, number, read_table
 
     faults = Faults(str(path))
     layouts = [("id", *names), *([("id", *names, optional)] if optional else [])]

@@ -21,7 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 #: What is said when the first kernel is compiled, where compiled kernels can be kept and where they cannot.
 COMPILING: Final = "compiling kernels, once per machine: about 15 s"
@@ -149,7 +149,7 @@ def opened(path: Path | None, *, as_json: bool, quiet: bool) -> Iterator[None]:
 def _tell_start(current: Session) -> None:
     if current.log is None:
         return
-    from fg_orient.versions import versions
+    from fg_orient.model.versions import versions
 
     current.tell("start", command=["fg-orient", *sys.argv[1:]], folder=str(Path.cwd()), process=os.getpid(),
                  versions=versions())  # fmt: skip

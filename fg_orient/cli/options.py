@@ -1,4 +1,4 @@
-"""Declared options (``fg_orient.options``) as options of commands."""
+"""Declared options (``fg_orient.model.options``) as options of commands."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import Annotated, Any, Final
 import typer
 
 from fg_orient.cli.output import flag
-from fg_orient.declaration import Names, Option, Three, declared
-from fg_orient.errors import InputError
+from fg_orient.model.declaration import Names, Option, Three, declared
+from fg_orient.model.errors import InputError
 
 #: Keyword argument of a command that receives the options that were given, by name.
 GIVEN = "options"

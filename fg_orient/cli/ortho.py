@@ -10,10 +10,10 @@ import typer
 from fg_orient.cli.common import Debug, Extrapolate, Json, Log, Overwrite, Quiet, outcome
 from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:
-    from fg_orient.raster.grid import Bounds
+    from fg_orient.rectification.grid import Bounds
 
 
 def ortho(
@@ -56,8 +56,8 @@ def ortho(
 ) -> None:
     """Rectify an image on a DEM (or a plane) to a GeoTIFF: by its sensor, adjusted or not, or by points."""
     with outcome(as_json, debug, quiet, log):
-        from fg_orient.raster.job import rectify_image
-        from fg_orient.raster.ortho import OrthoOptions
+        from fg_orient.rectification.ortho import OrthoOptions
+        from fg_orient.rectification.ortho_job import rectify_image
 
         options = OrthoOptions(resampling, allow_holes, cog)
         limits = _bounds(bounds) if bounds else None

@@ -10,9 +10,9 @@ from typing import Any
 import typer
 
 from fg_orient.cli.log import session
-from fg_orient.declaration import declared
-from fg_orient.errors import Finding, findings_of
-from fg_orient.options import Options, Reading
+from fg_orient.model.declaration import declared
+from fg_orient.model.errors import Finding, findings_of
+from fg_orient.model.options import Options, Reading
 
 #: Directions of a block, of which there may be dozens with one cause, and how many of them one line names.
 DIRECTIONS = ("adjust.rank_deficient", "adjust.rank_without_control")

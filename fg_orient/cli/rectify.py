@@ -12,7 +12,7 @@ import typer
 from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, number, outcome, table
 from fg_orient.cli.ortho import ortho
 from fg_orient.cli.output import emit, note, say, tell, tell_findings
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 app = typer.Typer(help="Rectify images: by points or on a DEM; plan the points, check the accuracy of a map.")
 app.command("ortho")(ortho)

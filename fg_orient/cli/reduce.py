@@ -12,11 +12,11 @@ from fg_orient.cli.common import Debug, Json, Log, Quiet, number, outcome, requi
 from fg_orient.cli.options import flags, named_as_typed, with_options
 from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
-from fg_orient.errors import InputError
-from fg_orient.options import Options
+from fg_orient.model.errors import InputError
+from fg_orient.model.options import Options
 
 if TYPE_CHECKING:
-    from fg_orient.reduction import Reduction
+    from fg_orient.orientation.reduction import Reduction
 
 
 @with_options(Options, only=("eop_set", "look_polynomial", "priors", "rpc_compensation"))
@@ -40,8 +40,8 @@ def reduce(
     with outcome(as_json, debug, quiet, log):
         folds = _folds(cross_validation)
         require_project(project)
-        from fg_orient.io.project import read_project
-        from fg_orient.reduction import reduce_unknowns
+        from fg_orient.formats.project import read_project
+        from fg_orient.orientation.reduction import reduce_unknowns
 
         with named_as_typed(flags(Options)):
             block = read_project(project, **options)
@@ -87,7 +87,7 @@ def show(found: Reduction) -> None:
     say(f"significant: image_unknowns = [{names}]")
     closest = found.closest_set
     if closest is not None:
-        from fg_orient.parameters import EOP_SETS
+        from fg_orient.model.parameters import EOP_SETS
 
         number_, less, more = closest
         differences = [*(f"without {name}" for name in less), *(f"with {name}" for name in more)]

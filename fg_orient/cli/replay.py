@@ -11,7 +11,7 @@ from fg_orient.cli.adjust import load
 from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome, table
 from fg_orient.cli.output import emit, say, tell, verdict
 from fg_orient.cli.progress import progress
-from fg_orient.names import EXIT_CODE, Status
+from fg_orient.model.names import EXIT_CODE, Status
 
 if TYPE_CHECKING:
     from fg_orient.run.replay import Replay

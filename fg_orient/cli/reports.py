@@ -10,7 +10,7 @@ import typer
 from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, number, outcome, table
 from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 
 def report(
@@ -50,13 +50,13 @@ def report(
             path, comparison = write_report(folder, truth)
         record: dict[str, Any] = {"report": str(path), "truth": comparison}
         if figures or figures_out is not None:
-            from fg_orient.figures.write import write_figures
+            from fg_orient.report.write import write_figures
 
             with progress_bar("drawing the figures") as progress:
                 drawn, names = write_figures(folder, figures_out, overwrite=overwrite, progress=progress)
             record["figures"] = {"folder": str(drawn), "files": names}
         if export is not None:
-            from fg_orient.figures.geofiles import export as write_layers
+            from fg_orient.report.geofiles import export as write_layers
 
             with progress_bar("writing the layers"):
                 features = write_layers(folder, export, vector_scale=vector_scale, overwrite=overwrite)

@@ -13,7 +13,7 @@ from fg_orient.cli.output import emit, say
 from fg_orient.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from fg_orient.reproduce.reproduction import Reproduction
+    from fg_orient.studies.reproduce.reproduction import Reproduction
 
 
 def reproduce(
@@ -51,7 +51,7 @@ def reproduce(
 ) -> None:
     """Run a published study again on the synthetic twin and compare, table by table."""
     with outcome(as_json, debug, quiet, log):
-        from fg_orient.reproduce.folder import reproduce_to
+        from fg_orient.studies.reproduce.folder import reproduce_to
 
         with progress_bar("tables") as callback:
             found, record = reproduce_to(
@@ -67,7 +67,7 @@ def reproduce(
 
 def _show(found: Reproduction, out: Path) -> None:
     """Print verdicts by table, claims, and where the result lies."""
-    from fg_orient.reproduce.html import LEGEND, verdict
+    from fg_orient.studies.reproduce.html import LEGEND, verdict
 
     words = verdict(found)
     say(words["title"])

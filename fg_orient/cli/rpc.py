@@ -22,13 +22,13 @@ from fg_orient.cli.common import (
 )
 from fg_orient.cli.output import emit, say, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
-from fg_orient.errors import InputError, judged
-from fg_orient.names import EXIT_CODE, Status
+from fg_orient.model.errors import InputError, judged
+from fg_orient.model.names import EXIT_CODE, Status
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from fg_orient.names import Progress
+    from fg_orient.model.names import Progress
     from fg_orient.rpc.fitting import FitOptions
     from fg_orient.sensors.rpc import RpcModel
 
@@ -302,8 +302,8 @@ def _fit_image(
     sensor: Any, source: Path, heights: tuple[float, float] | None, grid: tuple[int, int, int] | None,
     options: dict[str, Any],
 ) -> tuple[RpcModel, dict[str, Any]]:  # fmt: skip
-    from fg_orient.rfm.virtual_grid import SHAPE
     from fg_orient.rpc.fitting import fit_image
+    from fg_orient.rpc.virtual_grid import SHAPE
 
     if heights is None:
         raise InputError.of("rpc.no_heights", file=source, option="heights")

@@ -26,10 +26,10 @@ from fg_orient.cli.common import (
     with_result,
 )
 from fg_orient.cli.output import emit, say, tell
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:
-    from fg_orient.block import Image
+    from fg_orient.model.block import Image
 
 Sources = Annotated[
     list[Path], typer.Argument(metavar="IMAGE ... | PROJECT.toml", help="Metadata files, or one project file.")
@@ -58,7 +58,7 @@ def footprint(
     On the ground at --height or on --dem.
     """
     with outcome(as_json, debug, quiet, log):
-        from fg_orient.viewing import View, feature_collection, viewing_records
+        from fg_orient.sensors.viewing import View, feature_collection, viewing_records
 
         if (height is None) == (dem is None):
             code = "cli.no_height" if height is None else "cli.two_heights"
@@ -84,10 +84,10 @@ def footprint(
 
 def _images(sources: list[Path], model: str, extrapolate_s: float, result: Path | None) -> tuple[Image, ...]:
     """Images of a project, or of metadata files, numbered."""
-    from fg_orient.block import Image
+    from fg_orient.model.block import Image
 
     if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
-        from fg_orient.io.project import read_project
+        from fg_orient.formats.project import read_project
 
         images = read_project(sources[0], extrapolate_attitude_s=extrapolate_s or None).images
         if result is None:
@@ -98,7 +98,7 @@ def _images(sources: list[Path], model: str, extrapolate_s: float, result: Path 
 
 
 def _write(out: Path, collection: dict[str, Any]) -> None:
-    from fg_orient.io.atomic import write_text
+    from fg_orient.formats.atomic import write_text
     from fg_orient.run.json import dumps
 
     write_text(out, dumps(collection, indent=1) + "\n")

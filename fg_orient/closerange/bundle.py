@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
-from factors.extended_collinearity import NAMES
+from factors.cameras.extended_collinearity import NAMES
+from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, LoopResult
 from fg_orient.adjustment.network import DenseNetwork, Network, Rows, bordered_inverse, dependent
 from fg_orient.adjustment.network_graph import GraphNetwork
@@ -21,9 +23,7 @@ from fg_orient.closerange.consistent import HELD, missed_most, require_consisten
 from fg_orient.closerange.constraints import JUDGED, Constraint
 from fg_orient.closerange.fitting import as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Interior, Photo
-from fg_orient.errors import FgOrientError, InputError, NoSolutionError
-from fg_orient.linear.system import MAX_UNKNOWNS
-from fg_orient.linear.threads import one_blas_thread
+from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -49,9 +49,10 @@ class BundlePhoto:
     centre_m : (3,) array
         Start.
     unknown : tuple of str
-        Camera parameters of this photo alone (photo-variant): c, x0, y0, the names of ``factors.image_corrections``,
-        a1 to a21 of ``factors.additional_parameters``, and the names of ``factors.image_variants``, whose radius is
-        that of the camera's outermost image point. ``closerange.corrections`` has sets of them.
+        Camera parameters of this photo alone (photo-variant): c, x0, y0, the names of
+        ``factors.cameras.image_corrections``, a1 to a21 of ``factors.cameras.additional_parameters``, and the names of
+        ``factors.cameras.image_variants``, whose radius is that of the camera's outermost image point.
+        ``closerange.corrections`` has sets of them.
     camera : str
         Photos of one camera have its ``shared`` unknowns in common.
     shared : tuple of str

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.extended_collinearity import EXTENDED_COLLINEARITY
+from factors.cameras.extended_collinearity import EXTENDED_COLLINEARITY
 from fg_orient.adjustment.network import Rows
 from fg_orient.closerange.bundle_network import Built
 from fg_orient.closerange.fitting import RANK_LIMIT, UNDETERMINED
-from fg_orient.errors import InputError, finding
+from fg_orient.model.errors import InputError, finding
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import Callback
 from fg_orient.closerange.bundle import BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_record import bundle_record
@@ -27,10 +28,9 @@ from fg_orient.closerange.job import (
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.resection import resect
 from fg_orient.closerange.stations import Station, read_stations, station_sigmas
-from fg_orient.errors import Finding, InputError, Option, finding
-from fg_orient.io.constraints import ConstraintEntry, read_constraints
-from fg_orient.io.photos import read_photos
-from fg_orient.linear.threads import one_blas_thread
+from fg_orient.formats.constraints import ConstraintEntry, read_constraints
+from fg_orient.formats.photos import read_photos
+from fg_orient.model.errors import Finding, InputError, Option, finding
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -60,7 +60,7 @@ def run_bundle(
     start : Path, optional
         New points, all to be determined, with start coordinates in the same columns; others are intersected.
     constraints : Path, optional
-        See ``io.constraints``.
+        See ``formats.constraints``.
     stations : Path, optional
         Observed projection centres and attitudes, see :func:`fg_orient.closerange.stations.read_stations`.
     check : Path, optional

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.control import CONTROL_POINT
-from factors.control import POINT as PLACE
-from factors.extended_collinearity import CAMERA, EXTENDED_COLLINEARITY, NAMES, RECORD
-from factors.frame_camera import rotated
+from factors.cameras.extended_collinearity import CAMERA, EXTENDED_COLLINEARITY, NAMES, RECORD
+from factors.cameras.frame_camera import rotated
+from factors.conditions.control import CONTROL_POINT
+from factors.conditions.control import POINT as PLACE
 from fg_orient.adjustment.network import Network, Observation, Rows, Variable
 from fg_orient.closerange.constraints import (
     FIGURES,
@@ -28,7 +28,7 @@ from fg_orient.closerange.constraints import (
     variable_of,
 )
 from fg_orient.closerange.photo import Interior
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.model.errors import InputError, NoSolutionError
 
 if TYPE_CHECKING:
     from fg_orient.closerange.bundle import BundlePhoto

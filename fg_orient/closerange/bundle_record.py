@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.extended_collinearity import NAMES
+from factors.cameras.extended_collinearity import NAMES
 from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.bundle import Adjustment, Bundle
 from fg_orient.closerange.bundle_network import camera_of
@@ -17,7 +17,7 @@ from fg_orient.closerange.distortion import profile
 from fg_orient.closerange.files import Observed
 from fg_orient.closerange.job import Record, covariances, exterior_record, no_redundancy, xyz
 from fg_orient.closerange.stations import Station, observed_record
-from fg_orient.errors import Finding, as_record, finding
+from fg_orient.model.errors import Finding, as_record, finding
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, noncentrality
 
 Array = npt.NDArray[np.float64]

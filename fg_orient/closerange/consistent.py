@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from factors._contract import NotFiniteError
 from fg_orient.adjustment.network import DEPENDENT, Network, Observation, Rows, dependent
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from factors import additional_parameters as brown
-from factors.extended_collinearity import NAMES
-from fg_orient.errors import InputError
+from factors.cameras import additional_parameters as brown
+from factors.cameras.extended_collinearity import NAMES
+from fg_orient.model.errors import InputError
 
 #: Camera parameters of a form, by its name. dr is radial, along r; equation numbers are those of Ayhan 1996.
 SETS: Final[dict[str, tuple[str, ...]]] = {

@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import additional_parameters as brown
-from factors import image_corrections as lens
-from factors import image_variants as variants
-from factors.extended_collinearity import CAMERA, NAMES
+from factors.cameras import additional_parameters as brown
+from factors.cameras import image_corrections as lens
+from factors.cameras import image_variants as variants
+from factors.cameras.extended_collinearity import CAMERA, NAMES
 
 Array = npt.NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def profile(camera: Array, rim: float, names: Sequence[str], covariance: Array) 
     Parameters
     ----------
     camera : (40,) array
-        Parameters in the order of ``factors.extended_collinearity.NAMES``.
+        Parameters in the order of ``factors.cameras.extended_collinearity.NAMES``.
     rim : float
         Radius of the outermost image point, image units.
     names : sequence of str

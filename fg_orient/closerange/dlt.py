@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.dlt import DLT, N_DISTORTION, RECORD
-from factors.image_corrections import NAMES
+from factors.cameras.dlt import DLT, N_DISTORTION, RECORD
+from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.fitting import (
     RANK_LIMIT,
     UNDETERMINED,
@@ -26,7 +26,7 @@ from fg_orient.closerange.fitting import (
 )
 from fg_orient.closerange.flatness import require_depth
 from fg_orient.closerange.photo import Photo, YAxis, corrections_of
-from fg_orient.errors import Finding, InputError, NoSolutionError
+from fg_orient.model.errors import Finding, InputError, NoSolutionError
 from fg_orient.rectification.transformation import Scaling
 
 Array = npt.NDArray[np.float64]

@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.closerange.report import read_record
-from fg_orient.closerange.report.maps import AXES, VIEWS, Scene, scene_of
-from fg_orient.closerange.report.plots import band_factor, by_photo, y_down
-from fg_orient.errors import InputError
-from fg_orient.figures import style
-from fg_orient.figures.write import FIGURES, FOLDER, FORMATS, draw_figures, write_files
-from fg_orient.io.folder import require_free
-from fg_orient.names import Progress
+from fg_orient.closerange.report_maps import AXES, VIEWS, Scene, scene_of
+from fg_orient.closerange.report_plots import band_factor, by_photo, y_down
+from fg_orient.formats.folder import require_free
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Progress
+from fg_orient.report import style
 from fg_orient.report.scale import thousands
+from fg_orient.report.write import FIGURES, FOLDER, FORMATS, draw_figures, write_files
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.image_corrections import NAMES
+from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Interior, Photo
-from fg_orient.errors import InputError
-from fg_orient.io.photos import LARGEST, SMALLEST
-from fg_orient.io.tables import Faults, Row, Table, number, read_table
+from fg_orient.formats.photos import LARGEST, SMALLEST
+from fg_orient.formats.tables import Faults, Row, Table, number, read_table
+from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:
-    from fg_orient.io.photos import Photos
+    from fg_orient.formats.photos import Photos
 
 Array = npt.NDArray[np.float64]
 

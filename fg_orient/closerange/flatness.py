@@ -22,8 +22,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.distributions import normal_quantile, t_quantile
-from fg_orient.errors import Finding, InputError, finding
+from fg_orient.model.distributions import normal_quantile, t_quantile
+from fg_orient.model.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from fg_orient.closerange.fitting import UNDETERMINED, as_points, require_sigmas, unit_weight
 from fg_orient.closerange.photo import Photo
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.model.errors import InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -12,6 +12,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.closerange.axes import aerial_from_rotation
 from fg_orient.closerange.dlt import DltFit, fit_dlt
 from fg_orient.closerange.files import (
@@ -28,19 +29,18 @@ from fg_orient.closerange.fitting import plain_rms
 from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.photo import Photo
 from fg_orient.closerange.report import RECORD_FILE, REPORT_FILE
-from fg_orient.closerange.report.html import render
-from fg_orient.closerange.report.words import doubts
+from fg_orient.closerange.report_html import render
+from fg_orient.closerange.report_words import doubts
 from fg_orient.closerange.resection import Resection, resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Method, Priors, fit_surface
-from fg_orient.errors import Finding, InputError, Option, as_record, finding
-from fg_orient.io.atomic import write_text
-from fg_orient.io.folder import Contents, require_free, staged_folder, writing
-from fg_orient.io.photos import read_photos
-from fg_orient.linear.threads import one_blas_thread
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
+from fg_orient.formats.photos import read_photos
+from fg_orient.model.errors import Finding, InputError, Option, as_record, finding
+from fg_orient.model.versions import versions
 from fg_orient.run.json import dumps
 from fg_orient.run.provenance import sha256_of
-from fg_orient.versions import versions
 
 Array = npt.NDArray[np.float64]
 Record = dict[str, Any]

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import evaluate
-from factors.coplanarity import COPLANARITY, turn_and_base
-from factors.coplanarity import RECORD as PAIR
-from factors.frame_camera import CAMERA, rotated
-from factors.similarity import RECORD, SIMILARITY
+from factors.cameras.frame_camera import CAMERA, rotated
+from factors.conditions.coplanarity import COPLANARITY, turn_and_base
+from factors.conditions.coplanarity import RECORD as PAIR
+from factors.conditions.similarity import RECORD, SIMILARITY
 from fg_orient.closerange.curvature import bend
 from fg_orient.closerange.feet import Conditions, distance_rows, weighted_distances
 from fg_orient.closerange.fitting import (
@@ -32,9 +32,9 @@ from fg_orient.closerange.fitting import (
 from fg_orient.closerange.photo import Interior
 from fg_orient.closerange.relative_starts import require_base, start_pairs
 from fg_orient.closerange.rivals import SAME, likeness, ratio_limit, told_apart
-from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.initial import nearest_points
+from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rectification.transformation import Scaling
+from fg_orient.sensors.initial import nearest_points
 
 Array = npt.NDArray[np.float64]
 
@@ -332,7 +332,7 @@ def absolute_orientation(model: npt.ArrayLike, ground_m: npt.ArrayLike, *, sigma
 
     Notes
     -----
-    Start in closed form (Umeyama 1991), which is the solution for equal sigmas; then ``factors.similarity``.
+    Start in closed form (Umeyama 1991), which is the solution for equal sigmas; then ``factors.conditions.similarity``.
     """
     source, target = as_points(model, 3, "model", InputError.of), as_points(ground_m, 3, "ground", InputError.of)
     sigma = np.broadcast_to(np.asarray(sigma_m, float), target.shape)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.closerange.fitting import as_points
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

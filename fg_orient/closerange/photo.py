@@ -13,9 +13,9 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from factors.image_corrections import AT, NAMES, ideal_points, slopes
+from factors.cameras.image_corrections import AT, NAMES, ideal_points, slopes
 from fg_orient.closerange.fitting import as_points
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.sensors.frame import FrameCamera
 
 Array = npt.NDArray[np.float64]
@@ -37,7 +37,7 @@ class Interior:
     principal : (2,) array
         x, y of the principal point.
     corrections : (7,) array
-        k1 k2 k3 P1 P2 A B that lead measured coordinates to ideal ones (``factors.image_corrections``).
+        k1 k2 k3 P1 P2 A B that lead measured coordinates to ideal ones (``factors.cameras.image_corrections``).
     y_axis : "up" or "down"
         Where y points in the image.
 

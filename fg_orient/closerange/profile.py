@@ -15,8 +15,8 @@ import numpy.typing as npt
 from fg_orient.adjustment.dense import RowsBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.closerange.fitting import MAX_ITERATIONS, UNDETERMINED, Rows, finite_rows
-from fg_orient.distributions import chi_square_limit, f_quantile
-from fg_orient.errors import NoSolutionError
+from fg_orient.model.distributions import chi_square_limit, f_quantile
+from fg_orient.model.errors import NoSolutionError
 
 Array = npt.NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.distributions import chi_square_limit, f_quantile
-from fg_orient.errors import InputError
+from fg_orient.model.distributions import chi_square_limit, f_quantile
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.transformation import Scaling
 
 Array = npt.NDArray[np.float64]

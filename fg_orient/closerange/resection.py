@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, RECORD, camera
-from factors.frame_camera import CAMERA
+from factors.cameras.frame import FRAME_BROWN_IDEAL_TO_MEASURED, RECORD, camera
+from factors.cameras.frame_camera import CAMERA
 from fg_orient.closerange.curvature import bend
 from fg_orient.closerange.dlt import direct_dlt, recover
 from fg_orient.closerange.fitting import (
@@ -26,7 +26,7 @@ from fg_orient.closerange.fitting import (
 )
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.rivals import SAME, likeness, ratio_limit
-from fg_orient.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
+from fg_orient.model.errors import FgOrientError, Finding, InputError, NoSolutionError, finding
 from fg_orient.rectification.transformation import Scaling
 
 Array = npt.NDArray[np.float64]
@@ -137,9 +137,9 @@ def resect(
     Notes
     -----
     Start: three points at a time (Grunert 1841 in the form of Haralick et al. 1994), and DLT from six points on. The
-    adjustment is that of ``factors.frame`` with the distortion taken off the observations. Of all minima found the one
-    with the smallest weighted squares is the answer; the mirrored pose of a plane (Schweighofer & Pinz 2006) is always
-    tried, and told if it fits as well.
+    adjustment is that of ``factors.cameras.frame`` with the distortion taken off the observations. Of all minima found
+    the one with the smallest weighted squares is the answer; the mirrored pose of a plane (Schweighofer & Pinz 2006) is
+    always tried, and told if it fits as well.
     """
     ground = as_points(ground_m, 3, "ground", InputError.of)
     measured = as_points(image, 2, "image", InputError.of)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from fg_orient.distributions import chi_square_limit, f_quantile
+from fg_orient.model.distributions import chi_square_limit, f_quantile
 
 #: Level of the test that tells two minima apart.
 LEVEL: Final = 0.05

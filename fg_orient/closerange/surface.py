@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from fg_orient.closerange.feet import Conditions, feet
 from fg_orient.closerange.fitting import as_points
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["sphere", "spheroid", "ellipsoid", "quadric"]
@@ -33,7 +33,7 @@ class Surface:
     rotation : (3, 3) array
         Axes of the surface from those of the coordinates.
     coefficients : (10,) array
-        Of a quadric: A to J of ``factors.surfaces`` in ``(p - centre)/semi_axes``; else empty.
+        Of a quadric: A to J of ``factors.conditions.surfaces`` in ``(p - centre)/semi_axes``; else empty.
     """
 
     kind: Kind

@@ -32,8 +32,8 @@ from fg_orient.closerange.fitting import (
 from fg_orient.closerange.profile import followed, held, reach
 from fg_orient.closerange.surface import Kind, Surface
 from fg_orient.closerange.surface_models import Model, models_of
-from fg_orient.errors import FgOrientError, InputError, NoSolutionError
-from fg_orient.io.photos import LARGEST, SMALLEST
+from fg_orient.formats.photos import LARGEST, SMALLEST
+from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]
 Method = Literal["geometric", "algebraic"]
@@ -139,7 +139,8 @@ def fit_surface(
         weigh as beside points of 1 m.
     method : "geometric" or "algebraic"
         Least weighted squares of the distances to the surface, or least squares of the conditions of
-        ``factors.surfaces`` with equal weights (Ayhan 1996, eqs. 138-154; the coefficients of a quadric of length 1).
+        ``factors.conditions.surfaces`` with equal weights (Ayhan 1996, eqs. 138-154; the coefficients of a quadric of
+        length 1).
     priors : mapping, optional
         Observed parameters by name, value and sigma, m or rad (geometric method).
 

@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import surfaces
 from factors._contract import Equation, evaluate
-from factors.frame_camera import CAMERA
-from factors.surfaces import RECORD
+from factors.cameras.frame_camera import CAMERA
+from factors.conditions import surfaces
+from factors.conditions.surfaces import RECORD
 from fg_orient.closerange.feet import Conditions
 from fg_orient.closerange.surface import Kind, Surface, quadric_matrices
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.distributions import binomial_limit, chi_square_limit, sidak
+from fg_orient.model.distributions import binomial_limit, chi_square_limit, sidak
 
 Array = npt.NDArray[np.float64]
 

@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.solve import Estimate
-from fg_orient.errors import Finding, finding
-from fg_orient.linear.threads import one_blas_thread
+from fg_orient.model.errors import Finding, finding
 
 #: Beyond this condition solutions of different solvers agree to 5 or 6 digits only (eps times condition is 2e-6).
 ILL_CONDITIONED: Final = 1e10

@@ -12,11 +12,11 @@ from typing import Final
 
 import numpy as np
 
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.rows import image_rows, rows_by_image
-from fg_orient.block import Block
-from fg_orient.errors import FgOrientError, Finding, InputError, RankDeficientError, finding
-from fg_orient.linear.threads import one_blas_thread
+from fg_orient.model.block import Block
+from fg_orient.model.errors import FgOrientError, Finding, InputError, RankDeficientError, finding
 from fg_orient.quality.observability import (
     BlockObservability,
     ImageObservability,

@@ -16,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid
-from fg_orient.block import Block
-from fg_orient.distributions import t_quantile
-from fg_orient.errors import Finding, InputError, as_record, finding
+from factors.geometry import ellipsoid
 from fg_orient.geodesy import enu_from_ecef
+from fg_orient.model.block import Block
+from fg_orient.model.distributions import t_quantile
+from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.surface import RasterDem
 

@@ -21,12 +21,12 @@ from scipy.linalg import qr
 
 from factors._contract import Argument, Equation, Example
 from fg_orient.adjustment.dense import Columns
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import linearised
 from fg_orient.adjustment.solve import Estimate
-from fg_orient.block import Block, ExtraObservation
-from fg_orient.errors import InputError, finding
-from fg_orient.linear.threads import one_blas_thread
+from fg_orient.model.block import Block, ExtraObservation
+from fg_orient.model.errors import InputError, finding
 from fg_orient.quality.covariance import Cofactors, Indeterminate, MatrixCofactors, NamedMatrix
 from fg_orient.quality.datum import datum_step, s_transform
 from fg_orient.quality.elimination import eliminated, followed_by_ground

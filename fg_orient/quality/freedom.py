@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.errors import NoSolutionError
+from fg_orient.model.errors import NoSolutionError
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.observation_groups import groups_of

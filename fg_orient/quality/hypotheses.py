@@ -20,7 +20,7 @@ from typing import Final, get_args
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.distributions import (
+from fg_orient.model.distributions import (
     beta_limit,
     beta_probability,
     beta_quantile,
@@ -31,8 +31,8 @@ from fg_orient.distributions import (
     holm,
     sidak,
 )
-from fg_orient.errors import InputError
-from fg_orient.options import MultipleTesting, OutlierTest
+from fg_orient.model.errors import InputError
+from fg_orient.model.options import MultipleTesting, OutlierTest
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.quality.covariance import Cofactors, NamedMatrix
 
 Array = npt.NDArray[np.float64]

@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid
-from fg_orient import initial
+from factors.geometry import ellipsoid
 from fg_orient.adjustment.problem import Problem, State, whitened_records
 from fg_orient.adjustment.rows import linearised, side_by_side
-from fg_orient.block import ImagePoints
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.model.block import ImagePoints
+from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.regions import ErrorEllipse, error_ellipse, radius
+from fg_orient.sensors import initial
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.rpc_sensor import RpcSensor
 

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Block
-from fg_orient.errors import FgOrientError, Finding, finding
+from fg_orient.model.block import Block
+from fg_orient.model.errors import FgOrientError, Finding, finding
 
 Array = npt.NDArray[np.float64]
 

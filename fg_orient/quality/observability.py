@@ -22,12 +22,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import linearised
-from fg_orient.errors import Finding, finding
-from fg_orient.linear.system import MAX_UNKNOWNS
-from fg_orient.parameters import ImageParameters
+from fg_orient.model.errors import Finding, finding
+from fg_orient.model.parameters import ImageParameters
 from fg_orient.quality.elimination import eliminated, eliminated_with_own
 from fg_orient.quality.motions import SHIFT_M, UNOBSERVABLE, FreeMotions, free_motions
 from fg_orient.quality.on_board import held_on_board

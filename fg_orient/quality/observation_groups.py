@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
-from fg_orient.block import Block, Coordinates
-from fg_orient.errors import InputError
-from fg_orient.names import Role
-from fg_orient.options import USUAL_GROUPS
-from fg_orient.parameters import N_EOP, parameter_name
+from fg_orient.model.block import Block, Coordinates
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
+from fg_orient.model.options import USUAL_GROUPS
+from fg_orient.model.parameters import N_EOP, parameter_name
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -4,7 +4,7 @@ Suspected of an error of any size and direction are an image point (line, sample
 (East, North) and its height (Up); or single coordinates; or whole ground points (``fg_orient.quality.suspects``).
 Tests and the control of many tests at once: ``fg_orient.quality.hypotheses``. What no other observation checks cannot
 be tested. Suspects that one error cannot tell apart (position of a control point and its only image point) count as
-one hypothesis and are named together. The search that leaves them out is ``fg_orient.outlier_search``.
+one hypothesis and are named together. The search that leaves them out is ``fg_orient.orientation.outlier_search``.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.errors import InputError
-from fg_orient.options import Options
+from fg_orient.model.errors import InputError
+from fg_orient.model.options import Options
 from fg_orient.quality import hypotheses
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.freedom import freedoms

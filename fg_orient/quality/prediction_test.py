@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.distributions import chi_square_interval, normal_probability, sidak, t_quantile
-from fg_orient.errors import NoSolutionError
+from fg_orient.model.distributions import chi_square_interval, normal_probability, sidak, t_quantile
+from fg_orient.model.errors import NoSolutionError
 from fg_orient.quality.accuracy import AXES, PointDifferences
 from fg_orient.quality.covariance import Cofactors
 

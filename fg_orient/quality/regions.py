@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.distributions import chi_square_limit, normal_quantile, normal_within
+from fg_orient.model.distributions import chi_square_limit, normal_quantile, normal_within
 
 Array = npt.NDArray[np.float64]
 

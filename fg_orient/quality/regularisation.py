@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from fg_orient.adjustment.dense import DenseBackend
+from fg_orient.adjustment.linear.l_curve import LCurve, l_curve_of
+from fg_orient.adjustment.linear.registry import attempt, solver
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.problem import Problem
-from fg_orient.linear.l_curve import LCurve, l_curve_of
-from fg_orient.linear.registry import attempt, solver
 
 
 @dataclass(frozen=True)

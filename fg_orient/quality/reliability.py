@@ -20,11 +20,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import residuals
-from fg_orient.distributions import chi_square_limit, chi_square_noncentrality
-from fg_orient.errors import InputError
+from fg_orient.model.distributions import chi_square_limit, chi_square_noncentrality
+from fg_orient.model.errors import InputError
 from fg_orient.quality.residuals import ResidualCofactors
 
 Array = npt.NDArray[np.float64]

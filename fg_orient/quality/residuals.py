@@ -16,7 +16,7 @@ from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.point_cofactors import RayCofactors, blocks_of_images, cofactors_of_rays, inverse_roots
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
-from fg_orient.block import ExtraObservation
+from fg_orient.model.block import ExtraObservation
 from fg_orient.quality.covariance import Cofactors
 
 Array = npt.NDArray[np.float64]

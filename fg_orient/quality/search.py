@@ -1,10 +1,10 @@
-"""What a search for gross errors found, round by round (``fg_orient.outlier_search``)."""
+"""What a search for gross errors found, round by round (``fg_orient.orientation.outlier_search``)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fg_orient.errors import Finding, finding
+from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.outliers import GroupTest
 from fg_orient.quality.prediction import Fit
 

@@ -8,7 +8,7 @@ Holm's (1979) probability over all coefficients, F groups are tests of their own
 
 A prior observation says the same as the hypothesis. It belongs to x and Q, and an unknown that its prior holds
 (``prior_share`` near 1) is never significant: the observations do not speak of it. Correlated unknowns may each be
-insignificant although together they are not, so they are dropped one at a time (``fg_orient.reduction``).
+insignificant although together they are not, so they are dropped one at a time (``fg_orient.orientation.reduction``).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.distributions import f_tail, holm, t_two_sided
-from fg_orient.errors import NoSolutionError
-from fg_orient.parameters import term_of
+from fg_orient.model.distributions import f_tail, holm, t_two_sided
+from fg_orient.model.errors import NoSolutionError
+from fg_orient.model.parameters import term_of
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.freedom import UnknownFreedom
 

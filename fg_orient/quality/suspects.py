@@ -17,7 +17,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows, linearised, residuals, side_by_side

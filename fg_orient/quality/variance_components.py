@@ -10,7 +10,7 @@ Both have the same fixed point, s_i = 1 for all groups, since the rows of S sum 
 residual (restricted) likelihood (Patterson & Thompson 1971), and ``2 S^-1`` the covariance of the s_i^2. Helmert's
 equations reach it in a few rounds (S point by point: ``fg_orient.quality.group_cofactors``); Foerstner's are never
 negative and are taken for variances that Helmert's make negative, and where image unknowns and groups are too many.
-A round of either needs a new adjustment (``fg_orient.components``).
+A round of either needs a new adjustment (``fg_orient.orientation.components``).
 
 What is not named in ``groups`` has the sigmas that it was given. A component whose estimate is not above its own
 standard deviation has too little redundancy: it is held. The robust variant puts medians in the place of sums; half
@@ -27,12 +27,12 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.problem import Problem, State, participates
 from fg_orient.adjustment.rows import residuals
-from fg_orient.distributions import chi_square_median
-from fg_orient.errors import Finding, InputError, finding
-from fg_orient.options import USUAL_GROUPS
+from fg_orient.model.distributions import chi_square_median
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.options import USUAL_GROUPS
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.quality.group_cofactors import LARGEST, GroupCofactors, cost
 from fg_orient.quality.observation_groups import Groups, groups_of

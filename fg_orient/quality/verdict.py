@@ -14,9 +14,9 @@ import numpy as np
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.robust import UNWEIGHED, Weights, are_information
 from fg_orient.adjustment.solve import Estimate
-from fg_orient.distributions import chi_square_interval
-from fg_orient.errors import Finding, finding
-from fg_orient.names import Role, Status
+from fg_orient.model.distributions import chi_square_interval
+from fg_orient.model.errors import Finding, finding
+from fg_orient.model.names import Role, Status
 from fg_orient.quality import conditioning
 from fg_orient.quality.accuracy import ASPRS_MINIMUM, Accuracy, PointDifferences
 from fg_orient.quality.observability import BlockObservability, ImageObservability

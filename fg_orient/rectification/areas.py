@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, number, positive, whole
 
 Array = npt.NDArray[np.float64]

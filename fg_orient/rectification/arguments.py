@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 

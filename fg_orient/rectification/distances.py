@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite
 
 Array = npt.NDArray[np.float64]

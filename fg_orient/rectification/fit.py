@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.plane import RECORD
+from factors.cameras.plane import RECORD
 from fg_orient.adjustment.dense import RowsBackend, equation_rows
 from fg_orient.adjustment.loop import OPTIMIZERS, IterationRecord
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rectification.arguments import finite, numbers
 from fg_orient.rectification.layout import Reach, reaches
 from fg_orient.rectification.models import Model

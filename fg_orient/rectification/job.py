@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError, Option
-from fg_orient.io.folder import require_free, staged_folder, writing
-from fg_orient.io.tables import Faults, number, read_table
-from fg_orient.linear.threads import one_blas_thread
+from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.formats.folder import require_free, staged_folder, writing
+from fg_orient.formats.tables import Faults, number, read_table
+from fg_orient.model.errors import InputError, Option
+from fg_orient.model.versions import versions
 from fg_orient.rectification.arguments import positive
 from fg_orient.rectification.distances import PairDistances, pair_distances
 from fg_orient.rectification.folder import CONTENTS, write_folder
@@ -34,7 +35,6 @@ from fg_orient.rectification.points import (
 )
 from fg_orient.rectification.record import record_of
 from fg_orient.rectification.study import Cell, design_study
-from fg_orient.versions import versions
 
 Array = npt.NDArray[np.float64]
 

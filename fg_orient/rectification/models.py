@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import line_scanner, plane
 from factors._contract import Equation
-from fg_orient.errors import InputError
+from factors.cameras import line_scanner, plane
+from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 #: Gives start values of the unknowns from normalised source and target coordinates.

@@ -17,8 +17,8 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.distributions import f_quantile, f_tail
-from fg_orient.errors import NoSolutionError
+from fg_orient.model.distributions import f_quantile, f_tail
+from fg_orient.model.errors import NoSolutionError
 from fg_orient.quality.hypotheses import can_be_tested, f_statistics
 from fg_orient.quality.rejection import reject
 from fg_orient.quality.suspects import quadratic

@@ -15,9 +15,9 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError, Option
+from fg_orient.formats.tables import Faults, Row, number, read_table
 from fg_orient.geodesy import crs_kind, from_geographic
-from fg_orient.io.tables import Faults, Row, number, read_table
+from fg_orient.model.errors import InputError, Option
 from fg_orient.rectification.fit import Fit, Observations, fit, plain_rmse
 from fg_orient.rectification.models import Model
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import as_record
+from fg_orient.model.errors import as_record
 from fg_orient.rectification.distances import PairDistances
 from fg_orient.rectification.fit import Observations
 from fg_orient.rectification.outliers import PointTests, Pruning, check_tests, point_tests

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.distributions import f_tail
-from fg_orient.errors import Finding, finding
 from fg_orient.geodesy import area_of_use, to_geographic
+from fg_orient.model.distributions import f_tail
+from fg_orient.model.errors import Finding, finding
 from fg_orient.rectification.outliers import PointTests, Pruning
 from fg_orient.rectification.points import DIRECTIONS, PointFit
 

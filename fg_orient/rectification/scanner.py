@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, number, positive
 
 Array = npt.NDArray[np.float64]

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError, Option
+from fg_orient.model.errors import InputError, Option
 from fg_orient.rectification.arguments import number, positive
 from fg_orient.rectification.fit import plain_rmse
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.distributions import f_tail
-from fg_orient.errors import InputError, Option
+from fg_orient.model.distributions import f_tail
+from fg_orient.model.errors import InputError, Option
 from fg_orient.rectification.arguments import finite, positive, whole
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
 from fg_orient.rectification.models import find_model

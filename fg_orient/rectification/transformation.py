@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.plane_batch import targets_of
-from fg_orient.errors import InputError
+from fg_orient.kernels.plane_batch import targets_of
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.models import Model, find_model
 
 Array = npt.NDArray[np.float64]

@@ -34,7 +34,7 @@ def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[P
     InputError
         The folder holds no result, or the truth does not belong to it.
     """
-    from fg_orient.io.atomic import write_text
+    from fg_orient.formats.atomic import write_text
     from fg_orient.report.data import nothing_adjusted, read_record, read_result
     from fg_orient.report.html import render
 

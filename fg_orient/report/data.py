@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
-from fg_orient.names import Status
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Status
 
 Array = npt.NDArray[np.float64]
 

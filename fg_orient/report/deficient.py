@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.report.data import Columns, Result, read_columns
 from fg_orient.report.extent import view_of
 from fg_orient.report.page import environment

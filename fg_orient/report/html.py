@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.errors import DECISIVE, findings_of
+from fg_orient.model.errors import DECISIVE, findings_of
 from fg_orient.report.charts import correction_chart, heat_maps, iteration_charts, redundancy_chart
 from fg_orient.report.data import Result, residual_summary
 from fg_orient.report.extent import view_of

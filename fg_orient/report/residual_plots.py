@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from fg_orient.distributions import normal_probability, normal_quantile
+from fg_orient.model.distributions import normal_probability, normal_quantile
 from fg_orient.report.data import Result
 from fg_orient.report.panel import Panel, ticks
 from fg_orient.report.scale import round_down

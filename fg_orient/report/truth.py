@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
-from fg_orient.parameters import N_EOP, parameter_name
+from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import N_EOP, parameter_name
 from fg_orient.report.data import Columns, Result, read_columns
 
 Array = npt.NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from fg_orient.errors import findings_of
+from fg_orient.model.errors import findings_of
 
 
 def orientation_words(record: dict[str, Any]) -> str:

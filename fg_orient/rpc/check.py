@@ -12,11 +12,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid, rfm
-from factors.rfm_project import RANGE
-from fg_orient.errors import Finding, InputError, finding, judged
-from fg_orient.io.rpc_dimap import AGREEMENT_PX
-from fg_orient.io.sensor import read_sensor
+from factors.cameras import rfm
+from factors.cameras.rfm_project import RANGE
+from factors.geometry import ellipsoid
+from fg_orient.formats.rpc_dimap import AGREEMENT_PX
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.rpc.compensate import residuals
 from fg_orient.rpc.files import RpcFile, describe
 from fg_orient.rpc.points import MeasuredPoints, statistics

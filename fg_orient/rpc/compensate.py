@@ -16,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import rfm
-from factors.rfm_equation import COMPENSATION, COMPENSATIONS
-from factors.rfm_project import RANGE
-from fg_orient.distributions import f_quantile
-from fg_orient.errors import Finding, InputError, NoSolutionError, Option, finding
+from factors.cameras import rfm
+from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS
+from factors.cameras.rfm_project import RANGE
+from fg_orient.model.distributions import f_quantile
+from fg_orient.model.errors import Finding, InputError, NoSolutionError, Option, finding
 from fg_orient.quality.hypotheses import f_statistics
 from fg_orient.quality.rejection import MOST, reject
 from fg_orient.rpc.points import MeasuredPoints

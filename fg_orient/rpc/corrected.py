@@ -14,9 +14,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.rfm_project import COMPENSATION, RANGE
-from factors.rfm_terms import terms
-from fg_orient.errors import finding
+from factors.cameras.rfm_project import COMPENSATION, RANGE
+from factors.cameras.rfm_terms import terms
+from fg_orient.model.errors import finding
 from fg_orient.rpc.points import statistics
 from fg_orient.sensors.rpc import RpcModel
 
@@ -54,7 +54,7 @@ def corrected(model: RpcModel, values: Array, *, seed: int = 1) -> Corrected:
     ----------
     model : RpcModel
     values : (6,) array
-        Pixels, see ``factors.rfm_project``.
+        Pixels, see ``factors.cameras.rfm_project``.
     seed : int
         Of the independent points.
     """

@@ -11,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.rfm_project import RANGE
-from fg_orient.errors import InputError
-from fg_orient.io.rpc import FORMATS, read_rpc
-from fg_orient.io.rpc_fields import USUAL_ORDER
+from factors.cameras.rfm_project import RANGE
+from fg_orient.formats.rpc import FORMATS, read_rpc
+from fg_orient.formats.rpc_fields import USUAL_ORDER
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
 Array = npt.NDArray[np.float64]
@@ -47,7 +47,7 @@ def open_rpc(path: str | os.PathLike[str], *, order: str = USUAL_ORDER, first_pi
     Parameters
     ----------
     path, order, first_pixel
-        See :func:`fg_orient.io.rpc.read_rpc`.
+        See :func:`fg_orient.formats.rpc.read_rpc`.
 
     Raises
     ------

@@ -8,17 +8,17 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import Finding, InputError, finding, judged
-from fg_orient.names import Progress
-from fg_orient.rfm.estimate import SOLVER, Penalty, fit_linear, fit_true, fit_weighted
-from fg_orient.rfm.fit import RfmFit
-from fg_orient.rfm.form import Denominators, RfmForm
-from fg_orient.rfm.points import ControlPoints
-from fg_orient.rfm.select import fit_selected
-from fg_orient.rfm.validate import CrossValidation, cross_validate
-from fg_orient.rfm.virtual_grid import SHAPE, Errors, LocatingSensor, fit_sensor
+from fg_orient.model.errors import Finding, InputError, finding, judged
+from fg_orient.model.names import Progress
 from fg_orient.rpc.check import NEAR_ZERO
+from fg_orient.rpc.estimate import SOLVER, Penalty, fit_linear, fit_true, fit_weighted
+from fg_orient.rpc.fit import RfmFit
+from fg_orient.rpc.form import Denominators, RfmForm
 from fg_orient.rpc.points import MeasuredPoints, statistics
+from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.select import fit_selected
+from fg_orient.rpc.validate import CrossValidation, cross_validate
+from fg_orient.rpc.virtual_grid import SHAPE, Errors, LocatingSensor, fit_sensor
 from fg_orient.sensors.rpc import RpcModel
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ class FitOptions:
     denominators : "separate", "common" or "one"
     equations : "true", "linear" or "weighted"
     selection : str, optional
-        Of :func:`fg_orient.rfm.select.selections`, or "none"; default ``SELECTION`` for true equations without kappa.
+        Of :func:`fg_orient.rpc.select.selections`, or "none"; default ``SELECTION`` for true equations without kappa.
     kappa : float, optional
         Penalty; default 0.
     penalty : "beyond_affine" or "identity"
@@ -211,7 +211,7 @@ def fit_image(
     Parameters
     ----------
     sensor, heights_m, degree, denominators, shape, seed
-        See :func:`fg_orient.rfm.virtual_grid.fit_sensor`.
+        See :func:`fg_orient.rpc.virtual_grid.fit_sensor`.
     file : str
         Of the sensor, for messages.
 
@@ -226,7 +226,7 @@ def fit_image(
     Raises
     ------
     InputError, NoSolutionError
-        See :func:`fg_orient.rfm.virtual_grid.fit_sensor`.
+        See :func:`fg_orient.rpc.virtual_grid.fit_sensor`.
     """
     found = fit_sensor(sensor, heights_m, shape=shape, degree=degree, denominators=denominators, seed=seed)
     model = found.model(file)

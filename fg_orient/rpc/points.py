@@ -14,9 +14,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.io.tables import Faults, Row, number, read_table
-from fg_orient.names import Role
-from fg_orient.rfm.points import ControlPoints
+from fg_orient.formats.tables import Faults, Row, number, read_table
+from fg_orient.model.names import Role
+from fg_orient.rpc.rfm_points import ControlPoints
 
 Array = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.distributions import f_quantile
-from fg_orient.errors import Finding, InputError, finding, judged
+from fg_orient.model.distributions import f_quantile
+from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.rpc.compensate import LEVEL, RANK, Compensation, compensate, design, misclosures, residuals
 from fg_orient.rpc.points import MeasuredPoints, statistics
 from fg_orient.sensors.rpc import RpcModel, span

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Final
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import EVERY_S, Checkpoint
 from fg_orient.adjustment.solve import require_possible
-from fg_orient.errors import InputError, NoSolutionError, RankDeficientError
-from fg_orient.io.folder import RESULT, require_free, staged_folder, writing
-from fg_orient.io.project import read_project
-from fg_orient.orient import Stage, adjust
+from fg_orient.formats.folder import RESULT, require_free, staged_folder, writing
+from fg_orient.formats.project import read_project
+from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
+from fg_orient.orientation.orient import Stage, adjust
 from fg_orient.quality.deficiency import Evidence
 from fg_orient.run.deficient import spectra, write_deficient
 from fg_orient.run.json import dumps, plain
@@ -30,10 +30,10 @@ from fg_orient.run.tables import write_tables
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback, IterationRecord
     from fg_orient.adjustment.problem import Problem
-    from fg_orient.block import Block
+    from fg_orient.model.block import Block
+    from fg_orient.orientation.solution import Solution
     from fg_orient.rpc.corrected import Corrected
     from fg_orient.sensors.correction import HeightSurface
-    from fg_orient.solution import Solution
 
 SCHEMA_VERSION: Final = 1
 #: The file by which a result folder is known.
@@ -195,7 +195,7 @@ def _adjust_and_log(
 
         if dem_control is None:
             return adjust(block, callback=note, **how), {}
-        from fg_orient.dem_control import adjust_with_dem
+        from fg_orient.orientation.dem_control import adjust_with_dem
 
         found = adjust_with_dem(block, *dem_control, callback=note, **{**how, "checkpoint": None})
         return found.solution, {"dem_control": found.as_dict()}

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid
+from factors.geometry import ellipsoid
 from fg_orient.adjustment.problem import Problem
 from fg_orient.quality.deficiency import Evidence, judge_observability
 from fg_orient.quality.motions import UNOBSERVABLE

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fg_orient.errors import Finding, finding
+from fg_orient.model.errors import Finding, finding
 from fg_orient.run.statistics import withheld
 
 if TYPE_CHECKING:
+    from fg_orient.orientation.solution import Solution
     from fg_orient.quality.outliers import GroupTest, OutlierTests
     from fg_orient.quality.search import Found
-    from fg_orient.solution import Solution
 
 #: Columns of ``outliers.csv``; errors in the order of ``_ERRORS``.
 OUTLIER_COLUMNS: Final = (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fg_orient.errors import NoSolutionError
+from fg_orient.model.errors import NoSolutionError
 
 if TYPE_CHECKING:
-    from fg_orient.solution import Solution
+    from fg_orient.orientation.solution import Solution
 
 
 def prediction_records(solution: Solution) -> dict[str, Any]:

@@ -13,10 +13,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fg_orient.versions import versions
+from fg_orient.model.versions import versions
 
 if TYPE_CHECKING:
-    from fg_orient.block import Block
+    from fg_orient.model.block import Block
     from fg_orient.sensors.correction import HeightSurface
 
 

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fg_orient.errors import Finding, InputError, finding
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.versions import versions
 from fg_orient.run import RESULT_FILE, run_project
 from fg_orient.run.provenance import relative, sha256_of
-from fg_orient.versions import versions
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback
-    from fg_orient.block import Block
-    from fg_orient.orient import Stage
+    from fg_orient.model.block import Block
+    from fg_orient.orientation.orient import Stage
     from fg_orient.sensors.correction import HeightSurface
 
 Record = dict[str, Any]

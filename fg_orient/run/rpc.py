@@ -6,12 +6,12 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fg_orient.errors import Finding, finding
+from fg_orient.model.errors import Finding, finding
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
 if TYPE_CHECKING:
+    from fg_orient.orientation.solution import Solution
     from fg_orient.rpc.corrected import Corrected
-    from fg_orient.solution import Solution
 
 
 def corrected_models(solution: Solution) -> dict[str, Corrected]:
@@ -31,7 +31,7 @@ def write_corrected_rpc(folder: Path, models: dict[str, Corrected]) -> None:
     """
     if not models:
         return
-    from fg_orient.io.rpc import write_rpc
+    from fg_orient.formats.rpc import write_rpc
 
     used: set[str] = set()
     for name, found in models.items():

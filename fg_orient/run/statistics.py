@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.point_cofactors import AUTO_LIMIT, full_statistics
-from fg_orient.errors import Finding, finding
+from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.reliability import CHECKABLE, noncentrality
 
 if TYPE_CHECKING:
+    from fg_orient.orientation.solution import Solution
     from fg_orient.quality.covariance import NamedMatrix
     from fg_orient.quality.reliability import BlockReliability, Reliability
     from fg_orient.run.columns import Column
-    from fg_orient.solution import Solution
 
 Array = npt.NDArray[np.float64]
 

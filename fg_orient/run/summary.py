@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fg_orient.errors import Finding, as_record, finding
-from fg_orient.names import Status
-from fg_orient.parameters import EOP_SETS
+from fg_orient.model.errors import Finding, as_record, finding
+from fg_orient.model.names import Status
+from fg_orient.model.parameters import EOP_SETS
 from fg_orient.quality.deficiency import DEFICIENT
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.quality.verdict import DOWN, points_on_one_ray, points_without_ray, turned_down_images
@@ -21,10 +21,10 @@ from fg_orient.run.prediction import prediction_records
 from fg_orient.run.statistics import correlation_record, missing, reliability_record
 
 if TYPE_CHECKING:
-    from fg_orient.block import Block, Options
-    from fg_orient.errors import RankDeficientError
+    from fg_orient.model.block import Block, Options
+    from fg_orient.model.errors import RankDeficientError
+    from fg_orient.orientation.solution import Solution
     from fg_orient.quality.accuracy import PointDifferences
-    from fg_orient.solution import Solution
 
 
 #: Image points of least weight that are named.

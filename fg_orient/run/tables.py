@@ -28,14 +28,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid
+from factors.geometry import ellipsoid
 from fg_orient.quality.accuracy import PointDifferences
 from fg_orient.run import statistics
 from fg_orient.run.columns import Column, Named, write_columns
 from fg_orient.run.outliers import OUTLIER_COLUMNS, outlier_rows
 
 if TYPE_CHECKING:
-    from fg_orient.solution import Solution
+    from fg_orient.orientation.solution import Solution
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from factors import polynomials, splines
+from factors.geometry import polynomials, splines
 
 Array = npt.NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Correction:
     small_angle : bool
         Use the small-angle attitude matrix (faithful mode).
     curve : (9, k) array
-        Amplitudes of the curves of ``factors.splines`` over k intervals, for the nine EOP.
+        Amplitudes of the curves of ``factors.geometry.splines`` over k intervals, for the nine EOP.
     """
 
     eop: Array = field(default_factory=lambda: np.zeros((9, 3)))

@@ -14,9 +14,9 @@ from typing import Final, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from factors import ephemeris
-from factors.light import EARTH_RATE_RAD_S
-from fg_orient.errors import Finding, InputError, finding
+from factors.geometry import ephemeris
+from factors.geometry.light import EARTH_RATE_RAD_S
+from fg_orient.model.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 InertialFrame = Literal["GCRS", "EME2000"]

@@ -15,25 +15,27 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid, frame, frame_camera, frame_measured
-from factors.frame import RECORD
-from factors.frame_camera import CAMERA
+from factors.cameras import frame, frame_camera, frame_measured
+from factors.cameras.frame import RECORD
+from factors.cameras.frame_camera import CAMERA
+from factors.geometry import ellipsoid
 from factors.records import Record
-from fg_orient.errors import Finding, InputError
 from fg_orient.geodesy import ecef_to_geodetic
+from fg_orient.model.errors import Finding, InputError
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.pixels import PixelRange, same_length
 from fg_orient.sensors.surface import landed
 
 Array = npt.NDArray[np.float64]
 
-#: Unknowns of a frame image in the order of their codes (``factors.frame``).
+#: Unknowns of a frame image in the order of their codes (``factors.cameras.frame``).
 UNKNOWNS: Final = (
     "rotation_x", "rotation_y", "rotation_z", "centre_x", "centre_y", "centre_z", "focal", "principal_sample",
     "principal_line", "k1", "k2", "k3", "p1", "p2", "aspect",
 )  # fmt: skip
-#: Further ones that no pixel feels, of a receiver and an inertial unit on board (``factors.navigation``), behind these:
-#: shift and drift of the position in the axes of the strip, of the attitude about those of the body, lever, boresight.
+#: Further ones that no pixel feels, of a receiver and an inertial unit on board (``factors.conditions.navigation``),
+#: behind these: shift and drift of the position in the axes of the strip, of the attitude about those of the body,
+#: lever, boresight.
 NAVIGATION: Final = (
     "gnss_shift_east", "gnss_shift_north", "gnss_shift_up", "gnss_drift_east", "gnss_drift_north", "gnss_drift_up",
     "ins_shift_roll", "ins_shift_pitch", "ins_shift_heading", "ins_drift_roll", "ins_drift_pitch", "ins_drift_heading",
@@ -144,7 +146,7 @@ class FrameCamera:
 
     @cached_property
     def record(self) -> Array:
-        """Record of ``factors.frame`` or ``factors.frame_measured`` of pixel 0, 0, whitening 1 and origin 0."""
+        """Record of ``cameras.frame`` or ``cameras.frame_measured`` of pixel 0, 0, whitening 1 and origin 0."""
         own = {"aspect": self.aspect, "unit": self.unit_px} if self.corrects_measured else {}
         fields: Record = (frame_measured if own else frame).RECORD
         return fields.pack(
@@ -158,9 +160,9 @@ class FrameCamera:
         return self.model == MEASURED_TO_IDEAL
 
     def corrected(self, correction: npt.ArrayLike | None = None) -> Array:
-        """Camera of ``factors.frame_camera`` (29,), of ``factors.frame_measured`` (31,) if the polynomial corrects.
+        """Camera of ``cameras.frame_camera`` (29,), of ``cameras.frame_measured`` (31,) if the polynomial corrects.
 
-        ``correction`` (15,): in physical units, in the order of the codes of ``factors.frame``.
+        ``correction`` (15,): in physical units, in the order of the codes of ``factors.cameras.frame``.
         """
         codes = np.stack([np.arange(frame.N_UNKNOWNS, dtype=float), np.ones(frame.N_UNKNOWNS)])
         x = np.zeros(frame.N_UNKNOWNS) if correction is None else np.array(correction, dtype=float)

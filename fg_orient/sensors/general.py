@@ -14,9 +14,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factors import attitude, ellipsoid, ephemeris, kepler, light, look, polynomials, rotations
-from factors.pushbroom import RECORD
-from fg_orient.errors import InputError, OutOfTimeRange, finding
+from factors.cameras import look
+from factors.cameras.pushbroom import RECORD
+from factors.geometry import attitude, ellipsoid, ephemeris, kepler, light, polynomials, rotations
+from fg_orient.model.errors import InputError, OutOfTimeRange, finding
 from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.general_metadata import GeneralMetadata
 from fg_orient.sensors.pixels import same_length

@@ -12,8 +12,8 @@ from typing import Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from factors import polynomials
-from fg_orient.errors import Finding
+from factors.geometry import polynomials
+from fg_orient.model.errors import Finding
 from fg_orient.sensors.earth_rotation import EarthTurn
 from fg_orient.sensors.metadata import FramePoint, LineTiming
 
@@ -101,8 +101,8 @@ class Attitude:
     Parameters
     ----------
     frame : str
-        "orbital" takes ``angles_rad`` (n, 3): roll, pitch, yaw of ``factors.kepler``, linear in time. The others take
-        ``quaternion`` (n, 4), scalar first, signs aligned, linear in time and normalised.
+        "orbital" takes ``angles_rad`` (n, 3): roll, pitch, yaw of ``factors.geometry.kepler``, linear in time. The
+        others take ``quaternion`` (n, 4), scalar first, signs aligned, linear in time and normalised.
     time_s : (n,) array
     """
 

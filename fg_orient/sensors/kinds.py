@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.pushbroom import PushbroomSensor
 
 

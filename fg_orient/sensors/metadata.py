@@ -1,6 +1,6 @@
 """What a pushbroom sensor needs from a metadata file, free of any file format.
 
-Readers (``fg_orient.io.dimap1``, ``dimap2``) produce these immutable records; the sensor
+Readers (``fg_orient.formats.dimap1``, ``dimap2``) produce these immutable records; the sensor
 (``fg_orient.sensors.pushbroom``) consumes them. Conventions: times are seconds since
 ``epoch`` (0 h UTC of the day of the image), positions and velocities are Earth-fixed
 (ECEF, WGS84) in m and m/s, angles rad, pixels (line, sample) with (0, 0) = centre of the
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import Finding
+from fg_orient.model.errors import Finding
 
 Array = npt.NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class AngleAttitude:
 class QuaternionList:
     """Sampled quaternions body to ECEF, scalar part first: ``time_s`` (n,), ``quaternion`` (n, 4).
 
-    Signs are aligned (``factors.attitude.sign_aligned``): neighbours have a positive product.
+    Signs are aligned (``factors.geometry.attitude.sign_aligned``): neighbours have a positive product.
     """
 
     time_s: Array

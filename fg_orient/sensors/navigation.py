@@ -1,7 +1,8 @@
 """Positions of a receiver and attitudes of an inertial unit on board, as observations of frame images.
 
 Direct georeferencing takes them as they are; here they are observed, with shift and drift of each strip, lever arm and
-boresight as unknowns where they have a prior sigma (``factors.navigation``). Body axes: X forward, Y right, Z down.
+boresight as unknowns where they have a prior sigma (``factors.conditions.navigation``). Body axes: X forward, Y right,
+Z down.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.navigation import ANTENNA_POSITION, ATTITUDE, INERTIAL_ATTITUDE, POSITION
-from fg_orient.block import Block, ExtraObservation, Image
-from fg_orient.errors import InputError
+from factors.conditions.navigation import ANTENNA_POSITION, ATTITUDE, INERTIAL_ATTITUDE, POSITION
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
+from fg_orient.model.block import Block, ExtraObservation, Image
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import NAVIGATION, FrameCamera, FrameSensor
 
 Array = npt.NDArray[np.float64]
@@ -164,7 +165,7 @@ def _with_unknowns(sensor: FrameSensor, fix: Fix, mounting: Mounting) -> FrameSe
 def _observations(
     fix: Fix, tau: float, axes: Array, camera: FrameCamera, mounting: Mounting
 ) -> list[ExtraObservation]:  # fmt: skip
-    """Position, and attitude if there is one; records of ``factors.navigation``."""
+    """Position, and attitude if there is one; records of ``factors.conditions.navigation``."""
     common = {"rotation": camera.rotation.ravel(), "mounting": mounting.camera_from_body.ravel(), "tau": tau}
     weight, image = axes / fix.position_sigma_m[:, None], (f"image:{fix.image}",)
     offset, arm, strip = fix.position_m - camera.centre_m, mounting.lever_m, axes.T.ravel()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import Finding, finding
+from fg_orient.model.errors import Finding, finding
 from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import OutOfImage, finding
+from fg_orient.model.errors import OutOfImage, finding
 
 Array = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factors import pushbroom
+from factors.cameras import pushbroom
 from fg_orient.sensors.correction import Correction, PixelModel
 
 Array = npt.NDArray[np.float64]

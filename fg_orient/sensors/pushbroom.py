@@ -15,10 +15,11 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from factors import attitude, ellipsoid, ephemeris, look, polynomials, rotations
-from factors.pushbroom import RECORD
-from fg_orient.errors import Finding, InputError, OutOfTimeRange, finding
-from fg_orient.options import MAX_EXTRAPOLATION_S
+from factors.cameras import look
+from factors.cameras.pushbroom import RECORD
+from factors.geometry import attitude, ellipsoid, ephemeris, polynomials, rotations
+from fg_orient.model.errors import Finding, InputError, OutOfTimeRange, finding
+from fg_orient.model.options import MAX_EXTRAPOLATION_S
 from fg_orient.sensors import projection
 from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.metadata import (
@@ -270,7 +271,7 @@ class PushbroomSensor(PixelRange):
     ) -> tuple[Array, Array]:
         """Projection centres (N, 3) m and unit viewing directions (N, 3) in ECEF.
 
-        The inverse of the observation equation (``factors.pushbroom``) and written apart from it, as a
+        The inverse of the observation equation (``factors.cameras.pushbroom``) and written apart from it, as a
         direction has no ground point; tests/40_sensors hold the two together to 1e-6 px.
 
         Raises

@@ -2,7 +2,7 @@
 
 ``fg_orient.sensors.rpc_sensor`` uses it on ECEF metres. Pixels are (line, sample), (0, 0) = centre of the first pixel:
 readers have taken the file's own origin off (docs/rpc.md). Image-space compensation is (6,) pixels, see
-``factors.rfm_project``. Models without inverse coefficients are inverted by iteration; vendor inverse
+``factors.cameras.rfm_project``. Models without inverse coefficients are inverted by iteration; vendor inverse
 coefficients serve as first guess only.
 """
 
@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from factors import rfm, rfm_project
-from factors.rfm_project import COMPENSATION, RANGE
-from fg_orient.errors import Finding, InputError
+from factors.cameras import rfm, rfm_project
+from factors.cameras.rfm_project import COMPENSATION, RANGE
+from fg_orient.model.errors import Finding, InputError
 from fg_orient.sensors.pixels import same_length
 
 Array = npt.NDArray[np.float64]

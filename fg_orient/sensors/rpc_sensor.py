@@ -1,7 +1,7 @@
 """The sensor of an image with a rational function model, with the methods of ``PushbroomSensor``.
 
 Ground points are ECEF metres; pixels (line, sample), (0, 0) = centre of the first pixel. Image-space
-compensation is (6,) pixels, see ``factors.rfm_project``.
+compensation is (6,) pixels, see ``factors.cameras.rfm_project``.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid
-from factors.rfm_equation import RECORD
-from factors.rfm_project import RANGE
-from fg_orient.errors import InputError
+from factors.cameras.rfm_equation import RECORD
+from factors.cameras.rfm_project import RANGE
+from factors.geometry import ellipsoid
 from fg_orient.geodesy import geodetic_to_ecef
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import HeightSurface
 from fg_orient.sensors.pixels import PixelRange, same_length
 from fg_orient.sensors.rpc import RpcModel, span

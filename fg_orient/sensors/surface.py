@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid
-from fg_orient.errors import InputError
+from factors.geometry import ellipsoid
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import HeightSurface
 
 Array = npt.NDArray[np.float64]

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Block
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.names import Progress, Role
+from fg_orient.model.block import Block
+from fg_orient.model.names import Progress, Role
 from fg_orient.sensors.correction import Correction
 from fg_orient.simulate.files import DIMAP, images_of, simulate_to
 from fg_orient.simulate.options import LEAST_CONTROL

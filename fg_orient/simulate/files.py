@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fg_orient.io.atomic import write_text
-from fg_orient.io.dimap_write import write_dimap1
-from fg_orient.io.folder import Contents, require_free, staged_folder, writing
-from fg_orient.io.points_write import write_observations, write_points, write_project
-from fg_orient.parameters import COMPONENTS, UNITS, parameter_name
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.dimap_write import write_dimap1
+from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
+from fg_orient.formats.points_write import write_observations, write_points, write_project
+from fg_orient.model.parameters import COMPONENTS, UNITS, parameter_name
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from fg_orient.block import Options
-    from fg_orient.names import Progress
+    from fg_orient.model.block import Options
+    from fg_orient.model.names import Progress
     from fg_orient.sensors.metadata import PushbroomMetadata
     from fg_orient.simulate.simulation import Simulation, Truth
 

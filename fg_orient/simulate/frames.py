@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import spatial
 
-from factors import frame_camera
-from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
-from fg_orient.names import Role
+from factors.cameras import frame_camera
+from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
+from fg_orient.model.names import Role
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
 from fg_orient.simulate.options import require
 

@@ -16,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import frame_camera
-from fg_orient.block import Block, Image, ImagePoints, Index, Options
+from factors.cameras import frame_camera
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.names import Role
-from fg_orient.rfm.virtual_grid import fit_sensor
+from fg_orient.model.block import Block, Image, ImagePoints, Index, Options
+from fg_orient.model.names import Role
+from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.frame import HALF_TURN, UNKNOWNS, FrameCamera, FrameSensor
 from fg_orient.sensors.interior import Interior

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from fg_orient.io.camera import write_camera
-from fg_orient.io.frame_file import write_frame_file
-from fg_orient.io.rpc import write_rpc
+from fg_orient.formats.camera import write_camera
+from fg_orient.formats.frame_file import write_frame_file
+from fg_orient.formats.rpc import write_rpc
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.frame import FrameSensor
 from fg_orient.sensors.rpc_sensor import RpcSensor

@@ -1,4 +1,4 @@
-"""Options of synthetic blocks; each field is the only declaration of its option (``fg_orient.options``).
+"""Options of synthetic blocks; each field is the only declaration of its option (``fg_orient.model.options``).
 
 The types are read when the program runs, so annotations are not postponed here.
 """
@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from fg_orient.declaration import Group, Three, documented, option, require_allowed
-from fg_orient.errors import InputError
+from fg_orient.model.declaration import Group, Three, documented, option, require_allowed
+from fg_orient.model.errors import InputError
 
 PointSet = Literal["H-0", "H-10", "H-20", "H-30", "H-40", "G-A", "G-B", "G-C"]
 Errors = Literal["constant", "prior", "none"]

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factors import rotations
+from factors.geometry import rotations
 
 Array = npt.NDArray[np.float64]
 

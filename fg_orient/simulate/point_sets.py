@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.names import Role
+from fg_orient.model.names import Role
 from fg_orient.simulate.options import PointSet
 
 Array = npt.NDArray[np.float64]

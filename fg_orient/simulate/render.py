@@ -15,11 +15,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.rendering import RAY, TO_MAP, corners, expose
-from factors.resampling import SCALING
+from fg_orient.formats.rasters import rasterio_of
 from fg_orient.geodesy import ecef_to_geodetic
-from fg_orient.io.rasters import rasterio_of
-from fg_orient.names import Progress
+from fg_orient.kernels.rendering import RAY, TO_MAP, corners, expose
+from fg_orient.kernels.resampling import SCALING
+from fg_orient.model.names import Progress
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.options import require

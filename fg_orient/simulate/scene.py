@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from factors import polynomials
+from factors.geometry import polynomials
+from fg_orient.formats.dimap1 import straight_line
 from fg_orient.geodesy import ecef_to_geodetic
-from fg_orient.io.dimap1 import straight_line
 from fg_orient.sensors.metadata import (
     AngleAttitude,
     Ephemeris,

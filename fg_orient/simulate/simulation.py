@@ -16,9 +16,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Index, Options, WithheldCoordinates
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.names import Progress, Role
+from fg_orient.model.block import (
+    Block,
+    Coordinates,
+    GroundPoints,
+    Image,
+    ImagePoints,
+    Index,
+    Options,
+    WithheldCoordinates,
+)
+from fg_orient.model.names import Progress, Role
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.metadata import PushbroomMetadata
 from fg_orient.simulate.quick_projection import QuickProjection

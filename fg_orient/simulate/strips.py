@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.frame_camera import rotated
-from factors.navigation import UNKNOWN
-from fg_orient.block import Block, Image, ImagePoints, Options
+from factors.cameras.frame_camera import rotated
+from factors.conditions.navigation import UNKNOWN
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Image, ImagePoints, Options
+from fg_orient.model.names import Role
 from fg_orient.sensors.frame import NAVIGATION, UNKNOWNS, FrameCamera, FrameSensor
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude, with_navigation
 from fg_orient.simulate.options import require

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.formats.rasters import rasterio_of
 from fg_orient.geodesy import from_geographic
-from fg_orient.io.rasters import rasterio_of
 
 Array = npt.NDArray[np.float64]
 

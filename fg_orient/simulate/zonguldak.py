@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Block
 from fg_orient.geodesy import geodetic_to_ecef
-from fg_orient.names import Progress
+from fg_orient.model.block import Block
+from fg_orient.model.names import Progress
 from fg_orient.simulate.files import simulate_to
 from fg_orient.simulate.options import ZonguldakOptions as ZonguldakOptions
 from fg_orient.simulate.orbit import find_pass

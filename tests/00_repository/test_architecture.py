@@ -101,10 +101,15 @@ def test_contracts_hold(copied_tree: Path) -> None:
 
 #: Module, the line put into it, the contract it breaks, the import that the contract's chain is reported to hold.
 PLANTED = [
-    ("factors/polynomials.py", "import fg_orient.block", "factors is the ground floor", "fg_orient.block"),
-    ("factors/rotations.py", "import gtsam", "inside factors only factors.graph imports gtsam", "gtsam"),
     (
-        "fg_orient/block.py",
+        "factors/geometry/polynomials.py",
+        "import fg_orient.model.block",
+        "factors is the ground floor",
+        "fg_orient.model.block",
+    ),
+    ("factors/geometry/rotations.py", "import gtsam", "inside factors only factors.graph imports gtsam", "gtsam"),
+    (
+        "fg_orient/model/block.py",
         "def f():\n    import gtsam",
         "only adjustment and quality.covariance import gtsam",
         "gtsam",
@@ -116,28 +121,28 @@ PLANTED = [
         "fg_orient.adjustment.problem",
     ),
     (
-        "fg_orient/parameters.py",
+        "fg_orient/model/parameters.py",
         "def f():\n    import fg_orient.quality.observability",
         "floors of fg_orient",
         "fg_orient.quality.observability",
     ),
     (
-        "fg_orient/experiments/tables_spot5.py",
-        "import fg_orient.published.tables",
+        "fg_orient/studies/tables_spot5.py",
+        "import fg_orient.studies.published.tables",
         "what computes may not import what was published",
-        "fg_orient.published.tables",
+        "fg_orient.studies.published.tables",
     ),
     (
-        "fg_orient/classical/two_stage.py",
-        "def f():\n    import fg_orient.published",
+        "fg_orient/studies/two_stage.py",
+        "def f():\n    import fg_orient.studies.published",
         "what computes may not import what was published",
-        "fg_orient.published",
+        "fg_orient.studies.published",
     ),
     (
         "fg_orient/cli/reproduce.py",
-        "def f():\n    from fg_orient.published.tables import load",
+        "def f():\n    from fg_orient.studies.published.tables import load",
         "what computes may not import what was published",
-        "fg_orient.published.tables",
+        "fg_orient.studies.published.tables",
     ),
 ]
 
@@ -172,4 +177,4 @@ def test_one_module_knows_the_distributions(repository: Path) -> None:
         if re.search(r"^\s*(from scipy\.(special|stats)|from scipy import .*\b(special|stats)\b|import scipy\.s)",
                      path.read_text("utf-8"), re.MULTILINE)
     ]  # fmt: skip
-    assert found == ["fg_orient/distributions.py"]
+    assert found == ["fg_orient/model/distributions.py"]

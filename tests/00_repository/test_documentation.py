@@ -19,7 +19,7 @@ def blocks(path: Path, language: str) -> list[str]:
 
 
 def test_eop_table_of_the_concepts_page_is_that_of_the_code(repository: Path) -> None:
-    from fg_orient.parameters import EOP_SETS
+    from fg_orient.model.parameters import EOP_SETS
 
     text = (repository / "docs" / "concepts.md").read_text("utf-8")
     table = {int(n): name for n, name in re.findall(r"\| (\d+) \| `(\w+)`", text)}
@@ -27,7 +27,7 @@ def test_eop_table_of_the_concepts_page_is_that_of_the_code(repository: Path) ->
 
 
 def test_prior_sigmas_of_the_concepts_page_are_the_defaults(repository: Path) -> None:
-    from fg_orient.block import Options
+    from fg_orient.model.block import Options
 
     text = (repository / "docs" / "concepts.md").read_text("utf-8")
     options, number = Options(), r"([\d.]+)"
@@ -55,7 +55,7 @@ def test_commands_of_the_readme_exist(repository: Path) -> None:
 
 
 def test_project_file_of_the_readme_is_valid(repository: Path) -> None:
-    from fg_orient.io.schema import ProjectFile, validate
+    from fg_orient.formats.schema import ProjectFile, validate
 
     (text,) = blocks(repository / "README.md", "toml")
     project = validate(tomllib.loads(text), "README.md")

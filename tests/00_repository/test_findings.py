@@ -13,17 +13,17 @@ from typing import Any
 import pytest
 
 from fg_orient.cli.output import flag, tell_findings
-from fg_orient.closerange.report.words import problems
-from fg_orient.errors import as_record, finding, findings_of, judged, read
-from fg_orient.messages import CATALOGUE
-from fg_orient.messages.entry import words
+from fg_orient.closerange.report_words import problems
+from fg_orient.model.errors import as_record, finding, findings_of, judged, read
+from fg_orient.model.messages import CATALOGUE
+from fg_orient.model.messages.entry import words
 from tests.support.syntax import nodes
 
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 #: Flags of other programs: pip, and bundle_adjust of the Ames Stereo Pipeline.
-OF_OTHERS = {"fg_orient/messages/installation.py", "fg_orient/interchange/asp_gcp.py"}
+OF_OTHERS = {"fg_orient/model/messages/installation.py", "fg_orient/formats/exchange/asp_gcp.py"}
 #: The record, and where sentences for people are made of results: reports and the command line.
-SHOWING = ("fg_orient/cli/", "fg_orient/messages/", "fg_orient/report/", "fg_orient/closerange/report/")
+SHOWING = ("fg_orient/cli/", "fg_orient/model/messages/", "fg_orient/report/", "fg_orient/closerange/report/")
 
 
 def library(repository: Path) -> Iterator[tuple[str, list[ast.AST]]]:
@@ -60,7 +60,7 @@ def test_only_the_record_writes_and_reads_warnings(repository: Path) -> None:
         for node in own
         if isinstance(node, ast.Constant) and node.value in ("warnings", "findings")
     }
-    assert named == {"fg_orient/errors.py"}
+    assert named == {"fg_orient/model/errors.py"}
 
 
 @pytest.mark.repository

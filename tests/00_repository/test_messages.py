@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from fg_orient.errors import FgOrientError, InputError, finding
-from fg_orient.messages import CATALOGUE, MODULES
-from fg_orient.messages.entry import Entry, words
+from fg_orient.model.errors import FgOrientError, InputError, finding
+from fg_orient.model.messages import CATALOGUE, MODULES
+from fg_orient.model.messages.entry import Entry, words
 from tests.support.syntax import nodes
 
 ALWAYS = {"file", "place", "value", "option"}
@@ -153,7 +153,7 @@ def test_entries_format_with_values_of_their_fields() -> None:
 @pytest.mark.repository
 def test_no_code_has_two_entries() -> None:
     heads = re.compile(r"^([a-z0-9_.]+)(?: \(\w+\))?: ", re.M)
-    modules = [import_module(f"fg_orient.messages.{name}") for name in MODULES]
+    modules = [import_module(f"fg_orient.model.messages.{name}") for name in MODULES]
     codes = [code for module in modules for code in heads.findall(inspect.getsource(module)) if code in CATALOGUE]
     assert len(codes) == len(set(codes)) == len(CATALOGUE)
 

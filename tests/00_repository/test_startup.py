@@ -36,12 +36,13 @@ FORBIDDEN = {
     ),
     "adjust": (
         ["adjust", "{project}", "--out", "{out}"],
-        (*OPTIONAL, *SCIPY, "gtsam", "erfa", "fg_orient.adjustment.graph", "fg_orient.parallel",
-         "fg_orient.outlier_search", "fg_orient.dem_control", "fg_orient.linear.kappa_graph"),
+        (*OPTIONAL, *SCIPY, "gtsam", "erfa", "fg_orient.adjustment.graph", "fg_orient.adjustment.parts",
+         "fg_orient.orientation.outlier_search", "fg_orient.orientation.dem_control",
+         "fg_orient.adjustment.linear.kappa_graph"),
     ),
     "adjust --backend graph": (
         ["adjust", "{project}", "--out", "{out}", "--backend", "graph"],
-        (*OPTIONAL, *SCIPY, "erfa", "fg_orient.parallel", "fg_orient.linear.kappa_graph"),
+        (*OPTIONAL, *SCIPY, "erfa", "fg_orient.adjustment.parts", "fg_orient.adjustment.linear.kappa_graph"),
     ),
 }  # fmt: skip
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 from scipy.linalg import lapack
 
-from factors.batch_band import MARGIN, TILE, factorise_band
+from fg_orient.kernels.batch_band import MARGIN, TILE, factorise_band
 
 Array = npt.NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from factors import pushbroom
-from factors.batch import batch
-from factors.batch_blocks import BLOCK, usual
+from factors.cameras import pushbroom
+from fg_orient.kernels.batch import batch
+from fg_orient.kernels.batch_blocks import BLOCK, usual
 
 N = 2 * BLOCK + 11  # whole blocks and a part of one
 N_IMAGES = 5

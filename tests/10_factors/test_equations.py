@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from importlib import import_module
-from pkgutil import iter_modules
+from pkgutil import walk_packages
 
 import numpy as np
 import pytest
 
 import factors
 from factors._contract import Equation, evaluate, register, registered
-from factors.pushbroom import RECORD
+from factors.cameras.pushbroom import RECORD
 from tests.support.complex_step import Derived, derived_uncompiled
 
-for found in iter_modules(factors.__path__):
-    import_module(f"factors.{found.name}")  # registers
+for found in walk_packages(factors.__path__, "factors."):
+    import_module(found.name)  # registers
 #: Those of the package, whatever other tests have registered.
 EQUATIONS = sorted(
     (e for e in registered().values() if e.example.__module__.startswith("factors.")), key=lambda e: e.name

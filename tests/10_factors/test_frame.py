@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factors import frame, frame_camera
-from factors.batch import batch, has_batch
-from factors.frame_camera import CAMERA
+from factors.cameras import frame, frame_camera
+from factors.cameras.frame_camera import CAMERA
+from fg_orient.kernels.batch import batch, has_batch
 
 
 def camera_of(rng: np.random.Generator, distortion: np.ndarray) -> np.ndarray:

@@ -6,9 +6,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import pushbroom
 from factors._contract import Argument, Equation, check_blocks, evaluate
-from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS, POINT, kernel_point, whitening
+from factors.cameras import pushbroom
+from factors.conditions.control import CONTROL_POINT, OBSERVED_PARAMETERS, POINT, kernel_point, whitening
 from factors.graph import factor
 
 E0, P0 = gtsam.symbol("e", 0), gtsam.symbol("p", 0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors import film
-from factors import image_variants as variants
+from factors.cameras import film
+from factors.cameras import image_variants as variants
 
 RADIUS = 2.0
 

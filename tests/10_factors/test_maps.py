@@ -9,8 +9,9 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factors import attitude, differences, ellipsoid, ephemeris, light, look, orbital, polynomials, pushbroom, rotations
-from factors.sines import sine_cosine
+from factors.cameras import look, pushbroom
+from factors.geometry import attitude, differences, ellipsoid, ephemeris, light, orbital, polynomials, rotations
+from factors.geometry.sines import sine_cosine
 
 
 def state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

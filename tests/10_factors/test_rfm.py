@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors import ellipsoid, rfm, rfm_equation, rfm_ground, rfm_project
-from factors.rfm_terms import EXPONENTS, degree_mask, permutation, terms
+from factors.cameras import rfm, rfm_equation, rfm_ground, rfm_project
+from factors.cameras.rfm_terms import EXPONENTS, degree_mask, permutation, terms
+from factors.geometry import ellipsoid
 from tests.support.rpc_model import TERMS, ground_points, reference_project, synthetic_model
 
 #: Published position k -> RPC00B position, both from 1 (X = longitude, Y = latitude).

@@ -7,16 +7,23 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.linear import kappa as kappa_module
-from fg_orient.linear import registry
-from fg_orient.linear.conditioning import cross_solver_spread, diagnose
-from fg_orient.linear.kappa import Given, KappaChoice, choose_kappa, kappa_rules, register_kappa_rule, unit_variance
-from fg_orient.linear.ls_conditions import ls_conditions
-from fg_orient.linear.registry import attempt, register_solver, solve, solver, solvers
-from fg_orient.linear.system import MAX_UNKNOWNS, Breakdown, LinearSolution, LinearSystem
-from fg_orient.linear.tikhonov import generalised, penalty_matrix, regularised, tikhonov
-from fg_orient.linear.well_posedness import well_posedness
+from fg_orient.adjustment.linear import kappa as kappa_module
+from fg_orient.adjustment.linear import registry
+from fg_orient.adjustment.linear.conditioning import cross_solver_spread, diagnose
+from fg_orient.adjustment.linear.kappa import (
+    Given,
+    KappaChoice,
+    choose_kappa,
+    kappa_rules,
+    register_kappa_rule,
+    unit_variance,
+)
+from fg_orient.adjustment.linear.ls_conditions import ls_conditions
+from fg_orient.adjustment.linear.registry import attempt, register_solver, solve, solver, solvers
+from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, Breakdown, LinearSolution, LinearSystem
+from fg_orient.adjustment.linear.tikhonov import generalised, penalty_matrix, regularised, tikhonov
+from fg_orient.adjustment.linear.well_posedness import well_posedness
+from fg_orient.model.errors import InputError
 
 EYE = LinearSystem(np.eye(2), np.ones(2))
 SQUARE = LinearSystem.from_design(np.eye(2), np.ones(2))

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.linalg import hilbert
 
-from fg_orient.linear.conditioning import condition_text, cross_solver_spread, diagnose, numerical_rank
-from fg_orient.linear.ls_conditions import ls_conditions
-from fg_orient.linear.registry import attempt, solve, solvers
-from fg_orient.linear.scaling import column_lengths, scaled, unit_columns
-from fg_orient.linear.system import Array, LinearSolution, LinearSystem
-from fg_orient.linear.well_posedness import well_posedness
+from fg_orient.adjustment.linear.conditioning import condition_text, cross_solver_spread, diagnose, numerical_rank
+from fg_orient.adjustment.linear.ls_conditions import ls_conditions
+from fg_orient.adjustment.linear.registry import attempt, solve, solvers
+from fg_orient.adjustment.linear.scaling import column_lengths, scaled, unit_columns
+from fg_orient.adjustment.linear.system import Array, LinearSolution, LinearSystem
+from fg_orient.adjustment.linear.well_posedness import well_posedness
 from tests.support.systems import design_system, positive_definite
 
 

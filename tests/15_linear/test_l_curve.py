@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.linear.kappa import choose_kappa, kappa_rules
-from fg_orient.linear.l_curve import CURVE_POINTS, l_curve_of
-from fg_orient.linear.registry import solve
-from fg_orient.linear.system import Array, LinearSystem
+from fg_orient.adjustment.linear.kappa import choose_kappa, kappa_rules
+from fg_orient.adjustment.linear.l_curve import CURVE_POINTS, l_curve_of
+from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.system import Array, LinearSystem
+from fg_orient.model.errors import InputError
 from tests.support.systems import design_system
 
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import hilbert
 
-from fg_orient.linear.elimination import checked_cholesky
-from fg_orient.linear.inverses import (
+from fg_orient.adjustment.linear.elimination import checked_cholesky
+from fg_orient.adjustment.linear.inverses import (
     invert_cholesky,
     invert_cramer,
     invert_gauss,
@@ -17,9 +17,9 @@ from fg_orient.linear.inverses import (
     invert_pivot,
     pseudo_inverse,
 )
-from fg_orient.linear.registry import attempt, solve, solvers
-from fg_orient.linear.system import Breakdown, LinearSystem
-from fg_orient.linear.triangular import cholesky_rows, lu_factors
+from fg_orient.adjustment.linear.registry import attempt, solve, solvers
+from fg_orient.adjustment.linear.system import Breakdown, LinearSystem
+from fg_orient.adjustment.linear.triangular import cholesky_rows, lu_factors
 from tests.support.systems import design_system, positive_definite
 
 INVERSES = {

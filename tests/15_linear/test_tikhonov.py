@@ -9,11 +9,11 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from fg_orient.linear.kappa import Given, KappaChoice, choose_kappa, clamped, kappa_rules, unit_variance
-from fg_orient.linear.kappa_graph import Ridge
-from fg_orient.linear.registry import solve
-from fg_orient.linear.system import Array, Breakdown, LinearSystem
-from fg_orient.linear.tikhonov import generalised, penalty_matrix, regularised, tikhonov
+from fg_orient.adjustment.linear.kappa import Given, KappaChoice, choose_kappa, clamped, kappa_rules, unit_variance
+from fg_orient.adjustment.linear.kappa_graph import Ridge
+from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
+from fg_orient.adjustment.linear.tikhonov import generalised, penalty_matrix, regularised, tikhonov
 from tests.support.systems import design_system, vandermonde
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.io.atomic import write_bytes, write_text
+from fg_orient.formats.atomic import write_bytes, write_text
+from fg_orient.model.errors import InputError
 
 pytestmark = pytest.mark.behaviour
 

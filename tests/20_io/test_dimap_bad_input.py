@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_orient.errors import Finding, InputError
-from fg_orient.io.dimap import read_dimap
+from fg_orient.formats.dimap import read_dimap
+from fg_orient.model.errors import Finding, InputError
 from fg_orient.sensors.metadata import PushbroomMetadata
 
 pytestmark = pytest.mark.behaviour
@@ -134,7 +134,7 @@ def test_zero_quaternion_and_repeated_time(dim6: Path, refused: Refused) -> None
 
 
 def test_every_code_has_a_test() -> None:
-    from fg_orient.messages.files import WORDS
+    from fg_orient.model.messages.files import WORDS
 
     tested = {row[2] for row in CHANGES_1 + CHANGES_2} | ELSEWHERE
     assert tested == {code for code in WORDS if code.startswith(("xml.", "dimap."))}

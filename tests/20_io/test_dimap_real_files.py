@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factors import ellipsoid
-from fg_orient.errors import InputError
-from fg_orient.io.dimap import read_dimap
-from fg_orient.io.dimap_write import write_dimap1
+from factors.geometry import ellipsoid
+from fg_orient.formats.dimap import read_dimap
+from fg_orient.formats.dimap_write import write_dimap1
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.metadata import (
     AngleAttitude,
     LookAnglePolynomial,

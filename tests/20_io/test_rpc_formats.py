@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factors.rfm_terms import permutation
-from fg_orient.errors import InputError
-from fg_orient.io import rpc_dimap, rpc_geom, rpc_raster, rpc_rpb, rpc_text
-from fg_orient.io.rpc import FORMATS, read_rpc, rpc_format, write_rpc
-from fg_orient.io.rpc_fields import POLYNOMIALS
-from fg_orient.io.sensor import read_sensor
+from factors.cameras.rfm_terms import permutation
+from fg_orient.formats import rpc_dimap, rpc_geom, rpc_raster, rpc_rpb, rpc_text
+from fg_orient.formats.rpc import FORMATS, read_rpc, rpc_format, write_rpc
+from fg_orient.formats.rpc_fields import POLYNOMIALS
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from tests.support.rpc_model import synthetic_model

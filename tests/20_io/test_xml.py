@@ -10,8 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_orient.errors import InputError
-from fg_orient.io.xml import DEGREES, LARGEST, METRES, MILLISECONDS, PURE, RADIANS, SECONDS, Quantity, XmlNode, read_xml
+from fg_orient.formats.xml import (
+    DEGREES,
+    LARGEST,
+    METRES,
+    MILLISECONDS,
+    PURE,
+    RADIANS,
+    SECONDS,
+    Quantity,
+    XmlNode,
+    read_xml,
+)
+from fg_orient.model.errors import InputError
 
 
 def node(tmp_path: Path, inner: str) -> XmlNode:

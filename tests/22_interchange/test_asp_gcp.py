@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.crs import wkt
-from fg_orient.errors import InputError
+from fg_orient.formats.exchange.asp_gcp import read, write
+from fg_orient.formats.exchange.registry import Settings
 from fg_orient.geodesy import ecef_to_geodetic, to_ecef
-from fg_orient.interchange.asp_gcp import read, write
-from fg_orient.interchange.registry import Settings
-from fg_orient.names import Role
+from fg_orient.geodesy.crs import wkt
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 
 LINES = """\
 # a comment

@@ -9,7 +9,7 @@ import pytest
 import typer.main
 
 from fg_orient.cli import app
-from fg_orient.interchange.registry import Format, formats
+from fg_orient.formats.exchange.registry import Format, formats
 
 pytestmark = pytest.mark.repository
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.crs import wkt
-from fg_orient.errors import InputError
-from fg_orient.interchange.ground import decided_crs
-from fg_orient.interchange.registry import Settings, formats
-from fg_orient.interchange.survey import Survey
-from fg_orient.names import Role
+from fg_orient.formats.exchange.ground import decided_crs
+from fg_orient.formats.exchange.registry import Settings, formats
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.geodesy.crs import wkt
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 
 pytestmark = pytest.mark.behaviour
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import Block
-from fg_orient.errors import InputError
-from fg_orient.interchange.convert import read_survey, write_survey
-from fg_orient.interchange.registry import Settings, format_named
-from fg_orient.names import Role
+from fg_orient.formats.exchange.convert import read_survey, write_survey
+from fg_orient.formats.exchange.registry import Settings, format_named
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process
 

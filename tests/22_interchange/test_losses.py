@@ -9,14 +9,14 @@ import numpy as np
 import pyproj
 import pytest
 
-from fg_orient.crs import from_ecef
-from fg_orient.errors import InputError
+from fg_orient.formats.exchange.convert import read_survey, write_survey
+from fg_orient.formats.exchange.ground import transformed
+from fg_orient.formats.exchange.registry import Format, Holds, Settings, format_of, formats, register
+from fg_orient.formats.exchange.survey import Survey
 from fg_orient.geodesy import ecef_to_geodetic, to_ecef
-from fg_orient.interchange.convert import read_survey, write_survey
-from fg_orient.interchange.ground import transformed
-from fg_orient.interchange.registry import Format, Holds, Settings, format_of, formats, register
-from fg_orient.interchange.survey import Survey
-from fg_orient.names import Role
+from fg_orient.geodesy.crs import from_ecef
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 from tests.support.survey import assert_same, by_name, random_survey
 
 UTM = "EPSG:32636"

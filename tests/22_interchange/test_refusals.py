@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.interchange.convert import Fill, filled, read_survey, write_survey
-from fg_orient.interchange.registry import Settings, formats
-from fg_orient.interchange.survey import Survey
-from fg_orient.io.scenes import Scene
-from fg_orient.names import Role
+from fg_orient.formats.exchange.convert import Fill, filled, read_survey, write_survey
+from fg_orient.formats.exchange.registry import Settings, formats
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.scenes import Scene
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 
 pytestmark = pytest.mark.behaviour
 

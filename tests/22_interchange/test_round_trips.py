@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.interchange.convert import read_survey, write_survey
-from fg_orient.interchange.registry import Format, Holds, Settings, formats
+from fg_orient.formats.exchange.convert import read_survey, write_survey
+from fg_orient.formats.exchange.registry import Format, Holds, Settings, formats
+from fg_orient.model.errors import InputError
 from tests.support.survey import assert_same, random_survey
 
 #: What the reader has to be told, because the format does not say it.

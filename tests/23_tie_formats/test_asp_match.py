@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.interchange.asp_match import FORMAT, images_of, read_match, write_match
-from fg_orient.interchange.registry import Settings
-from fg_orient.interchange.ties import tie_survey
+from fg_orient.formats.exchange.asp_match import FORMAT, images_of, read_match, write_match
+from fg_orient.formats.exchange.registry import Settings
+from fg_orient.formats.exchange.ties import tie_survey
+from fg_orient.model.errors import InputError
 
 
 def record(x: float, y: float, descriptor: tuple[float, ...] = (), polarity: int = 1) -> bytes:

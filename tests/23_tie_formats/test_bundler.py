@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fg_orient.errors import InputError
-from fg_orient.interchange.bal import bal_data_of, frame_model_of, write_bal
-from fg_orient.interchange.bundler import read_bundler, write_bundler
-from fg_orient.io.bal import BalData, read_bal, read_bal_data
+from fg_orient.formats.bal import BalData, read_bal, read_bal_data
+from fg_orient.formats.exchange.bal import bal_data_of, frame_model_of, write_bal
+from fg_orient.formats.exchange.bundler import read_bundler, write_bundler
+from fg_orient.model.errors import InputError
 from tests.support.frame_models import frame_model
 
 MATRIX = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.interchange.colmap_database import read_colmap_database, write_colmap_database
-from fg_orient.interchange.survey import Survey
-from fg_orient.interchange.ties import pairs_of, tie_survey
+from fg_orient.formats.exchange.colmap_database import read_colmap_database, write_colmap_database
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.ties import pairs_of, tie_survey
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.interior import Interior
 
 SIZES = {"left.tif": (1000, 1500), "middle.tif": (1000, 1500), "right.tif": (900, 1400)}

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.interchange.colmap_cameras import MODELS, interior_of, parameters_of
-from fg_orient.interchange.colmap_text import FILES, read_colmap_text, write_colmap_text
-from fg_orient.io.frame_model import FrameModel
+from fg_orient.formats.exchange.colmap_cameras import MODELS, interior_of, parameters_of
+from fg_orient.formats.exchange.colmap_text import FILES, read_colmap_text, write_colmap_text
+from fg_orient.formats.frame_model import FrameModel
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior
 from tests.support.frame_models import frame_model

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.interchange.micmac_csv import FORMAT, read_image
-from fg_orient.interchange.registry import Settings
-from fg_orient.interchange.ties import tie_survey
-from fg_orient.io.sensor import read_sensor
+from fg_orient.formats.exchange.micmac_csv import FORMAT, read_image
+from fg_orient.formats.exchange.registry import Settings
+from fg_orient.formats.exchange.ties import tie_survey
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.model.errors import InputError
 from tests.support.work import counted
 
 TABLE = "Pt.x,Pt.y,Id\n32.036,1436.579,0\n61.123,1767.49,1\n1e1,.5,7\n"

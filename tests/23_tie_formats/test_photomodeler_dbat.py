@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.interchange import dbat, photomodeler
-from fg_orient.interchange.photomodeler import read_photomodeler, read_points_2d
-from fg_orient.interchange.registry import Settings
-from fg_orient.names import Role
+from fg_orient.formats.exchange import dbat, photomodeler
+from fg_orient.formats.exchange.photomodeler import read_photomodeler, read_points_2d
+from fg_orient.formats.exchange.registry import Settings
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 from tests.support.format_files import PHOTOMODELER as EXPORT
 
 

@@ -15,11 +15,11 @@ import pytest
 
 import fg_orient as fg
 import fg_orient.run
-from fg_orient.declaration import Names, Option, Three, declared
-from fg_orient.errors import InputError
-from fg_orient.io.schema import ProjectFile, validate
-from fg_orient.options import Options, Reading
-from fg_orient.parameters import with_options
+from fg_orient.formats.schema import ProjectFile, validate
+from fg_orient.model.declaration import Names, Option, Three, declared
+from fg_orient.model.errors import InputError
+from fg_orient.model.options import Options, Reading
+from fg_orient.model.parameters import with_options
 from fg_orient.simulate.options import BlockOptions, MixedOptions, ZonguldakOptions
 from tests.support.command import in_process
 
@@ -151,18 +151,18 @@ def test_flags_are_different() -> None:
 #: Adds one field to the source of the declaration, and looks for it everywhere.
 ONE_EDIT = """
 import importlib.util, runpy, sys, types
-spec = importlib.util.find_spec("fg_orient.options")
+spec = importlib.util.find_spec("fg_orient.model.options")
 source = open(spec.origin, encoding="utf-8").read()
 field = "    further: int = option(3, ADJUSTMENT, 'A further option.', within=(1, 9))\\n"
 before = "    max_iterations: int"
 assert source.count(before) == 1
-module = types.ModuleType("fg_orient.options")
-sys.modules["fg_orient.options"] = module
+module = types.ModuleType("fg_orient.model.options")
+sys.modules["fg_orient.model.options"] = module
 exec(compile(source.replace(before, field + before), spec.origin, "exec"), module.__dict__)
 
 import fg_orient as fg
 from tests.support.command import in_process
-from fg_orient.io.schema import ProjectFile, validate
+from fg_orient.formats.schema import ProjectFile, validate
 content = {"schema": 1, "name": "n", "images": [{"id": "a", "metadata": "a"}],
            "points": {"file": "p", "crs": "EPSG:4979"}, "observations": {"file": "o"}, "adjustment": {"further": 4}}
 print(validate(content, "f").values_of(fg.Options)["further"])

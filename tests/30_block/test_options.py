@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import Coordinates
-from fg_orient.declaration import declared
-from fg_orient.errors import Finding, InputError
-from fg_orient.io.schema import Adjustment, Orientation, validate
-from fg_orient.options import Options
+from fg_orient.formats.schema import Adjustment, Orientation, validate
+from fg_orient.model.block import Coordinates
+from fg_orient.model.declaration import declared
+from fg_orient.model.errors import Finding, InputError
+from fg_orient.model.options import Options
 
 pytestmark = pytest.mark.behaviour
 
@@ -86,6 +86,6 @@ def test_arrays_are_copies_that_cannot_be_changed() -> None:
 
 
 def test_extra_observation_is_a_public_name() -> None:
-    from fg_orient.block import ExtraObservation
+    from fg_orient.model.block import ExtraObservation
 
     assert fg.ExtraObservation is ExtraObservation and "ExtraObservation" in fg.__all__

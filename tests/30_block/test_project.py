@@ -10,15 +10,15 @@ import pyproj
 import pytest
 
 from fg_orient import geodesy
-from fg_orient.block import Options
-from fg_orient.errors import InputError
-from fg_orient.io.points import read_points
-from fg_orient.io.points_write import write_points
-from fg_orient.io.project import read_project
-from fg_orient.io.schema import Adjustment, Orientation
-from fg_orient.io.tables import Faults
-from fg_orient.io.validate import validate_project
-from fg_orient.names import Role
+from fg_orient.formats.points import read_points
+from fg_orient.formats.points_write import write_points
+from fg_orient.formats.project import read_project
+from fg_orient.formats.schema import Adjustment, Orientation
+from fg_orient.formats.tables import Faults
+from fg_orient.formats.validate import validate_project
+from fg_orient.model.block import Options
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 from tests.support.pleiades_project import pleiades_project
 
 

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_orient.block import Options
-from fg_orient.io.observations import read_observations
-from fg_orient.io.points import read_points
-from fg_orient.io.points_write import write_observations, write_points, write_project
-from fg_orient.io.project import read_project
-from fg_orient.io.tables import Faults
-from fg_orient.names import Role
+from fg_orient.formats.observations import read_observations
+from fg_orient.formats.points import read_points
+from fg_orient.formats.points_write import write_observations, write_points, write_project
+from fg_orient.formats.project import read_project
+from fg_orient.formats.tables import Faults
+from fg_orient.model.block import Options
+from fg_orient.model.names import Role
 
 names = (
     st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=12)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_orient.io.tables import MAX_FAULTS, Faults, Row, number, read_table
+from fg_orient.formats.tables import MAX_FAULTS, Faults, Row, number, read_table
 
 
 def read(tmp_path: Path, data: bytes | str, columns=(("id", "x_m"),)):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from factors import ellipsoid
+from factors.geometry import ellipsoid
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.sensors import surface
 from fg_orient.sensors.surface import on_surface

@@ -10,8 +10,8 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factors import ellipsoid
-from fg_orient.io.dimap import read_dimap
+from factors.geometry import ellipsoid
+from fg_orient.formats.dimap import read_dimap
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.eop import fit_eop, metadata_eop
 from fg_orient.sensors.pushbroom import PushbroomSensor

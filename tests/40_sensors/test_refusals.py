@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from factors import attitude
-from fg_orient import initial
-from fg_orient.errors import InputError, OutOfImage, OutOfTimeRange
-from fg_orient.sensors import projection
+from factors.geometry import attitude
+from fg_orient.model.errors import InputError, OutOfImage, OutOfTimeRange
+from fg_orient.sensors import initial, projection
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.metadata import LineTiming, LookAnglePolynomial, PushbroomMetadata, QuaternionList
 from fg_orient.sensors.pushbroom import MAX_EXTRAPOLATION_S, PushbroomSensor

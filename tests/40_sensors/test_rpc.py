@@ -12,11 +12,11 @@ import pyproj
 import pytest
 from typer.testing import CliRunner
 
-from factors import rfm_equation
+from factors.cameras import rfm_equation
 from fg_orient.cli import app
-from fg_orient.errors import InputError, OutOfImage
+from fg_orient.formats.rpc import write_rpc
 from fg_orient.geodesy import geodetic_to_ecef
-from fg_orient.io.rpc import write_rpc
+from fg_orient.model.errors import InputError, OutOfImage
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from tests.support.rpc_model import ground_points, reference_project, synthetic_model

@@ -13,11 +13,12 @@ from rasterio.errors import TransformWarning
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 
-from factors import ellipsoid, rfm
-from fg_orient.errors import InputError
-from fg_orient.io.dimap import read_dimap
-from fg_orient.io.rpc import read_rpc, rpc_format
-from fg_orient.io.sensor import read_sensor
+from factors.cameras import rfm
+from factors.geometry import ellipsoid
+from fg_orient.formats.dimap import read_dimap
+from fg_orient.formats.rpc import read_rpc, rpc_format
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc import RpcModel
 from fg_orient.sensors.rpc_sensor import RpcSensor

@@ -9,8 +9,8 @@ import numpy as np
 import pyproj
 import pytest
 
-from factors import ellipsoid
-from fg_orient.errors import InputError
+from factors.geometry import ellipsoid
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.surface import RasterDem, on_surface
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

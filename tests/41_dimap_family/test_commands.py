@@ -11,11 +11,11 @@ import numpy as np
 import pyproj
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.io.project import read_project
-from fg_orient.io.rpc import read_rpc
-from fg_orient.io.sensor import read_sensor
-from fg_orient.raster.adjusted import read_correction
+from fg_orient.formats.project import read_project
+from fg_orient.formats.rpc import read_rpc
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.model.errors import InputError
+from fg_orient.rectification.adjusted import read_correction
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
 from tests.support.published_rays import misses_m
@@ -142,7 +142,7 @@ def test_ortho_extrapolates_as_the_other_commands(short: Path, tmp_path: Path, m
         lines.append(model.sensor.last_line)
         return {}
 
-    monkeypatch.setattr("fg_orient.raster.job.orthorectify", rectified)
+    monkeypatch.setattr("fg_orient.rectification.ortho_job.orthorectify", rectified)
     words = ("rectify", "ortho", tmp_path / "image.tif", short.parent / "left.DIM", "--height", 0, "--crs",
              "EPSG:32636", "--out", tmp_path / "map.tif", "--json")  # fmt: skip
     refused = run(*words)

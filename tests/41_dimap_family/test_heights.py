@@ -11,13 +11,13 @@ import pyproj
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from factors.height_control import HEIGHT_CONTROL
-from fg_orient import initial
-from fg_orient.block import Block, Coordinates, GroundPoints, ImagePoints, Options, WithheldCoordinates
-from fg_orient.dem_control import adjust_with_dem
-from fg_orient.errors import InputError
+from factors.conditions.height_control import HEIGHT_CONTROL
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints, Options, WithheldCoordinates
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
+from fg_orient.orientation.dem_control import adjust_with_dem
+from fg_orient.sensors import initial
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.surface import RasterDem
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
+from fg_orient.formats.dimap import read_dimap
+from fg_orient.formats.rpc import read_rpc
+from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import geodetic_to_ecef
-from fg_orient.io.dimap import read_dimap
-from fg_orient.io.rpc import read_rpc
-from fg_orient.io.sensor import read_sensor
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.metadata import LookAnglePolynomial, QuaternionPolynomial
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc_sensor import RpcSensor

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from fg_orient.block import Image
+from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
-from fg_orient.io.sensor import read_sensor
+from fg_orient.model.block import Image
 from fg_orient.sensors.frame import FrameCamera, FrameSensor
 from fg_orient.sensors.oriented import OrientedSensor
-from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
-from fg_orient.viewing import (
+from fg_orient.sensors.viewing import (
     SIDE,
     View,
     _area_m2,
@@ -25,6 +24,7 @@ from fg_orient.viewing import (
     pair_record,
     polygon_geometry,
 )
+from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
 LON, LAT, HEIGHT = 31.0, 41.0, 2000.0
 

@@ -9,12 +9,12 @@ import pytest
 from scipy.interpolate import BSpline
 
 import fg_orient as fg
-from factors import splines
-from fg_orient.block import Block
-from fg_orient.errors import InputError
-from fg_orient.options import Options
-from fg_orient.parameters import orientation_parameters, term_of
-from fg_orient.raster.adjusted import _correction
+from factors.geometry import splines
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
+from fg_orient.model.options import Options
+from fg_orient.model.parameters import orientation_parameters, term_of
+from fg_orient.rectification.adjusted import _correction
 from fg_orient.run.tables import eop_rows
 from fg_orient.sensors.correction import Correction
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

@@ -6,8 +6,8 @@ import erfa
 import numpy as np
 import pytest
 
-from factors import kepler, light
-from fg_orient.errors import InputError
+from factors.geometry import kepler, light
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.earth_rotation import EarthOrientation, EarthRotation, neglected
 
 RADIUS = 7.2e6

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError, OutOfTimeRange
-from fg_orient.io.earth_orientation import read_earth_orientation
-from fg_orient.io.sensor import read_sensor
+from fg_orient.formats.earth_orientation import read_earth_orientation
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.model.errors import InputError, OutOfTimeRange
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.sensor_description import describe

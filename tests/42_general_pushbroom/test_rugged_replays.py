@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
+from fg_orient.formats.earth_orientation import read_earth_orientation
 from fg_orient.geodesy import geodetic_to_ecef
-from fg_orient.io.earth_orientation import read_earth_orientation
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.earth_rotation import EarthRotation
 from fg_orient.sensors.general import GeneralPushbroom
 from fg_orient.sensors.general_metadata import LightEffects

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from factors import kepler, light
-from fg_orient.block import Block, Image
-from fg_orient.io.sensor import read_sensor
+from factors.geometry import kepler, light
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.model.block import Block, Image
 from fg_orient.sensors.general import GeneralPushbroom
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

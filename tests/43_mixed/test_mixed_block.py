@@ -12,10 +12,10 @@ import pytest
 from scipy import stats
 
 import fg_orient as fg
-from fg_orient.block import Block
-from fg_orient.errors import InputError
 from fg_orient.geodesy import geodetic_to_ecef
-from fg_orient.names import Status
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Status
 from fg_orient.sensors.frame import FrameSensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.rpc_sensor import RpcSensor

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.rfm.estimate import fit_linear, fit_path, fit_true, fit_weighted, linear_system
-from fg_orient.rfm.fit import RfmFit, least_denominators, leverages
-from fg_orient.rfm.form import RfmForm
-from fg_orient.rfm.points import ControlPoints, Scaling
+from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.rpc.estimate import fit_linear, fit_path, fit_true, fit_weighted, linear_system
+from fg_orient.rpc.fit import RfmFit, least_denominators, leverages
+from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.rfm_points import ControlPoints, Scaling
 from tests.support.repetitions import some_slow
 from tests.support.rpc_model import reference_project
 

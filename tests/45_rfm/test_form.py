@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors import rfm
-from fg_orient.rfm.form import RfmForm
+from factors.cameras import rfm
+from fg_orient.rpc.form import RfmForm
 from tests.support.rpc_model import TERMS
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from fg_orient.errors import InputError
-from fg_orient.rfm import select
-from fg_orient.rfm.estimate import fit_linear, linear_system
-from fg_orient.rfm.form import RfmForm
-from fg_orient.rfm.points import ControlPoints, Scaling
-from fg_orient.rfm.reduced import Reduced
-from fg_orient.rfm.select import Selection, eliminated, fit_selected, lasso_solution, press_of, selections
+from fg_orient.model.errors import InputError
+from fg_orient.rpc import select
+from fg_orient.rpc.estimate import fit_linear, linear_system
+from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.reduced import Reduced
+from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.rpc.select import Selection, eliminated, fit_selected, lasso_solution, press_of, selections
 
 Make = Callable[..., ControlPoints]
 TERMS = {"b100", "b001", "a110", "a002", "c200", "d010"}
@@ -120,7 +120,7 @@ def test_elimination_solves_and_undoes_itself(rng: np.random.Generator) -> None:
 
 @pytest.mark.consistency
 def test_ridge_rules_are_those_of_the_registry(make: Make) -> None:
-    from fg_orient.linear.kappa import choose_kappa
+    from fg_orient.adjustment.linear.kappa import choose_kappa
 
     reduced = Reduced.of(make(60, noise_px=0.5), RfmForm(2))
     for name, rule in (("ridge_gcv", "gcv"), ("ridge_l_curve", "l_curve")):

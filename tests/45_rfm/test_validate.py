@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.rfm.estimate import fit_linear
-from fg_orient.rfm.fit import RfmFit
-from fg_orient.rfm.form import RfmForm
-from fg_orient.rfm.points import ControlPoints
-from fg_orient.rfm.select import fit_selected
-from fg_orient.rfm.validate import cross_validate
+from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.rpc.estimate import fit_linear
+from fg_orient.rpc.fit import RfmFit
+from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.select import fit_selected
+from fg_orient.rpc.validate import cross_validate
 
 Make = Callable[..., ControlPoints]
 

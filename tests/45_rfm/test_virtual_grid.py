@@ -8,9 +8,9 @@ import numpy as np
 import pyproj
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.io.sensor import read_sensor
-from fg_orient.rfm.virtual_grid import SensorRfm, fit_sensor
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.model.errors import InputError
+from fg_orient.rpc.virtual_grid import SensorRfm, fit_sensor
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.published_rays import misses_m

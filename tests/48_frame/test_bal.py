@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.solve import solve
-from fg_orient.errors import InputError
-from fg_orient.io.bal import read_bal, read_bal_data
+from fg_orient.formats.bal import read_bal, read_bal_data
+from fg_orient.model.errors import InputError
 
 
 def snavely(cameras: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -11,15 +11,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fg_orient as fg
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.block import Block, Coordinates, GroundPoints
-from fg_orient.errors import InputError
-from fg_orient.names import Role, Status
+from fg_orient.model.block import Block, Coordinates, GroundPoints
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role, Status
 from fg_orient.sensors.frame import UNKNOWNS, FrameSensor
 from fg_orient.simulate.frames import SIGMA, FrameTruth, pinhole_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

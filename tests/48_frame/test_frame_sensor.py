@@ -10,9 +10,9 @@ import pytest
 
 from fg_orient.adjustment.models.contract import image_models
 from fg_orient.adjustment.problem import compile_problem
-from fg_orient.block import Image, Options
-from fg_orient.errors import InputError, OutOfImage
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
+from fg_orient.model.block import Image, Options
+from fg_orient.model.errors import InputError, OutOfImage
 from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
 from fg_orient.simulate.frames import pinhole_block
 

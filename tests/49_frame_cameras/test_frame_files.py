@@ -11,13 +11,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fg_orient as fg
-from fg_orient.errors import InputError
+from fg_orient.formats.camera import write_camera
+from fg_orient.formats.frame_file import read_frame_file, write_frame_file
+from fg_orient.formats.points_write import write_observations, write_points, write_project
+from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.io.camera import write_camera
-from fg_orient.io.frame_file import read_frame_file, write_frame_file
-from fg_orient.io.points_write import write_observations, write_points, write_project
-from fg_orient.io.sensor import read_sensor
-from fg_orient.options import Options
+from fg_orient.model.errors import InputError
+from fg_orient.model.options import Options
 from fg_orient.sensors.frame import IDEAL_TO_MEASURED, MEASURED_TO_IDEAL, FrameSensor, rotation_of_opk
 from fg_orient.sensors.interior import Interior
 from tests.support.command import in_process

@@ -13,14 +13,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import fg_orient as fg
-from factors.navigation import ANTENNA_POSITION, INERTIAL_ATTITUDE, rotation_vector
-from fg_orient.block import Block
-from fg_orient.errors import InputError
+from factors.conditions.navigation import ANTENNA_POSITION, INERTIAL_ATTITUDE, rotation_vector
+from fg_orient.formats.camera import write_camera
+from fg_orient.formats.frame_file import write_frame_file
+from fg_orient.formats.points_write import write_observations, write_points, write_project
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
-from fg_orient.io.camera import write_camera
-from fg_orient.io.frame_file import write_frame_file
-from fg_orient.io.points_write import write_observations, write_points, write_project
-from fg_orient.names import Role, Status
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role, Status
 from fg_orient.sensors.frame import FrameSensor
 from fg_orient.sensors.interior import Interior, direct_orientation
 from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude, with_navigation

@@ -10,7 +10,7 @@ import pytest
 
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.solve import solve
-from fg_orient.interchange.photomodeler import read_photomodeler
+from fg_orient.formats.exchange.photomodeler import read_photomodeler
 from fg_orient.quality.covariance import cofactors_of
 from tests.support import dbat, photomodeler
 

@@ -14,9 +14,9 @@ from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.solve import Estimate, solve
-from fg_orient.block import Block
-from fg_orient.errors import InputError
-from fg_orient.names import Role
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 from fg_orient.quality.covariance import Cofactors, cofactors_of
 from fg_orient.quality.residuals import residual_cofactors
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor

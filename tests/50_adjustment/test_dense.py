@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS
-from factors.pushbroom import RECORD
+from factors.cameras.pushbroom import RECORD
+from factors.conditions.control import CONTROL_POINT, OBSERVED_PARAMETERS
 from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
+from fg_orient.adjustment.linear.registry import solve as solve_linear
+from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.adjustment.loop import gauss_newton
 from fg_orient.adjustment.problem import Problem, State, compile_problem
-from fg_orient.block import Block, ExtraObservation
-from fg_orient.linear.registry import solve as solve_linear
-from fg_orient.linear.system import LinearSystem
-from fg_orient.names import Role
+from fg_orient.model.block import Block, ExtraObservation
+from fg_orient.model.names import Role
 from fg_orient.quality.covariance import DenseCofactors, Indeterminate
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import step_of_numpy

@@ -9,11 +9,11 @@ import pytest
 from scipy.optimize import least_squares
 
 import fg_orient as fg
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.problem import Problem, State, compile_problem
-from fg_orient.block import Block
-from fg_orient.names import Role
+from fg_orient.model.block import Block
+from fg_orient.model.names import Role
 from tests.support.full_statistics import Full, step_of_numpy
 from tests.support.published_rays import misses_m
 from tests.support.scalar_rows import scalar_rows

@@ -9,11 +9,11 @@ import pytest
 
 import fg_orient as fg
 from factors._contract import Equation
-from factors.control import CONTROL_POINT, OBSERVED_PARAMETERS
+from factors.conditions.control import CONTROL_POINT, OBSERVED_PARAMETERS
 from fg_orient.adjustment.loop import levenberg_marquardt
 from fg_orient.adjustment.problem import compile_problem
-from fg_orient.block import Block, ExtraObservation
-from fg_orient.names import Role
+from fg_orient.model.block import Block, ExtraObservation
+from fg_orient.model.names import Role
 from fg_orient.quality.observability import analyse_block
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import Full

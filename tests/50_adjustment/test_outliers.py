@@ -9,12 +9,12 @@ import pytest
 from scipy.stats import f as fisher
 
 import fg_orient as fg
-from fg_orient.block import Block, Coordinates
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Coordinates
+from fg_orient.model.names import Role
+from fg_orient.orientation.snooping import snoop
 from fg_orient.quality.outliers import GroupTest
 from fg_orient.quality.residuals import residual_cofactors
-from fg_orient.snooping import snoop
 from tests.support.rpc_block import rpc_twin
 
 

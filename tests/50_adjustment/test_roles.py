@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from factors.control import POINT
-from fg_orient import orient
-from fg_orient.block import Block, Coordinates, WithheldCoordinates
+from factors.conditions.control import POINT
+from fg_orient.model.block import Block, Coordinates, WithheldCoordinates
+from fg_orient.orientation import orient
 
 
 def moved(block: Block, shift_m: float) -> Block:

@@ -12,12 +12,12 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 import fg_orient as fg
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.models.contract import MODELS, groups
 from fg_orient.adjustment.problem import compile_problem
-from fg_orient.block import Block, Image, ImagePoints
-from fg_orient.errors import InputError, RankDeficientError
-from fg_orient.names import Role, Status
+from fg_orient.model.block import Block, Image, ImagePoints
+from fg_orient.model.errors import InputError, RankDeficientError
+from fg_orient.model.names import Role, Status
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.rpc.corrected import corrected

@@ -10,8 +10,8 @@ import pytest
 from fg_orient.adjustment import problem as module
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.unchanged import unchanged_rows
-from fg_orient.block import Block, Coordinates, GroundPoints
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Coordinates, GroundPoints
+from fg_orient.model.names import Role
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 pytestmark = pytest.mark.consistency

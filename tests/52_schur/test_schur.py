@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import fg_orient as fg
 from factors._contract import NotFiniteError
-from factors.control import CONTROL_POINT
+from factors.conditions.control import CONTROL_POINT
 from fg_orient.adjustment import schur_reduced, schur_structure
 from fg_orient.adjustment.dense import Columns, DenseBackend, assemble
 from fg_orient.adjustment.graph import GraphBackend
@@ -28,8 +28,8 @@ from fg_orient.adjustment.schur_cofactors import SchurCofactors
 from fg_orient.adjustment.schur_reduced import Singular
 from fg_orient.adjustment.solve import chosen_backend, solve
 from fg_orient.adjustment.threads import Workers
-from fg_orient.block import Block, ExtraObservation, Image, ImagePoints
-from fg_orient.names import Role
+from fg_orient.model.block import Block, ExtraObservation, Image, ImagePoints
+from fg_orient.model.names import Role
 from fg_orient.quality import conditioning
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block

@@ -9,8 +9,8 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.loop import STEP_TOLERANCE
-from fg_orient.block import Block
-from fg_orient.names import Role
+from fg_orient.model.block import Block
+from fg_orient.model.names import Role
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.full_statistics import step_of_numpy
 

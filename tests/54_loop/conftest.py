@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Block, ImagePoints
+from fg_orient.model.block import Block, ImagePoints
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 

@@ -17,7 +17,7 @@ from fg_orient.adjustment.checkpoint import Checkpoint, fingerprint
 from fg_orient.adjustment.loop import OPTIMIZERS, Carried, IterationRecord
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.solve import Estimate, solve
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.run import checkpoint_path, run_project
 from fg_orient.simulate.block import BlockOptions, simulate_block
 from tests.support.command import in_process as run

@@ -16,7 +16,7 @@ from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.robust import FLOOR, weighted_problem
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.solve import Estimate, solve
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.quality.verdict import DOWN
 from fg_orient.run import run_project
 from fg_orient.simulate.block import BlockOptions, simulate_block

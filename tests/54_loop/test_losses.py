@@ -26,7 +26,7 @@ from fg_orient.adjustment.robust import (
     weights_at,
 )
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from tests.support.full_statistics import after_numpy, step_of_numpy
 from tests.support.states import largest
 

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fg_orient.classical.switches import NUMBERED, PROGRAM, Switches
-from fg_orient.classical.two_stage import TwoStage
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient.studies.switches import NUMBERED, PROGRAM, Switches
+from fg_orient.studies.two_stage import TwoStage
 from tests.support import published_conditions as oracle
 
 ATTITUDE = (-1.6e-4, -7.2e-4, 9e-4)

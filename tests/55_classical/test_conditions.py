@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from factors.pushbroom import RECORD
-from fg_orient.block import Block
-from fg_orient.classical import conditions
-from fg_orient.classical.switches import PROGRAM, TEXT, Switches
+from factors.cameras.pushbroom import RECORD
+from fg_orient.model.block import Block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient.studies import conditions
+from fg_orient.studies.switches import PROGRAM, TEXT, Switches
 from tests.support import published_conditions as oracle
 from tests.support.published_rays import state
 

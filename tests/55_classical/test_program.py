@@ -11,15 +11,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fg_orient.classical.axis_errors import AxisErrors, from_two_rays
-from fg_orient.classical.step_two_only import step_two_only
-from fg_orient.classical.switches import NUMBERED, PROGRAM, TEXT, Switches, label, names, source, switches_of
-from fg_orient.classical.two_stage import TwoStage
-from fg_orient.experiments.study import AS_RUN_TWIN, Study
-from fg_orient.experiments.switch_effects import MEASURES, effects, norm_condition
-from fg_orient.linear import registry
-from fg_orient.linear.conditioning import diagnose
-from fg_orient.linear.system import LinearSolution, LinearSystem
+from fg_orient.adjustment.linear import registry
+from fg_orient.adjustment.linear.conditioning import diagnose
+from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
+from fg_orient.studies.axis_errors import AxisErrors, from_two_rays
+from fg_orient.studies.step_two_only import step_two_only
+from fg_orient.studies.study import AS_RUN_TWIN, Study
+from fg_orient.studies.switch_effects import MEASURES, effects, norm_condition
+from fg_orient.studies.switches import NUMBERED, PROGRAM, TEXT, Switches, label, names, source, switches_of
+from fg_orient.studies.two_stage import TwoStage
 
 SOLVER = "gauss_inverse"
 #: The procedure before D1 to D8 were known: matrices, 0.1", repeats, metadata positions, complex roots.

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.block import Block, Image, ImagePoints
-from fg_orient.classical import two_stage
-from fg_orient.classical.axis_errors import from_two_rays, rms
-from fg_orient.classical.switches import PROGRAM
-from fg_orient.classical.two_stage import TwoStage
-from fg_orient.errors import InputError
-from fg_orient.linear.system import Breakdown, LinearSolution
-from fg_orient.names import Role
-from fg_orient.parameters import eop_codes
+from fg_orient.adjustment.linear.system import Breakdown, LinearSolution
+from fg_orient.model.block import Block, Image, ImagePoints
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
+from fg_orient.model.parameters import eop_codes
 from fg_orient.sensors.metadata import Ephemeris
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient.studies import two_stage
+from fg_orient.studies.axis_errors import from_two_rays, rms
+from fg_orient.studies.switches import PROGRAM
+from fg_orient.studies.two_stage import TwoStage
 from tests.support import published_conditions as oracle
 
 SOLVER = "gauss_partial_pivot_elimination"
@@ -551,7 +551,9 @@ def test_a_breakdown_gives_nan_and_its_reason(
     def broken(*_: object) -> LinearSolution:
         raise Breakdown.of("linear.zero_pivot", place="row 3")
 
-    monkeypatch.setattr("fg_orient.linear.registry.solver", lambda _: type("Broken", (), {"function": broken}))
+    monkeypatch.setattr(
+        "fg_orient.adjustment.linear.registry.solver", lambda _: type("Broken", (), {"function": broken})
+    )
     bundle = run.bundle(5, kind, "any", iterations)
     assert_nothing(bundle)
     assert "pivot" in bundle.failure

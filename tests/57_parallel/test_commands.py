@@ -11,10 +11,10 @@ import pytest
 
 from fg_orient.adjustment.checkpoint import Checkpoint
 from fg_orient.adjustment.loop import Carried
+from fg_orient.adjustment.parts import pool
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.parallel import pool
+from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.run import checkpoint_path, run_project
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process as run
@@ -102,7 +102,7 @@ def test_a_lost_cluster_leaves_the_checkpoint(
         checkpoint.keep(problem, "schur", Carried(problem.start))
         raise NoSolutionError.of(code, place="here", value="x", why="x")
 
-    monkeypatch.setattr("fg_orient.parallel.solve.solve_in_parts", lost)
+    monkeypatch.setattr("fg_orient.adjustment.parts.solve.solve_in_parts", lost)
     with pytest.raises(NoSolutionError):
         run_project(project, tmp_path / "out", execution={"parts": 2}, checkpoint_every_s=1e9)
     assert checkpoint_path(tmp_path / "out").exists() == kept

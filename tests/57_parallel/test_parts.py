@@ -16,16 +16,16 @@ import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.gnc import EXACT, PLAIN, Graduated
 from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.adjustment.parts import parts as parts_module
+from fg_orient.adjustment.parts.backend import PartedBackend
+from fg_orient.adjustment.parts.parts import default_parts, divide, part_file, read_part, rows_of
+from fg_orient.adjustment.parts.pool import Execution, InProcess
+from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.robust import robust_of, weighted_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
-from fg_orient.block import Block, ExtraObservation
-from fg_orient.parallel import parts as parts_module
-from fg_orient.parallel.backend import PartedBackend
-from fg_orient.parallel.parts import default_parts, divide, part_file, read_part, rows_of
-from fg_orient.parallel.pool import Execution, InProcess
-from fg_orient.parallel.solve import solve_in_parts
+from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.quality.covariance import cofactors_of
 from tests.support.full_statistics import after_numpy, step_of_numpy
 from tests.support.parallel_block import block
@@ -252,7 +252,7 @@ def test_refusals(small: Block, tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_own_observations_are_refused(small: Block) -> None:
-    from factors.control import CONTROL_POINT
+    from factors.conditions.control import CONTROL_POINT
 
     name = f"point:{small.points.ids[0]}"
     record = np.concatenate([np.eye(3).ravel(), np.zeros(3)])

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import Block
-from fg_orient.comparison.model import Comparison
-from fg_orient.experiments.claims import Claim, Outcome, outcome, run_claims
-from fg_orient.parallel.study import dumps, loads, study
+from fg_orient.adjustment.parts.study import dumps, loads, study
+from fg_orient.model.block import Block
+from fg_orient.studies.claims import Claim, Outcome, outcome, run_claims
+from fg_orient.studies.comparison.model import Comparison
 
 
 def spectrum(seed: int) -> dict[str, Any]:

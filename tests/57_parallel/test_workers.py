@@ -16,15 +16,15 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.loop import OPTIMIZERS
+from fg_orient.adjustment.parts import pool as pool_module
+from fg_orient.adjustment.parts.backend import PartedBackend
+from fg_orient.adjustment.parts.parts import read_part
+from fg_orient.adjustment.parts.pool import Cluster, Execution, InProcess, Pool, branches, opened, summed, work_folder
+from fg_orient.adjustment.parts.study import study
+from fg_orient.adjustment.parts.tasks import forget
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.solve import solve
-from fg_orient.block import Block
-from fg_orient.parallel import pool as pool_module
-from fg_orient.parallel.backend import PartedBackend
-from fg_orient.parallel.parts import read_part
-from fg_orient.parallel.pool import Cluster, Execution, InProcess, Pool, branches, opened, summed, work_folder
-from fg_orient.parallel.study import study
-from fg_orient.parallel.tasks import forget
+from fg_orient.model.block import Block
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import step_of_numpy
 

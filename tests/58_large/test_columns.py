@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 from fg_orient.adjustment.problem import State, compile_problem
 from fg_orient.adjustment.rows import image_rows, linearised, residuals, rows_by_image
-from fg_orient.block import Block
-from fg_orient.io import observations as observation_files
-from fg_orient.io import points as point_files
-from fg_orient.io.observations import read_observations
-from fg_orient.io.points import read_points
-from fg_orient.io.tables import Faults
-from fg_orient.orient import adjust
+from fg_orient.formats import observations as observation_files
+from fg_orient.formats import points as point_files
+from fg_orient.formats.observations import read_observations
+from fg_orient.formats.points import read_points
+from fg_orient.formats.tables import Faults
+from fg_orient.model.block import Block
+from fg_orient.orientation.orient import adjust
 from fg_orient.report.data import read_columns
 from fg_orient.run.columns import Named, write_columns
 from fg_orient.simulate.block import BlockOptions, grid_block

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from fg_orient import orient
 from fg_orient.adjustment import memory
-from fg_orient.block import Block
-from fg_orient.errors import InputError
-from fg_orient.orient import adjust
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
+from fg_orient.orientation import orient
+from fg_orient.orientation.orient import adjust
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
 from tests.support.command import in_process
 

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 import fg_orient
+from fg_orient.cli.selftest import self_test
 from fg_orient.run.json import dumps
 from fg_orient.run.provenance import provenance, relative
-from fg_orient.selftest import self_test
 from tests.support.command import entry_point
 
 pytestmark = pytest.mark.behaviour
@@ -121,7 +121,7 @@ def test_json_has_no_nan() -> None:
 
 
 def test_no_folder_of_this_machine_in_the_provenance(tmp_path: Path) -> None:
-    from fg_orient.selftest import synthetic_block
+    from fg_orient.cli.selftest import synthetic_block
 
     command = ("fg-orient", "adjust", str(tmp_path / "a.toml"), f"--out={tmp_path}/x", "--eop-set=3", "-q")
     found = provenance(synthetic_block()[0], tmp_path, command)

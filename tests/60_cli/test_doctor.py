@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 
-import factors._compile
 import fg_orient
-from fg_orient import doctor
+from fg_orient.cli import doctor
 
 pytestmark = pytest.mark.behaviour
 
@@ -27,7 +26,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (folder / "factors_1" / name).write_bytes(b"0123456789")
     for path in (folder.parent, folder, *folder.rglob("*")):
         path.chmod(0o755 if path.is_dir() else 0o644)
-    monkeypatch.setattr(factors._compile, "cache_folder", lambda: folder)
+    monkeypatch.setattr(doctor, "_cache_folders", lambda: [folder])
     return folder
 
 
@@ -53,10 +52,10 @@ def test_doctor(run: Any, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_doctor_of_a_broken_installation(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Exit code 1, and the other checks are made all the same."""
 
-    def broken() -> Path:
+    def broken() -> list[Path]:
         raise RuntimeError("numba is broken")
 
-    monkeypatch.setattr(factors._compile, "cache_folder", broken)
+    monkeypatch.setattr(doctor, "_cache_folders", broken)
     monkeypatch.setattr(doctor, "versions", lambda names: dict.fromkeys(names, "1.0") | {"scipy": None})
     ended = run("doctor", "--json")
     assert ended.code == 1
@@ -67,7 +66,7 @@ def test_doctor_of_a_broken_installation(run: Any, monkeypatch: pytest.MonkeyPat
 
 
 def test_no_cache_is_a_warning_with_a_remedy(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(factors._compile, "cache_folder", lambda: None)
+    monkeypatch.setattr(doctor, "_cache_folders", lambda: [])
     ended = run("doctor", "--json")
     assert ended.code == 0, ended.stdout
     assert ended.json["cache"] is None

@@ -10,7 +10,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from fg_orient.io.sensor import read_sensor
+from fg_orient.formats.sensor import read_sensor
 from tests.support.published_rays import misses_m
 
 GROUND = ["id", "line", "sample", "lon_deg", "lat_deg", "height_m", "x_m", "y_m", "z_m"]

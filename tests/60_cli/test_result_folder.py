@@ -13,8 +13,8 @@ import pyproj
 import pytest
 
 import fg_orient.run as runs
-from fg_orient.errors import InputError
-from fg_orient.io.folder import staged_folder
+from fg_orient.formats.folder import staged_folder
+from fg_orient.model.errors import InputError
 
 FILES = {"result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "iterations.jsonl", "arrays.npz",
          "report.html"}  # fmt: skip

@@ -15,11 +15,11 @@ import pyproj
 import pytest
 
 import fg_orient as fg
-from fg_orient.errors import InputError
+from fg_orient.formats.rpc import read_rpc, write_rpc
+from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import ecef_to_geodetic
-from fg_orient.io.rpc import read_rpc, write_rpc
-from fg_orient.io.sensor import read_sensor
-from fg_orient.names import Role
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
 from fg_orient.rpc.compensate import LEVEL, compensate
 from fg_orient.rpc.corrected import corrected
 from fg_orient.rpc.fitting import fit_image

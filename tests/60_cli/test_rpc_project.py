@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import Image
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.points_write import write_observations, write_points, write_project
+from fg_orient.formats.rpc import read_rpc, write_rpc
 from fg_orient.geodesy import ecef_to_geodetic
-from fg_orient.io.atomic import write_text
-from fg_orient.io.points_write import write_observations, write_points, write_project
-from fg_orient.io.rpc import read_rpc, write_rpc
-from fg_orient.names import Role
+from fg_orient.model.block import Image
+from fg_orient.model.names import Role
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from tests.support.rpc_block import RpcTwin, rpc_twin, twin_with_models
 from tests.support.rpc_model import reference_project

@@ -24,7 +24,7 @@ from fg_orient.cli.common import table
 from fg_orient.cli.log import LogFile, opened, session
 from fg_orient.cli.output import emit
 from fg_orient.cli.progress import describe_steps, duration, progress_bar
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from tests.support.command import Run, entry_point
 
 pytestmark = pytest.mark.behaviour

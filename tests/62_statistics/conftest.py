@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fg_orient.block import Block
+from fg_orient.model.block import Block
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.full_statistics import options

@@ -16,10 +16,10 @@ import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.solve import solve
-from fg_orient.block import Block
+from fg_orient.model.block import Block
+from fg_orient.orientation.solution import Solution
 from fg_orient.quality.covariance import Cofactors, cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
-from fg_orient.solution import Solution
 from tests.support.full_statistics import Full, options
 
 pytestmark = pytest.mark.oracle

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import Block
+from fg_orient.model.block import Block
+from fg_orient.orientation.solution import Solution
 from fg_orient.quality import group_cofactors
 from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.suspects import KINDS, suspects
 from fg_orient.quality.variance_components import Residuals
-from fg_orient.solution import Solution
 from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import fixed, measured_twice, options, own_observations, turned_design
 

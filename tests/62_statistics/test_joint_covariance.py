@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import Block
-from fg_orient.names import Role
-from fg_orient.solution import Solution
+from fg_orient.model.block import Block
+from fg_orient.model.names import Role
+from fg_orient.orientation.solution import Solution
 from tests.support.full_statistics import Full, measured_twice
 
 

@@ -11,12 +11,12 @@ from scipy import stats
 import fg_orient as fg
 from fg_orient.adjustment import located
 from fg_orient.adjustment.problem import State
-from fg_orient.block import Block
-from fg_orient.names import Role
+from fg_orient.model.block import Block
+from fg_orient.model.names import Role
+from fg_orient.orientation.solution import Solution
 from fg_orient.quality import located_point
 from fg_orient.quality.located_point import LocatedPoint
 from fg_orient.quality.regions import error_ellipse, radius
-from fg_orient.solution import Solution
 from tests.support.rpc_block import rpc_twin
 
 

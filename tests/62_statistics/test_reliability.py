@@ -10,12 +10,12 @@ from scipy import stats
 from scipy.optimize import brentq
 
 import fg_orient as fg
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import assemble
-from fg_orient.block import Block
-from fg_orient.names import Role
+from fg_orient.model.block import Block
+from fg_orient.model.names import Role
+from fg_orient.orientation.solution import Solution
 from fg_orient.quality.reliability import ALPHA, CHECKABLE, POWER, BlockReliability, noncentrality, reliability
-from fg_orient.solution import Solution
 from tests.support.full_statistics import Full, fixed, measured_twice, options, own_observations
 
 

@@ -11,12 +11,12 @@ import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import whitened_records
 from fg_orient.adjustment.robust import weighted_problem
-from fg_orient.block import Block
-from fg_orient.names import Role
+from fg_orient.model.block import Block
+from fg_orient.model.names import Role
+from fg_orient.orientation.solution import Solution
 from fg_orient.quality.observation_groups import groups_of
 from fg_orient.quality.residuals import residual_cofactors
 from fg_orient.quality.variance_components import Residuals
-from fg_orient.solution import Solution
 from tests.support.frame_above import with_frame_above
 from tests.support.full_statistics import Full, fixed, measured_twice, options, own_observations
 

@@ -15,12 +15,12 @@ import pytest
 import fg_orient as fg
 from fg_orient.adjustment import memory
 from fg_orient.adjustment.point_cofactors import AUTO_LIMIT, full_statistics
-from fg_orient.block import Block, Options
-from fg_orient.io.project import read_project
-from fg_orient.names import Role
+from fg_orient.formats.project import read_project
+from fg_orient.model.block import Block, Options
+from fg_orient.model.names import Role
+from fg_orient.orientation.solution import Solution
 from fg_orient.run import run_project, statistics
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
-from fg_orient.solution import Solution
 from tests.support.full_statistics import Full, fixed, options
 
 IMAGE = ("redundancy_line", "redundancy_sample", "redundancy_least", "w_line", "w_sample", "mdb_line_px",

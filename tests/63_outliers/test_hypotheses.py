@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.quality import hypotheses
 from fg_orient.quality.hypotheses import can_be_tested, global_test, level_of_each, limits, probabilities, statistics
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient import outlier_search
 from fg_orient.adjustment.loop import IterationRecord
-from fg_orient.block import Block
-from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.names import Role
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.model.names import Role
+from fg_orient.orientation import outlier_search
+from fg_orient.orientation.snooping import snoop
 from fg_orient.quality.outliers import OutlierTests
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
-from fg_orient.snooping import snoop
 
 
 def twin(seed: int = 1) -> Block:

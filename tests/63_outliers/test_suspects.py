@@ -9,8 +9,8 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
-from fg_orient.block import Block
-from fg_orient.errors import InputError, NoSolutionError, finding
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError, NoSolutionError, finding
 from fg_orient.quality import prediction
 from fg_orient.quality.outliers import judge
 from fg_orient.quality.suspects import Kind, suspects

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.solve import Estimate, solve
-from fg_orient.block import Block, Coordinates, GroundPoints, ImagePoints
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints
+from fg_orient.model.names import Role
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 

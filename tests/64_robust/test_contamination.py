@@ -12,7 +12,7 @@ import pytest
 from benchmarks import contamination as study
 from benchmarks.contamination import PLAIN, RESULTS, SEEDS, TRACE
 from benchmarks.contamination_page import LIMIT, PAGE, ratios, with_study
-from fg_orient.names import Role
+from fg_orient.model.names import Role
 
 #: Methods that must keep the check points within 1.2 of the clean run.
 WINNERS = ("tukey", "hampel", "GNC, tls")

@@ -11,7 +11,7 @@ import fg_orient as fg
 from fg_orient.adjustment import irls
 from fg_orient.adjustment.irls import EPSILON, danish_limit, danish_original, least_absolute, norms_at, reweight
 from fg_orient.adjustment.robust import FLOOR
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 from .conftest import adjusted, problem_of, spoiled, twin
 

@@ -13,7 +13,7 @@ import fg_orient as fg
 from fg_orient.adjustment.problem import State
 from fg_orient.adjustment.resection import CERTAINTY, METHODS, SHARE, resection_start, subset_count
 from fg_orient.adjustment.rows import residuals
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 from .conftest import adjusted, control_rays, moved, problem_of, spoiled, twin

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from fg_orient.block import Block
-from fg_orient.comparison.compare import compare
-from fg_orient.comparison.model import Comparison
+from fg_orient.model.block import Block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak, zonguldak_block
+from fg_orient.studies.comparison.compare import compare
+from fg_orient.studies.comparison.model import Comparison
 from tests.support.command import Ended, Run, in_process
 
 #: Well conditioned; velocity (a mere yaw); velocity and attitude.

@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 from markupsafe import escape
 
-from fg_orient.comparison import folder as comparison_folder
-from fg_orient.comparison import heat, plots
-from fg_orient.comparison.model import COLUMNS, Comparison
-from fg_orient.comparison.report import render, short
-from fg_orient.comparison.words import ranges, verdict
-from fg_orient.figures import style
+from fg_orient.report import style
 from fg_orient.report.page import script_hash
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
+from fg_orient.studies.comparison import folder as comparison_folder
+from fg_orient.studies.comparison import heat, plots
+from fg_orient.studies.comparison.model import COLUMNS, Comparison
+from fg_orient.studies.comparison.report import render, short
+from fg_orient.studies.comparison.words import ranges, verdict
 
 FIGURES = {
     "heatmap_control.svg", "heatmap_check.svg", "conditions.svg", "spectra.svg", "l_curves.svg", "seconds.svg",

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import Block
-from fg_orient.classical.two_stage import TwoStage
-from fg_orient.comparison import plots
-from fg_orient.comparison.compare import compare
-from fg_orient.comparison.model import Comparison, Curve, Direction
-from fg_orient.comparison.report import render
+from fg_orient.model.block import Block
+from fg_orient.studies.comparison import plots
+from fg_orient.studies.comparison.compare import compare
+from fg_orient.studies.comparison.model import Comparison, Curve, Direction
+from fg_orient.studies.comparison.report import render
+from fg_orient.studies.two_stage import TwoStage
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import Block, GroundPoints
-from fg_orient.classical.two_stage import TwoStage
-from fg_orient.comparison import engines
-from fg_orient.comparison.compare import compare, ground_sampling_m, reached
-from fg_orient.comparison.model import COLUMNS, LARGEST_CONDITION, Comparison, Row, Spectrum, groups
-from fg_orient.comparison.words import verdict
-from fg_orient.linear.threads import one_blas_thread
-from fg_orient.names import Role
+from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.model.block import Block, GroundPoints
+from fg_orient.model.names import Role
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
+from fg_orient.studies.comparison import engines
+from fg_orient.studies.comparison.compare import compare, ground_sampling_m, reached
+from fg_orient.studies.comparison.model import COLUMNS, LARGEST_CONDITION, Comparison, Row, Spectrum, groups
+from fg_orient.studies.comparison.words import verdict
+from fg_orient.studies.two_stage import TwoStage
 
 AXES = ("x", "y", "z")
 
@@ -317,7 +317,7 @@ def test_table_with_and_without_pandas(comparison: Comparison, monkeypatch: pyte
     frame = comparison.table
     assert tuple(frame.columns) == COLUMNS and len(frame) == len(comparison.rows)
     assert frame["check_rmse_m"].iloc[0] == comparison.rows[0].check_rmse_m
-    monkeypatch.setattr("fg_orient.comparison.model.find_spec", lambda name: None)
+    monkeypatch.setattr("fg_orient.studies.comparison.model.find_spec", lambda name: None)
     records = comparison.table
     assert [tuple(r) for r in records] == [COLUMNS] * len(comparison.rows)
 

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 import fg_orient as fg
-from fg_orient.block import Block
-from fg_orient.comparison import selection
-from fg_orient.linear.registry import solvers
+from fg_orient.adjustment.linear.registry import solvers
+from fg_orient.model.block import Block
+from fg_orient.studies.comparison import selection
 
 pytestmark = pytest.mark.behaviour
 

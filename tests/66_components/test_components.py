@@ -11,10 +11,10 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 import fg_orient as fg
-from factors.control import POINT
+from factors.conditions.control import POINT
 from fg_orient.adjustment.dense import assemble
-from fg_orient.block import Block
-from fg_orient.components import adjust_with_components
+from fg_orient.model.block import Block
+from fg_orient.orientation.components import adjust_with_components
 from fg_orient.quality import variance_components as module
 from fg_orient.quality.freedom import freedoms
 from fg_orient.quality.observation_groups import groups_of
@@ -377,7 +377,7 @@ def test_gross_errors_are_found_although_sigmas_are_unknown() -> None:
     o, known = block.observations, block.points.known
     o = replace(o, sample=o.sample + 15.0 * (np.arange(len(o)) == 11))
     block = replace(block, observations=o, points=replace(block.points, known=known))
-    from fg_orient.snooping import snoop
+    from fg_orient.orientation.snooping import snoop
 
     found = snoop(block, variance_components=GROUPS, **DENSE)
     image, point = block.images[int(o.image[11])].id, block.points.ids[int(o.point[11])]

@@ -14,15 +14,15 @@ from scipy.stats import t as student
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
-from fg_orient.block import Block, Coordinates
-from fg_orient.cross_validation import cross_validate, folds_of
-from fg_orient.distributions import holm
-from fg_orient.names import Role
-from fg_orient.parameters import Term, term_of
+from fg_orient.model.block import Block, Coordinates
+from fg_orient.model.distributions import holm
+from fg_orient.model.names import Role
+from fg_orient.model.parameters import Term, term_of
+from fg_orient.orientation.cross_validation import cross_validate, folds_of
+from fg_orient.orientation.reduction import closest_eop_set, criteria, reduce_unknowns
+from fg_orient.orientation.solution import Solution
 from fg_orient.quality.significance import group_test, places_of
-from fg_orient.reduction import closest_eop_set, criteria, reduce_unknowns
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
-from fg_orient.solution import Solution
 from tests.support.command import in_process
 from tests.support.full_statistics import step_of_numpy
 from tests.support.planted_errors import planted

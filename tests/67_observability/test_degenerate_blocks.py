@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from factors.control import CONTROL_POINT
+from factors.conditions.control import CONTROL_POINT
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.rows import linearised
-from fg_orient.block import Block, ExtraObservation
-from fg_orient.names import Role
+from fg_orient.model.block import Block, ExtraObservation
+from fg_orient.model.names import Role
 from fg_orient.quality.elimination import eliminated, eliminated_with_own
 from fg_orient.quality.motions import free_motions
 from fg_orient.quality.observability import analyse_block

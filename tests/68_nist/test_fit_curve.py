@@ -11,7 +11,7 @@ from scipy.optimize import curve_fit
 import fg_orient as fg
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.regression import fit_curve
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.model.errors import InputError, NoSolutionError
 
 X = np.linspace(0.0, 10.0, 25)
 START = (4.0, 0.3, 1.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fg_orient.adjustment.regression import CurveFit, fit_curve
-from fg_orient.errors import NoSolutionError
+from fg_orient.model.errors import NoSolutionError
 from tests.support.nist import MODELS, Certified, digits, read_set
 
 pytestmark = pytest.mark.truth

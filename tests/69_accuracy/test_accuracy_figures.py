@@ -10,13 +10,13 @@ import pytest
 from scipy.stats import binom, chi2, ttest_1samp
 
 import fg_orient as fg
-from fg_orient.distributions import binomial_limit
-from fg_orient.errors import NoSolutionError
+from fg_orient.model.distributions import binomial_limit
+from fg_orient.model.errors import NoSolutionError
+from fg_orient.orientation.solution import Solution
 from fg_orient.quality.accuracy import BEYOND, CHANCE, PointDifferences
 from fg_orient.quality.prediction_test import PredictionTest, bias_test, prediction_test
 from fg_orient.quality.verdict import of_check_points
 from fg_orient.simulate.block import BlockOptions, grid_block
-from fg_orient.solution import Solution
 
 
 def points(enu: np.ndarray, predicted: float = 1.0, own: float = 0.5) -> PointDifferences:

@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import chi2, median_abs_deviation
 
 import fg_orient as fg
-from fg_orient.errors import InputError
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
+from fg_orient.model.errors import InputError
 from fg_orient.quality.dem_accuracy import compare_dem, nmad
 from fg_orient.simulate.block import BlockOptions, grid_block
 

@@ -11,10 +11,10 @@ import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.problem import Problem
 from fg_orient.adjustment.rows import image_rows, rows_by_image
-from fg_orient.block import Block
-from fg_orient.orient import judge_observability
+from fg_orient.model.block import Block
+from fg_orient.orientation.orient import judge_observability
+from fg_orient.orientation.solution import Solution
 from fg_orient.simulate.block import BlockOptions, grid_block
-from fg_orient.solution import Solution
 
 pytestmark = pytest.mark.oracle
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.block import Block
-from fg_orient.io.project import read_project
-from fg_orient.names import Role, Status
-from fg_orient.orient import adjust
+from fg_orient.formats.project import read_project
+from fg_orient.model.block import Block
+from fg_orient.model.names import Role, Status
+from fg_orient.orientation.orient import adjust
 from fg_orient.simulate.block import BlockOptions, grid_block, simulate_block
 from fg_orient.simulate.simulation import Truth
 from tests.support.published_rays import misses_m

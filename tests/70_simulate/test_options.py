@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.simulate.block import BlockOptions
 from fg_orient.simulate.zonguldak import ZonguldakOptions
 

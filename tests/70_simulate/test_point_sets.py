@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from fg_orient.names import Role
+from fg_orient.model.names import Role
 from fg_orient.simulate.point_sets import CHECK_COUNT, N_POINTS, roles_of
 
 

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient import initial
-from fg_orient.block import Block
-from fg_orient.errors import InputError
+from fg_orient.formats.project import read_project
 from fg_orient.geodesy import ecef_to_geodetic, geodetic_to_ecef
-from fg_orient.io.project import read_project
-from fg_orient.names import Role, Status
-from fg_orient.orient import adjust
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role, Status
+from fg_orient.orientation.orient import adjust
+from fg_orient.sensors import initial
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.projection import pixel_derivative
 from fg_orient.sensors.pushbroom import PushbroomSensor

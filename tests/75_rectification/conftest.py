@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.cells import CellKey
-from fg_orient.reproduce.reproduction import Reproduction, Row, reproduce
+from fg_orient.model.cells import CellKey
+from fg_orient.studies.reproduce.reproduction import Reproduction, Row, reproduce
 
 Array = np.ndarray
 

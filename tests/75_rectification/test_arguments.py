@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.raster.grid import MapGrid
-from fg_orient.raster.lattice import LevelSurface
+from fg_orient.model.errors import InputError
 from fg_orient.rectification import areas, projections, scanner, standards, study, synthetic
 from fg_orient.rectification.distances import pair_distances
 from fg_orient.rectification.fit import Observations, fit
+from fg_orient.rectification.grid import MapGrid
+from fg_orient.rectification.lattice import LevelSurface
 from fg_orient.rectification.models import find_model
 from fg_orient.rectification.outliers import prune
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from fg_orient.errors import InputError, NoSolutionError
+from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.rectification.distances import pair_distances
 from fg_orient.rectification.fit import Fit, Observations, fit
 from fg_orient.rectification.models import NAMES, SPATIAL, find_model

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Fit, Observations, fit
 from fg_orient.rectification.models import SPATIAL, find_model
 from fg_orient.rectification.outliers import check_tests

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.published import tables as published
-from fg_orient.published.tables import PublishedCell, load
 from fg_orient.rectification.synthetic import digitised_sheets
-from fg_orient.reproduce.found import Found, judge
-from fg_orient.reproduce.ipbuker1994 import TABLES
-from fg_orient.reproduce.ipbuker1994_points import _scatter
-from fg_orient.reproduce.reproduction import Reproduction, Row, reproduce
+from fg_orient.studies.published import tables as published
+from fg_orient.studies.published.tables import PublishedCell, load
+from fg_orient.studies.reproduce.found import Found, judge
+from fg_orient.studies.reproduce.ipbuker1994 import TABLES
+from fg_orient.studies.reproduce.ipbuker1994_points import _scatter
+from fg_orient.studies.reproduce.reproduction import Reproduction, Row, reproduce
 from tests.support.command import in_process as run
 
 from .conftest import key

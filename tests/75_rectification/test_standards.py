@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.standards import (
     NAMES,
     Verdict,

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import from_geographic
-from fg_orient.io.sensor import read_sensor
-from fg_orient.raster.models import SensorModel
+from fg_orient.rectification.ortho_models import SensorModel
 from fg_orient.run import run_project
 from fg_orient.sensors.pushbroom import PushbroomSensor
 from fg_orient.sensors.surface import RasterDem

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.errors import InputError
-from fg_orient.io.sensor import read_sensor
-from fg_orient.parameters import N_EOP, parameter_name
-from fg_orient.raster.adjusted import read_correction
+from fg_orient.formats.sensor import read_sensor
+from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import N_EOP, parameter_name
+from fg_orient.rectification.adjusted import read_correction
 from fg_orient.rpc.fitting import fit_image
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.rpc_sensor import RpcSensor

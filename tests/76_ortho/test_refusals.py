@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import rasterio
 
-from fg_orient.errors import InputError
-from fg_orient.raster.job import rectify_image
-from fg_orient.raster.lattice import LevelSurface
-from fg_orient.raster.models import PointModel, solved
-from fg_orient.raster.ortho import OrthoOptions, orthorectify
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Observations, fit
+from fg_orient.rectification.lattice import LevelSurface
 from fg_orient.rectification.models import find_model
+from fg_orient.rectification.ortho import OrthoOptions, orthorectify
+from fg_orient.rectification.ortho_job import rectify_image
+from fg_orient.rectification.ortho_models import PointModel, solved
 
 from .conftest import CRS
 

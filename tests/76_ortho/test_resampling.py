@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from factors.resampling import BILINEAR, CUBIC, NEAREST, resample
+from fg_orient.kernels.resampling import BILINEAR, CUBIC, NEAREST, resample
 
 Array = np.ndarray
 

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fg_orient.cells import CellKey
-from fg_orient.published.tables import load
-from fg_orient.reproduce.ayhan1996_photos import points_of
-from fg_orient.reproduce.reproduction import Reproduction, reproduce
+from fg_orient.model.cells import CellKey
+from fg_orient.studies.published.tables import load
+from fg_orient.studies.reproduce.ayhan1996_photos import points_of
+from fg_orient.studies.reproduce.reproduction import Reproduction, reproduce
 
 Array = npt.NDArray[np.float64]
 Reference = Callable[..., Array]

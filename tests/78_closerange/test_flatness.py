@@ -13,7 +13,7 @@ from scipy.stats import chi2, norm, t
 from fg_orient.closerange.dlt import DltFit, fit_dlt
 from fg_orient.closerange.flatness import ALLOWED, LEVEL, limits
 from fg_orient.closerange.photo import Interior, Photo
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from tests.support.command import in_process as run
 
 from .conftest import Array

@@ -10,7 +10,7 @@ from fg_orient.closerange.intersection import intersect_photos
 from fg_orient.closerange.orientation import RelativeOrientation, absolute_orientation, relative_orientation
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.rivals import likeness
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 from tests.support.repetitions import some_slow
 
 from .conftest import Array

@@ -8,8 +8,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from factors.image_corrections import NAMES, ideal_points, slopes
-from fg_orient.cells import CellKey
+from factors.cameras.image_corrections import NAMES, ideal_points, slopes
 from fg_orient.closerange.axes import (
     aerial_from_rotation,
     ayhan_from_rotation,
@@ -23,8 +22,9 @@ from fg_orient.closerange.orientation import absolute_orientation, relative_orie
 from fg_orient.closerange.parallax import normal_case, turned_about_z
 from fg_orient.closerange.photo import Interior, Photo, corrections_of
 from fg_orient.closerange.resection import resect, three_point_poses
-from fg_orient.errors import FgOrientError, InputError, NoSolutionError
-from fg_orient.reproduce import ayhan1996_photos as thesis
+from fg_orient.model.cells import CellKey
+from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.studies.reproduce import ayhan1996_photos as thesis
 
 from .conftest import Array, Reference
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.cells import CellKey
 from fg_orient.closerange.accuracy import compare_points
 from fg_orient.closerange.surface_fit import fit_surface
-from fg_orient.published import tables as published
-from fg_orient.published.tables import load
-from fg_orient.reproduce import ayhan1996_photos as thesis
-from fg_orient.reproduce.ayhan1996 import TABLES
-from fg_orient.reproduce.reproduction import Reproduction, reproduce
+from fg_orient.model.cells import CellKey
+from fg_orient.studies.published import tables as published
+from fg_orient.studies.published.tables import load
+from fg_orient.studies.reproduce import ayhan1996_photos as thesis
+from fg_orient.studies.reproduce.ayhan1996 import TABLES
+from fg_orient.studies.reproduce.reproduction import Reproduction, reproduce
 from tests.support.command import in_process as run
 
 from .conftest import Array

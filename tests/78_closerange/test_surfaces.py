@@ -11,16 +11,16 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from factors import surfaces
-from fg_orient.cells import CellKey
-from fg_orient.classical.gauss_helmert import gauss_helmert
+from factors.conditions import surfaces
 from fg_orient.closerange import profile, surface_fit
 from fg_orient.closerange.feet import Conditions, feet
 from fg_orient.closerange.profile import held, reach
 from fg_orient.closerange.surface import Kind, Surface, map_points, shape_of
 from fg_orient.closerange.surface_fit import Method, SurfaceFit, fit_surface
-from fg_orient.errors import InputError, NoSolutionError
-from fg_orient.reproduce.ayhan1996_photos import PHOTO, points_of
+from fg_orient.model.cells import CellKey
+from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.studies.gauss_helmert import gauss_helmert
+from fg_orient.studies.reproduce.ayhan1996_photos import PHOTO, points_of
 
 from .conftest import Array
 

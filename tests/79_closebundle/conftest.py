@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fg_orient.cells import CellKey
 from fg_orient.closerange.axes import rotation_from_ayhan
 from fg_orient.closerange.bundle import BundlePhoto
 from fg_orient.closerange.photo import Interior, Photo, corrections_of
-from fg_orient.published.tables import load
+from fg_orient.model.cells import CellKey
+from fg_orient.studies.published.tables import load
 
 Array = npt.NDArray[np.float64]
 SIGMA = 0.002

@@ -10,12 +10,11 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from factors.extended_collinearity import NAMES
-from factors.image_corrections import ideal_points
+from factors.cameras.extended_collinearity import NAMES
+from factors.cameras.image_corrections import ideal_points
 from fg_orient.adjustment.loop import LoopResult
 from fg_orient.adjustment.network import DenseNetwork, Network, Observation, Variable, bordered_inverse
 from fg_orient.adjustment.network_graph import GraphNetwork
-from fg_orient.cells import CellKey
 from fg_orient.closerange import bundle
 from fg_orient.closerange.bundle import Bundle, BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_determined import motions
@@ -23,9 +22,10 @@ from fg_orient.closerange.bundle_network import build
 from fg_orient.closerange.constraints import Constraint, observed_element
 from fg_orient.closerange.corrections import SETS, parameters_of
 from fg_orient.closerange.intersection import intersect_photos
-from fg_orient.errors import FgOrientError, InputError, NoSolutionError
-from fg_orient.reproduce import ayhan1996_bundle as thesis
-from fg_orient.reproduce.ayhan1996_photos import CONTROL, PHOTOS, POINTS, comparator, points_of
+from fg_orient.model.cells import CellKey
+from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
+from fg_orient.studies.reproduce import ayhan1996_bundle as thesis
+from fg_orient.studies.reproduce.ayhan1996_photos import CONTROL, PHOTOS, POINTS, comparator, points_of
 
 from .conftest import SIGMA, Array, Scene, make
 

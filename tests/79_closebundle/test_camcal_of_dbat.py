@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.interchange.photomodeler import read_photomodeler
+from fg_orient.formats.exchange.photomodeler import read_photomodeler
 from tests.support import dbat, photomodeler
 from tests.support.command import Ended
 from tests.support.command import in_process as run

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from factors._contract import NotFiniteError
-from factors.constraints import DISTANCE
+from factors.conditions.constraints import DISTANCE
 from fg_orient.adjustment.network import Network, Observation, Variable
 from fg_orient.adjustment.network_graph import GraphNetwork
 from fg_orient.closerange.bundle import Bundle, adjust_bundle
 from fg_orient.closerange.constraints import Constraint
-from fg_orient.errors import InputError
+from fg_orient.model.errors import InputError
 
 from .conftest import SIGMA, Array, make
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.interchange.photomodeler import read_photomodeler
+from fg_orient.formats.exchange.photomodeler import read_photomodeler
 from tests.support import dbat, pages, photomodeler
 
 REPOSITORY = Path(__file__).resolve().parents[2]

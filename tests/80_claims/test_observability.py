@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from fg_orient.block import Block
-from fg_orient.errors import RankDeficientError
-from fg_orient.orient import adjust
+from fg_orient.model.block import Block
+from fg_orient.model.errors import RankDeficientError
+from fg_orient.orientation.orient import adjust
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
 pytestmark = pytest.mark.behaviour

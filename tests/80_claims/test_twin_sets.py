@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fg_orient.names import EXIT_CODE, Status
+from fg_orient.model.names import EXIT_CODE, Status
 from tests.support.twin_study import CANNOT_SHIFT, EOP_SETS, Run, run_sets, table
 
 CAN_SHIFT = tuple(k for k in EOP_SETS if k not in CANNOT_SHIFT)

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fg_orient.cells import CellKey
-from fg_orient.published import tables
-from fg_orient.published.tables import PublishedTables, load
-from fg_orient.reproduce.reproduction import SOURCES
+from fg_orient.model.cells import CellKey
+from fg_orient.studies.published import tables
+from fg_orient.studies.published.tables import PublishedTables, load
+from fg_orient.studies.reproduce.reproduction import SOURCES
 
 Computed = dict[CellKey, npt.NDArray[np.float64]]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fg_orient.cells import CellKey
-from fg_orient.classical.step_two_only import step_two_only
-from fg_orient.experiments.tables_spot5 import STEP_1_CLOSED, WITHOUT_BUNDLE
-from fg_orient.experiments.tables_twin import twin
-from fg_orient.published.tables import PublishedTables
-from fg_orient.reproduce.reproduction import SOURCES, Row, pair
-from fg_orient.reproduce.shuffle import counts, shuffled
+from fg_orient.model.cells import CellKey
+from fg_orient.studies.published.tables import PublishedTables
+from fg_orient.studies.reproduce.reproduction import SOURCES, Row, pair
+from fg_orient.studies.reproduce.shuffle import counts, shuffled
+from fg_orient.studies.step_two_only import step_two_only
+from fg_orient.studies.tables_spot5 import STEP_1_CLOSED, WITHOUT_BUNDLE
+from fg_orient.studies.tables_twin import twin
 
 Printed = dict[str, PublishedTables]
 #: A part of the tables that runs in seconds: ranks, corrections, bundles of three solvers.

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fg_orient.classical.switches import PROGRAM
-from fg_orient.experiments import claims
-from fg_orient.experiments.claims import Claim, all_claims, outcome, run_claims, wilson
+from fg_orient.studies import claims
+from fg_orient.studies.claims import Claim, all_claims, outcome, run_claims, wilson
+from fg_orient.studies.switches import PROGRAM
 
 IDS = [f"C{k}" for k in range(1, 23)]
 #: Claims of which a part depends on the rounding of one elimination: judged over 30 seeds only.
@@ -130,8 +130,8 @@ def test_mean_check_point_rmse() -> None:
 
 
 def claims_geometry_c5(seed: int) -> dict[str, float]:
-    from fg_orient.experiments.claims_geometry import c5
-    from fg_orient.experiments.study import Study
+    from fg_orient.studies.claims_geometry import c5
+    from fg_orient.studies.study import Study
 
     return c5(Study(seed)).figures
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from fg_orient.cli import app
 from fg_orient.report.page import script_hash
-from fg_orient.reproduce.verdict import KINDS
+from fg_orient.studies.reproduce.verdict import KINDS
 
 pytestmark = pytest.mark.behaviour
 

@@ -10,13 +10,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from fg_orient.cells import CellKey
-from fg_orient.published.tables import load
-from fg_orient.reproduce.folder import reproduce_to
-from fg_orient.reproduce.grid import grid
-from fg_orient.reproduce.l_curves import l_curves
-from fg_orient.reproduce.reproduction import Row, reproduce
-from fg_orient.reproduce.scatter import BOTTOM, EDGE, LEFT, SIZE, scatter
+from fg_orient.model.cells import CellKey
+from fg_orient.studies.published.tables import load
+from fg_orient.studies.reproduce.folder import reproduce_to
+from fg_orient.studies.reproduce.grid import grid
+from fg_orient.studies.reproduce.l_curves import l_curves
+from fg_orient.studies.reproduce.reproduction import Row, reproduce
+from fg_orient.studies.reproduce.scatter import BOTTOM, EDGE, LEFT, SIZE, scatter
 
 
 def row(key: CellKey, published: float = 1.0, reproduced: float = 1.0, verdict: str = "equal") -> Row:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from fg_orient.cells import CellKey
-from fg_orient.errors import InputError
-from fg_orient.parameters import EOP_SETS
-from fg_orient.published.tables import PublishedTables, load
+from fg_orient.model.cells import CellKey
+from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import EOP_SETS
+from fg_orient.studies.published.tables import PublishedTables, load
 
 Printed = dict[str, PublishedTables]
 CONDITIONS = "table-4-03-to-09-ls-conditions-spot5.csv"

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fg_orient.cells import CellKey
-from fg_orient.errors import InputError
-from fg_orient.experiments.claims import all_claims
-from fg_orient.experiments.tables_twin import LEAST_SQUARES, collect, twin
-from fg_orient.published.tables import PublishedTables, load
-from fg_orient.reproduce.reproduction import SOURCES, Row, pair, select
+from fg_orient.model.cells import CellKey
+from fg_orient.model.errors import InputError
+from fg_orient.studies.claims import all_claims
+from fg_orient.studies.published.tables import PublishedTables, load
+from fg_orient.studies.reproduce.reproduction import SOURCES, Row, pair, select
+from fg_orient.studies.tables_twin import LEAST_SQUARES, collect, twin
 
 #: Publications that are computed on the twin; the other one: tests/75_rectification.
 TWINS = tuple(name for name, source in SOURCES.items() if source.compute is not None)

@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fg_orient.cells import CellKey
+from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.cli import app
-from fg_orient.errors import InputError
-from fg_orient.experiments import tables_spot6
-from fg_orient.experiments.rfm_twin import rfm_points
-from fg_orient.linear.registry import solve
-from fg_orient.linear.threads import one_blas_thread
-from fg_orient.published.tables import PublishedCell, PublishedTables
-from fg_orient.reproduce import spot6
-from fg_orient.reproduce.reproduction import reproduce
-from fg_orient.reproduce.verdict import Verdict
-from fg_orient.rfm.form import RfmForm
-from fg_orient.rfm.gcp_file import find_spot6, read_gcp
-from fg_orient.rfm.points import ControlPoints
-from fg_orient.rfm.select import fit_selected
-from fg_orient.rfm.validate import cross_validate
+from fg_orient.model.cells import CellKey
+from fg_orient.model.errors import InputError
+from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.gcp_file import find_spot6, read_gcp
+from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.rpc.select import fit_selected
+from fg_orient.rpc.validate import cross_validate
 from fg_orient.simulate.zonguldak import zonguldak_block
+from fg_orient.studies import tables_spot6
+from fg_orient.studies.published.tables import PublishedCell, PublishedTables
+from fg_orient.studies.reproduce import spot6
+from fg_orient.studies.reproduce.reproduction import reproduce
+from fg_orient.studies.reproduce.verdict import Verdict
+from fg_orient.studies.rfm_twin import rfm_points
 from tests.support.repetitions import some_slow
 
 Verdicts = dict[CellKey, Verdict]

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from fg_orient.cells import CellKey
-from fg_orient.published.tables import PublishedCell
-from fg_orient.reproduce.rules import RULES, kind_of
-from fg_orient.reproduce.verdict import KINDS, judge, last_digit
+from fg_orient.model.cells import CellKey
+from fg_orient.studies.published.tables import PublishedCell
+from fg_orient.studies.reproduce.rules import RULES, kind_of
+from fg_orient.studies.reproduce.verdict import KINDS, judge, last_digit
 
 pytestmark = pytest.mark.behaviour
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pyproj
 import pytest
 
-from fg_orient.errors import Finding, InputError
-from fg_orient.io.project import read_project
-from fg_orient.io.validate import validate_project
+from fg_orient.formats.project import read_project
+from fg_orient.formats.validate import validate_project
+from fg_orient.model.errors import Finding, InputError
 from tests.support.command import in_process
 from tests.support.project_folder import ProjectFolder
 
@@ -289,12 +289,12 @@ def test_folder_in_place_of_the_project_file_names_the_file_in_it(command, tmp_p
 
 
 def test_bad_metadata_is_reported_with_the_other_faults(folder, monkeypatch):
-    import fg_orient.io.sensor
+    import fg_orient.formats.sensor
 
     def refuse(path, **options):
         raise InputError.of("xml.missing_file", file=path, base="x")
 
-    monkeypatch.setattr(fg_orient.io.sensor, "read_sensor", refuse)
+    monkeypatch.setattr(fg_orient.formats.sensor, "read_sensor", refuse)
     folder.change(P, "12.5", "nan")
     assert [p.code for p in refused(folder)] == ["xml.missing_file", "xml.missing_file", "table.not_a_number"]
 

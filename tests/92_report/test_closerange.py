@@ -13,12 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from factors.extended_collinearity import NAMES
+from factors.cameras.extended_collinearity import NAMES
+from fg_orient.closerange import report_maps as maps
+from fg_orient.closerange import report_plots as plots
+from fg_orient.closerange import report_surface as surface
+from fg_orient.closerange import report_words as words
 from fg_orient.closerange.distortion import profile
-from fg_orient.closerange.report import maps, plots, surface, words
-from fg_orient.closerange.report.html import render
+from fg_orient.closerange.report_html import render
 from fg_orient.closerange.surface import Surface
-from fg_orient.errors import as_record, finding
+from fg_orient.model.errors import as_record, finding
 from fg_orient.report.page import script
 from tests.support import page_files
 from tests.support.browser import Page

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from fg_orient.errors import InputError
-from fg_orient.figures import captions, checks, maps, orientation, residuals, style, write
-from fg_orient.figures.data import Folder, read_folder
-from fg_orient.io.folder import RESULT
+from fg_orient.formats.folder import RESULT
+from fg_orient.model.errors import InputError
+from fg_orient.report import captions, checks, maps, residuals, style, write
+from fg_orient.report import figure_orientation as orientation
 from fg_orient.report.data import Columns
+from fg_orient.report.figure_data import Folder, read_folder
 
 NAMES = {plot.name for plot in write.PLOTS}
 #: Of an adjustment without regularisation.

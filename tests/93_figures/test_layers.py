@@ -17,8 +17,8 @@ import shapely
 from lxml import etree
 from pyproj import Geod
 
-from fg_orient.errors import InputError
-from fg_orient.figures import geofiles, layers
+from fg_orient.model.errors import InputError
+from fg_orient.report import geofiles, layers
 from fg_orient.report.data import Columns, Result
 from tests.support.pleiades_project import pleiades_project
 

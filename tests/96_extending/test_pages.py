@@ -17,15 +17,15 @@ import pytest
 
 import fg_orient as fg
 from factors import _contract, losses
+from fg_orient.adjustment.linear import kappa, registry
+from fg_orient.adjustment.linear.kappa import Given, choose_kappa
+from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.adjustment.models import contract
-from fg_orient.block import Block
+from fg_orient.formats import sensor as sensor_reader
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
-from fg_orient.io import sensor as sensor_reader
-from fg_orient.linear import kappa, registry
-from fg_orient.linear.kappa import Given, choose_kappa
-from fg_orient.linear.registry import solve
-from fg_orient.linear.system import LinearSystem
-from fg_orient.plugins import load_plugin
+from fg_orient.model.block import Block
+from fg_orient.model.plugins import load_plugin
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support import pages
 from tests.support.command import in_process

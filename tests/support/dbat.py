@@ -15,10 +15,10 @@ import numpy as np
 
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.solve import Estimate
-from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
 from fg_orient.closerange.photo import Interior
 from fg_orient.closerange.resection import resect
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, Options, WithheldCoordinates
+from fg_orient.model.names import Role
 from fg_orient.quality.covariance import Cofactors
 from fg_orient.sensors.frame import (
     INTERIOR,

@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 
-from fg_orient.block import Block, Coordinates, GroundPoints, ImagePoints
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints
+from fg_orient.model.names import Role
 from fg_orient.simulate.frames import pinhole_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.rpc_block import rpc_twin

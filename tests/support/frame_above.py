@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from fg_orient.adjustment.problem import compile_problem
-from fg_orient.block import Block, Image, ImagePoints
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
+from fg_orient.model.block import Block, Image, ImagePoints
 from fg_orient.sensors.frame import HALF_TURN, FrameCamera, FrameSensor
 
 #: Half of its unknowns: another equation, 6 unknowns.

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fg_orient.io.frame_model import FrameModel, Pose
+from fg_orient.formats.frame_model import FrameModel, Pose
 from fg_orient.sensors.interior import Interior
 
 DISTORTIONS = {

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from factors.control import CONTROL_POINT, POINT
+from factors.conditions.control import CONTROL_POINT, POINT
 from fg_orient.adjustment.dense import Columns, assemble
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
-from fg_orient.block import Block, ExtraObservation, ImagePoints
-from fg_orient.names import Role
+from fg_orient.model.block import Block, ExtraObservation, ImagePoints
+from fg_orient.model.names import Role
 from tests.support.states import largest
 
 

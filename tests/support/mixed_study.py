@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from fg_orient.block import Block
-from fg_orient.names import Status
-from fg_orient.orient import adjust
+from fg_orient.model.block import Block
+from fg_orient.model.names import Status
+from fg_orient.orientation.orient import adjust
 from fg_orient.simulate.mixed import MixedOptions, mixed_block
 
 #: Groups of "image_by_sensor" in the order of the images, and the images of each.

@@ -12,8 +12,8 @@ import numpy as np
 
 from fg_orient.closerange.axes import rotation_from_ayhan
 from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import ecef_to_geodetic
-from fg_orient.io.sensor import read_sensor
 
 from .command import in_process
 

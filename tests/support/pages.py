@@ -182,7 +182,7 @@ def run_python(fence: Fence, names: dict[str, Any]) -> None:
 
 def check_toml(fence: Fence) -> None:
     """Read a TOML block; one that names images, points and observations is a project file."""
-    from fg_orient.io.schema import ProjectFile, validate
+    from fg_orient.formats.schema import ProjectFile, validate
 
     try:
         data = tomllib.loads(fence.text)

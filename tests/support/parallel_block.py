@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 
-from fg_orient.block import Block
+from fg_orient.model.block import Block
 from fg_orient.simulate.block import BlockOptions, grid_block
 
 

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from factors.constraints import OBSERVED_ELEMENT
-from fg_orient.block import Block, Coordinates, ExtraObservation, GroundPoints, Image, ImagePoints, Options
+from factors.conditions.constraints import OBSERVED_ELEMENT
 from fg_orient.closerange.axes import aerial_from_rotation, rotation_from_aerial
 from fg_orient.closerange.photo import Interior, Photo
-from fg_orient.io.frame_model import FrameModel
-from fg_orient.names import Role
+from fg_orient.formats.frame_model import FrameModel
+from fg_orient.model.block import Block, Coordinates, ExtraObservation, GroundPoints, Image, ImagePoints, Options
+from fg_orient.model.names import Role
 from fg_orient.sensors.frame import FrameSensor
 from tests.support.dbat import EXTERIOR, NOTHING
 

@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from fg_orient.block import Block, Coordinates
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Coordinates
+from fg_orient.model.names import Role
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.rpc_block import rpc_twin
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.block import Role
-from fg_orient.io.points_write import write_observations, write_points, write_project
+from fg_orient.formats.points_write import write_observations, write_points, write_project
+from fg_orient.model.block import Role
 
 
 def pleiades_project(real_data: Path, folder: Path) -> tuple[Path, npt.NDArray[np.float64]]:

@@ -75,9 +75,9 @@ class StandInSensor:
 
 def install_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every metadata file be read as a stand-in sensor."""
-    import fg_orient.io.sensor
+    import fg_orient.formats.sensor
 
-    monkeypatch.setattr(fg_orient.io.sensor, "read_sensor", lambda path, **options: StandInSensor())
+    monkeypatch.setattr(fg_orient.formats.sensor, "read_sensor", lambda path, **options: StandInSensor())
 
 
 class ProjectFolder:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fg_orient.block import Block
+from fg_orient.model.block import Block
 
 STEP = 1e-30
 

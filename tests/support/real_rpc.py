@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fg_orient.block import Block, Coordinates, GroundPoints, Image, ImagePoints, WithheldCoordinates
+from fg_orient.formats.rpc import read_rpc
 from fg_orient.geodesy import geodetic_to_ecef
-from fg_orient.io.rpc import read_rpc
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Coordinates, GroundPoints, Image, ImagePoints, WithheldCoordinates
+from fg_orient.model.names import Role
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
 

@@ -11,7 +11,8 @@ An array is a *record*, whatever its name is, if it
   is handed to a function that takes a record.
 
 No integer may index a record: neither ``c[3]``, ``c[3:6]``, ``c[:, 18]`` nor ``c[i + 22 * n]``, nor an offset that is
-passed to a function which indexes with it. In ``factors/`` an integer above 0 may index an array only if the array is
+passed to a function which indexes with it. In ``factors/`` and ``fg_orient/kernels/`` an integer above 0 may index an
+array only if the array is
 *free*, that is provably something else: a tuple, a shape, numbers that the function itself put into a small array, a
 vector of three numbers (a field of a record, a parameter annotated ``Vector``), an integer array (``Index``), the
 setup or the unknowns of an equation. A neighbour, ``a[k + 1]``, is free as well. Where nothing is known of an array
@@ -29,7 +30,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 #: Folders, and whether arrays of which nothing is known count there.
-FOLDERS = {"factors": True, "fg_orient": False, "examples": False, "benchmarks": False}
+FOLDERS = {"factors": True, "fg_orient/kernels": True, "fg_orient": False, "examples": False, "benchmarks": False}
 
 RECORD, FREE, UNKNOWN, NOTHING = "record", "free", "unknown", "nothing yet"
 Kind = str | tuple["Kind", ...]
@@ -222,7 +223,8 @@ class Program:
         """Place and text of each integer that indexes a record."""
         for walk in self.walks:
             path = walk.function.module.path
-            for line, text in walk.numbered(strict[path.split("/")[0]]):
+            counted = next(strict[folder] for folder in strict if path.startswith(f"{folder}/"))
+            for line, text in walk.numbered(counted):
                 yield f"{path}:{line}: {text}"
 
 
@@ -329,7 +331,7 @@ class _Walk:
             if isinstance(argument, ast.Starred):
                 break
             kind = self.kind(argument)
-            if kind != UNKNOWN or self.function.module.path.startswith("factors"):
+            if kind != UNKNOWN or self.function.module.path.startswith(("factors/", "fg_orient/kernels/")):
                 callee.passed[name] = merge(callee.passed.get(name, kind), kind)
             row = isinstance(argument, ast.Subscript) and isinstance(argument.slice, ast.Name | ast.Subscript)
             base = argument.value if row else argument  # type: ignore[attr-defined]

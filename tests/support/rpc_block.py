@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from factors.rfm_equation import COMPENSATIONS
-from fg_orient.block import Block, Image, Options
+from factors.cameras.rfm_equation import COMPENSATIONS
 from fg_orient.geodesy import ecef_to_geodetic
-from fg_orient.names import Role
+from fg_orient.model.block import Block, Image, Options
+from fg_orient.model.names import Role
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 from fg_orient.sensors.rpc_sensor import RpcSensor
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

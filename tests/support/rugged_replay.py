@@ -2,7 +2,7 @@
 
 A *transform* is the state at one time: Earth-fixed from inertial axes (body), and the spacecraft's position, velocity
 and acceleration in its own axes, its attitude and rates. Quaternions turn frames, not vectors: the matrix of one, as
-``factors.rotations`` forms it, is the transpose of what is applied.
+``factors.geometry.rotations`` forms it, is the transpose of what is applied.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from factors.rotations import quaternion_matrices
+from factors.geometry.rotations import quaternion_matrices
 from fg_orient.sensors.general_metadata import Attitude, DirectionTable, GeneralMetadata, LightEffects, Orbit
 from fg_orient.sensors.metadata import LineTiming
 

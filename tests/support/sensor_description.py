@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from factors import kepler, rotations
+from factors.geometry import kepler, rotations
 from fg_orient.sensors.earth_rotation import EarthRotation
 from fg_orient.sensors.metadata import AngleAttitude, PushbroomMetadata
 from fg_orient.sensors.pushbroom import PushbroomSensor

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fg_orient.block import ImagePoints
-from fg_orient.interchange.registry import Format, Holds
-from fg_orient.interchange.survey import Survey, no_image_points
-from fg_orient.names import Role
+from fg_orient.formats.exchange.registry import Format, Holds
+from fg_orient.formats.exchange.survey import Survey, no_image_points
+from fg_orient.model.block import ImagePoints
+from fg_orient.model.names import Role
 
 #: Middle of the coordinates and their spread, by CRS: inside the area of use of each.
 PLACES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.linear.system import LinearSystem
+from fg_orient.adjustment.linear.system import LinearSystem
 
 Array = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fg_orient.names import Role, Status
-from fg_orient.orient import adjust
+from fg_orient.model.names import Role, Status
+from fg_orient.orientation.orient import adjust
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 
 EOP_SETS = tuple(range(1, 21))

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.errors import InputError
-from fg_orient.parameters import ImageParameters
+from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import ImageParameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from factors._contract import Equation
-    from fg_orient.block import Image, ImagePoints, Options
+    from fg_orient.model.block import Image, ImagePoints, Options
 
 Array = npt.NDArray[np.float64]
 

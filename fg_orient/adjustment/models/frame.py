@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Equation
-from factors.frame import FRAME_BROWN_IDEAL_TO_MEASURED, N_UNKNOWNS, RECORD
-from factors.frame_camera import CAMERA
-from factors.frame_measured import FRAME_BROWN_MEASURED_TO_IDEAL
-from fg_orient.block import ImagePoints, Options
-from fg_orient.errors import InputError
-from fg_orient.parameters import ImageParameters, require_unknowns
+from factors.cameras.frame import FRAME_BROWN_IDEAL_TO_MEASURED, N_UNKNOWNS, RECORD
+from factors.cameras.frame_camera import CAMERA
+from factors.cameras.frame_measured import FRAME_BROWN_MEASURED_TO_IDEAL
+from fg_orient.model.block import ImagePoints, Options
+from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import ImageParameters, require_unknowns
 from fg_orient.sensors.frame import INTERIOR, NAVIGATION, UNKNOWNS, FrameCamera, FrameSensor
 
 Array = npt.NDArray[np.float64]
@@ -99,7 +99,7 @@ class FrameImageModel:
         return out
 
     def correction(self, x: Array) -> Array:
-        """Corrections (15,) in physical units, in the order of the codes of ``factors.frame``: what a pixel feels."""
+        """Corrections (15,) in physical units, ordered as the codes of ``cameras.frame``: what a pixel feels."""
         out = np.zeros(len(_NAMES))
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out[:N_UNKNOWNS]

@@ -7,13 +7,22 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import splines
 from factors._contract import Equation
-from factors.polynomials import per_line_from_tau
-from factors.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD
-from factors.rotations import orbital_frames
-from fg_orient.block import ImagePoints, Options
-from fg_orient.parameters import COMPONENTS, CURVE, CURVES, DEGREES, N_EOP, UNITS, VELOCITY, orientation_parameters
+from factors.cameras.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD
+from factors.geometry import splines
+from factors.geometry.polynomials import per_line_from_tau
+from factors.geometry.rotations import orbital_frames
+from fg_orient.model.block import ImagePoints, Options
+from fg_orient.model.parameters import (
+    COMPONENTS,
+    CURVE,
+    CURVES,
+    DEGREES,
+    N_EOP,
+    UNITS,
+    VELOCITY,
+    orientation_parameters,
+)
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.eop import fit_eop
 from fg_orient.sensors.projection import pixel_derivative

@@ -17,12 +17,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors import ellipsoid
 from factors._contract import Equation
-from factors.rfm_equation import COMPENSATION, COMPENSATIONS, RATIONAL_FUNCTION, RECORD
-from factors.rfm_project import RANGE
-from fg_orient.block import ImagePoints, Options
-from fg_orient.parameters import ImageParameters, require_unknowns
+from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS, RATIONAL_FUNCTION, RECORD
+from factors.cameras.rfm_project import RANGE
+from factors.geometry import ellipsoid
+from fg_orient.model.block import ImagePoints, Options
+from fg_orient.model.parameters import ImageParameters, require_unknowns
 from fg_orient.sensors.rpc_sensor import RpcSensor
 
 Array = npt.NDArray[np.float64]
@@ -78,7 +78,7 @@ class RpcImageModel:
         return out
 
     def correction(self, x: Array) -> Array:
-        """Compensation (6,) in pixels, codes of ``factors.rfm``."""
+        """Compensation (6,) in pixels, codes of ``factors.cameras.rfm``."""
         out = np.zeros(COMPENSATION.size)
         out[list(self.parameters.codes)] = x * self.parameters.sigma
         return out

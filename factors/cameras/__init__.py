@@ -1,0 +1,1 @@
+"""Equations of images: pushbroom scanners, frame cameras, rational functions, transformations."""

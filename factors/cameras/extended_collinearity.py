@@ -1,0 +1,181 @@
+"""Collinearity extended by corrections from measured to ideal coordinates, for self-calibrating bundles.
+
+    e = (x' + dx - c X/Z,  y' + dy - s c Y/Z) Z^p,    (X, Y, Z) = R (P - O),    x' = x - x0,  y' = y - y0
+
+(Ayhan 1996, eqs. 76-77, with the derivatives that print has wrong corrected.) dx, dy:
+``factors.cameras.image_corrections``, ``factors.cameras.additional_parameters`` and ``factors.cameras.image_variants``.
+Camera axes X right, Y down, Z along the view; s = -1 where image y points up. With p = 0 the residual is one of the
+image, with p = 1 the thesis' F, in image units times metres.
+
+Unknowns: an image's own camera parameters, those it shares with others (photo-variant and block-invariant
+calibration), the rotation vector w of R = exp([w]x) R_0 in rad, the projection centre O and the point P, m.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors.cameras import additional_parameters as brown
+from factors.cameras import image_corrections as lens
+from factors.cameras import image_variants as variants
+from factors.cameras.frame_camera import CAMERA as TURN
+from factors.cameras.frame_camera import by_turn, rotate, rotate_back, turned
+from factors.geometry.rotations import Vector
+from factors.records import Record
+
+#: Camera parameters by code: principal distance, principal point, then those of the three modules.
+CAMERA: Final = Record(
+    c=1, principal="x0 y0", lens=lens.AT.size, brown=brown.AT.size, variants=variants.AT.size,
+)  # fmt: skip
+NAMES: Final = ("c", "x0", "y0", *lens.NAMES, *brown.NAMES, *variants.NAMES)
+#: Whitening w11 w12 w22, power p, sign s, held c of Brown's terms, camera, R_0, held radius of the orthogonal
+#: polynomials.
+RECORD: Final = Record(
+    x=1, y=1, w11=1, w12=1, w22=1, power=1, sign=1, held_c=1, camera=CAMERA.size, rotation=9, radius=1,
+)  # fmt: skip
+
+
+@compiled
+def camera(record: Any, setup: Any, own: Any, shared: Any) -> Any:
+    """Camera parameters (40,): the record's plus steps times the unknowns; own ones stand first in the setup."""
+    out = record[RECORD.camera] + 0.0 * (own.sum() + shared.sum())
+    n = own.shape[0]
+    for j in range(setup.shape[1]):
+        out[int(setup[0, j])] += setup[1, j] * (own[j] if j < n else shared[j - n])
+    return out
+
+
+@compiled
+def _seen(record: Any, w: Any, centre: Any, point: Any) -> Any:
+    """Rotation and J (29,), point in camera axes (3,)."""
+    turn = np.empty(TURN.size, w.dtype)
+    turned(w, record[RECORD.rotation], turn)
+    return turn, np.array(rotate(turn, point - centre))
+
+
+@compiled
+def _difference(record: Any, c: Any, q: Vector) -> Any:
+    """Ideal minus computed coordinates."""
+    x, y = record[RECORD.x] - c[CAMERA.x0], record[RECORD.y] - c[CAMERA.y0]
+    u, v = lens.ideal(c[CAMERA.lens], x, y)
+    u, v = u - c[CAMERA.c] * q[0] / q[2], v - record[RECORD.sign] * c[CAMERA.c] * q[1] / q[2]
+    terms, a = brown.terms(x, y, record[RECORD.held_c]), c[CAMERA.brown]
+    for j in range(len(a)):
+        u, v = u + a[j] * terms[0, j], v + a[j] * terms[1, j]
+    a = c[CAMERA.variants]
+    if np.any(a != 0.0):
+        terms = variants.terms(x, y, record[RECORD.radius])
+        for j in range(len(a)):
+            u, v = u + a[j] * terms[0, j], v + a[j] * terms[1, j]
+    return u, v
+
+
+@compiled
+def residual(record: Any, setup: Any, own: Any, shared: Any, w: Any, centre: Any, point: Any) -> Any:
+    """Whitened residual (2,); accepts complex unknowns."""
+    c = camera(record, setup, own, shared)
+    _, q = _seen(record, w, centre, point)
+    a, b = _difference(record, c, q)
+    if record[RECORD.power] != 0.0:
+        a, b = a * q[2], b * q[2]
+    return np.array([record[RECORD.w11] * a + record[RECORD.w12] * b, record[RECORD.w22] * b])
+
+
+@compiled
+def _by_camera(record: Array, setup: Array, c: Array, q: Array, scale: float) -> Array:
+    """Derivatives (2, k) with respect to the camera unknowns, not whitened."""
+    x, y = record[RECORD.x] - c[CAMERA.x0], record[RECORD.y] - c[CAMERA.y0]
+    xx, xy, yx, yy = lens.slopes(c[CAMERA.lens], x, y)
+    ax, ay, bx, by = brown.slopes(c[CAMERA.brown], x, y, record[RECORD.held_c])
+    ux, uy, vx, vy = variants.slopes(c[CAMERA.variants], x, y, record[RECORD.radius])
+    ax, ay, bx, by = ax + ux, ay + uy, bx + vx, by + vy
+    terms, others = brown.terms(x, y, record[RECORD.held_c]), variants.terms(x, y, record[RECORD.radius])
+    out = np.empty((2, setup.shape[1]))
+    for j in range(setup.shape[1]):
+        code = int(setup[0, j])
+        if code == CAMERA.c:
+            u, v = -q[0] / q[2], -record[RECORD.sign] * q[1] / q[2]
+        elif code == CAMERA.x0:
+            u, v = -(xx + ax), -(yx + bx)
+        elif code == CAMERA.y0:
+            u, v = -(xy + ay), -(yy + by)
+        elif code < CAMERA.lens.stop:
+            u, v = lens.by_coefficient(code - CAMERA.lens.start, x, y)
+        elif code < CAMERA.brown.stop:
+            u, v = terms[0, code - CAMERA.brown.start], terms[1, code - CAMERA.brown.start]
+        else:
+            u, v = others[0, code - CAMERA.variants.start], others[1, code - CAMERA.variants.start]
+        out[0, j], out[1, j] = scale * setup[1, j] * u, scale * setup[1, j] * v
+    return out
+
+
+@compiled
+def _by_place(record: Array, c: Array, q: Array, turn: Array, scale: float) -> tuple[Array, Array]:
+    """Derivatives (2, 3) with respect to the rotation vector and to the point, not whitened."""
+    f, z, power, sign = c[CAMERA.c] * scale / q[2], q[2], record[RECORD.power], record[RECORD.sign]
+    a, b = _difference(record, c, q)
+    by_q = np.array([[-f, 0.0, f * q[0] / z + power * a], [0.0, -sign * f, sign * f * q[1] / z + power * b]])
+    spin, point = np.empty((2, 3)), np.empty((2, 3))
+    for i in range(2):
+        g = by_q[i]
+        # q moves by (J dw) x q, and g . (e x q) = e . (q x g)
+        t = (q[1] * g[2] - q[2] * g[1], q[2] * g[0] - q[0] * g[2], q[0] * g[1] - q[1] * g[0])
+        spin[i, 0], spin[i, 1], spin[i, 2] = by_turn(turn, t)
+        point[i, 0], point[i, 1], point[i, 2] = rotate_back(turn, g)
+    return spin, point
+
+
+@compiled
+def kernel(
+    record: Array, setup: Array, own: Array, shared: Array, w: Array, centre: Array, point: Array, want: bool
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Residual (2,); Jacobians of own (2, k1) and shared (2, k2) parameters, rotation, centre and point (2, 3)."""
+    value = residual(record, setup, own, shared, w, centre, point)
+    if not want:
+        e = np.empty((0, 0))
+        return value, e, e, e, e, e
+    c = camera(record, setup, own, shared)
+    turn, q = _seen(record, w, centre, point)
+    scale = 1.0 if record[RECORD.power] == 0.0 else q[2]
+    by_camera = whitened_rows(record, _by_camera(record, setup, c, q, scale))
+    spin, by_point = _by_place(record, c, q, turn, scale)
+    by_point = whitened_rows(record, by_point)
+    n = own.shape[0]
+    return (value, by_camera[:, :n].copy(), by_camera[:, n:].copy(), whitened_rows(record, spin), -by_point, by_point)
+
+
+@compiled
+def whitened_rows(record: Array, rows: Array) -> Array:
+    """W times rows (2, k), in place."""
+    for j in range(rows.shape[1]):
+        rows[0, j] = record[RECORD.w11] * rows[0, j] + record[RECORD.w12] * rows[1, j]
+        rows[1, j] *= record[RECORD.w22]
+    return rows
+
+
+def _example(rng: np.random.Generator) -> Example:
+    start, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    start *= np.sign(np.linalg.det(start))
+    centre, seen = rng.normal(size=3), np.append(rng.normal(scale=0.4, size=2), 1.0) * rng.uniform(3.0, 9.0)
+    codes = rng.permutation(CAMERA.size)[: rng.integers(2, CAMERA.size + 1)]
+    n = int(rng.integers(1, len(codes)))
+    image, power, sign = rng.normal(size=2), rng.integers(0, 2), rng.choice([-1.0, 1.0])
+    camera = np.append(2.1, rng.normal(scale=0.02, size=CAMERA.size - 1))
+    setup = np.ascontiguousarray(np.stack([codes.astype(float), rng.uniform(0.01, 0.1, len(codes))]))
+    x = rng.normal(scale=0.3, size=len(codes))
+    record = RECORD.pack(
+        x=image[0], y=image[1], w11=1.3, w12=0.2, w22=0.7, power=power, sign=sign, held_c=2.0, camera=camera,
+        rotation=start.ravel(), radius=rng.uniform(0.8, 2.0),
+    )  # fmt: skip
+    return Example(record, setup, (x[:n], x[n:], rng.normal(scale=0.02, size=3), centre, centre + start.T @ seen))
+
+
+EXTENDED_COLLINEARITY = register(Equation(
+    "extended_collinearity_measured_to_ideal", kernel, residual,
+    (Argument("own camera", "steps"), Argument("shared camera", "steps"), Argument("rotation", "rad"),
+     Argument("centre", "m", is_point=True), Argument("point", "m", is_point=True)), _example,
+    "Brown 1971, 1976; Ayhan 1996, eqs. 2, 44-55, 71-80",
+))  # fmt: skip

@@ -1,0 +1,71 @@
+"""Corrections that lead measured image coordinates to ideal ones: radial, decentring, affinity.
+
+    K = k1 r^2 + k2 r^4 + k3 r^6,   r^2 = x^2 + y^2      (x, y reduced to the principal point)
+    x' = x + x K + P1 (r^2 + 2 x^2) + 2 P2 x y + A y
+    y' = y + y K + P2 (r^2 + 2 y^2) + 2 P1 x y + B y
+
+Brown 1966; Ayhan 1996, eqs. 48, 53 and 71-73, with a slip of print corrected (eq. 71 repeats "x"). The direction is
+**measured to ideal**, the opposite of ``factors.cameras.frame_camera``. Coefficients (7,) are k1 k2 k3 P1 P2 A B, in
+the unit of the coordinates: mm^-2, mm^-4, mm^-6, mm^-1, mm^-1, 1, 1 where these are mm.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Array, compiled, inlined
+from factors.records import Record
+
+AT: Final = Record(k1=1, k2=1, k3=1, p1=1, p2=1, affinity_a=1, affinity_b=1)
+NAMES: Final = tuple(AT.fields)
+
+
+@inlined
+def ideal(c: Any, x: Any, y: Any) -> Any:
+    """Ideal coordinates (2 numbers) of measured ones."""
+    xx, yy, xy = x * x, y * y, x * y
+    r = xx + yy
+    radial = 1.0 + r * (c[AT.k1] + r * (c[AT.k2] + r * c[AT.k3]))
+    return (
+        x * radial + c[AT.p1] * (r + 2.0 * xx) + 2.0 * c[AT.p2] * xy + c[AT.affinity_a] * y,
+        y * radial + c[AT.p2] * (r + 2.0 * yy) + 2.0 * c[AT.p1] * xy + c[AT.affinity_b] * y,
+    )
+
+
+@inlined
+def slopes(c: Any, x: Any, y: Any) -> Any:
+    """Derivatives x'_x, x'_y, y'_x, y'_y of :func:`ideal` with respect to the measured coordinates."""
+    r = x * x + y * y
+    radial = 1.0 + r * (c[AT.k1] + r * (c[AT.k2] + r * c[AT.k3]))
+    slope = 2.0 * (c[AT.k1] + r * (2.0 * c[AT.k2] + 3.0 * r * c[AT.k3]))
+    mixed = x * y * slope + 2.0 * (c[AT.p1] * y + c[AT.p2] * x)
+    along_x = radial + x * x * slope + 6.0 * c[AT.p1] * x + 2.0 * c[AT.p2] * y
+    along_y = radial + y * y * slope + 6.0 * c[AT.p2] * y + 2.0 * c[AT.p1] * x + c[AT.affinity_b]
+    return along_x, mixed + c[AT.affinity_a], mixed, along_y
+
+
+@inlined
+def by_coefficient(j: int, x: Any, y: Any) -> Any:
+    """Derivatives of x' and y' with respect to coefficient number ``j``."""
+    r = x * x + y * y
+    if j < 3:
+        power = r if j == 0 else r * r if j == 1 else r * r * r
+        return x * power, y * power
+    if j == 3:
+        return r + 2.0 * x * x, 2.0 * x * y
+    if j == 4:
+        return 2.0 * x * y, r + 2.0 * y * y
+    if j == 5:
+        return y, 0.0 * y
+    return 0.0 * y, y
+
+
+@compiled
+def ideal_points(c: Array, reduced: Array) -> Array:
+    """Ideal coordinates (N, 2) of N measured points (N, 2), both about the principal point."""
+    out = np.empty_like(reduced)
+    for i in range(len(reduced)):
+        out[i, 0], out[i, 1] = ideal(c, reduced[i, 0], reduced[i, 1])
+    return out

@@ -1,0 +1,106 @@
+"""Rational function model (RFM, RPC): value and derivatives in normalised coordinates.
+
+    l = f1/f2,  s = f3/f4         (Terlemezoğlu 2019, eqs. 2.55-2.57; NIMA 2000, STDI-0002 RPC00B)
+
+with l, s the normalised line and sample and f cubic polynomials of the normalised longitude x,
+latitude y and height z, 20 terms in RPC00B order (``factors.cameras.rfm_terms``). ``c`` (4, 20) holds line
+numerator, line denominator, sample numerator, sample denominator; both denominators have the
+constant 1. Where one changes its sign the model has a pole, unless the numerator has nearly the same
+zeros, as in some vendors' files: then values are good on both sides, but not near. Nothing is hidden
+here; ``fg_orient.sensors.rpc`` looks for sign changes inside the image.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from factors._contract import Array, compiled
+from factors.cameras import rfm_terms
+from factors.cameras.rfm_terms import TERM as T
+
+
+@compiled
+def cubic(c: Any, k: int, x: Any, y: Any, z: Any) -> Any:
+    """Polynomial ``k`` of ``c`` at one normalised ground point, nested."""
+    return (
+        c[k, T.one]
+        + x * (c[k, T.x] + x * (c[k, T.xx] + x * c[k, T.xxx] + y * c[k, T.xxy] + z * c[k, T.xxz])
+               + y * (c[k, T.xy] + y * c[k, T.xyy] + z * c[k, T.xyz]) + z * (c[k, T.xz] + z * c[k, T.xzz]))
+        + y * (c[k, T.y] + y * (c[k, T.yy] + y * c[k, T.yyy] + z * c[k, T.yyz]) + z * (c[k, T.yz] + z * c[k, T.yzz]))
+        + z * (c[k, T.z] + z * (c[k, T.zz] + z * c[k, T.zzz]))
+    )  # fmt: skip
+
+
+@compiled
+def d_cubic(c: Any, k: int, x: Any, y: Any, z: Any) -> Any:
+    """Derivatives of :func:`cubic` with respect to x, y, z."""
+    d_x = (c[k, T.x] + x * (2.0 * c[k, T.xx] + 3.0 * x * c[k, T.xxx] + 2.0 * (y * c[k, T.xxy] + z * c[k, T.xxz]))
+           + y * (c[k, T.xy] + y * c[k, T.xyy] + z * c[k, T.xyz]) + z * (c[k, T.xz] + z * c[k, T.xzz]))  # fmt: skip
+    d_y = (c[k, T.y] + y * (2.0 * c[k, T.yy] + 3.0 * y * c[k, T.yyy] + 2.0 * (z * c[k, T.yyz] + x * c[k, T.xyy]))
+           + x * (c[k, T.xy] + x * c[k, T.xxy] + z * c[k, T.xyz]) + z * (c[k, T.yz] + z * c[k, T.yzz]))  # fmt: skip
+    d_z = (c[k, T.z] + z * (2.0 * c[k, T.zz] + 3.0 * z * c[k, T.zzz] + 2.0 * (x * c[k, T.xzz] + y * c[k, T.yzz]))
+           + x * (c[k, T.xz] + x * c[k, T.xxz] + y * c[k, T.xyz]) + y * (c[k, T.yz] + y * c[k, T.yyz]))  # fmt: skip
+    return d_x, d_y, d_z
+
+
+@compiled
+def value(c: Any, x: Any, y: Any, z: Any) -> Any:
+    """Normalised line and sample of one point; not finite where a denominator is zero."""
+    return cubic(c, 0, x, y, z) / cubic(c, 1, x, y, z), cubic(c, 2, x, y, z) / cubic(c, 3, x, y, z)
+
+
+@compiled
+def ground_derivatives(c: Any, x: float, y: float, z: float, l: float, s: float) -> Any:  # noqa: E741
+    """Derivatives of (l, s) with respect to x, y, z: two triples; ``l``, ``s`` are the values there."""
+    d_l, d_s = cubic(c, 1, x, y, z), cubic(c, 3, x, y, z)
+    a, b = d_cubic(c, 0, x, y, z), d_cubic(c, 1, x, y, z)
+    e, f = d_cubic(c, 2, x, y, z), d_cubic(c, 3, x, y, z)
+    return (
+        ((a[0] - l * b[0]) / d_l, (a[1] - l * b[1]) / d_l, (a[2] - l * b[2]) / d_l),
+        ((e[0] - s * f[0]) / d_s, (e[1] - s * f[1]) / d_s, (e[2] - s * f[2]) / d_s),
+    )
+
+
+@compiled
+def values(c: Array, ground: Array) -> Array:
+    """Normalised line and sample of N normalised ground points: (4, 20), (N, 3) -> (N, 2)."""
+    out = np.empty((len(ground), 2))
+    for i in range(len(ground)):
+        out[i, 0], out[i, 1] = value(c, ground[i, 0], ground[i, 1], ground[i, 2])
+    return out
+
+
+@compiled
+def ground_jacobian(c: Array, ground: Array) -> Array:
+    """Derivatives of normalised (line, sample) with respect to (x, y, z): (N, 3) -> (N, 2, 3)."""
+    out = np.empty((len(ground), 2, 3))
+    for i in range(len(ground)):
+        x, y, z = ground[i, 0], ground[i, 1], ground[i, 2]
+        l, s = value(c, x, y, z)  # noqa: E741
+        d_l, d_s = ground_derivatives(c, x, y, z, l, s)
+        for k in range(3):
+            out[i, 0, k], out[i, 1, k] = d_l[k], d_s[k]
+    return out
+
+
+@compiled
+def denominators(c: Array, ground: Array) -> Array:
+    """Both denominators at N normalised ground points: (N, 3) -> (N, 2)."""
+    out = np.empty((len(ground), 2))
+    for i in range(len(ground)):
+        out[i, 0] = cubic(c, 1, ground[i, 0], ground[i, 1], ground[i, 2])
+        out[i, 1] = cubic(c, 3, ground[i, 0], ground[i, 1], ground[i, 2])
+    return out
+
+
+def coefficient_jacobian(c: Array, ground: Array) -> Array:
+    """Derivatives of normalised (line, sample) with respect to their coefficients: (N, 3) -> (N, 2, 40).
+
+    Columns 0-19 belong to the numerator, 20-39 to the denominator of the row's own coordinate (column 20
+    is that of the constant, which the model holds at 1).
+    """
+    monomials, image, below = rfm_terms.terms(ground), values(c, ground), denominators(c, ground)
+    numerator = monomials[:, None, :] / below[:, :, None]
+    return np.concatenate([numerator, -image[:, :, None] * numerator], axis=2)

@@ -1,0 +1,142 @@
+"""Circles and plumb lines as figures of points, and two cameras of equal attitude; see ``constraints``."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Argument, Array, Equation, Example, register
+from factors.cameras.frame_camera import CAMERA, turned
+from factors.records import Record
+
+#: Factor s and the normal and axes of the circle's plane; s and rotations R_0 of both cameras, D, row-major.
+CIRCLE_RECORD: Final = Record(factor=1, normal=3, e_1=3, e_2=3)
+ATTITUDE_RECORD: Final = Record(factor=1, first=9, second=9, between=9)
+#: Of the others.
+FACTOR: Final = Record(factor=1)
+
+
+def residual_plumb_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
+    """Residual (2,) of the plan position x (2,)."""
+    return np.array([record[FACTOR.factor] * (p[0] - x[0]), record[FACTOR.factor] * (p[1] - x[1])])
+
+
+def kernel_plumb_line(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (2,), Jacobians (2, 2) and (2, 3)."""
+    value, s = residual_plumb_line(record, setup, x, p), record[FACTOR.factor]
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    return value, np.array([[-s, 0.0], [0.0, -s]]), np.array([[s, 0.0, 0.0], [0.0, s, 0.0]])
+
+
+def _normal(record: Any, x: Any) -> Any:
+    """Normal (3,) of the circle's plane."""
+    return record[CIRCLE_RECORD.normal] + x[3] * record[CIRCLE_RECORD.e_1] + x[4] * record[CIRCLE_RECORD.e_2]
+
+
+def residual_circle(record: Any, setup: Any, x: Any, p: Any) -> Any:
+    """Residual (2,) of centre, tilts, radius x (6,): distance from the plane, then from the sphere."""
+    n = _normal(record, x)
+    d = p - x[:3]
+    off = (n[0] * d[0] + n[1] * d[1] + n[2] * d[2]) / np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    s, distance = record[CIRCLE_RECORD.factor], np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    return np.array([s * off, s * (distance - x[5])])
+
+
+def kernel_circle(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (2,), Jacobians (2, 6) and (2, 3)."""
+    value, s = residual_circle(record, setup, x, p), record[CIRCLE_RECORD.factor]
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    n, d = _normal(record, x), p - x[:3]
+    size, radius = np.sqrt(np.sum(n * n)), np.sqrt(np.sum(d * d))
+    out, ground = np.zeros((2, 6)), np.empty((2, 3))
+    ground[0], ground[1] = s / size * n, s / radius * d
+    for k, e in enumerate((record[CIRCLE_RECORD.e_1], record[CIRCLE_RECORD.e_2])):
+        out[0, 3 + k] = s / size * np.sum(e * d) - value[0] * x[3 + k] / (size * size)
+    out[:, :3] = -ground
+    out[1, 5] = -s
+    return value, out, ground
+
+
+def residual_horizontal(record: Any, setup: Any, x: Any, p: Any) -> Any:
+    """Residual (2,) of centre and radius x (4,): height, then distance in plan."""
+    s, dx, dy = record[FACTOR.factor], p[0] - x[0], p[1] - x[1]
+    return np.array([s * (p[2] - x[2]), s * (np.sqrt(dx * dx + dy * dy) - x[3])])
+
+
+def kernel_horizontal(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (2,), Jacobians (2, 4) and (2, 3)."""
+    value, s = residual_horizontal(record, setup, x, p), record[FACTOR.factor]
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    dx, dy = p[0] - x[0], p[1] - x[1]
+    f = s / np.sqrt(dx * dx + dy * dy)
+    return (
+        value, np.array([[0.0, 0.0, -s, 0.0], [-f * dx, -f * dy, 0.0, -s]]),
+        np.array([[0.0, 0.0, s], [f * dx, f * dy, 0.0]]),
+    )  # fmt: skip
+
+
+def _relative(record: Any, v: Any, w: Any) -> Any:
+    """Turns (29,) of both cameras; E = R_2 R_1^T D^T and R_2 R_1^T (3, 3)."""
+    first, second = np.empty(CAMERA.size, v.dtype), np.empty(CAMERA.size, w.dtype)
+    turned(v, record[ATTITUDE_RECORD.first], first)
+    turned(w, record[ATTITUDE_RECORD.second], second)
+    between = second[CAMERA.rotation].reshape(3, 3) @ first[CAMERA.rotation].reshape(3, 3).T
+    return first, second, between @ record[ATTITUDE_RECORD.between].reshape(3, 3).T, between
+
+
+def residual_attitude(record: Any, setup: Any, v: Any, w: Any) -> Any:
+    """Residual (3,): sine of the angle of E about its axis, rad times s."""
+    _, _, e, _ = _relative(record, v, w)
+    f = 0.5 * record[ATTITUDE_RECORD.factor]
+    return np.array([f * (e[2, 1] - e[1, 2]), f * (e[0, 2] - e[2, 0]), f * (e[1, 0] - e[0, 1])])
+
+
+def kernel_attitude(record: Array, setup: Array, v: Array, w: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (3,), Jacobians (3, 3) by the rotation vectors of both cameras."""
+    value = residual_attitude(record, setup, v, w)
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    first, second, e, between = _relative(record, v, w)
+    # [a]x E - ([a]x E)^T is the cross-product matrix of (tr E I - E^T)^T a
+    by_turn = 0.5 * record[ATTITUDE_RECORD.factor] * ((e[0, 0] + e[1, 1] + e[2, 2]) * np.eye(3) - e)
+    left, right = first[CAMERA.jacobian].reshape(3, 3), second[CAMERA.jacobian].reshape(3, 3)
+    return value, -(by_turn @ (between @ left)), by_turn @ right
+
+
+def _example_circle(rng: np.random.Generator) -> Example:
+    normal, e_1, e_2 = np.linalg.qr(rng.normal(size=(3, 3)))[0].T
+    record = CIRCLE_RECORD.pack(factor=rng.uniform(0.5, 2.0), normal=normal, e_1=e_1, e_2=e_2)
+    return Example(record, _NONE, (rng.normal(scale=0.3, size=6), rng.normal(size=3)))
+
+
+def _example_attitude(rng: np.random.Generator) -> Example:
+    turns = [m * np.sign(np.linalg.det(m)) for m in (np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(3))]
+    first, second, between = (m.ravel() for m in turns)
+    record = ATTITUDE_RECORD.pack(factor=rng.uniform(0.5, 2.0), first=first, second=second, between=between)
+    return Example(record, _NONE, (rng.normal(scale=0.3, size=3), rng.normal(scale=0.3, size=3)))
+
+
+_NONE: Final = np.zeros((2, 0))
+_POINT: Final = Argument("point", "m", is_point=True)
+PLUMB_LINE = register(Equation(
+    "constraint_plumb_line", kernel_plumb_line, residual_plumb_line, (Argument("plumb line", "m"), _POINT),
+    lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=2), rng.normal(size=3))),
+    "Ayhan 1996, eq. 113",
+))  # fmt: skip
+CIRCLE = register(Equation(
+    "constraint_circle", kernel_circle, residual_circle, (Argument("circle", "m, 1, m"), _POINT), _example_circle,
+    "Ayhan 1996, eqs. 115-116",
+))  # fmt: skip
+HORIZONTAL_CIRCLE = register(Equation(
+    "constraint_horizontal_circle", kernel_horizontal, residual_horizontal, (Argument("circle", "m"), _POINT),
+    lambda rng: Example(rng.uniform(0.5, 2.0, 1), _NONE, (rng.normal(size=4), rng.normal(size=3))),
+    "Ayhan 1996, eq. 117",
+))  # fmt: skip
+EQUAL_ATTITUDE = register(Equation(
+    "constraint_equal_attitude", kernel_attitude, residual_attitude,
+    (Argument("rotation", "rad"), Argument("rotation", "rad")), _example_attitude, "Ayhan 1996, eq. 112",
+))  # fmt: skip

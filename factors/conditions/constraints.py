@@ -1,0 +1,180 @@
+"""Constraints between points, and between points and figures: zero where they hold, soft with a sigma or hard.
+
+    distance          s (|q - p| - d)                                        eqs. 111 (base), 118
+    parallel          s e_i . (q - p) x (t - r) / (|q - p| |t - r|)          i = 1, 2
+    plane             s (n . (p - p_0) - x_2) / |n|,   n = n_0 + x_0 e_1 + x_1 e_2       eq. 116
+    line              s (e_i . (p - p_0) - x_i - x_{2+i} n_0 . (p - p_0))    i = 1, 2; eq. 113
+    plumb line        s (X - x_0, Y - x_1)                                   eq. 113
+    circle            that of the plane through its centre; s (|p - c| - a)  eqs. 115, 116
+    horizontal circle s (Z - x_2,  |(X, Y) - (x_0, x_1)| - x_3)              eq. 117
+    observed element  s (x_j - value)                                        eqs. 81-89
+
+Equation numbers: Ayhan 1996. Residuals are metres times s (``parallel``: radians times s), so with s = 1/sigma they are
+whitened. Spheres and spheroids: ``factors.conditions.surfaces``. The first vector of a figure's frame is normal to its
+plane, or along its line; a figure is close to the frame, so no unknown grows without bound. Plain Python: constraints
+are few.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Argument, Array, Equation, Example, register
+from factors.geometry.rotations import Vector
+from factors.records import Record
+
+#: Records: of figures (n_0, e_1, e_2 orthonormal), of distances, parallels and observed elements.
+FIGURE: Final = Record(factor=1, place=3, normal=3, e_1=3, e_2=3)
+LENGTH: Final = Record(factor=1, distance=1)
+DIRECTION: Final = Record(factor=1, e_1=3, e_2=3)
+ELEMENT: Final = Record(factor=1, value=1, number=1)
+
+
+def _dot(a: Vector, b: Vector) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Any:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def residual_distance(record: Any, setup: Any, p: Any, q: Any) -> Any:
+    """Residual (1,)."""
+    d = q - p
+    return np.array([record[LENGTH.factor] * (np.sqrt(_dot(d, d)) - record[LENGTH.distance])])
+
+
+def kernel_distance(record: Array, setup: Array, p: Array, q: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (1,), Jacobians (1, 3)."""
+    value = residual_distance(record, setup, p, q)
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    d = q - p
+    row = (record[LENGTH.factor] / np.sqrt(_dot(d, d)) * d).reshape((1, 3))
+    return value, -row, row
+
+
+def residual_parallel(record: Any, setup: Any, p: Any, q: Any, r: Any, t: Any) -> Any:
+    """Residual (2,); e_1 and e_2 lie across the lines."""
+    a, b = q - p, t - r
+    c, size = _cross(a, b), np.sqrt(_dot(a, a) * _dot(b, b))
+    s = record[DIRECTION.factor]
+    return np.array([s * _dot(record[DIRECTION.e_1], c) / size, s * _dot(record[DIRECTION.e_2], c) / size])
+
+
+def kernel_parallel(
+    record: Array, setup: Array, p: Array, q: Array, r: Array, t: Array, want: bool
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Residual (2,), Jacobians (2, 3)."""
+    value = residual_parallel(record, setup, p, q, r, t)
+    if not want:
+        none = np.empty((0, 0))
+        return value, none, none, none, none
+    a, b = q - p, t - r
+    aa, bb = _dot(a, a), _dot(b, b)
+    f = record[DIRECTION.factor] / np.sqrt(aa * bb)
+    by_a, by_b = np.empty((2, 3)), np.empty((2, 3))
+    for i, e in enumerate((record[DIRECTION.e_1], record[DIRECTION.e_2])):
+        by_a[i] = f * _cross(b, e) - value[i] / aa * a
+        by_b[i] = f * _cross(e, a) - value[i] / bb * b
+    return value, -by_a, by_a, -by_b, by_b
+
+
+def _normal(record: Any, x: Any) -> Any:
+    return record[FIGURE.normal] + x[0] * record[FIGURE.e_1] + x[1] * record[FIGURE.e_2]
+
+
+def residual_plane(record: Any, setup: Any, x: Any, p: Any) -> Any:
+    """Residual (1,) of tilts and distance x (3,)."""
+    n = _normal(record, x)
+    return np.array([record[FIGURE.factor] * (_dot(n, p - record[FIGURE.place]) - x[2]) / np.sqrt(_dot(n, n))])
+
+
+def kernel_plane(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (1,), Jacobians (1, 3)."""
+    value = residual_plane(record, setup, x, p)
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    n, d = _normal(record, x), p - record[FIGURE.place]
+    nn = _dot(n, n)
+    f = record[FIGURE.factor] / np.sqrt(nn)
+    out = np.empty((1, 3))
+    for i, e in enumerate((record[FIGURE.e_1], record[FIGURE.e_2])):
+        out[0, i] = f * _dot(e, d) - value[0] * x[i] / nn
+    out[0, 2] = -f
+    return value, out, (f * n).reshape((1, 3))
+
+
+def residual_line(record: Any, setup: Any, x: Any, p: Any) -> Any:
+    """Residual (2,) of foot and slopes x (4,)."""
+    d = p - record[FIGURE.place]
+    along = _dot(record[FIGURE.normal], d)
+    return np.array([
+        record[FIGURE.factor] * (_dot(record[FIGURE.e_1], d) - x[0] - x[2] * along),
+        record[FIGURE.factor] * (_dot(record[FIGURE.e_2], d) - x[1] - x[3] * along),
+    ])  # fmt: skip
+
+
+def kernel_line(record: Array, setup: Array, x: Array, p: Array, want: bool) -> tuple[Array, Array, Array]:
+    """Residual (2,), Jacobians (2, 4) and (2, 3)."""
+    value = residual_line(record, setup, x, p)
+    if not want:
+        return value, np.empty((0, 0)), np.empty((0, 0))
+    s, out, ground = record[FIGURE.factor], np.zeros((2, 4)), np.empty((2, 3))
+    along = _dot(record[FIGURE.normal], p - record[FIGURE.place])
+    for i, e in enumerate((record[FIGURE.e_1], record[FIGURE.e_2])):
+        out[i, i], out[i, 2 + i] = -s, -s * along
+        ground[i] = s * (e - x[2 + i] * record[FIGURE.normal])
+    return value, out, ground
+
+
+def residual_element(record: Any, setup: Any, x: Any) -> Any:
+    """Residual (1,) of an element of x observed."""
+    return np.array([record[ELEMENT.factor] * (x[int(record[ELEMENT.number])] - record[ELEMENT.value])])
+
+
+def kernel_element(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
+    """Residual (1,), Jacobian (1, k)."""
+    value = residual_element(record, setup, x)
+    if not want:
+        return value, np.empty((0, 0))
+    out = np.zeros((1, len(x)))
+    out[0, int(record[ELEMENT.number])] = record[ELEMENT.factor]
+    return value, out
+
+
+def _random_points(rng: np.random.Generator, n: int) -> list[Array]:
+    return [rng.normal(size=3) for _ in range(n)]
+
+
+def _frame(rng: np.random.Generator) -> Array:
+    factor, place, axes = rng.uniform(0.5, 2.0), rng.normal(size=3), np.linalg.qr(rng.normal(size=(3, 3)))[0].T
+    return FIGURE.pack(factor=factor, place=place, normal=axes[0], e_1=axes[1], e_2=axes[2])
+
+
+_NONE: Final = np.zeros((2, 0))
+_POINT: Final = Argument("point", "m", is_point=True)
+DISTANCE = register(Equation(
+    "constraint_distance", kernel_distance, residual_distance, (_POINT, _POINT),
+    lambda rng: Example(rng.uniform(0.5, 2.0, 2), _NONE, tuple(_random_points(rng, 2))), "Ayhan 1996, eqs. 111, 118",
+))  # fmt: skip
+PARALLEL = register(Equation(
+    "constraint_parallel", kernel_parallel, residual_parallel, (_POINT,) * 4,
+    lambda rng: Example(_frame(rng)[: DIRECTION.size], _NONE, tuple(_random_points(rng, 4))),
+    "Ayhan 1996, section 2.4.2",
+))  # fmt: skip
+PLANE = register(Equation(
+    "constraint_plane", kernel_plane, residual_plane, (Argument("plane", "1, m"), _POINT),
+    lambda rng: Example(_frame(rng), _NONE, (rng.normal(scale=0.2, size=3), rng.normal(size=3))), "Ayhan 1996, eq. 116",
+))  # fmt: skip
+LINE = register(Equation(
+    "constraint_line", kernel_line, residual_line, (Argument("line", "m, 1"), _POINT),
+    lambda rng: Example(_frame(rng), _NONE, (rng.normal(scale=0.2, size=4), rng.normal(size=3))), "Ayhan 1996, eq. 113",
+))  # fmt: skip
+OBSERVED_ELEMENT = register(Equation(
+    "observed_element", kernel_element, residual_element, (Argument("x", "any"),),
+    lambda rng: Example(np.append(rng.uniform(0.5, 2.0, 2), rng.integers(0, 4)), _NONE, (rng.normal(size=4),)),
+    "Ayhan 1996, eqs. 81-89",
+))  # fmt: skip

@@ -1,0 +1,171 @@
+"""A receiver's position and an inertial unit's attitude on board, as observations of a frame image's unknowns.
+
+    position:  r = W (X_obs - X_0 - dX + R^T B (l_0 + l) - S (b_0 + tau b_1))
+    attitude:  r = W (log(A_obs R^T B) - s_0 - tau s_1)
+
+R (camera from ground) and X are the rotation and projection centre of ``factors.cameras.frame``, B = exp([beta]x) B_0
+the camera from the body, l the lever arm from the receiver to the projection centre (body axes), S the ground from the
+axes of the strip, A_obs the body from the ground. Shift and drift of the position stand in the axes of the strip, those
+of the attitude are turns about the axes of the body. tau runs from -1 to 1 over the strip.
+
+There is one of each per image, so the kernels are plain numpy: nothing to compile.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Argument, Array, Equation, Example, register
+from factors.cameras import frame
+from factors.cameras.frame_camera import CAMERA, turned
+from factors.geometry.rotations import Vector
+from factors.records import Record
+
+#: W, R_0 and B_0 row-major; then X_obs - X_0 m, l_0 m and S row-major, or A_obs row-major.
+_BOTH: Final = Record(whitening=9, rotation=9, mounting=9, tau=1)
+POSITION: Final = Record(**_BOTH.fields, offset=3, arm=3, strip=9)
+ATTITUDE: Final = Record(**_BOTH.fields, observed=9)
+#: Codes of the unknowns, behind those of the camera: shift and drift of position and of attitude, lever, boresight.
+UNKNOWN: Final = Record(**frame.UNKNOWN.fields, shift=3, drift=3, turn=3, turn_drift=3, lever=3, boresight=3)
+#: Squared sine of an angle below which angle / sine is a series.
+SMALL_SQUARED: Final = 1e-6
+
+
+def _corrections(setup: Array, x: Any) -> Any:
+    """All unknowns (33,) in physical units; those that are none are zero."""
+    d = np.zeros(UNKNOWN.size, x.dtype)
+    np.add.at(d, setup[0].astype(np.intp), setup[1] * x)
+    return d
+
+
+def _rotation(start: Array, w: Any) -> tuple[Any, Any]:
+    """``exp([w]x) start`` and its left Jacobian at w, both (3, 3)."""
+    out = np.empty(CAMERA.size, w.dtype)
+    turned(w, np.ascontiguousarray(start), out)
+    return out[CAMERA.rotation].reshape(3, 3), out[CAMERA.jacobian].reshape(3, 3)
+
+
+def cross(v: Vector) -> Any:
+    """``[v]x`` (3, 3)."""
+    return np.array([[0.0 * v[0], -v[2], v[1]], [v[2], 0.0 * v[0], -v[0]], [-v[1], v[0], 0.0 * v[0]]])
+
+
+def rotation_vector(m: Any) -> Any:
+    """Logarithm (3,) rad of a rotation (3, 3) by less than half a turn."""
+    v = 0.5 * np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    square, cosine = v @ v, 0.5 * (np.trace(m) - 1.0)
+    if square.real < SMALL_SQUARED and cosine.real > 0.0:
+        return v * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0 + square * 15.0 / 336.0)))
+    sine = np.sqrt(square)
+    return v * (2.0 * np.arctan(sine / (1.0 + cosine)) / sine)
+
+
+def _inverse_right_jacobian(theta: Array) -> Array:
+    """Derivative of ``log(M exp([d]x))`` by d at M = exp([theta]x) (Chirikjian 2012, eq. 10.86, inverted)."""
+    t, k = float(theta @ theta), cross(theta)
+    if t < SMALL_SQUARED:
+        c = 1.0 / 12.0 + t * (1.0 / 720.0 + t / 30240.0)
+    else:
+        a = np.sqrt(t)
+        c = (1.0 - 0.5 * a / np.tan(0.5 * a)) / t
+    return np.asarray(np.eye(3) + 0.5 * k + c * (k @ k))
+
+
+def position_residual(record: Any, setup: Any, x: Any) -> Any:
+    """Whitened residual (3,) of a receiver's position; accepts complex unknowns."""
+    d = _corrections(setup, x)
+    rotation = _rotation(record[POSITION.rotation], d[UNKNOWN.rotation])[0]
+    mounting = _rotation(record[POSITION.mounting], d[UNKNOWN.boresight])[0]
+    arm = rotation.T @ (mounting @ (record[POSITION.arm] + d[UNKNOWN.lever]))
+    wrong = record[POSITION.strip].reshape(3, 3) @ (d[UNKNOWN.shift] + record[POSITION.tau] * d[UNKNOWN.drift])
+    return record[POSITION.whitening].reshape(3, 3) @ (record[POSITION.offset] - d[UNKNOWN.centre] + arm - wrong)
+
+
+def position_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
+    """Residual (3,) and Jacobian (3, k)."""
+    value = position_residual(record, setup, x)
+    if not want:
+        return value, np.empty((0, 0))
+    d, out = _corrections(setup, x), np.zeros((3, UNKNOWN.size))
+    rotation, by_w = _rotation(record[POSITION.rotation], d[UNKNOWN.rotation])
+    mounting, by_beta = _rotation(record[POSITION.mounting], d[UNKNOWN.boresight])
+    across = rotation.T @ cross(mounting @ (record[POSITION.arm] + d[UNKNOWN.lever]))
+    axes = record[POSITION.strip].reshape(3, 3)
+    out[:, UNKNOWN.rotation], out[:, UNKNOWN.centre] = across @ by_w, -np.eye(3)
+    out[:, UNKNOWN.shift], out[:, UNKNOWN.drift] = -axes, -record[POSITION.tau] * axes
+    out[:, UNKNOWN.lever], out[:, UNKNOWN.boresight] = rotation.T @ mounting, -across @ by_beta
+    return value, _chosen(record, setup, out)
+
+
+def attitude_residual(record: Any, setup: Any, x: Any) -> Any:
+    """Whitened residual (3,) of an inertial unit's attitude; accepts complex unknowns."""
+    d = _corrections(setup, x)
+    rotation = _rotation(record[ATTITUDE.rotation], d[UNKNOWN.rotation])[0]
+    mounting = _rotation(record[ATTITUDE.mounting], d[UNKNOWN.boresight])[0]
+    theta = rotation_vector(record[ATTITUDE.observed].reshape(3, 3) @ rotation.T @ mounting)
+    wrong = d[UNKNOWN.turn] + record[ATTITUDE.tau] * d[UNKNOWN.turn_drift]
+    return record[ATTITUDE.whitening].reshape(3, 3) @ (theta - wrong)
+
+
+def attitude_kernel(record: Array, setup: Array, x: Array, want: bool) -> tuple[Array, Array]:
+    """Residual (3,) and Jacobian (3, k)."""
+    value = attitude_residual(record, setup, x)
+    if not want:
+        return value, np.empty((0, 0))
+    d, out = _corrections(setup, x), np.zeros((3, UNKNOWN.size))
+    rotation, by_w = _rotation(record[ATTITUDE.rotation], d[UNKNOWN.rotation])
+    mounting, by_beta = _rotation(record[ATTITUDE.mounting], d[UNKNOWN.boresight])
+    theta = rotation_vector(record[ATTITUDE.observed].reshape(3, 3) @ rotation.T @ mounting)
+    inner = _inverse_right_jacobian(theta) @ mounting.T
+    out[:, UNKNOWN.rotation], out[:, UNKNOWN.boresight] = -inner @ by_w, inner @ by_beta
+    out[:, UNKNOWN.turn], out[:, UNKNOWN.turn_drift] = -np.eye(3), -record[ATTITUDE.tau] * np.eye(3)
+    return value, _chosen(record, setup, out)
+
+
+def _chosen(record: Array, setup: Array, out: Array) -> Array:
+    """Columns (3, k) of the image's unknowns, whitened, by prior sigmas."""
+    return np.ascontiguousarray(record[_BOTH.whitening].reshape(3, 3) @ out[:, setup[0].astype(np.intp)] * setup[1])
+
+
+def _turned_at_random(rng: np.random.Generator, angle_rad: float) -> Array:
+    return np.asarray(_rotation(np.eye(3).ravel(), rng.normal(size=3) * angle_rad)[0])
+
+
+def _parts(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Rotations R_0 and B_0, the setup and unknowns; large and small corrections occur, and subsets of unknowns."""
+    codes = np.sort(rng.permutation(UNKNOWN.size)[: rng.integers(1, UNKNOWN.size + 1)])
+    sigma = np.repeat([rng.choice([1e-5, 1e-2, 0.2]), 0.3, 1.0, 0.5, 0.1, 1e-3, 1e-4, 0.05, 1e-2],
+                      [3, 3, 9, 3, 3, 3, 3, 3, 3])  # fmt: skip
+    setup = np.ascontiguousarray(np.stack([codes.astype(float), sigma[codes]]))
+    return _turned_at_random(rng, 1.0), _turned_at_random(rng, 1.0), setup, rng.normal(size=len(codes))
+
+
+def _position_example(rng: np.random.Generator) -> Example:
+    rotation, mounting, setup, x = _parts(rng)
+    record = POSITION.pack(
+        offset=rng.normal(scale=0.5, size=3), arm=rng.normal(size=3), strip=_turned_at_random(rng, 1.0).ravel(),
+        whitening=rng.normal(size=9), rotation=rotation.ravel(), mounting=mounting.ravel(), tau=rng.uniform(-1, 1),
+    )  # fmt: skip
+    return Example(record, setup, (x,))
+
+
+def _attitude_example(rng: np.random.Generator) -> Example:
+    rotation, mounting, setup, x = _parts(rng)
+    away = _turned_at_random(rng, rng.choice([0.0, 1e-5, 1e-2, 0.5]))
+    record = ATTITUDE.pack(
+        whitening=rng.normal(size=9), rotation=rotation.ravel(), mounting=mounting.ravel(), tau=rng.uniform(-1, 1),
+        observed=(away @ mounting.T @ rotation).ravel(),
+    )  # fmt: skip
+    return Example(record, setup, (x,))
+
+
+ANTENNA_POSITION = register(Equation(
+    "antenna_position", position_kernel, position_residual, (Argument("image", "prior sigma"),), _position_example,
+    "Terlemezoğlu 2019, eq. 2.2; shift and drift: Ackermann 1994",
+))  # fmt: skip
+INERTIAL_ATTITUDE = register(Equation(
+    "inertial_attitude", attitude_kernel, attitude_residual, (Argument("image", "prior sigma"),), _attitude_example,
+    "Terlemezoğlu 2019, eq. 2.2, as a rotation vector",
+))  # fmt: skip

@@ -1,0 +1,1 @@
+"""Elementary maps with derivatives: rotations, orbits, ellipsoid, polynomials, light."""

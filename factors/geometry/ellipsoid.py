@@ -1,0 +1,94 @@
+"""Ray and ellipsoid: intersection at an ellipsoidal height, geodetic coordinates.
+
+WGS84: a = 6378137 m, b = a (1 - 1/298.257223563); the sources print b to 0.1 mm, which would
+put geodetic coordinates 0.05 mm beside those of PROJ. The surface of height h is
+taken as the ellipsoid with semi-axes a + h, b + h (T 2.44-2.48 as corrected); it differs
+from the true surface by 2.5 mm at 1800 m, so :func:`intersect` repeats with the remaining
+height error until it is below 0.1 mm.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from factors._contract import Array, compiled
+from factors._plain import few_in_python
+from factors.geometry.rotations import Vector
+
+A_M = 6378137.0
+B_M = A_M * (1.0 - 1.0 / 298.257223563)
+E2 = 1.0 - (B_M / A_M) ** 2
+
+
+@compiled
+def geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """ECEF (m) to longitude, latitude (rad) and ellipsoidal height (m), by fixed-point iteration."""
+    p = math.sqrt(x * x + y * y)
+    latitude = math.atan2(z, p * (1.0 - E2))
+    for _ in range(12):
+        sine = math.sin(latitude)
+        n = A_M / math.sqrt(1.0 - E2 * sine * sine)
+        latest = math.atan2(z + E2 * n * sine, p)
+        if latest == latitude:
+            break
+        latitude = latest
+    sine, cosine = math.sin(latitude), math.cos(latitude)
+    n = A_M / math.sqrt(1.0 - E2 * sine * sine)
+    height = p * cosine + z * sine - n * (1.0 - E2 * sine * sine)
+    return math.atan2(y, x), latitude, height
+
+
+@compiled
+def distance_to_height(p: Vector, u: Vector, h: float) -> float:
+    """Smallest positive s with ``p + s u`` on the ellipsoid (a + h, b + h); nan if the ray misses or p lies inside."""
+    a2, b2 = (A_M + h) ** 2, (B_M + h) ** 2
+    d1 = (u[0] * u[0] + u[1] * u[1]) / a2 + u[2] * u[2] / b2
+    d2 = 2.0 * ((p[0] * u[0] + p[1] * u[1]) / a2 + p[2] * u[2] / b2)
+    d3 = (p[0] * p[0] + p[1] * p[1]) / a2 + p[2] * p[2] / b2 - 1.0
+    if d3 <= 0.0:
+        return math.nan  # the sensor lies below that surface: nothing to see
+    inside = d2 * d2 - 4.0 * d1 * d3
+    if inside < 0.0:
+        return math.nan
+    # the stable pair of roots: no cancellation between -d2 and the square root
+    q = -0.5 * (d2 + math.copysign(math.sqrt(inside), d2))
+    s1, s2 = float(q / d1), float(d3 / q)
+    low, high = (s1, s2) if s1 < s2 else (s2, s1)
+    if low > 0.0:
+        return low
+    return high if high > 0.0 else math.nan
+
+
+@few_in_python
+@compiled
+def intersect(position_m: Array, direction: Array, height_m: Array) -> Array:
+    """Nearest point of N rays at ellipsoidal heights: (N, 3), (N, 3), (N,) -> (N, 3) ECEF m.
+
+    Rows are nan where the ray misses the ellipsoid or the surface lies behind the sensor.
+    """
+    out = np.empty_like(position_m)
+    for i in range(len(position_m)):
+        aim = height_m[i]
+        for _ in range(4):
+            s = distance_to_height(position_m[i], direction[i], aim)
+            for k in range(3):
+                out[i, k] = position_m[i, k] + s * direction[i, k]
+            if not math.isfinite(s):
+                break
+            error = height_m[i] - geodetic(out[i, 0], out[i, 1], out[i, 2])[2]
+            if abs(error) < 1e-5:
+                break
+            aim += error
+    return out
+
+
+@few_in_python
+@compiled
+def geodetic_array(xyz_m: Array) -> Array:
+    """Longitude, latitude (rad), height (m) of N points: (N, 3) -> (N, 3)."""
+    out = np.empty_like(xyz_m)
+    for i in range(len(xyz_m)):
+        out[i, 0], out[i, 1], out[i, 2] = geodetic(xyz_m[i, 0], xyz_m[i, 1], xyz_m[i, 2])
+    return out

@@ -1,0 +1,129 @@
+"""Rotations of the pushbroom chain, as scalar maps on 9-tuples in row-major order.
+
+Frames: *body* (payload), *orbital* of convention B (X = V x Z right of flight, Y = Z x X
+forward, Z radial outward) and *ECEF*. Names read target_from_source. Active elementary
+rotations; roll turns about Y, pitch about X, yaw about Z of the orbital frame.
+
+Source: Terlemezoğlu 2019, eqs. 2.23-2.27 as corrected in docs/equations.md 2 (columns, not
+rows; X = V x Z); quaternions: eq. 2.36.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from factors._contract import Array, inlined
+from factors._plain import plain
+from factors.geometry.sines import sine_cosine
+
+#: Rows that fit into the second cache with all that is computed of them.
+AT_ONCE: Final = 1024
+
+Matrix = Any  # a tuple of 9 scalars, real or complex
+Vector = Any  # three scalars, a tuple or an array
+
+
+@inlined
+def multiply_transposed(a: Matrix, x: Any, y: Any, z: Any) -> Vector:
+    """Transposed matrix times vector."""
+    return (
+        a[0] * x + a[3] * y + a[6] * z,
+        a[1] * x + a[4] * y + a[7] * z,
+        a[2] * x + a[5] * y + a[8] * z,
+    )
+
+
+@inlined
+def multiply(a: Matrix, x: Any, y: Any, z: Any) -> Vector:
+    """Matrix times vector."""
+    return (
+        a[0] * x + a[1] * y + a[2] * z,
+        a[3] * x + a[4] * y + a[5] * z,
+        a[6] * x + a[7] * y + a[8] * z,
+    )
+
+
+@inlined
+def ecef_from_orbital(px: Any, py: Any, pz: Any, vx: Any, vy: Any, vz: Any) -> Matrix:
+    """Orbital frame of convention B from position (m) and velocity (m/s) in ECEF."""
+    one = 1.0 / np.sqrt(px * px + py * py + pz * pz)
+    zx, zy, zz = px * one, py * one, pz * one
+    nx, ny, nz = vy * zz - vz * zy, vz * zx - vx * zz, vx * zy - vy * zx
+    one = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
+    xx, xy, xz = nx * one, ny * one, nz * one
+    yx, yy, yz = zy * xz - zz * xy, zz * xx - zx * xz, zx * xy - zy * xx
+    return (xx, yx, zx, xy, yy, zy, xz, yz, zz)
+
+
+@inlined
+def from_sines(sr: Any, cr: Any, sp: Any, cp: Any, sy: Any, cy: Any) -> Matrix:
+    """Attitude Rx(pitch) Ry(roll) Rz(yaw), full form (T 2.23), from sines and cosines of roll, pitch, yaw."""
+    return (
+        cr * cy, -cr * sy, sr,
+        cp * sy + sp * sr * cy, cp * cy - sp * sr * sy, -sp * cr,
+        sp * sy - cp * sr * cy, sp * cy + cp * sr * sy, cp * cr,
+    )  # fmt: skip
+
+
+@inlined
+def orbital_from_body(roll: Any, pitch: Any, yaw: Any) -> Matrix:
+    """Attitude from roll, pitch, yaw (rad)."""
+    r, p, y = sine_cosine(roll), sine_cosine(pitch), sine_cosine(yaw)
+    return from_sines(r[0], 1.0 + r[1], p[0], 1.0 + p[1], y[0], 1.0 + y[1])
+
+
+@inlined
+def orbital_from_body_small(roll: Any, pitch: Any, yaw: Any) -> Matrix:
+    """Small-angle attitude I + [a]x (T 2.24); its transpose serves as inverse throughout."""
+    one = 1.0 + 0.0 * roll
+    return (one, -yaw, roll, yaw, one, -pitch, -roll, pitch, one)
+
+
+@inlined
+def matrix_from_quaternion(q0: Any, q1: Any, q2: Any, q3: Any) -> Matrix:
+    """Rotation of a quaternion, scalar part first; normalised here (T 2.36)."""
+    n = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    a, b, c, d = q0 / n, q1 / n, q2 / n, q3 / n
+    return (
+        a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c),
+        2 * (b * c + a * d), a * a - b * b + c * c - d * d, 2 * (c * d - a * b),
+        2 * (b * d - a * c), 2 * (c * d + a * b), a * a - b * b - c * c + d * d,
+    )  # fmt: skip
+
+
+@inlined
+def turned(a: Matrix, d: Matrix) -> Matrix:
+    """Product ``a (I + d)``."""
+    x = multiply(a, 1.0 + d[0], d[3], d[6])
+    y = multiply(a, d[1], 1.0 + d[4], d[7])
+    z = multiply(a, d[2], d[5], 1.0 + d[8])
+    return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
+
+
+def orbital_frames(position_m: Array, velocity_m_s: Array) -> Array:
+    """Orbital frames of N states: (N, 3), (N, 3) -> (N, 3, 3), ecef_from_orbital."""
+    return _matrices(ecef_from_orbital, position_m, velocity_m_s)
+
+
+def attitude_matrices(angles_rad: Array, small: bool) -> Array:
+    """Attitudes of N angle triples roll, pitch, yaw: (N, 3) -> (N, 3, 3), orbital_from_body."""
+    return _matrices(orbital_from_body_small if small else orbital_from_body, angles_rad)
+
+
+def quaternion_matrices(quaternion: Array) -> Array:
+    """Rotations of N quaternions: (N, 4) -> (N, 3, 3)."""
+    return _matrices(matrix_from_quaternion, quaternion)
+
+
+def _matrices(rotation: Callable[..., Matrix], *arguments: Array) -> Array:
+    """One of the maps above on columns of N rows: (N, 3, 3)."""
+    out = np.empty((len(arguments[0]), 9))
+    with np.errstate(all="ignore"):  # as compiled code does
+        for lo in range(0, len(out), AT_ONCE):
+            part = slice(lo, lo + AT_ONCE)
+            for k, entry in enumerate(plain(rotation)(*(column for a in arguments for column in a[part].T))):
+                out[part, k] = entry
+    return out.reshape(-1, 3, 3)

@@ -1,0 +1,167 @@
+"""The three published eliminations: Gauss, Gauss with partial pivoting, Cholesky with check sums.
+
+Sources: Terlemezoğlu 2019, sections 3.6.2.1-3.6.2.3 and Table 3.1, with the misprints corrected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fg_orient.adjustment.linear.registry import register_solver
+from fg_orient.adjustment.linear.system import Array, LinearSolution, LinearSystem
+from fg_orient.adjustment.linear.triangular import Numbers, back_substitution, check_pivot, cholesky_rows, lost_digits
+
+
+def eliminate(matrix: Array, rhs: Array, *, pivoting: bool) -> tuple[Array, tuple[str, ...]]:
+    """Solve N x = b by Gauss elimination and back substitution, T(3.40)-(3.44).
+
+    Parameters
+    ----------
+    matrix : (u, u) array
+    rhs : (u,) array
+    pivoting : bool
+        Before each step exchange rows so that the largest element of the column is the pivot.
+
+    Returns
+    -------
+    x : (u,) array
+    notes : tuple of str
+        Pivots that lost their digits.
+
+    Raises
+    ------
+    Breakdown
+        A pivot is zero.
+    """
+    u = len(rhs)
+    method = "gauss_partial_pivot_elimination" if pivoting else "gauss_elimination"
+    work = np.column_stack([matrix, rhs]).astype(np.float64)
+    with np.errstate(all="ignore"):  # overflow shows as a pivot or a result that is not finite
+        for k in range(u):
+            if pivoting:
+                largest = k + int(np.abs(work[k:, k]).argmax())
+                work[[k, largest]] = work[[largest, k]]
+            check_pivot(work[k, k], method, k, u)
+            work[k + 1 :, k:] -= np.outer(work[k + 1 :, k] / work[k, k], work[k, k:])
+        x = back_substitution(work[:, :u], work[:, u])
+    return x, lost_digits(work.diagonal(), np.abs(matrix).max(axis=0))
+
+
+@dataclass(frozen=True)
+class CheckedElimination:
+    """Cholesky elimination and its check sums.
+
+    Parameters
+    ----------
+    x : (u,) array
+        Solution; complex under ``as_run`` where a radicand was negative.
+    factor : (u, u) array
+        C, upper, with C^T C = N.
+    checks : (u,) array
+        |s_red,i - (sum_j c_ij + y_i)|, zero but for rounding.
+    violated : tuple of int
+        Rows (from 0) where the check sum is off by more than rounding explains.
+    notes : tuple of str
+        Negative radicands, lost digits, violated check sums.
+    """
+
+    x: Numbers
+    factor: Numbers
+    checks: Array
+    violated: tuple[int, ...]
+    notes: tuple[str, ...]
+
+
+def checked_cholesky(
+    normal: Array, rhs: Array, sums: Array | None = None, *, as_run: bool = False
+) -> CheckedElimination:
+    """Solve N x = b by Cholesky with a check-sum column, T-Table 3.1, T(3.45)-(3.50).
+
+    The columns b and s are appended to N. C^T C = N, y = C^-T b, s_red = C^-T s; at each row
+    s_red,i = sum_j c_ij + y_i is checked; C x = y is solved.
+
+    Parameters
+    ----------
+    normal : (u, u) array
+        Symmetric.
+    rhs : (u,) array
+    sums : (u,) array, optional
+        s_i = sum_j n_ij + b_i as carried since N was formed; default formed here.
+    as_run : bool
+        Negative radicands have complex roots.
+
+    Returns
+    -------
+    CheckedElimination
+
+    Raises
+    ------
+    Breakdown
+        A radicand is not positive (with ``as_run``: zero).
+    """
+    u = len(rhs)
+    given = normal.sum(axis=1) + rhs if sums is None else sums
+    table = np.column_stack([normal, rhs, given])
+    factor, notes = cholesky_rows(table, "cholesky_elimination", as_run=as_run)
+    with np.errstate(all="ignore"):
+        off = factor[:, u + 1] - factor[:, : u + 1].sum(axis=1)
+        violated = _violated(table, factor, off)
+        x = back_substitution(factor[:, :u], factor[:, u])
+    checks = np.abs(off)
+    notes = (*notes, *(f"row {i + 1}: check sum off by {checks[i]:.3g}" for i in violated))
+    return CheckedElimination(x, factor[:, :u], checks, violated, notes)
+
+
+def _violated(table: Array, factor: Numbers, off: Numbers) -> tuple[int, ...]:
+    """Rows whose own share of the check-sum difference exceeds rounding.
+
+    The differences e of the rows above enter row i as -sum_k c_ki e_k/c_ii (the same recursion that reduces s). What
+    is left, c_ii e_i + sum_k c_ki e_k, arises in row i. It is a sum of at most (u + 2)(i + 2) products; to first order
+    their rounding is (u + i + 4) eps times the sum of their absolute values.
+    """
+    u = len(table)
+    size, diagonal = np.abs(factor), factor.diagonal()
+    above = np.triu(factor[:, :u], 1)
+    own = np.abs(diagonal * off + above.T @ off)
+    rows = size.sum(axis=1)
+    amount = np.abs(table[:, u:]).sum(axis=1) + np.abs(table[:, :u]).sum(axis=1)
+    amount += np.abs(above).T @ rows + np.abs(diagonal) * rows
+    limit = (u + np.arange(u) + 4) * np.finfo(np.float64).eps * amount
+    return tuple(int(i) for i in np.flatnonzero(own > limit))
+
+
+@register_solver(
+    "gauss_elimination", "Gauss elimination", "elimination", source="Terlemezoğlu 2019, T(3.40)-(3.44)", published=True
+)
+def gauss_elimination(system: LinearSystem, as_run: bool) -> LinearSolution:
+    """Elimination without pivoting."""
+    x, notes = eliminate(system.normal, system.rhs, pivoting=False)
+    return LinearSolution(x, notes=notes)
+
+
+@register_solver(
+    "gauss_partial_pivot_elimination",
+    "Gauss elimination, partial pivoting",
+    "elimination",
+    source="Terlemezoğlu 2019, section 3.6.2.2",
+    published=True,
+)
+def gauss_partial_pivot_elimination(system: LinearSystem, as_run: bool) -> LinearSolution:
+    """Elimination with exchange of rows."""
+    x, notes = eliminate(system.normal, system.rhs, pivoting=True)
+    return LinearSolution(x, notes=notes)
+
+
+@register_solver(
+    "cholesky_elimination",
+    "Cholesky elimination",
+    "elimination",
+    source="Terlemezoğlu 2019, Table 3.1, T(3.45)-(3.50)",
+    published=True,
+)
+def cholesky_elimination(system: LinearSystem, as_run: bool) -> LinearSolution:
+    """Cholesky with check sums; under ``as_run`` the real part of x."""
+    done = checked_cholesky(system.normal, system.rhs, as_run=as_run)
+    return LinearSolution(np.ascontiguousarray(done.x.real), notes=done.notes)

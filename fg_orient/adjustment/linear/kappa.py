@@ -1,0 +1,235 @@
+"""The registry of rules for the regularisation parameter kappa, and the algebraic rules HKB, LW, Bayes, OD.
+
+A rule is ``function(system: LinearSystem, given: Given) -> KappaChoice``. All rules are for the penalty |x|, so
+kappa has the unit of a squared observation over a squared unknown and changes with the units. A file that calls
+:func:`register_kappa_rule` adds a rule; docs/extending.md. Rules by a curve:
+:mod:`fg_orient.adjustment.linear.kappa_graph`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Final
+
+import numpy as np
+
+from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.system import Array, Breakdown, LinearSystem
+from fg_orient.model.errors import InputError
+
+#: Modules of this package that register rules when imported.
+_MODULES: Final = ("kappa", "kappa_graph")
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a rule may need beside the system.
+
+    Parameters
+    ----------
+    start_solver : str
+        Solver of the plain least-squares solution that HKB and LW start from.
+    noise_norm : float, optional
+        |e| of the observations l, for the discrepancy principle.
+    truth : (u,) array, optional
+        True solution, for CC.
+    sigma_observed, sigma_unknown : float, optional
+        Standard deviations of one observation and of one unknown, for Bayes.
+    """
+
+    start_solver: str = "gauss_partial_pivot_elimination"
+    noise_norm: float | None = None
+    truth: Array | None = None
+    sigma_observed: float | None = None
+    sigma_unknown: float | None = None
+
+
+@dataclass(frozen=True)
+class KappaChoice:
+    """The kappa of a rule, and the curve behind it.
+
+    Parameters
+    ----------
+    kappa : float
+        To be used.
+    rule : str
+    notes : tuple of str
+        Clamping; a choice at the end of the grid.
+    grid, curve : (n,) array, optional
+        Kappas and the function whose maximum, minimum or zero is the choice, for plots.
+    unclamped : float, optional
+        Value of the rule before clamping.
+    """
+
+    kappa: float
+    rule: str
+    notes: tuple[str, ...] = ()
+    grid: Array | None = None
+    curve: Array | None = None
+    unclamped: float | None = None
+
+
+RuleFunction = Callable[[LinearSystem, Given], KappaChoice]
+
+
+@dataclass(frozen=True)
+class KappaRule:
+    """A registered rule.
+
+    Parameters
+    ----------
+    name, label : str
+        "gcv", "Generalised cross-validation".
+    function : callable
+        See the module docstring.
+    source : str
+        Author year, equation.
+    published : bool
+        One of the rules of Terlemezoğlu 2019.
+    needs : tuple of str
+        Fields of :class:`Given` that must be set.
+    """
+
+    name: str
+    label: str
+    function: RuleFunction
+    source: str
+    published: bool = False
+    needs: tuple[str, ...] = ()
+
+
+_REGISTRY: dict[str, KappaRule] = {}
+
+
+def register_kappa_rule(
+    name: str, label: str, *, source: str, published: bool = False, needs: tuple[str, ...] = ()
+) -> Callable[[RuleFunction], RuleFunction]:
+    """Decorate a function to make it a kappa rule.
+
+    Raises
+    ------
+    ValueError
+        Another rule has this name.
+    """
+
+    def add(function: RuleFunction) -> RuleFunction:
+        present = _REGISTRY.get(name)
+        if present is not None and present.function.__qualname__ != function.__qualname__:
+            raise ValueError(f"a kappa rule named {name!r} is registered already")
+        _REGISTRY[name] = KappaRule(name, label, function, source, published, needs)
+        return function
+
+    return add
+
+
+def kappa_rules() -> dict[str, KappaRule]:
+    """All rules by name."""
+    for module in _MODULES:
+        import_module(f"fg_orient.adjustment.linear.{module}")
+    return dict(_REGISTRY)
+
+
+def clamped(choice: KappaChoice) -> KappaChoice:
+    """Clamp to [0, 1] as published: above 1 gives 1; below 0 or nan gives 0 (rounding); both are noted.
+
+    The bound is no property of kappa: metres to kilometres changes kappa by 1e6.
+    """
+    value = choice.kappa
+    if value > 1.0:
+        return replace(choice, kappa=1.0, unclamped=value, notes=(*choice.notes, f"kappa {value:.3g} clamped to 1"))
+    if not value >= 0.0:
+        return replace(choice, kappa=0.0, unclamped=value, notes=(*choice.notes, f"kappa {value:.3g} set to 0"))
+    return replace(choice, unclamped=value)
+
+
+def choose_kappa(name: str, system: LinearSystem, given: Given | None = None, *, clamp: bool = False) -> KappaChoice:
+    """Apply a rule.
+
+    Parameters
+    ----------
+    name : str
+        Of :func:`kappa_rules`.
+    system : LinearSystem
+    given : Given, optional
+    clamp : bool
+        Clamp to [0, 1] as published.
+
+    Returns
+    -------
+    KappaChoice
+
+    Raises
+    ------
+    InputError
+        No rule of this name, or it needs what is not given.
+    Breakdown
+        The rule finds no kappa, or (without ``clamp``) one that is negative or not finite.
+    """
+    known = kappa_rules()
+    if name not in known:
+        raise InputError.of("linear.kappa_rule", place="kappa rule", value=name, known=", ".join(known))
+    facts = given or Given()
+    for field in known[name].needs:
+        if getattr(facts, field) is None:
+            raise InputError.of("linear.kappa_needs", place=f"kappa rule {name}", needed=field)
+    with np.errstate(all="ignore"):  # what is not finite is clamped or refused here
+        choice = known[name].function(system, facts)
+    if clamp:
+        return clamped(choice)
+    if not (np.isfinite(choice.kappa) and choice.kappa >= 0.0):
+        raise Breakdown.of("linear.no_kappa", place=f"kappa rule {name}", value=f"{choice.kappa:.3g}")
+    return choice
+
+
+def unit_variance(system: LinearSystem, x: Array) -> float:
+    """Variance of unit weight s0^2 = |A x - l|^2/f.
+
+    Raises
+    ------
+    InputError
+        A is not known, or there is no redundancy.
+    """
+    design, observed = system.require_design("s0")
+    if system.redundancy <= 0:
+        raise InputError.of("linear.redundancy", place="s0", value=f"{len(design)} rows, {len(system)} unknowns")
+    return float(np.sum((design @ x - observed) ** 2)) / system.redundancy
+
+
+@register_kappa_rule("hkb", "HKB", source="Hoerl, Kennard, Baldwin 1975; T(3.5)", published=True)
+def hkb(system: LinearSystem, given: Given) -> KappaChoice:
+    """Kappa = u s0^2/(x^T x) of the least-squares solution; meaningless when that one is wild."""
+    x = solve(given.start_solver, system).x
+    return KappaChoice(float(np.float64(len(x) * unit_variance(system, x)) / (x @ x)), "hkb")
+
+
+@register_kappa_rule("lw", "LW", source="Lawless, Wang 1976; T(3.6) with canonical coefficients", published=True)
+def lw(system: LinearSystem, given: Given) -> KappaChoice:
+    """Kappa = u s0^2/sum(lambda_i alpha_i^2), alpha = V^T x; the denominator is |A x|^2."""
+    x = solve(given.start_solver, system).x
+    eigenvalues, vectors = np.linalg.eigh(system.normal)
+    return KappaChoice(float(len(x) * unit_variance(system, x) / np.sum(eigenvalues * (vectors.T @ x) ** 2)), "lw")
+
+
+@register_kappa_rule(
+    "bayes",
+    "Bayes",
+    source="T(3.7) with variances",
+    published=True,
+    needs=("sigma_observed", "sigma_unknown"),
+)
+def bayes(system: LinearSystem, given: Given) -> KappaChoice:
+    """Kappa = sigma_l^2/sigma_x^2: the posterior mean under independent priors of equal variance."""
+    sigmas = given.sigma_observed or 0.0, given.sigma_unknown or 0.0
+    if not all(np.isfinite(sigma) and sigma > 0.0 for sigma in sigmas):
+        raise InputError.of("linear.sigmas", place="kappa rule bayes", value="{:g}, {:g}".format(*sigmas))
+    return KappaChoice(float((sigmas[0] / sigmas[1]) ** 2), "bayes")
+
+
+@register_kappa_rule("od", "OD (eigenvalue)", source="Terlemezoğlu 2019, T(3.8)", published=True)
+def od(system: LinearSystem, given: Given) -> KappaChoice:
+    """Kappa = the eigenvalue of N in [0, 1] nearest to 1; 0 if there is none. It depends on the units."""
+    eigenvalues = np.linalg.eigvalsh(system.normal)
+    inside = eigenvalues[(eigenvalues >= 0.0) & (eigenvalues <= 1.0)]
+    return KappaChoice(float(inside.max()) if len(inside) else 0.0, "od")

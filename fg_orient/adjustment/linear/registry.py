@@ -1,0 +1,132 @@
+"""The registry of linear solvers: one function each, found by name.
+
+A solver is ``function(system: LinearSystem, as_run: bool) -> LinearSolution``. It raises
+:class:`fg_orient.adjustment.linear.system.Breakdown` where it cannot go on; it never returns nan or inf. With
+``as_run`` it does what the authors' program does (complex square roots whose real part is taken);
+most solvers ignore it. A file that calls :func:`register_solver` adds one; docs/extending.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Literal
+
+import numpy as np
+
+from fg_orient.adjustment.linear.system import Breakdown, LinearSolution, LinearSystem
+from fg_orient.model.errors import InputError
+
+Family = Literal["inverse", "elimination", "tikhonov", "modern"]
+Function = Callable[[LinearSystem, bool], LinearSolution]
+
+#: Modules of this package that register solvers when imported.
+_MODULES = ("inverses", "elimination", "tikhonov", "modern")
+_FAMILIES: tuple[Family, ...] = ("inverse", "elimination", "tikhonov", "modern")
+
+
+@dataclass(frozen=True)
+class Solver:
+    """A registered solver.
+
+    Parameters
+    ----------
+    name : str
+        Unique; the names of the published methods are those of the tables ("gauss_inverse").
+    label : str
+        For tables and plots ("Gauss inverse").
+    family : "inverse", "elimination", "tikhonov" or "modern"
+    published : bool
+        One of the methods of Terlemezoğlu 2019.
+    needs_design : bool
+        Works on A, not on N.
+    source : str
+        Author year, equation.
+    function : callable
+        See the module docstring.
+    """
+
+    name: str
+    label: str
+    family: Family
+    function: Function
+    source: str
+    published: bool = False
+    needs_design: bool = False
+
+
+_REGISTRY: dict[str, Solver] = {}
+
+
+def register_solver(
+    name: str, label: str, family: Family, *, source: str, published: bool = False, needs_design: bool = False
+) -> Callable[[Function], Function]:
+    """Decorate a function to make it a solver.
+
+    Raises
+    ------
+    ValueError
+        Another solver has this name.
+    """
+
+    def add(function: Function) -> Function:
+        present = _REGISTRY.get(name)
+        if present is not None and present.function.__qualname__ != function.__qualname__:
+            raise ValueError(f"a solver named {name!r} is registered already")
+        _REGISTRY[name] = Solver(name, label, family, function, source, published, needs_design)
+        return function
+
+    return add
+
+
+def solvers() -> dict[str, Solver]:
+    """All solvers by name: the published ones in the order of the publication, then the others."""
+    for module in _MODULES:
+        import_module(f"fg_orient.adjustment.linear.{module}")
+    entries = sorted(_REGISTRY.values(), key=lambda s: (not s.published, _FAMILIES.index(s.family)))
+    return {entry.name: entry for entry in entries}
+
+
+def solver(name: str) -> Solver:
+    """Find a solver.
+
+    Raises
+    ------
+    InputError
+        There is none of this name.
+    """
+    known = solvers()
+    if name not in known:
+        raise InputError.of("linear.solver", place="solver", value=name, known=", ".join(known))
+    return known[name]
+
+
+def solve(name: str, system: LinearSystem, *, as_run: bool = False) -> LinearSolution:
+    """Solve a system.
+
+    Raises
+    ------
+    Breakdown
+        The solver cannot go on, or its result is not finite.
+    InputError
+        No solver of this name; it needs A and only N is known; its function gives no (u,) real array.
+    """
+    with np.errstate(all="ignore"):  # what is not finite is refused below, with the solver's name
+        try:
+            found = solver(name).function(system, as_run)
+        except np.linalg.LinAlgError as error:
+            raise Breakdown.of("linear.library", place=name, value=error) from error
+    if found.x.shape != system.rhs.shape or not np.isrealobj(found.x):
+        raise InputError.of("linear.result_shape", place=name, value=f"shape {found.x.shape}", unknowns=len(system))
+    if not np.isfinite(found.x).all():
+        raise Breakdown.of("linear.result_not_finite", place=name)
+    return found
+
+
+def attempt(name: str, system: LinearSystem, *, as_run: bool = False) -> LinearSolution:
+    """Solve a system; a breakdown gives nan and its reason in ``failure``, for tables."""
+    try:
+        return solve(name, system, as_run=as_run)
+    except Breakdown as error:
+        return LinearSolution(np.full(len(system), np.nan), failure=str(error))

@@ -1,0 +1,206 @@
+"""A linear system ``N x = b`` as every solver gets it, its solution, and the reported failure.
+
+``N = A^T A`` and ``b = A^T l`` where the design matrix is known: A (r, u) and l (r,) are whitened, so a
+Gauss-Helmert adjustment gives ``A = M^-1/2 A'`` and ``l = -M^-1/2 w``. Methods that work on A (QR, SVD)
+need it, the published ones use N and b alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.model.errors import InputError, NoSolutionError
+
+Array = npt.NDArray[np.float64]
+
+#: Dense matrices beyond this many unknowns are refused: the graph backend is made for them.
+MAX_UNKNOWNS = 2000
+#: |N - N^T| beyond this share of the largest element is no rounding.
+SYMMETRY_TOLERANCE = 1e-10
+
+
+class Breakdown(NoSolutionError):
+    """A solver cannot go on (pivot 0, radicand not positive ...); ``problems[0]`` says where and why."""
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """Normal equations, checked.
+
+    Parameters
+    ----------
+    normal : (u, u) array
+        Symmetric N.
+    rhs : (u,) array
+        b.
+    design : (r, u) array, optional
+        Whitened A with ``N = A^T A``.
+    observed : (r,) array, optional
+        Whitened l with ``b = A^T l``.
+
+    Whole numbers are taken as float64.
+
+    Raises
+    ------
+    InputError
+        Not square, not symmetric, not real, not finite, sizes that do not fit, or more than 2000 unknowns.
+    """
+
+    normal: Array
+    rhs: Array
+    design: Array | None = None
+    observed: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name, place in (("normal", "N"), ("rhs", "b"), ("design", "A"), ("observed", "l")):
+            values = getattr(self, name)
+            if values is not None:
+                object.__setattr__(self, name, real_numbers(values, place))  # the way of frozen dataclasses
+        check_normal(self.normal)
+        u = len(self.normal)
+        if self.rhs.shape != (u,) or not np.isfinite(self.rhs).all():
+            raise InputError.of("linear.rhs", place="b", value=f"shape {self.rhs.shape}", unknowns=u)
+        if self.design is not None:
+            check_design(self.design, self.observed, u)
+
+    @classmethod
+    def from_design(cls, design: Array, observed: Array) -> LinearSystem:
+        """Normal equations of ``A x = l`` with unit weights; refused before N is formed."""
+        design, observed = real_numbers(design, "A"), real_numbers(observed, "l")
+        if design.ndim == 2 and design.shape[1] > MAX_UNKNOWNS:
+            raise InputError.of("linear.too_large", place="N", value=design.shape[1], limit=MAX_UNKNOWNS)
+        check_design(design, observed, design.shape[-1] if design.ndim else 0)
+        with np.errstate(over="ignore", invalid="ignore"):  # squares that overflow are refused as not finite
+            normal, rhs = design.T @ design, design.T @ observed
+        return cls(normal, rhs, design, observed)
+
+    def __len__(self) -> int:
+        return len(self.rhs)
+
+    @property
+    def redundancy(self) -> int:
+        """Observations minus unknowns.
+
+        Raises
+        ------
+        InputError
+            The design matrix is not known.
+        """
+        design, _ = self.require_design("redundancy")
+        return len(design) - len(self)
+
+    def require_design(self, what: str) -> tuple[Array, Array]:
+        """Give A and l for a method that needs them.
+
+        Raises
+        ------
+        InputError
+            Only N and b are known.
+        """
+        if self.design is None or self.observed is None:
+            raise InputError.of("linear.no_design", place=what)
+        return self.design, self.observed
+
+    @cached_property
+    def decomposition(self) -> tuple[Array, Array, Array]:
+        """Singular value decomposition ``A = U S V^T``: U (r, p), S (p,) descending, V^T (p, u).
+
+        It is made when first asked for: rules for kappa read many things off the same one.
+
+        Raises
+        ------
+        InputError
+            The design matrix is not known.
+        LinAlgError
+            It does not converge.
+        """
+        design, _ = self.require_design("singular value decomposition")
+        left, values, right = np.linalg.svd(design, full_matrices=False)
+        return left, values, right
+
+
+def real_numbers(values: npt.ArrayLike, place: str) -> Array:
+    """Array of float64; complex numbers and words are refused, not cut.
+
+    Raises
+    ------
+    InputError
+    """
+    given = np.asarray(values)
+    if given.dtype.kind not in "fiu":
+        raise InputError.of("linear.not_real", place=place, value=given.dtype)
+    return np.asarray(given, dtype=np.float64)
+
+
+def check_design(design: Array, observed: Array | None, unknowns: int) -> None:
+    """Refuse a design matrix and observations that do not fit each other or the unknowns, or are not finite.
+
+    Raises
+    ------
+    InputError
+    """
+    fits = design.ndim == 2 and design.shape[1] == unknowns and design.size > 0
+    fits = fits and observed is not None and observed.shape == (len(design),)
+    if not fits:
+        raise InputError.of("linear.design", place="A, l", value=f"shape {design.shape}", unknowns=unknowns)
+    for name, values in (("A", design), ("l", np.asarray(observed))):
+        if not np.isfinite(values).all():
+            at = np.argwhere(~np.isfinite(values))[0]
+            place = f"{name}[{', '.join(map(str, at))}]"
+            raise InputError.of("linear.design", place=place, value=values[tuple(at)], unknowns=unknowns)
+
+
+def check_normal(normal: Array) -> None:
+    """Refuse a matrix that no solver of this package may get.
+
+    Raises
+    ------
+    InputError
+        Not square, empty, too large, not finite, not symmetric.
+    """
+    if normal.ndim != 2 or normal.shape[0] != normal.shape[1] or not len(normal):
+        raise InputError.of("linear.not_square", place="N", value=f"shape {normal.shape}")
+    if len(normal) > MAX_UNKNOWNS:
+        raise InputError.of("linear.too_large", place="N", value=len(normal), limit=MAX_UNKNOWNS)
+    if not np.isfinite(normal).all():
+        row, column = np.argwhere(~np.isfinite(normal))[0]
+        raise InputError.of("linear.not_finite", place=f"N[{row}, {column}]", value=normal[row, column])
+    skew = np.abs(normal - normal.T)
+    if skew.max() > SYMMETRY_TOLERANCE * np.abs(normal).max():
+        row, column = np.unravel_index(int(skew.argmax()), skew.shape)
+        raise InputError.of("linear.not_symmetric", place=f"N[{row}, {column}]", value=f"{skew.max():.3g}")
+
+
+@dataclass(frozen=True)
+class LinearSolution:
+    """What a solver gives.
+
+    Parameters
+    ----------
+    x : (u,) array
+        Unknowns; nan where the solver broke down (then ``failure`` says why).
+    inverse : (u, u) array, optional
+        The inverse, for solvers that form one.
+    rank : int, optional
+        Number of singular values used, for solvers that count.
+    kappa : float, optional
+        Regularisation parameter, for Tikhonov solvers.
+    rule : str
+        Rule that chose it (``fg_orient.adjustment.linear.kappa``); "" if none did.
+    notes : tuple of str
+        Remarks: negative radicands, check sums that do not hold, clamped parameters.
+    failure : str
+        Why there is no solution; "" if there is one.
+    """
+
+    x: Array
+    inverse: Array | None = None
+    rank: int | None = None
+    kappa: float | None = None
+    rule: str = ""
+    notes: tuple[str, ...] = ()
+    failure: str = ""

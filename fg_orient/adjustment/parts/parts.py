@@ -1,0 +1,189 @@
+"""A problem divided by ground points, one file per part: what a worker needs, and nothing else.
+
+Images are never divided: every part knows the unknowns of all of them. A part holds the whitened records of
+its image points, so that neither sensors nor metadata travel. Files are ``.npz`` without pickles.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, cast
+from zipfile import BadZipFile
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._contract import Equation, registered
+from fg_orient import __version__
+from fg_orient.adjustment.models.contract import ImageModel
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.schur_structure import reason_against
+from fg_orient.formats.atomic import write_bytes
+from fg_orient.model.block import (
+    Block,
+    Coordinates,
+    GroundPoints,
+    Image,
+    ImagePoints,
+    Options,
+    Sensor,
+    WithheldCoordinates,
+)
+from fg_orient.model.errors import InputError
+from fg_orient.model.parameters import ImageParameters
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: Image points of a part where nothing is said. The number of parts then follows from the block alone, so that the
+#: last bit of a result does not depend on the machines. A task costs some ms, a part of this size 10 ms.
+PART_SIZE: Final = 20_000
+MAX_PARTS: Final = 256
+
+
+def default_parts(problem: Problem) -> int:
+    """Number of parts of a block, from its image points."""
+    return min(max(1, -(-len(problem.observations) // PART_SIZE)), MAX_PARTS)
+
+
+def divide(problem: Problem, parts: int) -> list[Index]:
+    """Ground points of each part, in ascending order within.
+
+    Points that the same images see stay together, so that a part touches few blocks of the reduced system. Parts are
+    of about equal work: the pairs of rays of their points.
+
+    Raises
+    ------
+    InputError
+        More parts than ground points, or less than one; a block that the Schur backend cannot take.
+    """
+    reason = reason_against(problem.block, problem.models)
+    reason = "the block has own observations" if problem.block.extra else reason
+    if reason:
+        raise InputError.of("adjust.schur", place="parts", value=reason)
+    o = problem.observations
+    seen, rays = np.unique(o.point, return_counts=True)
+    if not 1 <= parts <= len(seen):
+        raise InputError.of("parallel.parts", place="parts", value=parts, points=len(seen))
+    order = np.lexsort((o.image, o.point))
+    ends = np.cumsum(rays)
+    image = o.image[order]
+    sorted_points = np.lexsort((image[ends - 1], image[ends - rays]))
+    work = np.cumsum((rays * (rays + 1) // 2)[sorted_points])
+    bounds = np.searchsorted(work, work[-1] * np.arange(parts + 1) / parts, side="left")
+    bounds[-1] = len(seen)
+    least = np.arange(parts + 1)
+    bounds = np.minimum(np.maximum.accumulate(np.maximum(bounds - least, 0)) + least, len(seen) - parts + least)
+    return [np.sort(seen[sorted_points[a:b]]) for a, b in pairwise(bounds.tolist())]
+
+
+@dataclass(frozen=True)
+class PartModel:
+    """An image of a part: its equation and unknowns; its sensor has spoken in the records."""
+
+    equation: Equation
+    parameters: ImageParameters
+
+
+def rows_of(problem: Problem, points: list[Index]) -> list[Index]:
+    """Rows of ``problem.observations`` that belong to each part."""
+    owner = np.full(len(problem.active), len(points), dtype=np.intp)
+    for number, members in enumerate(points):
+        owner[members] = number
+    of_row = owner[problem.observations.point]
+    ends = np.cumsum(np.bincount(of_row, minlength=len(points) + 1))
+    return np.split(np.argsort(of_row, kind="stable"), ends[:-1])[: len(points)]
+
+
+def part_of(problem: Problem, points: Index, rows: Index) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of the part of some ground points (ascending) and their rows, named as in its file."""
+    o = problem.observations
+    setups = [model.parameters.setup for model in problem.models]
+    return {
+        "image": o.image[rows], "point": np.searchsorted(points, o.point[rows]), "records": problem.records[rows],
+        "start": problem.start.ground[points], "active": problem.active[points], "observed": problem.observed[points],
+        "control_records": problem.control_records[points], "origin_m": problem.origin_m,
+        "equations": np.array([model.equation.name for model in problem.models]),
+        "setups": np.concatenate(setups, axis=1), "first": problem.first,
+        "image_ids": np.array([image.id.encode() for image in problem.block.images]),
+        "ids": np.array([problem.block.points.ids[j].encode() for j in points.tolist()]),
+        "version": np.array(__version__),
+        "options": np.frombuffer(json.dumps(asdict(problem.block.options)).encode(), np.uint8),
+    }  # fmt: skip
+
+
+def part_problem(name: str, arrays: dict[str, npt.NDArray[Any]]) -> Problem:
+    """Problem of a part; its images have no priors: those are added once, to the sum of all parts."""
+    first, setups, images = arrays["first"], arrays["setups"], [i.decode() for i in arrays["image_ids"].tolist()]
+    models = []
+    for k, equation in enumerate(arrays["equations"].tolist()):
+        codes, sigma = setups[:, first[k] : first[k + 1]]
+        parameters = ImageParameters(tuple(codes.astype(int).tolist()), sigma, (), (), ())
+        models.append(cast(ImageModel, PartModel(registered()[equation], parameters)))
+    ids, nowhere = tuple(i.decode() for i in arrays["ids"].tolist()), np.zeros((0, 3))
+    unknown = Coordinates(nowhere, nowhere, np.zeros(0, bool))
+    nothing = np.zeros(len(arrays["image"]))
+    observations = ImagePoints(arrays["image"], arrays["point"], nothing, nothing, nothing, nothing)
+    options = Options(**(json.loads(arrays["options"].tobytes()) | {"priors": False}))
+    block = Block(
+        name, tuple(Image(i, cast(Sensor, None)) for i in images), GroundPoints(ids, (), unknown), observations,
+        WithheldCoordinates((), lambda: unknown), options,
+    )  # fmt: skip
+    start = State(np.zeros((len(models), int(np.diff(first).max()))), arrays["start"])
+    return Problem(
+        block, tuple(models), observations, arrays["records"], arrays["origin_m"], start, arrays["active"],
+        arrays["observed"], arrays["control_records"],
+    )  # fmt: skip
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all. The disk need not have it yet: after a crash the work begins anew.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
+    """
+    write_bytes(path, data, durable=False)
+
+
+def part_file(folder: str | Path, number: int) -> Path:
+    """File of a part."""
+    return Path(folder) / f"part-{number:04d}.npz"
+
+
+def write_part(problem: Problem, points: Index, rows: Index, folder: Path, number: int) -> None:
+    """Write the file of a part, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
+    """
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=False, **part_of(problem, points, rows))
+    write_whole(part_file(folder, number), stream.getvalue())
+
+
+def read_part(folder: str, number: int) -> Problem:
+    """Read the problem of a part.
+
+    Raises
+    ------
+    InputError
+        The file is not there, or not whole: the folder is another one for this process. Or it is of another version
+        of this package.
+    """
+    path = part_file(folder, number)
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as found:
+            arrays = dict(found)
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
+        raise InputError.of("parallel.folder", file=path, value=type(error).__name__) from error
+    if str(arrays["version"]) != __version__:
+        raise InputError.of("parallel.version", file=path, value=__version__, written=str(arrays["version"]))
+    return part_problem(f"part {number}", arrays)

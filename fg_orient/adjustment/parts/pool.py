@@ -1,0 +1,314 @@
+"""Where tasks run: in this process one after another, or on the workers of a dask cluster. Same results, bit by bit.
+
+A pool runs one function over many arguments. Sums are made in a binary tree that follows the numbers of the parts, so
+neither the number of workers nor the order in which they are ready changes the last bit.
+"""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final, Protocol, TypeVar
+
+from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.parts import tasks
+from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
+
+T = TypeVar("T")
+
+#: Seconds after which a scheduler that does not answer is given up.
+CONNECT_S: Final = 10.0
+#: Most workers that are started on one machine.
+MAX_WORKERS: Final = 256
+
+
+@dataclass(frozen=True)
+class Execution:
+    """How a block or a study is shared out.
+
+    Parameters
+    ----------
+    parts : int or None
+        Parts of the ground points; None: as many as the size of the block asks for, whatever the workers.
+    workers : int
+        Processes on this machine; 0 or 1: all in this process.
+    cluster : str, dask.distributed.Client or None
+        Address of the scheduler of a running cluster, or a client of it; replaces ``workers``.
+    work_dir : path or None
+        Folder that all workers see; a folder of its own is made inside and removed at the end. Default: the
+        system's folder for temporary files, which other machines do not see.
+
+    Raises
+    ------
+    InputError
+        A number that is not possible.
+    """
+
+    parts: int | None = None
+    workers: int = 0
+    cluster: Any = None
+    work_dir: str | Path | None = None
+
+    def __post_init__(self) -> None:
+        _require_kind("parts", self.parts, int, type(None))
+        _require_kind("workers", self.workers, int)
+        _require_kind("work_dir", self.work_dir, str, Path, type(None))
+        if not (self.cluster is None or isinstance(self.cluster, str) or hasattr(self.cluster, "submit")):
+            raise InputError.of("parallel.kind", place="cluster", value=self.cluster, expected="address or client")
+        if self.parts is not None and self.parts < 1:
+            raise InputError.of("parallel.number", place="parts", value=self.parts, low=1, high="the ground points")
+        if not 0 <= self.workers <= MAX_WORKERS:
+            raise InputError.of("parallel.number", place="workers", value=self.workers, low=0, high=MAX_WORKERS)
+
+
+def _require_kind(place: str, value: Any, *kinds: type) -> None:
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        expected = " or ".join("nothing" if kind is type(None) else kind.__name__ for kind in kinds)
+        raise InputError.of("parallel.kind", place=place, value=repr(value), expected=expected)
+
+
+class Pool(Protocol):
+    """Runs tasks; ``threads`` is for the kernels inside one."""
+
+    threads: int | None
+
+    def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+        """Sum of ``task(*a)`` over the arguments, in a tree by their number."""
+        ...
+
+    def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
+        """Number and result of each, as they are ready."""
+        ...
+
+    def forget(self, folder: str) -> None:
+        """Let go what is kept of a work folder."""
+        ...
+
+
+def summed(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+    """Sum of a task over arguments, in a binary tree."""
+    if len(arguments) == 1:
+        return task(*arguments[0])
+    half = len(arguments) // 2
+    return summed(task, arguments[:half]) + summed(task, arguments[half:])
+
+
+def _summed_on_worker(task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+    """The same where BLAS may have more threads, which would change last bits."""
+    with one_blas_thread():
+        return summed(task, arguments)
+
+
+def branches(arguments: Sequence[tuple[Any, ...]], depth: int) -> Iterator[Sequence[tuple[Any, ...]]]:
+    """Arguments of the branches of this tree at a depth, in order; a branch of one is not divided."""
+    if depth == 0 or len(arguments) == 1:
+        yield arguments
+        return
+    half = len(arguments) // 2
+    yield from branches(arguments[:half], depth - 1)
+    yield from branches(arguments[half:], depth - 1)
+
+
+def _top(sums: Iterator[Any], count: int, depth: int) -> Any:
+    """Sum of the branches at a depth, as :func:`summed` adds them."""
+    if depth == 0 or count == 1:
+        return next(sums)
+    left = _top(sums, count // 2, depth - 1)
+    return left + _top(sums, count - count // 2, depth - 1)
+
+
+class InProcess:
+    """One task after another, in this process."""
+
+    threads: int | None = None
+
+    def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+        """See :class:`Pool`."""
+        return summed(task, arguments)
+
+    def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
+        """See :class:`Pool`."""
+        for k, argument in enumerate(arguments):
+            yield k, task(*argument)
+
+    def forget(self, folder: str) -> None:
+        """See :class:`Pool`."""
+        tasks.forget(folder)
+
+
+class Cluster:
+    """Workers of a dask cluster.
+
+    Parameters
+    ----------
+    client : dask.distributed.Client
+    """
+
+    threads: int | None = 1
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+
+    def workers(self) -> list[str]:
+        """Addresses of the workers that live, in one order."""
+        return sorted(self.client.nthreads())
+
+    def _submit(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """Futures; the same argument goes to the same worker each time, as long as that one lives."""
+        workers: list[str | None] = [*self.workers()] or [None]
+        homes = [workers[k * len(workers) // len(arguments)] for k in range(len(arguments))]
+        return [
+            self.client.submit(task, *argument, pure=False, workers=home, allow_other_workers=home is not None)
+            for home, argument in zip(homes, arguments, strict=True)
+        ]
+
+    def total(self, task: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+        """See :class:`Pool`; branches of the tree are summed where they were computed, its top here.
+
+        Raises
+        ------
+        NoSolutionError
+            Workers die again and again, or the scheduler is gone.
+        """
+        with _failures():
+            workers = max(len(self.workers()), 1)
+            depth, found = 0, list(branches(arguments, 0))
+            while len(found) < min(4 * workers, len(arguments)) and (len(found) < workers or len(found) % workers):
+                depth += 1
+                found = list(branches(arguments, depth))
+            sums = self.client.gather(self._submit(_summed_on_worker, [(task, branch) for branch in found]))
+            return _top(iter(sums), len(arguments), depth)
+
+    def each(self, task: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
+        """See :class:`Pool`; raises as :meth:`total`."""
+        with _failures():
+            futures = [self.client.submit(task, *argument, pure=False) for argument in arguments]
+            number = {future.key: k for k, future in enumerate(futures)}
+            try:
+                for future in _distributed().as_completed(futures, loop=self.client.loop):
+                    yield number[future.key], future.result()
+                    future.release()
+            finally:
+                self.client.cancel(futures)
+
+    def forget(self, folder: str) -> None:
+        """See :class:`Pool`."""
+        with _failures():
+            self.client.run(tasks.forget, folder, on_error="ignore")
+
+
+def _distributed() -> Any:
+    """The optional package, without types."""
+    return import_module("distributed")
+
+
+@contextmanager
+def _failures() -> Iterator[None]:
+    """Say in words what a cluster reports."""
+    from concurrent.futures import CancelledError
+
+    dask = _distributed()
+    try:
+        yield
+    except FgOrientError:
+        raise
+    except dask.KilledWorker as error:
+        raise NoSolutionError.of("parallel.killed", place="workers", value=str(error.last_worker)) from error
+    except (dask.comm.CommClosedError, dask.CancelledError, CancelledError, TimeoutError) as error:
+        raise NoSolutionError.of("parallel.lost", place="scheduler", value=type(error).__name__) from error
+    except (OSError, RuntimeError) as error:
+        # dask's own have no class of their own: no number of the system, or a pool that is closed
+        timed_out = isinstance(error, OSError) and error.errno is None
+        closed = type(error) is RuntimeError and "closed" in str(error)
+        if not (timed_out or closed):
+            raise
+        raise NoSolutionError.of("parallel.lost", place="scheduler", value=type(error).__name__) from error
+
+
+@contextmanager
+def opened(execution: Execution) -> Iterator[Pool]:
+    """Pool of an execution; what is started here ends with it.
+
+    Raises
+    ------
+    InputError
+        dask is missing, or the scheduler does not answer.
+    """
+    if execution.cluster is None and execution.workers <= 1:
+        yield InProcess()
+        return
+    if find_spec("distributed") is None:
+        raise InputError.of("parallel.dask", place="cluster" if execution.cluster is not None else "workers")
+    if execution.cluster is not None and not isinstance(execution.cluster, str):
+        yield Cluster(execution.cluster)
+        return
+    with _local(execution.workers) if execution.cluster is None else _connected(execution.cluster) as client:
+        yield Cluster(client)
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """Client of a running scheduler.
+
+    Raises
+    ------
+    InputError
+        It does not answer.
+    """
+    try:
+        client = _distributed().Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError.of("parallel.unreachable", place="scheduler", value=address) from error
+    with client:
+        yield client
+
+
+@contextmanager
+def _local(workers: int) -> Iterator[Any]:
+    """Client of processes on this machine, one thread each.
+
+    Their memory is not watched by dask: a block is judged before it is adjusted, and a paused worker would wait.
+    """
+    import dask.config
+
+    distributed = _distributed()
+    one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+    with (
+        tempfile.TemporaryDirectory(prefix="fg-orient-", ignore_cleanup_errors=True) as scratch,
+        dask.config.set({"distributed.scheduler.work-stealing": False}),
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False}, memory_limit=0, env=one,
+            silence_logs=logging.CRITICAL, local_directory=scratch,
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):  # fmt: skip
+        yield client
+
+
+@contextmanager
+def work_folder(execution: Execution, pool: Pool) -> Iterator[Path]:
+    """A folder of its own inside the work folder, removed at the end.
+
+    Raises
+    ------
+    InputError
+        It cannot be made.
+    """
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="fg-orient-", dir=execution.work_dir)).absolute()
+    except OSError as error:
+        raise InputError.of("output.unwritable", file=execution.work_dir, value=error.strerror) from error
+    try:
+        yield folder
+    finally:
+        try:
+            pool.forget(str(folder))
+        finally:
+            tasks.remove(folder)

@@ -1,0 +1,74 @@
+"""From a problem to an estimate, in parts."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import Final, cast
+
+import numpy as np
+
+from factors._contract import NotFiniteError
+from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.loop import Callback
+from fg_orient.adjustment.parts.backend import PartedBackend, PartedSystem
+from fg_orient.adjustment.parts.parts import default_parts, part_of, part_problem, rows_of
+from fg_orient.adjustment.parts.pool import Execution, opened, work_folder
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.adjustment.solve import Estimate, solve
+from fg_orient.model.errors import InputError
+
+#: Ground points whose rays make every kernel of a part run.
+REHEARSED: Final = 2
+
+
+def rehearse(problem: Problem) -> None:
+    """Eliminate a few ground points here: kernels are compiled once, before each worker would compile them."""
+    points = np.flatnonzero(problem.active)[:REHEARSED]
+    part = part_problem("rehearsal", part_of(problem, points, rows_of(problem, [points])[0]))
+    backend = SchurBackend(part, threads=1)
+    with suppress(RuntimeError, NotFiniteError):  # a few points need not make a regular system
+        system = backend.linearise(backend.initial())
+        system.partial(1.0)
+        system.substitute(np.zeros(part.n_image_unknowns))
+
+
+def solve_in_parts(
+    problem: Problem, execution: Execution, callback: Callback | None = None, checkpoint: Checkpoint | None = None,
+    start: State | None = None,
+) -> Estimate:  # fmt: skip
+    """Adjust a problem in parts; what is started for it has ended when the estimate is there.
+
+    Parameters
+    ----------
+    problem : Problem
+    execution : Execution
+    callback : callable, optional
+        Called with an ``IterationRecord`` after each iteration.
+    checkpoint, start : optional
+        See ``fg_orient.adjustment.solve.solve``.
+
+    Raises
+    ------
+    InputError
+        Another backend than the Schur complement is asked for; images have unknowns in common; more parts than
+        points; dask is missing, the scheduler does not answer, or workers do not see the work folder.
+    NoSolutionError
+        The equations become singular or not finite on the way; workers die again and again.
+    """
+    options = problem.block.options
+    if options.backend not in ("auto", "schur"):
+        raise InputError.of("parallel.backend", place="parts", value=options.backend)
+    if problem.ties is not None:
+        raise InputError.of("frame.shared_not", place="parts", value="parts", id=", ".join(problem.ties.ids))
+    judged = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
+    if execution.cluster is None and execution.workers > 1:
+        rehearse(judged)
+    with opened(execution) as pool, work_folder(execution, pool) as folder:
+        parts = execution.parts or default_parts(problem)
+        if checkpoint is not None:
+            checkpoint.scope = f"{parts} parts"
+        estimate = solve(judged, callback, lambda p: PartedBackend(p, pool, folder, parts), checkpoint, start)
+        summed = cast(PartedSystem, estimate.linear).summed()
+    return replace(estimate, state=summed.state, linear=summed)

@@ -1,0 +1,150 @@
+"""Studies: one function over many cases, in this process or on many workers; what is done is not done again.
+
+Results come in the order of the cases and are the same for any number of workers. With a folder each result is a file
+as soon as it is there: an interrupted study that is started again goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+from zipfile import BadZipFile
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient import __version__
+from fg_orient.adjustment.parts.pool import Execution, opened
+from fg_orient.formats.atomic import write_bytes
+from fg_orient.model.errors import InputError
+
+#: Told after each case: cases done, cases in all, the case.
+Progress = Callable[[int, int, Any], None]
+#: Takes a case and gives nested dicts and lists of numbers, words and arrays.
+Task = Callable[[Any], Any]
+_ARRAY: Final = "\0array"
+
+
+def study(
+    task: Task,
+    cases: Sequence[Any],
+    *,
+    workers: int = 0,
+    cluster: Any = None,
+    folder: str | Path | None = None,
+    key: str = "",
+    callback: Progress | None = None,
+) -> list[Any]:
+    """Run a task over cases.
+
+    Parameters
+    ----------
+    task : callable
+        ``task(case)`` depends on nothing but its case. It gives nested dicts and lists of numbers, words and arrays;
+        tuples come back as lists. With workers it is pickled: a function of a module, or a ``functools.partial``.
+    cases : sequence
+        What JSON can hold.
+    workers : int
+        Processes on this machine; 0 or 1: this one.
+    cluster : str or dask.distributed.Client, optional
+        Scheduler of a running cluster instead.
+    folder : path, optional
+        Keeps each result; it is made if it is missing. Cases that are there are not run.
+    key : str
+        What the results depend on beside the case, such as a hash of the input: results under another key, or of
+        another version of this package, are not taken.
+    callback : callable, optional
+        Called with (done, of, case), at first for those that were kept.
+
+    Returns
+    -------
+    list
+        One result per case, in their order.
+
+    Raises
+    ------
+    InputError
+        dask is missing, the scheduler does not answer, the folder cannot be written, a kept file cannot be read.
+    NoSolutionError
+        Workers die again and again.
+    """
+    paths = [None if folder is None else Path(folder) / f"{_digest(key, case)}.npz" for case in cases]
+    results: dict[int, Any] = {k: _kept(path) for k, path in enumerate(paths) if path is not None and path.is_file()}
+    done = 0
+
+    def tell(number: int) -> None:
+        nonlocal done
+        done += 1
+        if callback is not None:
+            callback(done, len(cases), cases[number])
+
+    for number in results:
+        tell(number)
+    missing = [k for k in range(len(cases)) if k not in results]
+    if folder is not None and missing:
+        _make(Path(folder))
+    with opened(Execution(workers=min(workers, len(missing)), cluster=cluster if missing else None)) as pool:
+        for place, data in pool.each(_run, [(task, cases[k]) for k in missing]):
+            number = missing[place]
+            path = paths[number]
+            if path is not None:
+                write_bytes(path, data)
+            results[number] = loads(data)
+            tell(number)
+    return [results[k] for k in range(len(cases))]
+
+
+def _run(task: Task, case: Any) -> bytes:
+    """Run one case, where the worker is."""
+    return dumps(task(case))
+
+
+def _digest(key: str, case: Any) -> str:
+    return hashlib.sha256(json.dumps([__version__, key, case], sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError.of("output.unwritable", file=folder, value=error.strerror) from error
+
+
+def _kept(path: Path) -> Any:
+    try:
+        return loads(path.read_bytes())
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise InputError.of("parallel.result", file=path, value=type(error).__name__) from error
+
+
+def dumps(result: Any) -> bytes:
+    """Bytes of a result: JSON, its arrays beside it, no pickle; numbers to their last bit."""
+    arrays: list[npt.NDArray[Any]] = []
+
+    def keep(value: object) -> object:
+        if isinstance(value, np.generic):
+            return value.item()
+        if isinstance(value, np.ndarray) and value.dtype != object:
+            arrays.append(value)
+            return {_ARRAY: len(arrays) - 1}
+        raise TypeError(f"a result cannot hold {type(value).__name__}")
+
+    text = np.frombuffer(json.dumps(result, default=keep).encode(), np.uint8)
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=False, json=text, **{f"array{k}": a for k, a in enumerate(arrays)})
+    return stream.getvalue()
+
+
+def loads(data: bytes) -> Any:
+    """Result of its bytes; see :func:`dumps`."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as found:
+        arrays = dict(found)
+
+    def place(value: dict[str, Any]) -> Any:
+        return arrays[f"array{value[_ARRAY]}"] if _ARRAY in value else value
+
+    return json.loads(arrays["json"].tobytes(), object_hook=place)

@@ -1,1 +1,0 @@
-"""The published procedures: Gauss-Markov and Gauss-Helmert adjustment, the two-stage orientation of stereo pairs."""

@@ -1,0 +1,186 @@
+"""Examines the installation: versions, traps of the environment, a self-test."""
+
+from __future__ import annotations
+
+import grp
+import os
+import pwd
+import stat
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from fg_orient.model.clash import shared_file
+from fg_orient.model.errors import Finding, as_record, finding
+from fg_orient.model.versions import OPTIONAL, REQUIRED, versions
+
+
+def examine() -> dict[str, Any]:
+    """Examine the installation.
+
+    Returns
+    -------
+    dict
+        ``good``; ``versions`` by name (None = missing); ``checks``: list of name, good,
+        detail; ``cache``: folder, owner, rights, files, bytes (None = no cache); ``warnings``, ``findings``.
+    """
+    found = versions(REQUIRED)
+    missing = [name for name, version in found.items() if version is None]
+    checks = [{"name": "dependencies", "good": not missing, "detail": ", ".join(missing) or "all installed"}]
+    cache: dict[str, Any] = {}
+    findings = [*_proj_findings(), *filter(None, [shared_file()])]
+
+    def numba_cache() -> tuple[bool, str]:
+        folders = _cache_folders()
+        cache.update(examine_cache(*folders) if folders else {})
+        findings.extend(cache_findings(*folders))
+        return True, _in_words(cache)
+
+    # the self-test compiles what it calls: the cache is looked at after it
+    for name, check in (("PROJ", _proj), ("self-test", _self_test), ("numba cache", numba_cache)):
+        try:
+            good, detail = check()
+        except Exception as error:  # a broken installation may fail in any way; the doctor must say how
+            good, detail = False, f"{type(error).__name__}: {error}"
+        checks.append({"name": name, "good": good, "detail": detail})
+    return {
+        "good": all(check["good"] for check in checks), "versions": found, "checks": checks, "cache": cache or None,
+        **as_record(findings), "optional": versions(OPTIONAL),
+    }  # fmt: skip
+
+
+def _proj_findings() -> list[Finding]:
+    """Traps that stop nothing by themselves."""
+    return [
+        finding("installation.proj_variable", place=name, folder=os.environ[name])
+        for name in ("PROJ_LIB", "PROJ_DATA")
+        if os.environ.get(name)
+    ]
+
+
+def _proj() -> tuple[bool, str]:
+    """Transform one point there and back; says where PROJ's data lie."""
+    import numpy as np
+
+    from fg_orient.geodesy import data_folder, ecef_to_geodetic, geodetic_to_ecef
+
+    there = geodetic_to_ecef([31.85], [41.3], [100.0])
+    back = np.array(ecef_to_geodetic(there))[:, 0]
+    good = bool(np.abs(back - [31.85, 41.3, 100.0]).max() < 1e-6)
+    return good, f"data in {data_folder()}"
+
+
+def _cache_folders() -> list[Path]:
+    """Folders of the kernels that are loaded: one for each folder of sources; none where no place is writable."""
+    from factors._kernel import Kernel
+
+    modules = [module for name, module in sys.modules.items() if name.startswith(("factors.", "fg_orient.kernels."))]
+    found = {Path(vars(m)["__file__"]).parent: k for m in modules for k in vars(m).values() if isinstance(k, Kernel)}
+    opened = filter(None, (kernel.open_cache() for _, kernel in sorted(found.items())))
+    return list(dict.fromkeys(Path(cache.cache_path) for cache in opened))
+
+
+def examine_cache(folder: Path, *others: Path) -> dict[str, Any]:
+    """Place, owner and rights of a folder of compiled kernels, which need not exist yet, and the size of all."""
+    there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # those that may not be read: False
+    status = there.stat()
+    files = [file for place in (folder, *others) for file in _inside(place) if file.suffix in (".nbi", ".nbc")]
+    sizes = [found.st_size for _, found in _readable(files)]
+    return {
+        "folder": str(folder), "exists": there == folder, "owner": _user(status.st_uid),
+        "rights": stat.filemode(status.st_mode)[1:], "files": len(sizes), "bytes": sum(sizes),
+    }  # fmt: skip
+
+
+def _inside(folder: Path) -> list[Path]:
+    """Files and folders in a folder, at any depth; those that may not be read hold nothing."""
+    return sorted(Path(at, name) for at, folders, files in os.walk(folder) for name in (*folders, *files))
+
+
+def _readable(paths: Iterable[Path]) -> Iterator[tuple[Path, os.stat_result]]:
+    """Paths with their status, without those that are not made yet, were removed meanwhile or may not be read."""
+    for path in paths:
+        with suppress(OSError):
+            yield path, path.stat()
+
+
+def _in_words(cache: dict[str, Any]) -> str:
+    if not cache:
+        return "none"
+    owner = f"owner {cache['owner']}, rights {cache['rights']}"
+    if not cache["exists"]:
+        return f"{cache['folder']}, not made yet; above it: {owner}"
+    return f"{cache['folder']}, {owner}, {cache['files']} files, {cache['bytes'] / 1e6:.1f} MB"
+
+
+def cache_findings(*folders: Path) -> list[Finding]:
+    """Findings on a cache that is missing, or into which another user can put code.
+
+    Root, and the owner of the program, can change the program itself and are no reason to warn.
+    """
+    if not folders:
+        return [finding("installation.no_cache")]
+    places = list(dict(place for folder in folders for place in _open_places(folder)).items())
+    if not places:
+        return []
+    path, why = places[0]
+    more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+    return [finding("installation.cache_open", file=f"{path}{more}", folder=folders[0], why=why)]
+
+
+def _open_places(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Folders above, the folder itself and what lies in it, as far as another user can write there."""
+    above = folder.resolve().parents
+    for path, status in _readable((*reversed(above), folder, *_inside(folder))):
+        # in a sticky folder such as /tmp others can make new names only: the next one below has an owner of its own
+        sticky = path in above and bool(status.st_mode & stat.S_ISVTX)
+        if why := open_to(status, sticky):
+            yield path, why
+
+
+def open_to(status: os.stat_result, sticky: bool) -> str:
+    """Who else may change what lies there, in words; "" if nobody."""
+    import factors
+
+    if status.st_uid not in (os.getuid(), 0, Path(factors.__file__).stat().st_uid):
+        return f"it belongs to {_user(status.st_uid)}"
+    if status.st_mode & stat.S_IWOTH and not sticky:
+        return "all users can write there"
+    if status.st_mode & stat.S_IWGRP and not sticky and not _own_group(status.st_gid):
+        return f"the group {_group(status.st_gid)} can write there"
+    return ""
+
+
+def _own_group(number: int) -> bool:
+    """Whether a group has no member but the user: many systems give each user one, and rights to it."""
+    try:
+        group = grp.getgrgid(number)
+    except KeyError:
+        return False
+    user = _user(os.getuid())
+    return set(group.gr_mem) <= {user, "root"} and (number == 0 or group.gr_name == user)
+
+
+def _user(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:  # as in a container
+        return str(number)
+
+
+def _group(number: int) -> str:
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
+
+
+def _self_test() -> tuple[bool, str]:
+    from fg_orient.cli.selftest import self_test
+
+    start = time.perf_counter()
+    good, detail = self_test()
+    return good, f"{detail}, {time.perf_counter() - start:.1f} s"

@@ -1,0 +1,213 @@
+"""What the report of close range says in words: verdict, problems, lengths."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from fg_orient.closerange.report_outlying import Group, outlying
+from fg_orient.model.distributions import chi_square_interval, normal_quantile, sidak
+from fg_orient.model.errors import sentences
+from fg_orient.report.words import number
+
+#: Level of the test of m0, and of the search for the worst residual among all.
+LEVEL: Final = 0.001
+#: Suspicious observations that the first page names.
+SUSPECTS: Final = 3
+#: A direction worse than so many units of one image point is pointed out; beyond 1000 it is refused.
+WEAK: Final = 100.0
+KINDS: Final = {
+    "bundle": "Bundle adjustment", "dlt": "Direct linear transformation", "resection": "Resection",
+    "intersection": "Intersection", "surface": "Surface",
+}  # fmt: skip
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Write a number with so many digits that count, plainly where that is short; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.{digits - 1}e}".replace("-", "−")
+    decimals = digits - 1 - math.floor(math.log10(abs(value))) if value else 0
+    return f"{value:.{max(decimals, 0)}f}".replace("-", "−")
+
+
+def length(metres: float) -> str:
+    """Write a length in m, mm or µm."""
+    for unit, factor in (("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
+        if abs(metres) * factor >= 0.1 or unit == "µm":
+            return f"{significant(metres * factor)} {unit}" if metres else "0 m"
+    return ""
+
+
+def round_length(metres: float) -> str:
+    """Write a round length of a scale bar."""
+    for unit, factor in (("km", 1e-3), ("m", 1.0), ("mm", 1e3), ("µm", 1e6)):
+        if metres * factor >= 1.0 or unit == "µm":
+            return f"{metres * factor:g} {unit}"
+    return ""
+
+
+def unit_of(metres: list[float]) -> tuple[str, float]:
+    """Unit of a column of lengths, and its factor from m: mm where the largest is below 0.2 m."""
+    largest = max((abs(v) for v in metres if v is not None and math.isfinite(v)), default=0.0)
+    return ("m", 1.0) if largest >= 0.2 else ("mm", 1e3)
+
+
+def m0_words(record: dict[str, Any]) -> tuple[str, str]:
+    """Kind (good, warn) and a sentence on m0: against 1 with standard deviations, else what it is."""
+    m0, f = record["m0"], record["redundancy"]
+    if m0 is None:
+        return "warn", "Without redundancy nothing was checked: there are no standard deviations."
+    if record["weights"] == "relative":
+        unit = "metres" if record["kind"] == "surface" else "the unit of the image coordinates"
+        return "good", f"m0, the standard deviation of one observation, is {significant(m0)}, in {unit}."
+    low, high = (math.sqrt(v / f) for v in chi_square_interval(f, LEVEL))
+    between = f"chance leaves it between {number(low, 2)} and {number(high, 2)}"
+    if m0 > high:
+        return "warn", (
+            f"The residuals are {significant(m0, 3)} times as large as the given standard deviations (m0; {between}): "
+            "these are too small, or the model lacks something, or there are gross errors"
+            + ("." if record["kind"] == "surface" else ", or y of the image coordinates points the other way (y_axis).")
+        )
+    if m0 < low:
+        return "warn", f"m0 is {significant(m0, 3)}, and {between}: the given standard deviations are too large."
+    return (
+        "good",
+        f"The observations fit the model within their standard deviations: m0 is {significant(m0, 3)}, {between}.",
+    )
+
+
+def _judged(record: dict[str, Any]) -> tuple[list[dict[str, Any]], list[tuple[str, str]]]:
+    """What has an m0 of its own (all, or each photo), and for each the kind and the sentence on it."""
+    if "m0" in record:
+        return [record], [m0_words(record)]
+    facts = [photo | {"weights": record["weights"], "kind": record["kind"]} for photo in record["photos"]]
+    if len(facts) == 1:
+        return facts, [m0_words(facts[0])]
+    named = [(kind, f"{one['photo'] or 'photo'}: {text}") for one in facts for kind, text in [m0_words(one)]]
+    return facts, named
+
+
+def doubts(record: dict[str, Any]) -> list[str]:
+    """What makes a result doubtful beside its warnings: m0 that chance does not explain, too large residuals."""
+    facts, found = _judged(record)
+    unlikely = [
+        text for one, (kind, text) in zip(facts, found, strict=True) if kind == "warn" and one["m0"] is not None
+    ]
+    return unlikely + _look_at(record)
+
+
+def verdict(record: dict[str, Any], problems: list[str]) -> dict[str, Any]:
+    """Say in words how it ended: ``kind`` (good, warn), ``title``, ``text``."""
+    done = "Fitted" if record["kind"] in ("surface", "dlt") else "Adjusted"
+    facts, found = _judged(record)
+    texts = [words for _, words in found][:4]
+    unchecked = any(one["m0"] is None for one in facts)
+    if unchecked or problems or any(kind == "warn" for kind, _ in found):
+        title = f"{done}, unchecked" if unchecked else f"{done}, with doubts"
+        return {"kind": "warn", "title": title, "text": [*texts, *accuracy_words(record)]}
+    return {"kind": "good", "title": f"{done}, nothing stands out", "text": [*texts, *accuracy_words(record)]}
+
+
+def accuracy_words(record: dict[str, Any]) -> list[str]:
+    """Say how accurate the result is: at check points, else by its standard deviations."""
+    if record["kind"] == "surface":
+        worst = max(record["points"], key=lambda p: abs(p["distance_m"]))
+        return [f"Normal distances: root mean square {length(record['rms_m'])}, largest "
+                f"{length(worst['distance_m'])} at point {worst['id']}."]  # fmt: skip
+    if record.get("check"):
+        along = ", ".join(f"{length(v / 1e3)} {axis}" for v, axis in zip(record["check"]["rms_mm"], "XYZ", strict=True))
+        n = record["check"]["n"]
+        points = "one check point" if n == 1 else f"{n} check points"
+        return [f"At {points}, whose coordinates took no part, the root mean square error is {along}."]
+    new = [p for p in record.get("points", []) if p.get("role", "new") != "control" and p.get("sigma_x_m") is not None]
+    if not new:
+        return []
+    rms = [math.sqrt(float(np.mean([p[f"sigma_{a}_m"] ** 2 for p in new]))) for a in "xyz"]
+    text = ", ".join(f"{length(v)} {axis}" for v, axis in zip(rms, "XYZ", strict=True))
+    return [f"Mean standard deviations of {len(new)} new points: {text}. "
+            "There are no check points: the accuracy is not verified."]  # fmt: skip
+
+
+def suspects(record: dict[str, Any]) -> list[tuple[float, str]]:
+    """Observations whose residual is too large to be the largest of so many by chance, worst first.
+
+    Residuals are over their own standard deviation, and over m0 where that is above 1: a common factor makes no single
+    observation suspicious.
+    """
+    rows = [(abs(r[f"w_{a}"]), f"{a} of point {r['id']} in photo {r['photo']}")
+            for r in record.get("residuals", []) for a in "xy" if r.get(f"w_{a}") is not None]  # fmt: skip
+    rows += [(abs(o["w"]), o["what"]) for o in record.get("observations", []) if o["w"] is not None]
+    if not rows:
+        return []
+    common = max(record["m0"] or 1.0, 1.0) if record["weights"] == "absolute" else 1.0
+    limit = float(-normal_quantile(0.5 * sidak(LEVEL, len(rows))))
+    return sorted(((w / common, words) for w, words in rows if w / common > limit), key=lambda row: -row[0])
+
+
+def _look_at(record: dict[str, Any]) -> list[str]:
+    """Name the first observations that are suspicious, and what their figure is over."""
+    found = suspects(record)
+    scaled = record["weights"] == "absolute" and (record.get("m0") or 1.0) > 1.0
+    own = "its own standard deviation and m0" if scaled else "its own standard deviation"
+    out = [f"look at {words}: its residual is {number(w, 1)} times {own}" for w, words in found[:SUSPECTS]]
+    if len(found) > SUSPECTS:
+        out.append(f"{len(found) - SUSPECTS} more observations to look at are listed with the residuals")
+    return out + _outlying(record)
+
+
+def _outlying(record: dict[str, Any]) -> list[str]:
+    """Name the first residuals that stand out where redundancy numbers are not known: all kinds but the bundle."""
+    groups = [Group(f, record["weights"] == "absolute", rows) for f, rows in _groups(record)]
+    found = sorted((one for group in groups for one in outlying(group, LEVEL / len(groups))), key=lambda one: -one[0])
+    more = [f"{len(found) - SUSPECTS} more residuals stand out like these"] if len(found) > SUSPECTS else []
+    return [text for _, text in found[:SUSPECTS]] + more
+
+
+def _groups(record: dict[str, Any]) -> list[tuple[int, list[tuple[float, float, int, str]]]]:
+    """Redundancy and residuals of each adjustment; not of surfaces whose distances are not what is least."""
+    if record["kind"] == "surface":
+        rows = [(abs(p["distance_m"]), p.get("distance_over_sigma", abs(p["distance_m"])), 1,
+                 f"point {p['id']}: its normal distance, {length(p['distance_m'])},")
+                for p in record["points"]]  # fmt: skip
+        return [(record["redundancy"], rows)] if record["method"] == "geometric" else []
+    if record["kind"] == "intersection":
+        return [(record["redundancy"], _misfits(record))]
+    photos = record["photos"] if record["kind"] in ("dlt", "resection") else []
+    return [(photo["redundancy"], _coordinates(photo["points"], photo["photo"])) for photo in photos]
+
+
+def _misfits(record: dict[str, Any]) -> list[tuple[float, float, int, str]]:
+    """Points by what their rays miss each other, over the root of their redundancy."""
+    squares: dict[str, float] = {}
+    for r in record["residuals"]:
+        own = sum((r[f"residual_{a}"] / r.get(f"sigma_{a}", 1.0)) ** 2 for a in "xy")
+        squares[r["id"]] = squares.get(r["id"], 0.0) + own
+    return [(p["misfit"], math.sqrt(squares[p["id"]] / (2 * p["rays"] - 3)), 2 * p["rays"] - 3,
+             f"point {p['id']}: the misfit of its rays, {significant(p['misfit'])},")
+            for p in record["points"]]  # fmt: skip
+
+
+def _coordinates(rows: list[dict[str, Any]], photo: str) -> list[tuple[float, float, int, str]]:
+    """Residuals of image coordinates; those of check points took no part."""
+    return [(abs(r[f"residual_{a}"]), abs(r[f"residual_{a}"]) / r.get(f"sigma_{a}", 1.0), 1,
+             f"{a} of point {r['id']} in photo {photo or '-'}: its residual, {significant(r[f'residual_{a}'])},")
+            for r in rows for a in "xy" if r.get("role") != "check"]  # fmt: skip
+
+
+def problems(record: dict[str, Any]) -> list[str]:
+    """What the reader should look at, the worst first."""
+    out = _look_at(record)
+    for one in record.get("directions", {}).get("weakest", []):
+        if one["value"] < 1.0 / WEAK:
+            times = significant(1.0 / one["value"], 2)
+            out.append(
+                f"hardly determined: {one['words']} (standard deviation {times} times what one image point tells)"
+            )
+    out += sentences(record)
+    for photo in record.get("photos", []):
+        out += [f"photo {photo['photo'] or '-'}: {text}" for text in sentences(photo)]
+    return out

@@ -1,0 +1,96 @@
+"""Reading a DIMAP metadata file: what it is, and which reader takes it.
+
+Read: DIMAP 1.1 of SPOT 1 to 5 at level 1A, DIMAP 2.x sensor products of Pléiades
+1A/1B and SPOT 6/7, and the PHR_DIMAP of CNES. Everything else that is recognised is named in the message together
+with what is needed instead.
+"""
+
+from __future__ import annotations
+
+import os
+
+from fg_orient.formats import dimap1, dimap2, dimap_phr
+from fg_orient.formats.xml import MAX_BYTES, XmlNode, read_xml
+from fg_orient.sensors.metadata import PushbroomMetadata
+
+_ROOTS = {
+    "isd": "a DigitalGlobe ISD file",
+    "VRTDataset": "a GDAL virtual raster",
+    "PAMDataset": "a GDAL .aux.xml file",
+}
+_PROFILE_PREFIXES = {
+    "PNEO": "Pléiades Neo", "PER1": "PeruSat-1", "VNREDSAT": "VNREDSat-1", "S6_": "SPOT 6", "S7_": "SPOT 7",
+    "PHR": "Pléiades", "SPOT": "SPOT 1 to 5", "DEIMOS": "Deimos", "FORMOSAT": "Formosat",
+}  # fmt: skip
+
+
+def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> PushbroomMetadata:
+    """Read the rigorous model from a DIMAP metadata file.
+
+    Parameters
+    ----------
+    path : path
+        ``METADATA.DIM`` of a SPOT 1-5 level 1A scene, or ``DIM_*.XML`` of a Pléiades 1A/1B or
+        SPOT 6/7 sensor product, or ``PHRDIMAP_*.XML`` of CNES.
+    max_bytes : int
+        Size limit of the file.
+
+    Returns
+    -------
+    PushbroomMetadata
+        Pixels 0-based, times in seconds of the day ``epoch``, ECEF metres, radians.
+
+    Raises
+    ------
+    InputError
+        The file is unusable: one line with file, place, value and remedy.
+    OutOfTimeRange
+        Angular speeds (SPOT 1 to 4) leave more than 0.2 s of the image open.
+    """
+    root = read_xml(path, max_bytes=max_bytes)
+    if root.tag == dimap_phr.ROOT:
+        return dimap_phr.read_dimap_phr(root)
+    if root.tag != "Dimap_Document":
+        raise root.fault("dimap.other_format", _ROOTS.get(root.tag, f"root element {root.tag}"))
+    if root.maybe("Metadata_Id") is not None:
+        _require_version_1(root)
+        return dimap1.read_dimap1(root)
+    _require_version_2(root)
+    return dimap2.read_dimap2(root)
+
+
+def _require_version_1(root: XmlNode) -> None:
+    head = root.one("Metadata_Id")
+    form, profile = head.one("METADATA_FORMAT"), head.one("METADATA_PROFILE").text()
+    version = form.element.get("version", "")
+    seen = _seen(form.text(), version, profile)
+    if form.text() != "DIMAP" or version != "1.1":
+        raise form.fault("dimap.other_version", seen)
+    if profile not in dimap1.PROFILES:
+        raise head.fault("dimap.other_level" if profile.startswith("SPOT") else "dimap.other_mission", seen)
+    level = root.maybe("Data_Processing/PROCESSING_LEVEL")
+    if level is not None and level.text() != "1A":
+        raise level.fault("dimap.other_level", f"{seen}, level {level.text()}")
+    mission = root.one("Dataset_Sources/Source_Information/Scene_Source/MISSION")
+    if mission.text() != "SPOT":
+        raise mission.fault("dimap.other_mission", f"{seen}, mission {mission.text()}")
+
+
+def _require_version_2(root: XmlNode) -> None:
+    head = root.one("Metadata_Identification")
+    form, profile = head.one("METADATA_FORMAT"), head.one("METADATA_PROFILE").text()
+    version = form.element.get("version", "")
+    sub = head.maybe("METADATA_SUBPROFILE")
+    seen = _seen(form.text(), version, profile)
+    if (sub is not None and sub.text() == "RPC") or root.maybe("Rational_Function_Model") is not None:
+        raise head.fault("dimap.rpc_file", f"RPC file, {seen}")
+    if form.text() != "DIMAP" or not version.startswith("2."):
+        raise form.fault("dimap.other_version", seen)
+    if profile not in dimap2.PROFILES:
+        code = "dimap.other_level" if profile.startswith(("PHR_", "S6_", "S7_")) else "dimap.other_mission"
+        raise head.fault(code, seen)
+
+
+def _seen(form: str, version: str, profile: str) -> str:
+    names = [name for prefix, name in _PROFILE_PREFIXES.items() if profile.upper().startswith(prefix)]
+    return f"{form} {version or 'without version'}, profile {profile}" + (f" ({names[0]})" if names else "")

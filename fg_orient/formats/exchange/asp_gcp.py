@@ -1,0 +1,132 @@
+"""Ground control of the Ames Stereo Pipeline: ``.gcp``, one point a line with all its image points.
+
+``id latitude longitude height sx sy sz`` and, for each image, ``name column row sigma_column sigma_row``; blanks or
+commas. Latitude stands before longitude. The datum stands in a comment, ``# WKT: GEOGCS[...]``, or nowhere.
+The three standard deviations refer to
+geocentric x, y, z unless the program is told otherwise (``bundle_adjust --use-lon-lat-height-gcp-error``: then to
+longitude, latitude, height in metres). Columns and rows count from 0, taken as the centre of the first pixel.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.exchange.ground import decided_crs
+from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.exchange.survey import Gathering, Survey
+from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain, sigma
+from fg_orient.formats.tables import Faults, read_text
+from fg_orient.geodesy import crs_kind, enu_from_ecef
+from fg_orient.geodesy.crs import WGS84, wkt
+from fg_orient.model.errors import Finding, InputError, Option, finding
+from fg_orient.model.names import Role
+
+Array = npt.NDArray[np.float64]
+
+GROUND: Final = ("id", "latitude", "longitude", "height", "sx", "sy", "sz")
+IMAGE: Final = ("image", "column", "row", "sigma_column", "sigma_row")
+EXPECTED: Final = "7 and 5 more for each image"
+_WKT: Final = re.compile(r"^#\s*WKT:\s*(.+)$", re.MULTILINE | re.IGNORECASE)
+#: Heights are those above the ellipsoid, whatever the comment can say of them.
+_WITH_HEIGHTS: Final = {"EPSG:4326": WGS84}
+
+
+def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read a ``.gcp``; the CRS of the settings, or of the comment, has to be geographic."""
+    path = paths[0]
+    faults = Faults(str(path))
+    stated = _WKT.search(read_text(path, faults) or "")
+    faults.raise_if_any()
+    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
+    crs = crs if settings.crs else _WITH_HEIGHTS.get(crs, crs)
+    if crs_kind(crs) != "geographic":
+        place = Option("crs") if settings.crs else "WKT"
+        raise InputError.of("interchange.geographic", file=path, place=place, value=crs)
+    gathered = Gathering(faults)
+    for n, cells in cells_of(path, faults, "either"):
+        images, rest = divmod(len(cells) - len(GROUND), len(IMAGE))
+        if rest or images < 0:
+            faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected=EXPECTED)
+            continue
+        row = named(n, cells[: len(GROUND)], GROUND)
+        lat, lon, height = numbers(row, GROUND[1:4], faults)
+        sigmas = _enu(lon, lat, [sigma(row, name, "m", faults) for name in GROUND[4:]], settings.sigma_axes)
+        gathered.point(row.cells["id"], Role.CONTROL, (lon, lat, height), sigmas, line=n)
+        for k in range(images):
+            start = len(GROUND) + k * len(IMAGE)
+            mark = named(n, cells[start : start + len(IMAGE)], IMAGE)
+            column, line = numbers(mark, IMAGE[1:3], faults)
+            along, across = (sigma(mark, name, "pixels", faults) for name in ("sigma_row", "sigma_column"))
+            gathered.measure(mark.cells["image"], row.cells["id"], line, column, (along, across), line=n)
+    return gathered.finished(crs, notes=notes)
+
+
+def _enu(lon: float, lat: float, sigmas: list[float], axes: str) -> list[float]:
+    """Standard deviations East, North, Up of geocentric ones; equal ones stay as they are, to the last digit."""
+    given = np.array(sigmas)
+    if axes == "enu" or np.ptp(given) == 0.0 or not np.isfinite([lon, lat, *given]).all():
+        return sigmas
+    enu: list[float] = np.sqrt(enu_from_ecef(lon, lat)[0] ** 2 @ given**2).tolist()
+    return enu
+
+
+def _ecef(survey: Survey, k: int, axes: str) -> Array:
+    """The way back, for writing."""
+    given: Array = survey.sigma_enu_m[k]
+    if axes == "enu" or np.ptp(given) == 0.0 or not np.isfinite(given).all():
+        return given
+    return np.asarray(np.sqrt(enu_from_ecef(*survey.coordinates[k, :2])[0].T ** 2 @ given**2))
+
+
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
+    """Write the points with coordinates; those of the CRS of the file have to be geographic."""
+    path, o = paths[0], survey.observed
+    if crs_kind(survey.crs) != "geographic":
+        raise InputError.of("interchange.geographic", file=path, option="to_crs", value=survey.crs)
+    require_plain((*survey.ids, *survey.images), "name", path)
+    marks: dict[int, list[str]] = {}
+    for image, point, line, sample, along, across in zip(
+        o.image.tolist(), o.point.tolist(), o.line, o.sample, o.sigma_line_px, o.sigma_sample_px, strict=True
+    ):
+        marks.setdefault(point, []).extend([survey.images[image], *map(digits, (sample, line, across, along))])
+    axes = "longitude, latitude, height" if settings.sigma_axes == "enu" else "geocentric x, y, z"
+    datum = survey.crs.partition("+")[0]
+    lines = [
+        f"# WKT: {wkt(datum)}",
+        f"# latitude longitude (degrees) height (m) of {survey.crs}; standard deviations (m) along {axes}",
+    ]
+    for k in np.flatnonzero(survey.located).tolist():
+        lon, lat, height = survey.coordinates[k]
+        ground = [survey.ids[k], *map(digits, (lat, lon, height, *_ecef(survey, k, settings.sigma_axes)))]
+        lines.append(" ".join([*ground, *marks.get(k, [])]))
+    write_text(path, "\n".join([*lines, ""]))
+    given = survey.sigma_enu_m[survey.located]
+    turned = 0 if settings.sigma_axes == "enu" else int((np.ptp(given, axis=1) > 0.0).sum())
+    return (finding("lost.sigma_axes", file=path, value=f"{turned} point(s)"),) if turned else ()
+
+
+FORMAT = register(
+    Format(
+        name="asp-gcp",
+        title="Ames Stereo Pipeline .gcp",
+        suffixes=(".gcp",),
+        files=("points",),
+        first_pixel=(0.0, 0.0),
+        pixel_axes="column, row (pixels)",
+        ground_axes="latitude, longitude (degrees), height (m)",
+        holds=frozenset(
+            {Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.UNMEASURED, Holds.HEIGHTS, Holds.SIGMA_GROUND,
+             Holds.SIGMA_UP, Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE, Holds.CRS}
+        ),
+        needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
+        read=read,
+        write=write,
+        crs="EPSG:4979",
+    )
+)  # fmt: skip

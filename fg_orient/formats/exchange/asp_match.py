@@ -1,0 +1,181 @@
+"""Interest point matches of the Ames Stereo Pipeline: binary files ``PREFIX-LEFT__RIGHT.match`` of image pairs.
+
+Two counts (uint64), then the interest points of the left image and as many of the right one: the k-th of both match. A
+record, packed, little-endian: x, y (float32), ix, iy (int32), orientation, scale, interest (float32), polarity (one
+byte), octave, scale level (uint32), length of the descriptor (uint64), descriptor (float32 each). x is the column,
+y the row, (0, 0) the centre of the first pixel.
+
+The layout is that of a description, no file of the program was at hand: the format counts as unverified. The reader
+therefore insists on what a wrong layout would not fulfil: equal counts, a polarity of 0 or 1, finite pixels next
+to their whole-numbered ones, and no byte left over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.atomic import write_bytes
+from fg_orient.formats.exchange.files import make_folder
+from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.ties import matched_survey, pairs_of
+from fg_orient.model.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+RECORD: Final = np.dtype([
+    ("x", "<f4"), ("y", "<f4"), ("ix", "<i4"), ("iy", "<i4"), ("orientation", "<f4"), ("scale", "<f4"),
+    ("interest", "<f4"), ("polarity", "u1"), ("octave", "<u4"), ("level", "<u4"), ("length", "<u8"),
+])  # fmt: skip
+#: Whole-numbered and exact pixel differ by less than this: rounding or truncation.
+WHOLE: Final = 1.0 + 1e-3
+#: Stands between prefix and images, and between the images, in a file's name.
+_BEFORE, _BETWEEN = "-", "__"
+
+
+def read_match(path: str | Path) -> tuple[Array, Array]:
+    """Matched pixels of one file.
+
+    Returns
+    -------
+    left, right : (n, 2) arrays
+        Line and sample.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is truncated, or is not of this layout.
+    """
+    path = Path(path)
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError.of("ties.unreadable", file=path.name, value=error.strerror or error) from None
+    counts = np.frombuffer(raw[:16], "<u8") if len(raw) >= 16 else np.empty(0, np.uint64)
+    if len(counts) < 2 or counts[0] != counts[1] or int(counts.sum()) * RECORD.itemsize > len(raw) - 16:
+        raise InputError.of("match.layout", file=path.name, place="counts", value=counts.tolist())
+    n = int(counts[0])
+    records, end = _records(raw, 2 * n)
+    place = np.column_stack([records["y"], records["x"]]).astype(float)
+    near = np.column_stack([records["iy"], records["ix"]])
+    good = np.isfinite(place).all(axis=1) & (records["polarity"] <= 1)
+    good[good] = (np.abs(place[good] - near[good]) < WHOLE).all(axis=1)
+    if not good.all() or end != len(raw):
+        bad = int(np.flatnonzero(~good)[0]) if not good.all() else 2 * n
+        value = records[bad].tolist() if bad < 2 * n else f"{len(raw) - end} bytes too many"
+        raise InputError.of("match.layout", file=path.name, place=f"interest point {bad + 1}", value=value)
+    return place[:n], place[n:]
+
+
+def _records(raw: bytes, n: int) -> tuple[npt.NDArray[Any], int]:
+    """N records without their descriptors, and the place behind the last one (nonsense if the file is truncated)."""
+    if not n:
+        return np.empty(0, RECORD), 16
+    length = int(np.frombuffer(raw, RECORD, 1, 16)["length"][0])
+    size = RECORD.itemsize + 4 * length
+    if 16 + n * size == len(raw):  # descriptors are all equally long: almost always
+        whole = np.dtype([("head", RECORD), ("descriptor", f"V{4 * length}")])
+        heads = np.frombuffer(raw, whole, n, 16)["head"]
+        if (heads["length"] == length).all():
+            return heads, len(raw)
+    found, at = np.zeros(n, RECORD), 16
+    for k in range(n):
+        if at + RECORD.itemsize > len(raw):
+            return found, -1
+        found[k] = np.frombuffer(raw, RECORD, 1, at)[0]
+        at += RECORD.itemsize + 4 * int(found[k]["length"])
+    return found, at
+
+
+def write_match(path: str | Path, left: Array, right: Array) -> None:
+    """Write matched pixels (n, 2), line and sample, without descriptors, in single precision."""
+    both = np.concatenate([left, right])
+    records = np.zeros(len(both), RECORD)
+    for name, whole, k in (("y", "iy", 0), ("x", "ix", 1)):
+        records[name] = both[:, k]
+        records[whole] = np.rint(both[:, k])
+    records["scale"], records["interest"] = 1.0, 1.0
+    counts = np.array([len(left), len(right)], "<u8")
+    write_bytes(path, counts.tobytes() + records.tobytes())
+
+
+def images_of(path: Path) -> tuple[str, str]:
+    """Names of both images, from the name of the file.
+
+    Raises
+    ------
+    InputError
+        It is not PREFIX-LEFT__RIGHT.match.
+    """
+    left, between, right = path.stem.partition(_BETWEEN)
+    name = left.partition(_BEFORE)[2]
+    if path.suffix != ".match" or not (name and between and right) or name == right:
+        raise InputError.of("match.name", file=path.name, value=path.name)
+    return name, right
+
+
+def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read a file, or all of a folder, and join their matches to tie points."""
+    files = sorted(paths[0].glob("*.match")) if paths[0].is_dir() else [paths[0]]
+    if not files:
+        raise InputError.of("ties.missing", file=paths[0], needed="a folder with files of matches (*.match)")
+    images: dict[str, int] = {}
+    image, pixels, matches, seen = [], [np.empty((0, 2))], [np.empty((0, 2), np.intp)], 0
+    for file in files:
+        names, found = images_of(file), read_match(file)
+        n = len(found[0])
+        for name, place in zip(names, found, strict=True):
+            image += [images.setdefault(name, len(images))] * n
+            pixels.append(place)
+        rows = np.arange(seen, seen + n)
+        matches.append(np.column_stack([rows, rows + n]))
+        seen += 2 * n
+    line, sample = np.concatenate(pixels).T
+    return matched_survey(tuple(images), np.array(image, np.intp), line, sample, np.concatenate(matches))
+
+
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
+    """Write one file for two images, whose name tells them, or a folder of ``run-A__B.match`` for all pairs."""
+    o = survey.observed
+    pixels = np.column_stack([o.line, o.sample])
+    pairs = pairs_of(o.image, o.point)
+    if paths[0].suffix == ".match":
+        if len(survey.images) != 2:
+            raise InputError.of("match.pair", file=paths[0].name, value=f"{len(survey.images)} images")
+        images_of(paths[0])  # a name that does not tell the images would be refused on reading
+        rows = pairs.get((0, 1), np.empty((0, 2), np.intp))
+        write_match(paths[0], pixels[rows[:, 0]], pixels[rows[:, 1]])
+        return
+    make_folder(paths[0])
+    for (a, b), rows in pairs.items():
+        file = paths[0] / f"run{_BEFORE}{_plain(survey.images, a)}{_BETWEEN}{_plain(survey.images, b)}.match"
+        write_match(file, pixels[rows[:, 0]], pixels[rows[:, 1]])
+
+
+def _plain(images: Sequence[str], k: int) -> str:
+    """Name of an image that a file's name can hold."""
+    if _BETWEEN in images[k] or "/" in images[k] or "\\" in images[k] or images[k].startswith("_"):
+        raise InputError.of("match.image", value=images[k])
+    return images[k]
+
+
+FORMAT = register(
+    Format(
+        name="asp-match",
+        title="ASP interest point matches (.match)",
+        suffixes=(".match",),
+        files=("matches",),
+        first_pixel=(0.0, 0.0),
+        pixel_axes="x column, y row (pixels, single precision)",
+        ground_axes="none",
+        holds=frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES}),
+        needs=frozenset(),
+        read=read,
+        write=write,
+    )
+)

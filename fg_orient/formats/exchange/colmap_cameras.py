@@ -1,0 +1,90 @@
+"""Camera models of COLMAP whose distortion is Brown's polynomial from ideal to measured coordinates, both ways.
+
+COLMAP counts pixels from the upper left corner of the image: the centre of the first pixel is (0.5, 0.5). Camera
+axes are those of ``fg_orient.sensors.frame``. Its other models (fisheye, division, thin prisms) are refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from fg_orient.model.errors import InputError
+from fg_orient.sensors.frame import IDEAL_TO_MEASURED
+from fg_orient.sensors.interior import Interior, converted
+
+#: Coordinate of the centre of the first pixel in COLMAP's files.
+FIRST_PIXEL: Final = 0.5
+#: Names of the parameters of the models that are read, in the order of the files.
+MODELS: Final = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+}
+#: Number of a model in databases.
+MODEL_IDS: Final = {0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV", 6: "FULL_OPENCV"}
+#: Coefficients in the order of ``Interior.distortion``.
+_BROWN: Final = ("k1", "k2", "k3", "p1", "p2")
+
+
+def interior_of(
+    model: str, size: tuple[int, int], parameters: Sequence[float], name: str, *, file: str = "", place: str = ""
+) -> Interior:  # fmt: skip
+    """Camera of COLMAP as an interior orientation.
+
+    Parameters
+    ----------
+    model : str
+        Name as in cameras.txt.
+    size : (int, int)
+        Width and height, px.
+    parameters : sequence of float
+        In COLMAP's order.
+    name : str
+        Of the camera.
+    file, place : str
+        For messages.
+
+    Raises
+    ------
+    InputError
+        The model or a parameter has no counterpart, the number of parameters is wrong, or a value is impossible.
+    """
+    if model not in MODELS:
+        raise InputError.of("colmap.model", file=file, place=place, value=model, known=", ".join(MODELS))
+    if len(parameters) != len(MODELS[model]):
+        needed = f"{model} with {' '.join(MODELS[model])}"
+        raise InputError.of("colmap.cells", file=file, place=place, value=f"{len(parameters)} numbers", needed=needed)
+    value = dict(zip(MODELS[model], parameters, strict=True))
+    focal = value.get("f", value.get("fx", 0.0))
+    beyond = {key: value[key] for key in ("k4", "k5", "k6") if value.get(key, 0.0) != 0.0}
+    if value.get("fy", focal) != focal:
+        beyond = {"fx": focal, "fy": value["fy"], **beyond}
+    if beyond:
+        shown = " ".join(f"{key} {number:g}" for key, number in beyond.items())
+        raise InputError.of("colmap.camera", file=file, place=place, value=shown)
+    principal = np.array([value["cy"], value["cx"]]) - FIRST_PIXEL
+    distortion = np.array([value.get(key, 0.0) for key in _BROWN])
+    return Interior(size[1], size[0], focal, principal, distortion, name=name)
+
+
+def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
+    """Camera for COLMAP: the smallest model that holds it, its parameters, and the largest error in px.
+
+    The error is 0 unless the polynomial leads from measured to ideal coordinates: it is then fitted the other way
+    round (``fg_orient.sensors.interior.converted``).
+    """
+    turned = converted(interior, IDEAL_TO_MEASURED)
+    own = turned.interior
+    value = dict(zip(_BROWN, own.distortion.tolist(), strict=True))
+    cy, cx = (own.principal_px + FIRST_PIXEL).tolist()
+    value |= dict.fromkeys(("f", "fx", "fy"), float(own.focal_px)) | {"cx": cx, "cy": cy}
+    needed = {key for key in _BROWN if value[key] != 0.0}
+    names = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+    model = next(name for name in names if needed <= set(MODELS[name]))
+    return model, tuple(value.get(key, 0.0) for key in MODELS[model]), turned.max_px

@@ -1,0 +1,279 @@
+"""Databases of COLMAP (SQLite): cameras, images, keypoints and matches of image pairs, read and written.
+
+Keypoints are (x, y) with (0.5, 0.5) in the centre of the first pixel, single precision: a place at 10 000 px is
+rounded by up to 0.0005 px. ``matches`` holds what was matched, ``two_view_geometries`` what fitted the geometry of
+the pair; a pair's number is 2147483647 times the smaller image id plus the larger one.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.atomic import staged_file
+from fg_orient.formats.exchange.colmap_cameras import FIRST_PIXEL, MODEL_IDS, interior_of, parameters_of
+from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.ties import matched_survey, pairs_of
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.sensors.interior import Interior
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: A pair's number is this times its smaller image id plus its larger one.
+PAIR: Final = 2147483647
+#: Focal length of a camera nobody knows, in longer sides of the image (COLMAP's own guess), and marked as a guess.
+FOCAL_GUESS: Final = 1.2
+_SCHEMA: Final = """
+CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL,
+    width INTEGER NOT NULL, height INTEGER NOT NULL, params BLOB, prior_focal_length INTEGER NOT NULL);
+CREATE TABLE images (image_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, name TEXT NOT NULL UNIQUE,
+    camera_id INTEGER NOT NULL, FOREIGN KEY(camera_id) REFERENCES cameras(camera_id));
+CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL, cols INTEGER NOT NULL,
+    data BLOB, FOREIGN KEY(image_id) REFERENCES images(image_id) ON DELETE CASCADE);
+CREATE TABLE matches (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL, cols INTEGER NOT NULL, data BLOB);
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class ColmapDatabase:
+    """What a database holds.
+
+    Parameters
+    ----------
+    images : tuple of str
+        Names, in the order of their ids.
+    camera_of : tuple of int
+        Camera of each image.
+    image : (n,) int array
+        Image of each keypoint.
+    line, sample : (n,) arrays
+        Its pixel, (0, 0) in the centre of the first one.
+    matches : (m, 2) int array
+        Rows of matched keypoints.
+    verified : bool
+        Whether these come from ``two_view_geometries``.
+    camera_rows : mapping of int to tuple
+        Number of the model, width, height, parameters of each camera, for :meth:`camera`.
+    file : str
+    """
+
+    images: tuple[str, ...]
+    camera_of: tuple[int, ...]
+    image: Index
+    line: Array
+    sample: Array
+    matches: Index
+    verified: bool
+    camera_rows: Mapping[int, tuple[int, int, int, tuple[float, ...]]]
+    file: str
+
+    def camera(self, number: int) -> Interior:
+        """Interior orientation of a camera.
+
+        Raises
+        ------
+        InputError
+            Its model has no counterpart here.
+        """
+        model, width, height, parameters = self.camera_rows[number]
+        name = MODEL_IDS.get(model, f"number {model}")
+        place = f"camera {number}"
+        return interior_of(name, (width, height), parameters, str(number), file=self.file, place=place)
+
+    def survey(self) -> Survey:
+        """Tie points of the matches."""
+        kind = "geometrically verified" if self.verified else "unverified"
+        notes = (finding("points.matches", n=len(self.matches), kind=kind),)
+        return matched_survey(self.images, self.image, self.line, self.sample, self.matches, notes)
+
+
+def read_colmap_database(path: str | Path, *, verified: bool | None = None) -> ColmapDatabase:
+    """Read a database.
+
+    Parameters
+    ----------
+    path : str or Path
+    verified : bool, optional
+        Take the matches of ``two_view_geometries`` (True) or of ``matches`` (False); by default the first if there
+        are any.
+
+    Raises
+    ------
+    InputError
+        The file is no such database, or damaged: with the table and the id.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError.of("ties.missing", file=path.name, value=str(path), needed="a database of COLMAP")
+    try:
+        with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)) as opened:
+            return _read(opened, path.name, verified)
+    except (sqlite3.Error, TypeError) as error:  # columns of SQLite hold any type
+        raise InputError.of("colmap.database", file=path.name, value=error) from None
+
+
+def _read(opened: sqlite3.Connection, file: str, verified: bool | None) -> ColmapDatabase:
+    cameras = {}
+    for k, model, width, height, data in opened.execute("SELECT camera_id, model, width, height, params FROM cameras"):
+        values = _blob(file, f"cameras {k}", data, len(data or b"") // 8, 1, "<f8")
+        cameras[k] = (model, width, height, tuple(values[:, 0].tolist()))
+    rows = opened.execute("SELECT image_id, name, camera_id FROM images ORDER BY image_id").fetchall()
+    position = {number: k for k, (number, _, _) in enumerate(rows)}
+    keypoints = [np.empty((0, 2), np.float32)] * len(rows)
+    for number, n, columns, data in opened.execute("SELECT image_id, rows, cols, data FROM keypoints"):
+        place = f"keypoints of image {number}"
+        if number not in position:
+            raise InputError.of("colmap.reference", file=file, place=place, value=number, kind="image", other="images")
+        found = _blob(file, place, data, n, columns, "<f4")
+        if n and (columns < 2 or not np.isfinite(found[:, :2]).all()):
+            raise InputError.of("colmap.blob", file=file, place=place, value=f"{n} x {columns}, or not finite")
+        keypoints[position[number]] = found[:, :2]
+    first = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.intp)
+    matches, from_geometry = _matches(opened, file, position, first, verified)
+    xy = np.concatenate([np.empty((0, 2), np.float32), *keypoints]).astype(float) - FIRST_PIXEL
+    image = np.repeat(np.arange(len(rows)), np.diff(first))
+    return ColmapDatabase(
+        tuple(str(name) for _, name, _ in rows), tuple(camera for _, _, camera in rows), image, xy[:, 1], xy[:, 0],
+        matches, from_geometry, cameras, file,
+    )  # fmt: skip
+
+
+def _matches(
+    opened: sqlite3.Connection, file: str, position: Mapping[int, int], first: Index, verified: bool | None
+) -> tuple[Index, bool]:
+    """Rows of matched keypoints (m, 2), and whether they are those that fitted the geometry."""
+    tables = {name for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    if verified is None:
+        there = "two_view_geometries" in tables
+        verified = there and opened.execute("SELECT sum(rows) FROM two_view_geometries").fetchone()[0] not in (None, 0)
+    table = "two_view_geometries" if verified else "matches"
+    found = [np.empty((0, 2), np.intp)]
+    for pair, n, columns, data in opened.execute(f"SELECT pair_id, rows, cols, data FROM {table} WHERE rows > 0"):
+        ids = divmod(pair, PAIR)
+        place = f"{table} of images {ids[0]} and {ids[1]}"
+        if any(k not in position for k in ids) or ids[0] == ids[1]:
+            raise InputError.of("colmap.reference", file=file, place=place, value=pair, kind="pair", other="images")
+        rows = _blob(file, place, data, n, columns, "<u4").astype(np.intp)
+        start = np.array([first[position[k]] for k in ids])
+        counts = np.array([first[position[k] + 1] for k in ids]) - start
+        if columns != 2 or (rows >= counts).any():
+            raise InputError.of("colmap.blob", file=file, place=place, value=f"keypoint {rows.max()} of {counts}")
+        found.append(rows + start)
+    return np.concatenate(found), verified
+
+
+def _blob(file: str, place: str, data: Any, rows: int, columns: int, kind: str) -> npt.NDArray[Any]:
+    """Numbers (rows, columns) of a blob of the right length."""
+    raw = data if isinstance(data, bytes) else b""
+    if min(rows, columns) < 0 or len(raw) != rows * columns * np.dtype(kind).itemsize:
+        raise InputError.of("colmap.blob", file=file, place=place, value=f"{len(raw)} bytes for {rows} x {columns}")
+    return np.frombuffer(raw, kind).reshape(rows, columns)
+
+
+def write_colmap_database(
+    path: str | Path, survey: Survey, sizes: Mapping[str, tuple[int, int]],
+    cameras: Mapping[str, Interior] | None = None, *, overwrite: bool = False,
+) -> float:  # fmt: skip
+    """Write the image points of a survey as keypoints and matches of all pairs.
+
+    Nothing is written to ``two_view_geometries``: whether matches fit a geometry is for COLMAP to test.
+
+    Parameters
+    ----------
+    path : str or Path
+    survey : Survey
+    sizes : mapping of str to (n_lines, n_samples)
+        Of the images.
+    cameras : mapping of str to Interior, optional
+        Of the images that have one; the others get a pinhole camera whose focal length is marked as a guess.
+
+    Returns
+    -------
+    float
+        Largest rounding of a coordinate to single precision, px.
+
+    Raises
+    ------
+    InputError
+        The size of an image is not known, the file exists or cannot be written.
+    """
+    path, cameras = Path(path), cameras or {}
+    if path.exists() and not overwrite:
+        raise InputError.of("output.exists", file=path)
+    records = [_camera_record(name, sizes, cameras, path.name) for name in survey.images]
+    o = survey.observed
+    order = np.lexsort((o.point, o.image))
+    image, point = o.image[order], o.point[order]
+    xy = np.column_stack([o.sample[order], o.line[order]]) + FIRST_PIXEL
+    single = xy.astype("<f4")
+    first = np.searchsorted(image, np.arange(len(survey.images) + 1))
+    with staged_file(path) as temporary, closing(sqlite3.connect(temporary)) as opened:
+        opened.executescript(_SCHEMA)
+        for k, (name, record) in enumerate(zip(survey.images, records, strict=True)):
+            own = single[first[k] : first[k + 1]]
+            opened.execute("INSERT INTO cameras VALUES (?, ?, ?, ?, ?, ?)", (k + 1, *record))
+            opened.execute("INSERT INTO images VALUES (?, ?, ?)", (k + 1, name, k + 1))
+            opened.execute("INSERT INTO keypoints VALUES (?, ?, 2, ?)", (k + 1, len(own), own.tobytes()))
+        for (a, b), rows in pairs_of(image, point).items():
+            data = (rows - first[[a, b]]).astype("<u4").tobytes()
+            opened.execute("INSERT INTO matches VALUES (?, ?, 2, ?)", (PAIR * (a + 1) + b + 1, len(rows), data))
+        opened.commit()
+    return float(np.abs(single - xy).max(initial=0.0))
+
+
+def _camera_record(
+    name: str, sizes: Mapping[str, tuple[int, int]], cameras: Mapping[str, Interior], file: str
+) -> tuple[int, int, int, bytes, int]:
+    """Number of the model, width, height, parameters, and whether the focal length is known."""
+    if name in cameras:
+        own = cameras[name]
+        model, values, _ = parameters_of(own)
+        width, height, known = own.n_samples, own.n_lines, 1
+    elif name in sizes:
+        height, width = sizes[name]
+        model, values, known = "SIMPLE_PINHOLE", (FOCAL_GUESS * max(width, height), width / 2, height / 2), 0
+    else:
+        raise InputError.of("ties.size", file=file, place=name)
+    number = next(k for k, known_name in MODEL_IDS.items() if known_name == model)
+    return number, width, height, np.array(values, "<f8").tobytes(), known
+
+
+def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read the tie points of a database."""
+    return read_colmap_database(paths[0]).survey()
+
+
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
+    """Write a database; what single precision rounds is lost."""
+    rounding = write_colmap_database(paths[0], survey, settings.image_sizes, overwrite=True)
+    if rounding == 0.0:
+        return ()
+    return (finding("lost.single", file=paths[0], value=f"up to {rounding:.1g} px", format=FORMAT.name),)
+
+
+FORMAT: Final = register(
+    Format(
+        name="colmap-database",
+        title="COLMAP database (SQLite)",
+        suffixes=(".db",),
+        files=("database",),
+        first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
+        pixel_axes="x column, y row (pixels, single precision)",
+        ground_axes="none",
+        holds=frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES}),
+        needs=frozenset(),
+        read=read,
+        write=write,
+        evidence="databases written by pycolmap 4.2; ours are read by it",
+    )
+)

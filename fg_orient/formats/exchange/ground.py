@@ -1,0 +1,165 @@
+"""Ground coordinates of other programs: which CRS, whether they can be true in it, and into another one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.scenes import Scene, check_positions
+from fg_orient.formats.tables import Faults
+from fg_orient.geodesy import area_of_use, crs_kind, to_ecef, to_ecef_with_operation, to_geographic
+from fg_orient.geodesy.crs import epsg_code, from_ecef, same_horizontal
+from fg_orient.model.errors import Finding, InputError, finding
+
+Array = npt.NDArray[np.float64]
+
+#: Points this far outside the area that a CRS was made for are worth a remark, degrees.
+AREA_MARGIN_DEG: Final = 3.0
+#: Characters of a CRS that a note repeats.
+_LONG: Final = 80
+
+
+def decided_crs(stated: str, given: str, file: object) -> tuple[str, tuple[Finding, ...]]:
+    """CRS of a file that may state one, and of a user who may give one.
+
+    Parameters
+    ----------
+    stated : str
+        What the file says: code, WKT, PROJ string; "" if nothing.
+    given : str
+        EPSG code by the user; "" if none. It may add a vertical CRS to what the file states.
+    file : object
+        For messages.
+
+    Returns
+    -------
+    tuple
+        EPSG code, and a note where the user's replaces what the file says, which nothing could hold against it.
+
+    Raises
+    ------
+    InputError
+        Nobody says it, it is no EPSG code, or both say different things.
+    """
+    found = epsg_code(stated) if stated.strip() else ""
+    if given:
+        crs_kind(given)
+        if found and not same_horizontal(found, given):
+            raise InputError.of("interchange.crs_differs", file=file, place="CRS", value=found, given=given)
+        replaced = "" if found else " ".join(stated.split())
+        text = replaced if len(replaced) <= _LONG else replaced[: _LONG - 3] + "..."
+        return given, (finding("points.crs_replaced", stated=text, crs=given),) if replaced else ()
+    if not stated.strip():
+        raise InputError.of("interchange.no_crs", file=file, place="CRS")
+    if not found:
+        raise InputError.of("interchange.crs_unknown", file=file, place="CRS", value=stated)
+    crs_kind(found)
+    return found, ()
+
+
+def check_ground(survey: Survey, file: str, scenes: Sequence[Scene] = ()) -> tuple[Finding, ...]:
+    """Refuse coordinates that cannot be true in their CRS, in the first place exchanged ones.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its CRS is known.
+    file : str
+        For messages.
+    scenes : sequence of Scene
+        Where the images look, if that is known.
+
+    Returns
+    -------
+    tuple of Finding
+        Remarks.
+
+    Raises
+    ------
+    InputError
+        Latitude or longitude out of range, columns that look exchanged, points far from all images.
+    """
+    faults = Faults(file)
+    remarks: tuple[Finding, ...] = ()
+    rows = np.flatnonzero(survey.located)
+    kind = crs_kind(survey.crs)
+    if kind == "geographic":
+        _check_ranges(survey, rows, faults)
+    elif kind == "projected" and len(rows):
+        remarks = _check_area(survey, rows, faults)
+    faults.raise_if_any()
+    if scenes and len(rows):
+        given = np.where(np.isnan(survey.coordinates), 0.0, survey.coordinates)[rows]
+        check_positions(scenes, survey.crs, given, to_ecef(survey.crs, *given.T), survey.lines[rows], faults)
+        faults.raise_if_any()
+    return remarks
+
+
+def _check_ranges(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> None:
+    for k in rows:
+        lon, lat = survey.coordinates[k, :2]
+        place = f"line {survey.lines[k]}, point {survey.ids[k]}"
+        if abs(lat) > 90.0:
+            code = "interchange.swapped_range" if abs(lon) <= 90.0 and abs(lat) <= 180.0 else "points.latitude"
+            faults.add(code, place=place, value=f"{lat:.10g}")
+        elif abs(lon) > 180.0:
+            faults.add("points.longitude", place=place, value=f"{lon:.10g}")
+
+
+def _check_area(survey: Survey, rows: npt.NDArray[np.intp], faults: Faults) -> tuple[Finding, ...]:
+    """Judge projected coordinates by the area that their CRS was made for."""
+    area = area_of_use(survey.crs)
+    first, second = survey.coordinates[rows, :2].T
+    outside = ~_in_area(survey.crs, first, second, area)
+    if area is None or 2 * outside.sum() <= len(rows):
+        return ()
+    place, value = f"line {survey.lines[rows[0]]}, point {survey.ids[rows[0]]}", f"{first[0]:.10g} {second[0]:.10g}"
+    if _in_area(survey.crs, second, first, area).sum() > outside.sum() // 2:
+        faults.add("interchange.swapped", place=place, value=value, crs=survey.crs)
+        return ()
+    return (
+        finding("remark.outside_area", file=faults.file, place=place, value=value, crs=survey.crs,
+                count=int(outside.sum()), total=len(rows)),
+    )  # fmt: skip
+
+
+def _in_area(
+    crs: str, first: Array, second: Array, area: tuple[float, float, float, float] | None
+) -> npt.NDArray[np.bool_]:
+    """Tell which points lie in the area of use of a CRS, with a margin."""
+    if area is None:
+        return np.ones(len(first), bool)
+    west, south, east, north = area
+    lon, lat = to_geographic(crs, first, second)
+    across = np.mod(lon - west + AREA_MARGIN_DEG, 360.0) <= np.mod(east - west, 360.0) + 2.0 * AREA_MARGIN_DEG
+    inside = across & (lat >= south - AREA_MARGIN_DEG) & (lat <= north + AREA_MARGIN_DEG)
+    return np.asarray(inside & np.isfinite(lon))
+
+
+def transformed(survey: Survey, crs: str, file: str) -> Survey:
+    """Survey in another CRS; the operations used are among its notes, sigmas East, North, Up stay.
+
+    Raises
+    ------
+    InputError
+        No exact operation, or a point without height.
+    """
+    if survey.crs == crs:
+        return survey
+    rows = np.flatnonzero(survey.located)
+    if np.isnan(survey.coordinates[rows, 2]).any():
+        k = rows[np.flatnonzero(np.isnan(survey.coordinates[rows, 2]))[0]]
+        raise InputError.of("interchange.needs_height", file=file, place=f"point {survey.ids[k]}", what=f"CRS {crs}")
+    coordinates, notes = survey.coordinates.copy(), survey.notes
+    if len(rows):
+        labels = [f"point {survey.ids[k]}" for k in rows]
+        xyz, there = to_ecef_with_operation(survey.crs, *survey.coordinates[rows].T, labels=labels)
+        coordinates[rows], back = from_ecef(crs, xyz, labels)
+        done = finding("points.operation", place="coordinates", operation=there)
+        notes = (*notes, done, finding("points.back", crs=crs, operation=back.name))
+    return replace(survey, crs=crs, coordinates=coordinates, notes=notes)

@@ -1,0 +1,163 @@
+"""Markers of Metashape with their places in the images: the XML of *Export Markers*.
+
+``markers/marker`` has a label and a ``reference`` with x, y, z (longitude or easting first), standard deviations
+(``sx sy sz``, ``sxy sz`` or ``sxyz``) and ``enabled``: a control point if true, else a check point. In
+``frames/frame/markers/marker`` stand the ``location`` of a marker in each camera, x and y counted from the corner of
+the first pixel, whose centre is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.exchange.ground import decided_crs
+from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
+from fg_orient.formats.exchange.text import digits, numbers, sigma
+from fg_orient.formats.tables import Faults, Row
+from fg_orient.formats.xml import XmlNode, read_xml
+from fg_orient.geodesy.crs import wkt
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
+
+#: Coordinate of the centre of the first pixel.
+CENTRE_PX: Final = 0.5
+_XYZ: Final = ("x", "y", "z")
+_SIGMAS: Final = (("sx", "sy", "sz"), ("sxy", "sxy", "sz"), ("sxyz", "sxyz", "sxyz"))
+_FALSE: Final = ("false", "0")
+
+
+def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read markers of one chunk and one frame."""
+    path = paths[0]
+    chunk = read_xml(path).one("chunk")
+    reference = chunk.maybe("reference")
+    stated = (reference.element.text or "") if reference is not None else ""
+    crs, notes = decided_crs(stated, settings.crs, path)
+    faults = Faults(str(path))
+    gathered = Gathering(faults)
+    cameras, labels = _labels(chunk, "cameras", "camera"), _labels(chunk, "markers", "marker")
+    for marker in _children(chunk.maybe("markers"), "marker"):
+        _take(gathered, marker)
+    frame = chunk.maybe("frames/frame")
+    for marker in _children(frame.maybe("markers") if frame is not None else None, "marker"):
+        _locate(gathered, marker, cameras, labels)
+    return gathered.finished(crs, notes=notes)
+
+
+def _children(parent: XmlNode | None, name: str) -> Sequence[XmlNode]:
+    return [] if parent is None else parent.every(name, at_least=0)
+
+
+def _labels(chunk: XmlNode, group: str, name: str) -> dict[str, str]:
+    """Labels by id; cameras may stand in groups."""
+    parent = chunk.maybe(group)
+    found = [] if parent is None else [XmlNode(element, chunk.file) for element in parent.element.iter(name)]
+    return {node.element.get("id", ""): node.element.get("label", "") for node in found}
+
+
+def _row(node: XmlNode) -> Row:
+    """Attributes of an element as a record."""
+    cells = {str(name): str(value).strip() for name, value in node.element.attrib.items()}
+    return Row(_line(node), cells)
+
+
+def _line(node: XmlNode) -> int:
+    """Line of an element in its file."""
+    line: Any = node.element.sourceline
+    return int(line or 0)
+
+
+def _take(gathered: Gathering, marker: XmlNode) -> None:
+    """Take a marker: with coordinates a control or check point, else a tie point."""
+    label, line = marker.element.get("label", ""), _line(marker)
+    node = marker.maybe("reference")
+    row = Row(line, {}) if node is None else _row(node)
+    if not all(name in row.cells for name in _XYZ):
+        gathered.point(label, Role.TIE, UNKNOWN, line=line)
+        return
+    role = Role.CHECK if row.cells.get("enabled", "true").lower() in _FALSE else Role.CONTROL
+    names = next((names for names in _SIGMAS if all(name in row.cells for name in names)), ())
+    sigmas = tuple(sigma(row, name, "m", gathered.faults) for name in names) or UNKNOWN
+    gathered.point(label, role, numbers(row, _XYZ, gathered.faults), sigmas, line=line)
+
+
+def _locate(gathered: Gathering, marker: XmlNode, cameras: dict[str, str], labels: dict[str, str]) -> None:
+    """Take the image points of a marker; those marked as not valid are left out."""
+    key = marker.element.get("marker_id", "")
+    if key not in labels:
+        raise marker.fault("interchange.unknown_camera", f"marker_id {key}")
+    for node in _children(marker, "location"):
+        row = _row(node)
+        camera = row.cells.get("camera_id", "")
+        if camera not in cameras:
+            raise node.fault("interchange.unknown_camera", f"camera_id {camera}")
+        if row.cells.get("valid", "true").lower() in _FALSE:
+            continue
+        x, y = numbers(Row(row.line, {"x": "", "y": "", **row.cells}), ("x", "y"), gathered.faults)
+        gathered.measure(cameras[camera], labels[key], y - CENTRE_PX, x - CENTRE_PX, line=row.line)
+
+
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
+    """Write all markers and their places in the images."""
+    for name in (*survey.ids, *survey.images):
+        if not name.isprintable():
+            raise InputError.of("interchange.xml_name", file=paths[0], value=repr(name))
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<document version="1.2.0">', "  <chunk>", "    <cameras>"]
+    lines += [f'      <camera id="{k}" label={quoteattr(name)}/>' for k, name in enumerate(survey.images)]
+    lines += ["    </cameras>", "    <markers>"]
+    for k in range(len(survey.ids)):
+        lines += _marker(survey, k)
+    lines += ["    </markers>", "    <frames>", '      <frame id="0">', "        <markers>"]
+    for k, places in _places(survey).items():
+        lines += [f'          <marker marker_id="{k}">', *places, "          </marker>"]
+    lines += ["        </markers>", "      </frame>", "    </frames>"]
+    lines += [f"    <reference>{escape(wkt(survey.crs))}</reference>", "  </chunk>", "</document>", ""]
+    write_text(paths[0], "\n".join(lines))
+
+
+def _marker(survey: Survey, k: int) -> list[str]:
+    """Lines of a marker, with its reference if it has coordinates."""
+    head = f'      <marker id="{k}" label={quoteattr(survey.ids[k])}'
+    if not survey.located[k]:
+        return [f"{head}/>"]
+    values = dict(zip(("x", "y", "z"), survey.coordinates[k], strict=True))
+    if np.isfinite(survey.sigma_enu_m[k]).all():
+        values |= dict(zip(("sx", "sy", "sz"), survey.sigma_enu_m[k], strict=True))
+    words = " ".join(f'{name}="{digits(value)}"' for name, value in values.items())
+    enabled = "false" if survey.roles[k] is Role.CHECK else "true"
+    return [f"{head}>", f'        <reference {words} enabled="{enabled}"/>', "      </marker>"]
+
+
+def _places(survey: Survey) -> dict[int, list[str]]:
+    """Lines of the locations of each marker."""
+    o = survey.observed
+    found: dict[int, list[str]] = {}
+    for i, p, line, sample in zip(o.image.tolist(), o.point.tolist(), o.line, o.sample, strict=True):
+        x, y = digits(sample + CENTRE_PX), digits(line + CENTRE_PX)
+        text = f'            <location camera_id="{i}" pinned="true" x="{x}" y="{y}"/>'
+        found.setdefault(p, []).append(text)
+    return found
+
+
+FORMAT = register(
+    Format(
+        name="metashape-xml",
+        title="Metashape markers (XML)",
+        suffixes=(".xml",),
+        files=("markers",),
+        first_pixel=(CENTRE_PX, CENTRE_PX),
+        pixel_axes="x, y (pixels)",
+        ground_axes="longitude or easting, latitude or northing, height (m)",
+        holds=frozenset(Holds) - {Holds.SIGMA_IMAGE, Holds.FIXED},
+        needs=frozenset({Holds.HEIGHTS}),
+        read=read,
+        write=write,
+    )
+)

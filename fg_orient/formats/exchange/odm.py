@@ -1,0 +1,105 @@
+"""Ground control of OpenDroneMap: ``gcp_list.txt``, one image point a line with the coordinates of its ground point.
+
+The first line names the CRS: ``EPSG:32632``, a PROJ string, or ``WGS84 UTM 32N``. Then, between blanks, ``geo_x geo_y
+geo_z im_x im_y image`` and, if given, the name of the point and more, which is ignored. geo_x is longitude or easting;
+``NaN`` is an unknown height. Without the first line the CRS must be given. (0, 0) is taken as the
+centre of the first pixel.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.exchange.ground import decided_crs
+from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.exchange.survey import Gathering, Survey
+from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain
+from fg_orient.formats.tables import Faults, Row
+from fg_orient.model.errors import InputError, finding
+from fg_orient.model.names import Role
+
+COLUMNS: Final = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image", "name")
+_FEWEST: Final = 6
+#: Horizontal CRS of a geographic one with heights: the program knows no other.
+_FLAT: Final = {"EPSG:4979": "EPSG:4326"}
+
+
+def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read a ``gcp_list.txt``; points without a name are told apart by their coordinates and numbered."""
+    path = paths[0]
+    faults = Faults(str(path))
+    lines = cells_of(path, faults, "blank")
+    faults.raise_if_any()
+    if not lines:
+        raise InputError.of("interchange.empty", file=path)
+    headless = _is_point(lines[0][1])
+    crs, notes = decided_crs("" if headless else " ".join(lines[0][1]), settings.crs, path)
+    gathered = Gathering(faults)
+    placed: dict[str, tuple[tuple[str, ...], int]] = {}
+    numbered: dict[tuple[str, ...], str] = {}
+    for n, cells in lines if headless else lines[1:]:
+        if len(cells) < _FEWEST:
+            faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected="6 or 7")
+            continue
+        row = named(n, cells[: len(COLUMNS)], COLUMNS)
+        place = tuple(cells[:3])
+        name = row.cells["name"] or numbered.setdefault(place, str(len(numbered) + 1))
+        before = placed.setdefault(name, (place, n))
+        if before[0] != place:
+            faults.add("interchange.two_places", place=f"line {n}", value=name, first=before[1])
+        elif before[1] == n:
+            gathered.point(name, Role.CONTROL, _coordinates(row, faults), line=n)
+        x, y = numbers(row, ("im_x", "im_y"), faults)
+        gathered.measure(row.cells["image"], name, y, x, line=n)
+    notes += (finding("points.numbered", n=len(numbered)),) if numbered else ()
+    return gathered.finished(crs, notes=notes)
+
+
+def _is_point(cells: list[str]) -> bool:
+    """Tell whether a first line is an image point already, so that the file lacks its CRS."""
+    try:
+        return len([float(cell) for cell in cells[:2]]) == 2 and len(cells) >= _FEWEST
+    except ValueError:
+        return False
+
+
+def _coordinates(row: Row, faults: Faults) -> tuple[float, ...]:
+    """Coordinates of a line; the height is nan if the file says so."""
+    if row.cells["geo_z"].lower() == "nan":
+        return (*numbers(row, ("geo_x", "geo_y"), faults), np.nan)
+    return numbers(row, ("geo_x", "geo_y", "geo_z"), faults)
+
+
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
+    """Write the image points of the points with coordinates."""
+    path, o = paths[0], survey.observed
+    require_plain((*survey.ids, *survey.images), "name", path)
+    flat = survey.crs.partition("+")[0].upper()
+    lines, known = [_FLAT.get(flat, flat)], survey.located
+    for i, p, line, sample in zip(o.image, o.point, o.line, o.sample, strict=True):
+        if known[p]:
+            east, north, height = survey.coordinates[p]
+            ground = [digits(east), digits(north), "NaN" if np.isnan(height) else digits(height)]
+            lines.append(" ".join([*ground, digits(sample), digits(line), survey.images[i], survey.ids[p]]))
+    write_text(path, "\n".join([*lines, ""]))
+
+
+FORMAT = register(
+    Format(
+        name="odm",
+        title="OpenDroneMap gcp_list.txt",
+        suffixes=("gcp_list.txt",),
+        files=("points",),
+        first_pixel=(0.0, 0.0),
+        pixel_axes="x, y (pixels)",
+        ground_axes="longitude or easting, latitude or northing, height (m)",
+        holds=frozenset({Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.HEIGHTS, Holds.CRS}),
+        needs=frozenset(),
+        read=read,
+        write=write,
+    )
+)

@@ -1,0 +1,80 @@
+"""Our own tables: ground points and image observations, as a project names them (docs/file-formats.md)."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fg_orient.formats.exchange.ground import decided_crs
+from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.exchange.survey import Survey, no_image_points
+from fg_orient.formats.observations import COLUMNS, read_observations
+from fg_orient.formats.points import read_point_table
+from fg_orient.formats.points_write import write_observations, write_points
+from fg_orient.formats.tables import Faults, read_table, read_text
+from fg_orient.geodesy import crs_kind
+from fg_orient.model.errors import InputError
+
+_CRS: Final = re.compile(r"^#\s*crs\s*[:=]\s*(\S+)\s*$", re.MULTILINE | re.IGNORECASE)
+
+
+def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read one or two tables; the points' CRS stands in a comment ``# crs: EPSG:n``, or is that of the settings."""
+    faults = Faults(str(paths[0]))
+    text = read_text(paths[0], faults)
+    faults.raise_if_any()
+    stated = _CRS.search(text or "")
+    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, paths[0])
+    points = read_point_table(paths[0], crs, faults)
+    faults.raise_if_any()
+    if points is None:
+        raise InputError.of("interchange.empty", file=paths[0])
+    images: tuple[str, ...] = ()
+    observed = no_image_points()
+    if len(paths) > 1:
+        faults = Faults(str(paths[1]))
+        table = read_table(paths[1], [COLUMNS], faults)
+        images = tuple(dict.fromkeys(table.cells["image"])) if table is not None else ()
+        found = None if faults else read_observations(paths[1], dict.fromkeys(images), points.ids, faults)
+        faults.raise_if_any()
+        observed = found.observations if found is not None else observed
+    return Survey(
+        crs, points.ids, points.roles, points.given, points.sigma_enu_m, points.fixed, images, observed,
+        points.lines, notes,
+    )  # fmt: skip
+
+
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
+    """Write both tables; the second only if there are image points."""
+    o = survey.observed
+    comments = (f"crs: {survey.crs}",)
+    write_points(
+        paths[0], survey.ids, survey.roles, survey.coordinates, survey.sigma_enu_m,
+        kind=crs_kind(survey.crs), fixed=survey.fixed, comments=comments,
+    )  # fmt: skip
+    if len(o):
+        write_observations(
+            paths[1], [survey.images[k] for k in o.image], [survey.ids[k] for k in o.point],
+            np.stack([o.line, o.sample], axis=1), np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1),
+        )  # fmt: skip
+
+
+FORMAT = register(
+    Format(
+        name="csv",
+        title="fg_orient tables",
+        suffixes=(".csv",),
+        files=("points", "observations"),
+        first_pixel=(0.0, 0.0),
+        pixel_axes="line, sample (pixels)",
+        ground_axes="by column name, any EPSG code; longitude or easting first",
+        holds=frozenset(Holds),
+        needs=frozenset({Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE}),
+        read=read,
+        write=write,
+        evidence="the format of this program",
+    )
+)

@@ -1,0 +1,109 @@
+"""Points of QGIS's georeferencer: ``.points``, the points of one image, without names and heights.
+
+A line ``#CRS: WKT``, a header ``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual`` (older versions: pixelX, pixelY for
+sourceX, sourceY), then one point a line. sourceX is the column and **sourceY minus the row**, both counted from the
+corner of the first pixel, whose centre is (0.5, -0.5). Of an image that was georeferenced before, QGIS writes map
+coordinates there instead: such a file cannot be told apart unless a sourceY is above zero.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.exchange.ground import decided_crs
+from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.exchange.survey import Gathering, Survey
+from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, row_of
+from fg_orient.formats.tables import Faults, Row, read_text
+from fg_orient.geodesy.crs import wkt
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.names import Role
+
+COLUMNS: Final = ("mapX", "mapY", "sourceX", "sourceY", "enable", "dX", "dY", "residual")
+_OLDER: Final = {"pixelX": "sourceX", "pixelY": "sourceY"}
+_NEEDED: Final = COLUMNS[:4]
+#: Column, and minus the row, of the centre of the first pixel.
+CENTRE_PX: Final = 0.5
+_CRS: Final = re.compile(r"^#\s*CRS:\s*(.+)$", re.MULTILINE)
+
+
+def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
+    """Read the points of one image, numbered in their order: enabled ones are control, the others check points."""
+    path = paths[0]
+    faults = Faults(str(path))
+    text = read_text(path, faults)
+    lines = cells_of(path, faults, "comma")
+    faults.raise_if_any()
+    stated = _CRS.search(text or "")
+    crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
+    image = settings.image or path.name.removesuffix(".points")
+    gathered = Gathering(faults)
+    names = _header(lines, path)
+    for k, (n, cells) in enumerate(lines[1:], start=1):
+        if not len(_NEEDED) <= len(cells) <= len(names):
+            value = f"{len(cells)} cells"
+            faults.add("interchange.cell_count", place=f"line {n}", value=value, expected=f"4 to {len(names)}")
+            continue
+        _take(gathered, named(n, cells, names), str(k), image)
+    return gathered.finished(crs, notes=notes)
+
+
+def _header(lines: list[tuple[int, list[str]]], path: Path) -> list[str]:
+    """Names of the columns; those of older versions become today's."""
+    names = [_OLDER.get(cell, cell) for cell in lines[0][1]] if lines else []
+    for column in _NEEDED:
+        if column not in names:
+            raise InputError.of("interchange.columns", file=path, place="header", value=",".join(names), column=column)
+    return names
+
+
+def _take(gathered: Gathering, row: Row, name: str, image: str) -> None:
+    east, north, x, y = numbers(row, _NEEDED, gathered.faults)
+    if y > 0.0:
+        gathered.faults.add("interchange.rows_positive", place=row.place("sourceY"), value=row.cells["sourceY"])
+    role = Role.CHECK if row.cells.get("enable", "1") == "0" else Role.CONTROL
+    gathered.point(name, role, (east, north, np.nan), line=row.line)
+    gathered.measure(image, name, -y - CENTRE_PX, x - CENTRE_PX, line=row.line)
+
+
+def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[Finding, ...]:
+    """Write the points of one image, the one of the settings if there are several."""
+    o, image = survey.observed, settings.image
+    if not image and len(survey.images) == 1:
+        image = survey.images[0]
+    if image not in survey.images:
+        raise InputError.of(
+            "interchange.which_image", file=paths[0], option="image", value=image, count=len(survey.images)
+        )
+    lines, mine = [f"#CRS: {wkt(survey.crs.partition('+')[0])}", ",".join(COLUMNS)], survey.images.index(image)
+    known = survey.located
+    for i, p, line, sample in zip(o.image, o.point, o.line, o.sample, strict=True):
+        if i == mine and known[p]:
+            pixel = digits(sample + CENTRE_PX), digits(-(line + CENTRE_PX))
+            enable = "0" if survey.roles[p] is Role.CHECK else "1"
+            lines.append(row_of([*map(digits, survey.coordinates[p, :2]), *pixel, enable, "0", "0", "0"]))
+    write_text(paths[0], "\n".join([*lines, ""]))
+    others = int((o.image != mine).sum())
+    return (finding("lost.images", file=paths[0], value=f"{others} points", format=FORMAT.name),) if others else ()
+
+
+FORMAT = register(
+    Format(
+        name="qgis-points",
+        title="QGIS georeferencer .points",
+        suffixes=(".points",),
+        files=("points",),
+        first_pixel=(-CENTRE_PX, CENTRE_PX),
+        pixel_axes="sourceX (column), sourceY (minus the row), pixels",
+        ground_axes="longitude or easting, latitude or northing; no height",
+        holds=frozenset({Holds.GROUND, Holds.IMAGE, Holds.ROLES, Holds.CRS}),
+        needs=frozenset(),
+        read=read,
+        write=write,
+    )
+)

@@ -1,0 +1,122 @@
+"""What the text formats share: lines to cells, cells to numbers, and cells written so that they read back.
+
+Numbers are written with the fewest digits that read back to the same double.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from fg_orient.formats.tables import Faults, Row, number, read_text
+from fg_orient.model.errors import InputError
+
+Separator = Literal["comma", "blank", "either"]
+
+#: Starts of a cell that spreadsheets take for a formula.
+_FORMULA: Final = ("=", "+", "-", "@")
+
+
+def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int, list[str]]]:
+    """Line numbers and cells of all lines that are neither blank nor begin with ``#``.
+
+    Parameters
+    ----------
+    path : Path
+        UTF-8 text, with or without byte order mark, any line ends.
+    faults : Faults
+        Takes what is wrong with the file; the list is then empty or lacks these lines.
+    separator : str
+        "comma" (also semicolon or tab, if the first line has no comma), "blank", or "either": commas in a line that
+        has any, else blanks.
+    """
+    text = read_text(path, faults)
+    if text is None:
+        return []
+    kept = [(n, line) for n, line in enumerate(text.split("\n"), start=1) if line.strip() and line[:1] != "#"]
+    mark = _mark(kept[0][1]) if kept else ","
+    out = []
+    for n, line in kept:
+        if separator == "blank" or (separator == "either" and "," not in line):
+            out.append((n, line.split()))
+        else:
+            cells = delimited(line, n, mark if separator == "comma" else ",", faults)
+            out += [] if cells is None else [(n, cells)]
+    return out
+
+
+def _mark(line: str) -> str:
+    """Separator of a delimited file, told by one of its lines: decimal commas do not hide a semicolon or tab."""
+    return next((mark for mark in ("\t", ";") if mark in line), ",")
+
+
+def delimited(line: str, n: int, mark: str, faults: Faults) -> list[str] | None:
+    """Stripped cells of a delimited line, empty ones at its end left out; None, with the fault noted, if unusable."""
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, strict=True))]
+    except csv.Error as error:
+        faults.add("table.quotes", place=f"line {n}", value=str(error))
+        return None
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def separator_of(line: str) -> str:
+    """Separator of the line that names the columns."""
+    return _mark(line)
+
+
+def named(n: int, cells: Sequence[str], names: Sequence[str]) -> Row:
+    """Record of cells known by place; cells that are not there are empty."""
+    padded = [*cells, *[""] * (len(names) - len(cells))]
+    return Row(n, dict(zip(names, padded, strict=False)))
+
+
+def numbers(row: Row, columns: Sequence[str], faults: Faults) -> tuple[float, ...]:
+    """Cells as finite numbers; nan, with the fault noted, where there is none."""
+    return tuple(number(row, column, faults) for column in columns)
+
+
+def sigma(row: Row, column: str, unit: str, faults: Faults) -> float:
+    """Standard deviation of a cell; nan (unknown) if it is empty or 0, with the fault noted if below 0."""
+    if not row.cells[column]:
+        return np.nan
+    value = number(row, column, faults)
+    if value < 0.0:
+        faults.add("interchange.sigma", place=row.place(column), value=row.cells[column], unit=unit)
+    return value if value > 0.0 else np.nan
+
+
+def digits(value: float) -> str:
+    """Shortest text that reads back to the same double; whole numbers without ``.0``."""
+    text = repr(float(value))
+    return text.removesuffix(".0")
+
+
+def row_of(cells: Iterable[str], mark: str = ",") -> str:
+    """Line of a delimited file; cells that a reader or a spreadsheet would mistake are quoted."""
+    return mark.join(_quoted(cell, mark) for cell in cells)
+
+
+def _quoted(cell: str, mark: str) -> str:
+    is_number = cell.lstrip("+-").replace(".", "", 1).replace("e", "", 1).replace("-", "", 1).isdigit()
+    odd = any(c in cell for c in (mark, '"', "#")) or (cell.startswith(_FORMULA) and not is_number)
+    return '"' + cell.replace('"', '""') + '"' if odd else cell
+
+
+def require_plain(names: Iterable[str], what: str, path: Path) -> None:
+    """Refuse names that a format of words between blanks cannot hold.
+
+    Raises
+    ------
+    InputError
+        A name is empty, holds blanks or commas, or begins with ``#``.
+    """
+    for name in names:
+        if not name or name[:1] == "#" or any(c.isspace() or c in ',"' for c in name):
+            raise InputError.of("interchange.name", file=path, place=what, value=name)

@@ -1,0 +1,230 @@
+"""Points and image points of a project that stand in files of other programs: read by the readers of ``convert``.
+
+A table of a project names the ``format`` of its file and what that file does not say. Everything is checked as in our
+own tables; coordinates of check points stay sealed until the file is read again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.exchange.convert import Fill, filled, read_survey
+from fg_orient.formats.exchange.registry import Holds, Settings, format_named
+from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.observations import ObservationFile, remarks_on_sigmas
+from fg_orient.formats.points import PointFile, Record, located, point_file
+from fg_orient.formats.tables import Faults, did_you_mean
+from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
+from fg_orient.model.errors import Finding, InputError
+from fg_orient.model.names import Role
+
+if TYPE_CHECKING:
+    from fg_orient.formats.scenes import Scene
+    from fg_orient.formats.schema import ObservationsEntry, PointsEntry
+
+#: Options of ``convert`` that messages name, and the entries of a project that take their place.
+_ENTRIES: Final = {"from": "format", "accept_unverified": "accept_unverified = true"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a project file that names a file of another program.
+
+    Parameters
+    ----------
+    name : str
+        "points" or "observations".
+    paths : tuple of Path
+        The file, or both of a format that has two.
+    entry : PointsEntry or ObservationsEntry
+    """
+
+    name: str
+    paths: tuple[Path, ...]
+    entry: PointsEntry | ObservationsEntry
+
+    @property
+    def path(self) -> Path:
+        """The file that the table names."""
+        return self.paths[-1 if self.name == "observations" else 0]
+
+    @cached_property
+    def absolute(self) -> tuple[Path, ...]:
+        """The same where the folder was when the project was read: they are read again, perhaps from elsewhere."""
+        return tuple(path.absolute() for path in self.paths)
+
+    def read(self, project: str) -> Survey:
+        """Read the file; messages name entries of the project, not options.
+
+        Raises
+        ------
+        InputError
+            See :func:`fg_orient.formats.exchange.convert.read_survey`.
+        """
+        entry = self.entry
+        try:
+            format_ = format_named(entry.format, place=f"{self.name}.format")
+            needed = Holds.GROUND if self.name == "points" else Holds.IMAGE
+            if format_.read is None or needed not in format_.holds:
+                raise InputError.of("project.format", place=f"{self.name}.format", value=entry.format, what=needed)
+            for path in self.absolute:
+                if not path.exists():
+                    raise InputError.of("project.missing_file", place=f"{self.name}.file", value=path.name,
+                                        folder=path.parent)  # fmt: skip
+            settings = Settings(entry.crs or "", entry.image, entry.sigma_axes)
+            survey, _ = read_survey(self.absolute, format_, settings, accept_unverified=entry.accept_unverified)
+            return filled(survey, self._fill())
+        except InputError as error:
+            raise InputError(*(self._in_project(p, project) for p in error.problems)) from None
+
+    def _fill(self) -> Fill:
+        entry = self.entry
+        return Fill(getattr(entry, "sigma_m", None), getattr(entry, "sigma_px", None),
+                    getattr(entry, "height_m", None), tuple(getattr(entry, "check", ())))  # fmt: skip
+
+    def _in_project(self, found: Finding, project: str) -> Finding:
+        place = f"{self.name}.{_ENTRIES.get(found.option, found.option)}" if found.option else found.place
+        named = dict(zip(map(str, self.absolute), map(str, self.paths), strict=True))
+        return replace(found, file=named.get(found.file, found.file) or project, option="", place=place, names=_ENTRIES)
+
+
+def sha256_of(paths: tuple[Path, ...]) -> str:
+    """SHA-256 of one file; of several, or of those of a folder, of their names and contents."""
+    files = [f for p in paths for f in (sorted(q for q in p.rglob("*") if q.is_file()) if p.is_dir() else [p])]
+    if len(files) == 1 and not paths[0].is_dir():
+        return hashlib.sha256(files[0].read_bytes()).hexdigest()
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def read_foreign_points(table: Table, project: str, faults: Faults, scenes: list[Scene]) -> PointFile | None:
+    """Read ground points; None, with the reasons in ``faults``, if the file is unusable.
+
+    Parameters
+    ----------
+    table : Table
+    project : str
+        The project file, for messages.
+    faults : Faults
+        Of the file.
+    scenes : list of Scene
+        Where the images look.
+    """
+
+    def parse(faults: Faults) -> Record | None:
+        try:
+            survey = table.read(project)
+        except InputError as error:
+            faults.take(*error.problems)
+            return None
+        _require_whole(survey, faults)
+        none = np.where(survey.located[:, None], survey.coordinates, np.nan)
+        coordinates = Coordinates(none, survey.sigma_enu_m, survey.fixed)
+        digest = sha256_of(table.absolute)
+        found = Record(survey.ids, survey.roles, survey.lines, none, coordinates, None, digest, survey.crs)
+        return located(found, faults)
+
+    return point_file(table.path, parse, faults, scenes)
+
+
+def _require_whole(survey: Survey, faults: Faults) -> None:
+    """Note points with coordinates that lack a height or a standard deviation."""
+    known = survey.located
+    for what, lacking, entry in (
+        ("height", np.isnan(survey.coordinates[:, 2]), "height_m = METRES"),
+        ("standard deviation", np.isnan(survey.sigma_enu_m).any(axis=1) & ~survey.fixed, "sigma_m = [E, N, U]"),
+    ):
+        for k in np.flatnonzero(known & lacking):
+            line = f"line {survey.lines[k]}, " if survey.lines[k] else ""
+            faults.add("project.lacks", place=f"{line}point {survey.ids[k]}", what=what, entry=f"{entry} to [points]")
+
+
+def read_foreign_observations(
+    table: Table, project: str, sizes: Mapping[str, tuple[int, int] | None] | None, points: PointFile | None,
+    faults: Faults,
+) -> tuple[ObservationFile, PointFile] | None:  # fmt: skip
+    """Read image points against the points; those that only this file has join them as tie points.
+
+    None, with the reasons in ``faults``, if anything is wrong; parameters as
+    :func:`fg_orient.formats.observations.read_observations`.
+    """
+    try:
+        survey = table.read(project)
+    except InputError as error:
+        faults.take(*error.problems)
+        return None
+    if sizes is None or points is None:
+        return None
+    image = _images(survey, list(sizes), table.entry, faults)
+    _check_pixels(survey, image, list(sizes.items()), faults)
+    if faults:
+        return None
+    points = _with_ties(points, survey)
+    place = {name: k for k, name in enumerate(points.points.ids)}
+    o, row = survey.observed, np.array([place[name] for name in survey.ids], np.intp)
+    found = ImagePoints(image[o.image], row[o.point], o.line, o.sample, o.sigma_line_px, o.sigma_sample_px)
+    sigma = np.stack([o.sigma_line_px, o.sigma_sample_px], axis=1)
+    remarks = remarks_on_sigmas(faults.file, sigma, lambda k: f"point {survey.ids[o.point[k]]}")
+    return ObservationFile(table.path, sha256_of(table.absolute), found, remarks), points
+
+
+def _images(
+    survey: Survey, known: list[str], entry: PointsEntry | ObservationsEntry, faults: Faults
+) -> npt.NDArray[np.intp]:
+    """Position of each image of the file in the project: by ``images``, by its name, or by that without its end."""
+    told = getattr(entry, "images", {})
+    out = np.zeros(len(survey.images), np.intp)
+    for k, name in enumerate(survey.images):
+        own = next((n for n in (told.get(name, ""), name, Path(name).stem) if n in known), None)
+        if own is None:
+            hint = did_you_mean(name, known)
+            faults.add("observations.image_unknown", place=f"image {name}", value=repr(name), hint=hint)
+        else:
+            out[k] = known.index(own)
+    if not faults and len(set(out.tolist())) < len(out):
+        faults.add("project.images_alike", place="images", value=", ".join(survey.images))
+    return out
+
+
+def _check_pixels(
+    survey: Survey, image: npt.NDArray[np.intp], sizes: list[tuple[str, tuple[int, int] | None]], faults: Faults
+) -> None:
+    """Note image points outside their image, or without a standard deviation."""
+    o = survey.observed
+    size = np.array([n or (np.inf, np.inf) for _, n in sizes], float).reshape(-1, 2)[image[o.image]]
+    for axis, values, last in (("line", o.line, size[:, 0] - 0.5), ("sample", o.sample, size[:, 1] - 0.5)):
+        for k in np.flatnonzero((values < -0.5) | (values > last)):
+            faults.add("observations.outside", place=_place(survey, int(k)), value=f"{axis} {values[k]:.10g}",
+                       image=survey.images[o.image[k]], axis=axis, last=float(last[k]))  # fmt: skip
+    lacking = np.flatnonzero(np.isnan(o.sigma_line_px) | np.isnan(o.sigma_sample_px))
+    if len(lacking):
+        faults.add("project.lacks", place=_place(survey, int(lacking[0])), value=f"{len(lacking)} image points",
+                   what="standard deviation", entry="sigma_px = [LINE, SAMPLE] to [observations]")  # fmt: skip
+
+
+def _place(survey: Survey, k: int) -> str:
+    o = survey.observed
+    return f"point {survey.ids[o.point[k]]} in image {survey.images[o.image[k]]}"
+
+
+def _with_ties(points: PointFile, survey: Survey) -> PointFile:
+    """Points with those that only the image points name: tie points."""
+    known, old = set(points.points.ids), points.points
+    seen = np.bincount(survey.observed.point, minlength=len(survey.ids)) > 0
+    new = tuple(name for name, yes in zip(survey.ids, seen, strict=True) if yes and name not in known)
+    if not new:
+        return points
+    none, k = np.full((len(new), 3), np.nan), old.known
+    joined = Coordinates(np.vstack([k.ecef_m, none]), np.vstack([k.sigma_enu_m, none]),
+                         np.append(k.fixed, np.zeros(len(new), bool)))  # fmt: skip
+    return replace(points, points=GroundPoints(old.ids + new, old.roles + (Role.TIE,) * len(new), joined))

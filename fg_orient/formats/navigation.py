@@ -1,0 +1,85 @@
+"""Navigation tables: positions and attitudes on board at the exposures of frame images; docs/gnss-ins.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.tables import Faults, number, read_table
+from fg_orient.geodesy import COORDINATE_COLUMNS, crs_kind, to_ecef
+from fg_orient.sensors.navigation import TOP_FORWARD, Fix, Mounting, body_attitude
+
+if TYPE_CHECKING:
+    from fg_orient.formats.schema import NavigationEntry
+
+Array = npt.NDArray[np.float64]
+
+POSITION_SIGMAS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
+ANGLES: Final = ("roll_deg", "pitch_deg", "heading_deg")
+ANGLE_SIGMAS: Final = ("sigma_roll_deg", "sigma_pitch_deg", "sigma_heading_deg")
+
+
+def read_navigation(path: Path, crs: str) -> tuple[tuple[Fix, ...], str]:
+    """Read a navigation table: with positions alone, or with attitudes.
+
+    Parameters
+    ----------
+    path : Path
+    crs : str
+        Of the positions.
+
+    Returns
+    -------
+    tuple of Fix
+    str
+        SHA-256 of the file.
+
+    Raises
+    ------
+    InputError
+        All faults of the table.
+    """
+    faults = Faults(str(path))
+    place = COORDINATE_COLUMNS[crs_kind(crs)]
+    position = ("image", "strip", "time_s", *place, *POSITION_SIGMAS)
+    table = read_table(path, [position, (*position, *ANGLES, *ANGLE_SIGMAS)], faults)
+    faults.raise_if_any()
+    assert table is not None  # else there is a fault
+    columns = [name for name in (*position[2:], *ANGLES, *ANGLE_SIGMAS) if name in table.columns]
+    values = np.array([[number(row, name, faults) for name in columns] for row in table.rows])
+    for k, row in enumerate(table.rows):
+        for j, name in enumerate(columns):
+            if name.startswith("sigma_") and not values[k, j] > 0.0:
+                faults.add("navigation.sigma", place=row.place(name), value=row.cells[name])
+    faults.raise_if_any()
+    ecef = to_ecef(crs, *values[:, 1:4].T)
+    ids = zip(table.cells["image"], table.cells["strip"], strict=True)
+    return tuple(_fix(i, s, v, at) for (i, s), v, at in zip(ids, values, ecef, strict=True)), table.sha256
+
+
+def _fix(image: str, strip: str, values: Array, ecef_m: Array) -> Fix:
+    """One record: time, position, sigmas, and angles with their sigmas if there are any."""
+    if len(values) == 7:
+        return Fix(image, strip, float(values[0]), ecef_m, values[4:7])
+    (roll, pitch, heading), sigmas = np.radians(values[7:10]).tolist(), np.radians(values[10:13])
+    attitude = body_attitude(roll, pitch, heading, ecef_m)
+    return Fix(image, strip, float(values[0]), ecef_m, values[4:7], attitude, sigmas)
+
+
+def mounting_of(entry: NavigationEntry) -> Mounting:
+    """Mounting that the table ``[navigation]`` of a project describes."""
+
+    def rad(degrees: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        if degrees is None:
+            return None
+        roll, pitch, heading = np.radians(degrees).tolist()
+        return roll, pitch, heading
+
+    matrix = TOP_FORWARD if entry.camera_from_body is None else np.array(entry.camera_from_body)
+    return Mounting(
+        np.array(entry.lever_m), matrix, entry.shift_sigma_m, entry.drift_sigma_m, rad(entry.attitude_shift_sigma_deg),
+        rad(entry.attitude_drift_sigma_deg), entry.lever_sigma_m, rad(entry.boresight_sigma_deg),
+    )  # fmt: skip

@@ -1,0 +1,114 @@
+"""Photo files of close range: TOML with cameras, oriented or not.
+
+One ``[[photos]]`` table per photo: either ``focal`` with ``principal`` and ``y_axis`` (and, once it is oriented,
+``rotation`` and ``centre_m``), or the ``matrix`` of a DLT with its ``origin_m``; docs/closerange.md describes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from fg_orient.formats.project import parse_toml
+from fg_orient.formats.schema import Text, problems_of
+from fg_orient.formats.schema import _Table as Table
+from fg_orient.model.errors import InputError, finding
+from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
+
+#: Coordinates beyond this (m, mm or pixels) have not a tenth of a unit's thousandth left in double precision.
+LARGEST: Final = 1e12
+#: Standard deviations and focal lengths below this belong to no measurement, in any unit.
+SMALLEST: Final = 1e-12
+#: Coefficients, of coordinates in m to the power of -7 at most.
+_COEFFICIENT: Final = 1e30
+
+Number = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Field(strict=True, ge=SMALLEST, le=LARGEST)]
+Coefficient = Annotated[float, Field(strict=True, ge=-_COEFFICIENT, le=_COEFFICIENT)]
+Two = tuple[Number, Number]
+Three = tuple[Number, Number, Number]
+Four = tuple[Number, Number, Number, Number]
+
+
+class PhotoEntry(Table):
+    """One ``[[photos]]`` table."""
+
+    name: Text = Field(description='a name in quotes, such as "left"')
+    focal: Positive | None = Field(
+        default=None, description="the principal distance, in the unit of the image coordinates, 1e-12 to 1e12"
+    )
+    principal: Two = Field(default=(0.0, 0.0), description="x and y of the principal point, at most 1e12: [0.0, 0.0]")
+    y_axis: Literal["up", "down"] = Field(default="up", description='"up" or "down"')
+    k1: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    k2: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    k3: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    p1: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    p2: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    affinity_a: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    affinity_b: Coefficient = Field(default=0.0, description="a number, at most 1e30")
+    rotation: tuple[Three, Three, Three] | None = Field(default=None, description="three rows of three numbers")
+    centre_m: Three | None = Field(default=None, description="three numbers, m, at most 1e12")
+    matrix: tuple[Four, Four, Four] | None = Field(default=None, description="three rows of four numbers")
+    origin_m: Three = Field(default=(0.0, 0.0, 0.0), description="three numbers, m, at most 1e12")
+
+    @property
+    def corrections(self) -> tuple[float, ...]:
+        """Coefficients from measured to ideal coordinates, in the order of ``factors.cameras.image_corrections``."""
+        return (self.k1, self.k2, self.k3, self.p1, self.p2, self.affinity_a, self.affinity_b)
+
+
+class PhotoFile(Table):
+    """A whole photo file."""
+
+    schema_: Literal[1] = Field(alias="schema", description="schema = 1")
+    photos: tuple[PhotoEntry, ...] = Field(min_length=1, description="at least one [[photos]] table with a name")
+
+
+@dataclass(frozen=True)
+class Photos:
+    """What a photo file says.
+
+    Parameters
+    ----------
+    file : str
+    entries : dict of str to PhotoEntry
+        By name, in the order of the file.
+    """
+
+    file: str
+    entries: dict[str, PhotoEntry]
+
+
+def read_photos(path: Path) -> Photos:
+    """Read a photo file.
+
+    Raises
+    ------
+    InputError
+        All faults of the file; a name that occurs twice, a rotation that is none.
+    """
+    try:
+        found = PhotoFile.model_validate(parse_toml(path))
+    except ValidationError as error:
+        raise InputError(*problems_of(error, str(path), PhotoFile)) from None
+    entries: dict[str, PhotoEntry] = {}
+    for k, entry in enumerate(found.photos):
+        if entry.name in entries:
+            raise InputError(finding("project.image_twice", file=path, place=f"photos[{k + 1}].name", value=entry.name))
+        _require_rotation(entry, f"photos[{k + 1}].rotation of {entry.name}", path)
+        entries[entry.name] = entry
+    return Photos(str(path), entries)
+
+
+def _require_rotation(entry: PhotoEntry, place: str, path: Path) -> None:
+    """Refuse a matrix that is no rotation: by as much as ``sensors.frame`` does."""
+    if entry.rotation is None:
+        return
+    away = float(away_from_rotation(np.array(entry.rotation)))
+    if away > ORTHONORMAL:
+        raise InputError.of("closerange.camera", file=path, place=place, value=not_a_rotation(away),
+                            expected="rows that are unit vectors at right angles, right-handed")  # fmt: skip

@@ -1,0 +1,193 @@
+"""Writes point tables, observation tables and project files in the formats we read.
+
+Numbers are written with the fewest digits that read back to the same double. Files appear
+whole or not at all (:mod:`fg_orient.formats.atomic`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.atomic import write_text
+from fg_orient.formats.observations import COLUMNS
+from fg_orient.formats.points import FIXED, SIGMA_COLUMNS
+from fg_orient.geodesy import COORDINATE_COLUMNS, Kind
+from fg_orient.model.block import Options
+from fg_orient.model.declaration import declared, toml
+from fg_orient.model.names import Role
+
+Array = npt.NDArray[np.float64]
+
+
+def write_points(
+    path: str | Path,
+    ids: Sequence[str],
+    roles: Sequence[Role],
+    coordinates: Array,
+    sigma_enu_m: Array,
+    *,
+    kind: Kind = "geographic",
+    fixed: npt.NDArray[np.bool_] | None = None,
+    comments: Sequence[str] = (),
+) -> None:
+    """Write a table of ground points.
+
+    Parameters
+    ----------
+    path : str or Path
+        Target file.
+    ids, roles : sequences of length n
+        Ids and roles.
+    coordinates : (n, 3) array
+        Longitude, latitude (degrees), height (m); easting, northing, height (m); or x, y, z
+        (m), as ``kind`` says. nan rows become empty cells.
+    sigma_enu_m : (n, 3) array
+        Standard deviations East, North, Up at the point, m; nan rows become empty cells.
+    kind : str
+        "geographic", "projected" or "geocentric".
+    fixed : (n,) array of bool, optional
+        Points whose sigma cells get the word ``fixed``.
+    comments : sequence of str
+        Lines put before the header, after ``#``.
+
+    Raises
+    ------
+    ValueError
+        An id or comment could not be read back, or lengths differ.
+    InputError
+        The file cannot be written.
+    """
+    constant = np.zeros(len(ids), bool) if fixed is None else fixed
+    header = ("id", "role", *COORDINATE_COLUMNS[kind], *SIGMA_COLUMNS)
+    records = (
+        (_text(name), str(Role(role)), *_numbers(xyz), *([FIXED] * 3 if is_fixed else _numbers(sigma)))
+        for name, role, xyz, sigma, is_fixed in zip(ids, roles, coordinates, sigma_enu_m, constant, strict=True)
+    )
+    _write(path, header, records, comments)
+
+
+def write_observations(
+    path: str | Path,
+    image_ids: Sequence[str],
+    point_ids: Sequence[str],
+    pixels: Array,
+    sigma_px: Array,
+    *,
+    comments: Sequence[str] = (),
+) -> None:
+    """Write a table of image observations.
+
+    Parameters
+    ----------
+    path : str or Path
+        Target file.
+    image_ids, point_ids : sequences of length n
+        Image and point of each record.
+    pixels : (n, 2) array
+        Line and sample; (0, 0) is the centre of the first pixel.
+    sigma_px : (n, 2) array or broadcastable to it
+        Standard deviations of line and sample.
+    comments : sequence of str
+        Lines put before the header, after ``#``.
+
+    Raises
+    ------
+    ValueError
+        An id or comment could not be read back, or lengths differ.
+    InputError
+        The file cannot be written.
+    """
+    sigma = np.broadcast_to(sigma_px, np.shape(pixels))
+    records = (
+        (_text(image), _text(point), *_numbers(pixel), *_numbers(s))
+        for image, point, pixel, s in zip(image_ids, point_ids, pixels, sigma, strict=True)
+    )
+    _write(path, COLUMNS, records, comments)
+
+
+def write_project(
+    path: str | Path,
+    *,
+    name: str,
+    images: Sequence[tuple[str, str]],
+    points: str = "points.csv",
+    crs: str = "EPSG:4979",
+    observations: str = "observations.csv",
+    options: Options | None = None,
+    points_seen_once: str = "error",
+    comments: Sequence[str] = (),
+) -> None:
+    """Write a project file; paths are taken relative to its folder when it is read.
+
+    Parameters
+    ----------
+    path : str or Path
+        Target file.
+    name : str
+        Name of the block.
+    images : sequence of (id, metadata path)
+        The images.
+    points, observations : str
+        Paths of the tables.
+    crs : str
+        EPSG code of the points.
+    options : Options, optional
+        Every option is written out, also the defaults.
+    points_seen_once : str
+        "error" or "drop".
+    comments : sequence of str
+        Lines put at the top, after ``#``.
+
+    Raises
+    ------
+    ValueError
+        A comment holds a line break.
+    InputError
+        The file cannot be written.
+    """
+    lines = [*_comments(comments), "schema = 1", f"name = {toml(name)}"]
+    for image, metadata in images:
+        lines += ["", "[[images]]", f"id = {toml(image)}", f"metadata = {toml(metadata)}"]
+    lines += ["", "[points]", f"file = {toml(points)}", f"crs = {toml(crs)}"]
+    lines += ["", "[observations]", f"file = {toml(observations)}", "", "[orientation]"]
+    lines += [*_entries(options or Options(), "orientation"), "", "[adjustment]"]
+    lines += _entries(options or Options(), "adjustment")
+    lines += [f"points_seen_once = {toml(points_seen_once)}", ""]
+    write_text(path, "\n".join(lines))
+
+
+# --- text ----------------------------------------------------------------------------------------
+
+
+def _write(path: str | Path, header: Sequence[str], records: Iterable[Sequence[str]], comments: Sequence[str]) -> None:
+    lines = [*_comments(comments), ",".join(header), *(",".join(cells) for cells in records), ""]
+    write_text(path, "\n".join(lines))
+
+
+def _comments(comments: Sequence[str]) -> list[str]:
+    if any("\n" in line or "\r" in line for line in comments):
+        raise ValueError("a comment must fit one line")
+    return [f"# {line}" for line in comments]
+
+
+def _text(name: str) -> str:
+    """Cell of an id; quoted where a reader, or a spreadsheet, would take it for something else."""
+    if not name or name != name.strip() or any(mark in name for mark in "\n\r\0"):
+        raise ValueError(f"the id {name!r} cannot be written: it is empty, or has outer blanks or line breaks")
+    return '"' + name.replace('"', '""') + '"' if any(mark in name for mark in ',"#') or name[0] in "=@" else name
+
+
+def _numbers(values: Iterable[float]) -> list[str]:
+    """Cells of a row of numbers: shortest text that reads back exactly; empty if all are nan."""
+    row = [float(v) for v in values]
+    return [""] * len(row) if np.isnan(row).all() else [repr(v) for v in row]
+
+
+def _entries(options: Options, table: str) -> list[str]:
+    """Lines of a table of the project file; an option that is None is left out."""
+    values = [(name, getattr(options, name)) for name, one in declared(Options).items() if one.group.table == table]
+    return [f"{name} = {toml(value)}" for name, value in values if value is not None]

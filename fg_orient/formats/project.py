@@ -1,0 +1,338 @@
+"""Project file: reads a whole adjustment block from one TOML file and the files it names.
+
+Every fault of every file is reported in one error, so that a user mends them in one go;
+``docs/file-formats.md`` describes the format. Paths are relative to the project file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from fg_orient.formats.assemble import assemble
+from fg_orient.formats.exchange.registry import format_named
+from fg_orient.formats.foreign import Table, read_foreign_observations, read_foreign_points
+from fg_orient.formats.geometry import geometry_remarks
+from fg_orient.formats.observations import ObservationFile, read_observations
+from fg_orient.formats.points import LOSES_IDS, PointFile, read_points
+from fg_orient.formats.scenes import Scene
+from fg_orient.formats.tables import Faults
+from fg_orient.geodesy import crs_kind
+from fg_orient.model.block import Block, Image, Options, Source
+from fg_orient.model.declaration import declared, require_declared
+from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
+from fg_orient.model.options import Reading
+from fg_orient.model.parameters import eop_set_number
+
+if TYPE_CHECKING:
+    from fg_orient.formats.schema import ProjectFile
+
+#: Format of our own tables.
+OWN: Final = "csv"
+#: A remark of ``validate`` only: the adjustment warns of the same, about the points it could use.
+FEW_CHECK_CODE: Final = "remark.few_check"
+
+
+def read_project(path: str | Path, **overrides: object) -> Block:
+    """Read a project file and everything it names.
+
+    Parameters
+    ----------
+    path : str or Path
+        The TOML file.
+    **overrides
+        Options that replace those of the file (docs/options.md).
+        None keeps the file's.
+
+    Returns
+    -------
+    Block
+        Images, points, observations and options; ``sources`` holds the SHA-256 of each
+        file, ``notes`` the remarks of the readers.
+
+    Raises
+    ------
+    InputError
+        One problem per fault of any of the files.
+    TypeError
+        An override is not an option.
+
+    Examples
+    --------
+    >>> import fg_orient as fg
+    >>> block = fg.read_project("zonguldak/project.toml", eop_set="PUA")  # doctest: +SKIP
+    """
+    return read_project_with_remarks(path, **overrides)[0]
+
+
+def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Block, tuple[Finding, ...]]:
+    """Do :func:`read_project` and give the remarks as records, too."""
+    path = Path(path)
+    project = _read_toml(path, overrides)
+    options, found = _options(project, str(path))
+    problems = [_blame(p, overrides) for p in found]
+    folder = path.parent
+    images, sources, image_problems = _images(project, folder, str(path))
+    tables = _tables(project, folder, str(path), images)
+    problems += [*image_problems, *tables.problems]
+    if problems or tables.points is None or tables.observations is None:
+        raise InputError(*problems)
+    points, observations = tables.points, tables.observations
+    known = tuple(image for image in images.values() if image is not None)
+    drop = project.values_of(Reading)["points_seen_once"] == "drop"
+    ready = assemble(
+        [image.id for image in known], points, observations, drop=drop, relative=options.datum != "control"
+    )
+    if ready.problems:
+        raise InputError(*ready.problems)
+    geometry = geometry_remarks(known, ready.points, ready.observations, str(points.path))
+    remarks = (*points.remarks, *observations.remarks, *ready.remarks, *geometry)
+    block = Block(
+        name=project.name,
+        images=known,
+        points=ready.points,
+        observations=ready.observations,
+        withheld=ready.withheld,
+        options=options,
+        sources=(_source(path), *sources, *_table_sources(project, folder, points, observations)),
+        notes=_notes(known, points, [p for p in remarks if p.code != FEW_CHECK_CODE]),
+    )
+    return _navigated(block, project, folder, str(path)), remarks
+
+
+def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> Block:
+    """The block with what was observed on board of its frame images, if the project names it."""
+    entry = project.navigation
+    if entry is None:
+        return block
+    from fg_orient.formats.navigation import mounting_of, read_navigation
+    from fg_orient.sensors.navigation import with_navigation
+
+    path = folder / entry.file
+    if not path.is_file():
+        raise InputError.of("project.missing_file", file=file, place="navigation.file", value=entry.file, folder=folder)
+    try:
+        crs_kind(entry.crs)
+    except InputError as error:
+        raise InputError(*(dataclasses.replace(p, file=file, place="navigation.crs") for p in error.problems)) from None
+    fixes, sha256 = read_navigation(path, entry.crs)
+    try:
+        block = with_navigation(block, fixes, mounting_of(entry))
+    except InputError as error:
+        raise InputError(*(dataclasses.replace(p, file=str(path)) for p in error.problems)) from None
+    return dataclasses.replace(block, sources=(*block.sources, Source(str(path), sha256)))
+
+
+# --- the TOML file -------------------------------------------------------------------------------
+
+
+def _read_toml(path: Path, overrides: Mapping[str, object]) -> ProjectFile:
+    from fg_orient.formats.schema import validate
+
+    require_declared(overrides, "read_project", Options, Reading)
+    content = parse_toml(path)
+    for name, value in overrides.items():
+        if value is not None:
+            table = content.setdefault(_table_of(name), {})
+            if isinstance(table, dict):
+                table[name] = value
+    found = validate(content, str(path))
+    if isinstance(found, tuple):
+        raise InputError(*(_blame(p, overrides) for p in found))
+    return found
+
+
+def _table_of(name: str) -> str:
+    """Table of the project file that holds an option."""
+    return declared(Options, Reading)[name].group.table
+
+
+def _blame(found: Finding, overrides: Mapping[str, object]) -> Finding:
+    """Put a fault of an overriding option on the option: the file is not to blame."""
+    for name, value in overrides.items():
+        place = f"{_table_of(name)}.{name}"
+        if value is not None and (found.place == place or found.place.startswith(f"{place}[")):
+            found = dataclasses.replace(found, file="", place=found.place.removeprefix(f"{_table_of(name)}."))
+    return found
+
+
+def no_project_file(path: Path) -> FgOrientError:
+    """Error of a path that does not exist, or is a folder; then with a project file in it."""
+    if path.is_dir():
+        inside = next(iter(sorted(path.glob("*.toml"))), path / "project.toml")
+        return InputError.of("project.folder", file=path, inside=inside)
+    return InputError.of("project.missing_file", file=path, folder="the current folder")
+
+
+def parse_toml(path: Path) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is no TOML.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except (FileNotFoundError, IsADirectoryError):
+        raise no_project_file(path) from None
+    except OSError as error:
+        raise InputError.of("project.unreadable", file=path, value=error.strerror) from None
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        byte = f"byte 0x{error.object[error.start]:02x}"
+        raise InputError.of("project.encoding", file=path, place=f"line {line}", value=byte) from None
+    try:
+        return tomllib.loads(text.replace("\r\n", "\n"))
+    except tomllib.TOMLDecodeError as error:
+        message, _, place = str(error).rstrip(")").rpartition(" (at ")
+        raise InputError.of("project.syntax", file=path, place=place, value=message or place) from None
+
+
+def _options(project: ProjectFile, file: str) -> tuple[Options, list[Finding]]:
+    """Options of the block; problems that the schema cannot see."""
+    problems: list[Finding] = []
+    values = project.values_of(Options)
+    try:
+        values["eop_set"] = eop_set_number(values["eop_set"])
+    except InputError as error:
+        values["eop_set"] = Options.eop_set
+        problems += [dataclasses.replace(p, file=file, place="orientation.eop_set") for p in error.problems]
+    ids = [entry.id for entry in project.images]
+    for k, name in enumerate(ids):
+        if name in ids[:k]:
+            problems.append(finding("project.image_twice", file=file, place=f"images[{k + 1}].id", value=name))
+    return Options(**values), problems
+
+
+# --- the files it names --------------------------------------------------------------------------
+
+
+def _images(
+    project: ProjectFile, folder: Path, file: str
+) -> tuple[dict[str, Image | None], list[Source], list[Finding]]:
+    """Images by id, None where the metadata file is unusable."""
+    import fg_orient.formats.sensor as sensor_reader
+
+    images: dict[str, Image | None] = {}
+    sources: list[Source] = []
+    problems: list[Finding] = []
+    for k, entry in enumerate(project.images):
+        images.setdefault(entry.id, None)
+        metadata = folder / entry.metadata
+        if not metadata.is_file():
+            place = f"images[{k + 1}].metadata"
+            problems.append(
+                finding("project.missing_file", file=file, place=place, value=entry.metadata, folder=folder)
+            )
+            continue
+        try:
+            seconds = project.values_of(Reading)["extrapolate_attitude_s"]
+            sensor = sensor_reader.read_sensor(metadata, extrapolate_attitude_s=seconds)
+            images[entry.id] = Image(entry.id, sensor)
+            sources.append(_source(metadata))
+        except InputError as error:
+            problems += error.problems
+    return images, sources, problems
+
+
+@dataclass(frozen=True)
+class _Tables:
+    points: PointFile | None
+    observations: ObservationFile | None
+    problems: tuple[Finding, ...]
+
+
+def _tables(project: ProjectFile, folder: Path, file: str, images: Mapping[str, Image | None]) -> _Tables:
+    """Read the points, then the observations against them."""
+    point_path, observation_path = folder / project.points.file, folder / project.observations.file
+    point_faults, observation_faults = Faults(str(point_path)), Faults(str(observation_path))
+    points, crs_problems = None, _entry_problems(project, file)
+    if not crs_problems:
+        scenes = _scenes(images, (point_path, observation_path))
+        if project.points.format == OWN:
+            points = read_points(point_path, project.points.crs or "", point_faults, scenes)
+        else:
+            points = read_foreign_points(_foreign(project, folder, "points"), file, point_faults, scenes)
+    # names are checked only against lists that are themselves in order: no faults that follow from faults
+    sizes = {name: (i.sensor.n_lines, i.sensor.n_samples) if i is not None else None for name, i in images.items()}
+    known_images = sizes if len(sizes) == len(project.images) else None
+    sound = points if not point_faults.codes & LOSES_IDS else None
+    observations = None
+    if project.observations.format == OWN:
+        ids = sound.points.ids if sound is not None else None
+        observations = read_observations(observation_path, known_images, ids, observation_faults)
+    else:
+        table = _foreign(project, folder, "observations")
+        both = read_foreign_observations(table, file, known_images, sound, observation_faults)
+        observations, points = both or (None, points)
+    # both tables may name one file of another program: its faults are said once
+    problems = dict.fromkeys((*crs_problems, *point_faults.problems, *observation_faults.problems))
+    return _Tables(points, observations, tuple(problems))
+
+
+def _scenes(images: Mapping[str, Image | None], tables: Sequence[Path]) -> list[Scene]:
+    """Where the images lie; nothing if a file is missing, which is then told before any kernel is compiled."""
+    if None in images.values() or not all(path.exists() for path in tables):
+        return []
+    return [Scene.from_footprint(image.id, image.sensor.footprint()) for image in images.values() if image is not None]
+
+
+def _foreign(project: ProjectFile, folder: Path, name: str) -> Table:
+    """The files of a table of another program: both tables of one format that has two files name one each."""
+    entry = project.points if name == "points" else project.observations
+    paths: tuple[Path, ...] = (folder / entry.file,)
+    if project.points.format == project.observations.format and project.points.file != project.observations.file:
+        both = (folder / project.points.file, folder / project.observations.file)
+        paths = both if len(format_named(entry.format, place=f"{name}.format").files) > 1 else paths
+    if name == "observations" and project.points.format == entry.format:  # what is said of the one holds for the other
+        given: dict[str, object] = {"crs": entry.crs or project.points.crs}
+        if project.points.accept_unverified:
+            given["accept_unverified"] = True
+        entry = entry.model_copy(update=given)
+    return Table(name, paths, entry)
+
+
+def _entry_problems(project: ProjectFile, file: str) -> list[Finding]:
+    """Faults of the entries ``[points]`` and ``[observations]`` that their types do not show."""
+    found = []
+    for name, entry in (("points", project.points), ("observations", project.observations)):
+        if entry.format == OWN:
+            given = entry.model_fields_set - {"file", "format"} - ({"crs"} if name == "points" else set())
+            found += [finding("project.own_table", file=file, place=f"{name}.{key}") for key in sorted(given)]
+    if project.points.crs is None and project.points.format == OWN:
+        expected = 'an EPSG code in quotes, such as "EPSG:4979"'
+        found.append(finding("project.missing", file=file, place="points.crs", expected=expected))
+    for name, crs in (("points", project.points.crs), ("observations", project.observations.crs)):
+        try:
+            if crs is not None:
+                crs_kind(crs)
+        except InputError as error:
+            found += [dataclasses.replace(p, file=file, place=f"{name}.crs") for p in error.problems]
+    return found
+
+
+def _source(path: Path) -> Source:
+    return Source(str(path), hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+def _table_sources(
+    project: ProjectFile, folder: Path, points: PointFile, observations: ObservationFile
+) -> tuple[Source, Source]:
+    return (
+        Source(str(folder / project.points.file), points.sha256),
+        Source(str(folder / project.observations.file), observations.sha256),
+    )
+
+
+def _notes(images: Sequence[Image], points: PointFile, remarks: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Everything worth a line in the report: remarks first, then how coordinates were converted."""
+    sensor = [replace(note, place=f"image {image.id}") for image in images for note in image.sensor.notes]
+    place = f"coordinates of {points.path.name}"
+    done = points.operation
+    return (*remarks, *sensor, *([] if done is None else [finding("points.operation", place=place, operation=done)]))

@@ -1,0 +1,90 @@
+"""RPC in OSSIM keyword lists (``.geom`` of OSSIM and the Orfeo Toolbox); read only."""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any, Final
+
+from fg_orient.formats.rpc_fields import AXES, Reading, RpcFields, build, read_text, require_order
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.sensors.rpc import RpcModel
+
+#: OSSIM counts from the centre of the first pixel, and has taken 1 off the offsets of Pléiades.
+FIRST_PIXEL: Final = 0.0
+#: Newer versions take 1 off the offsets of SPOT 6/7, too, which count from 0 (docs/rpc.md).
+SPOT_FIRST_PIXEL: Final = -1.0
+NAME: Final = "OSSIM .geom"
+_LINE = re.compile(r"([\w.]+):[ \t]*(.*)")
+_SIGN = re.compile(r"^\s*(?:line_num_coeff_0?0|line_den_coeff_0?0|polynomial_format)\s*:", re.MULTILINE)
+_PARAMETER = re.compile(r"adjustment_\d+\.adj_param_\d+\.parameter")
+_COEFFICIENT = re.compile(r"(line|samp)_(num|den)_coeff_(\d+)")
+_SCALAR = {f"{axis}_{word}".lower(): f"{axis}_{word}" for axis in AXES for word in ("OFF", "SCALE")}
+_SCALAR |= {"bias_error": "ERR_BIAS", "rand_error": "ERR_RAND"}
+
+
+def is_geom(head: str) -> bool:
+    """Tell a keyword list with RPC from its first bytes."""
+    return (
+        re.search(r"^\s*(?:line_num_coeff_0?0|line_den_coeff_0?0|polynomial_format)\s*:", head, re.MULTILINE)
+        is not None
+    )
+
+
+def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
+    """Read the RPC of an OSSIM keyword list.
+
+    Raises
+    ------
+    InputError
+        One line with file, place, value and remedy.
+    """
+    fields, other = RpcFields(os.fspath(path)), {}
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        match = _LINE.fullmatch(line.strip())
+        if match is None:
+            continue
+        key, text, place = match[1], match[2].strip(), f"line {number}"
+        coefficient = _COEFFICIENT.fullmatch(key)
+        if coefficient:
+            name = f"{coefficient[1]}_{coefficient[2]}".upper()
+            fields.add(f"{name}_COEFF_{int(coefficient[3]) + 1}", text, place)
+        elif key in _SCALAR:
+            fields.add(_SCALAR[key], text, place)
+        else:
+            other[key] = (text, place)
+    if "polynomial_format" in other:
+        text, place = other["polynomial_format"]
+        require_order(fields.file, f"{place}, polynomial_format", f"RPC00{text}", reading)
+    shift, notes = _spot_origin(fields, other)
+    extra: dict[str, Any] = {"notes": notes + _adjustment(other)}
+    for name, key in (("n_lines", "number_lines"), ("n_samples", "number_samples")):
+        extra[name] = _count(fields.file, other, key)
+    return build(fields, reading, NAME, FIRST_PIXEL if shift is None else shift, extra)
+
+
+def _count(file: str, other: dict[str, tuple[str, str]], key: str) -> int | None:
+    if key not in other:
+        return None
+    text, place = other[key]
+    if not re.fullmatch(r"[1-9][0-9]{0,6}", text):
+        raise InputError.of("rpc.not_a_number", file=file, place=f"{place}, {key}", value=text)
+    return int(text)
+
+
+def _spot_origin(fields: RpcFields, other: dict[str, tuple[str, str]]) -> tuple[float | None, tuple[Finding, ...]]:
+    """First pixel of SPOT 6/7: the vendor's offsets equal the scales; one less was taken off by OSSIM."""
+    if other.get("type", ("", ""))[0] != "ossimSpot6Model":
+        return None, ()
+    if all(fields.number(f"{axis}_OFF") == fields.number(f"{axis}_SCALE") - 1.0 for axis in ("LINE", "SAMP")):
+        return SPOT_FIRST_PIXEL, (finding("rpc.offsets_put_back"),)
+    return None, ()
+
+
+def _adjustment(other: dict[str, tuple[str, str]]) -> tuple[Finding, ...]:
+    values = [
+        text for key, (text, _) in other.items() if re.fullmatch(r"adjustment_\d+\.adj_param_\d+\.parameter", key)
+    ]
+    if any(text.strip("0.+-") for text in values):
+        return (finding("rpc.adjustment_ignored"),)
+    return ()

@@ -1,0 +1,211 @@
+"""The project file's content as pydantic models: the border where TOML becomes options.
+
+Unknown keys, wrong types, nan and infinity are refused, all at once. ``description`` of a
+field is what an error message tells the user to give. Entries of options are made from their
+declaration (``fg_orient.model.options``).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
+from pydantic.fields import FieldInfo
+
+from fg_orient.formats.tables import did_you_mean
+from fg_orient.model import declaration as option_types
+from fg_orient.model.declaration import Option, declared, toml
+from fg_orient.model.errors import Finding, finding
+from fg_orient.model.options import Options, Reading
+from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation
+
+Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
+Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
+Three = tuple[Positive, Positive, Positive]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Row = tuple[Number, Number, Number]
+Switch = Annotated[bool, Field(strict=True)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ImageEntry(_Table):
+    """One ``[[images]]`` table."""
+
+    id: Text = Field(description='a name in quotes, such as "left"')
+    metadata: Text = Field(description="the path of the metadata file in quotes")
+
+
+class _Foreign(_Table):
+    """What a table says of a file of another program."""
+
+    format: Text = Field(default="csv", description='the name of a format, such as "metashape-xml" (docs/formats)')
+    image: str = Field(default="", description="the image of a format that holds one image and not its name")
+    sigma_axes: Literal["ecef", "enu"] = Field(default="ecef", description='"ecef" or "enu"')
+    accept_unverified: Switch = Field(default=False, description="true or false")
+
+
+class PointsEntry(_Foreign):
+    """The ``[points]`` table."""
+
+    file: Text = Field(description="the path of the point table in quotes")
+    crs: Text | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
+    sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
+    height_m: Number | None = Field(default=None, description="a number, m")
+    check: tuple[Text, ...] = Field(default=(), description='ids in quotes, such as ["7", "12"]')
+
+
+class ObservationsEntry(_Foreign):
+    """The ``[observations]`` table."""
+
+    file: Text = Field(description="the path of the observation table in quotes")
+    crs: Text | None = Field(default=None, description='an EPSG code in quotes, such as "EPSG:4979"')
+    sigma_px: tuple[Positive, Positive] | None = Field(default=None, description="two numbers above zero, px")
+    images: dict[str, Text] = Field(default_factory=dict, description='a table such as { "a.tif" = "left" }')
+
+
+def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None:
+    """Refuse a matrix that turns nothing: columns that are not orthonormal, or a reflection."""
+    if value is not None and away_from_rotation(np.array(value)) > ORTHONORMAL:
+        raise ValueError
+    return value
+
+
+class NavigationEntry(_Table):
+    """The ``[navigation]`` table: what a receiver and an inertial unit observed on board of frame images."""
+
+    file: Text = Field(description="the path of the navigation table in quotes")
+    crs: Text = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
+    lever_m: Row = Field(default=(0.0, 0.0, 0.0), description="three numbers, m: receiver to projection centre")
+    camera_from_body: Annotated[tuple[Row, Row, Row] | None, AfterValidator(_rotation)] = Field(
+        default=None, description="three rows of three numbers, a rotation"
+    )
+    shift_sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
+    drift_sigma_m: Three | None = Field(default=None, description="three numbers above zero: East, North, Up, m")
+    attitude_shift_sigma_deg: Three | None = Field(default=None, description="three numbers above zero, degrees")
+    attitude_drift_sigma_deg: Three | None = Field(default=None, description="three numbers above zero, degrees")
+    lever_sigma_m: Three | None = Field(default=None, description="three numbers above zero, m")
+    boresight_sigma_deg: Three | None = Field(default=None, description="three numbers above zero, degrees")
+
+
+#: Types of options in a project file.
+_TYPES: Final[dict[Any, Any]] = {
+    bool: Switch, int: Annotated[int, Field(strict=True)], float: Number, str: Text, option_types.Three: Three,
+    option_types.Names: tuple[Text, ...],
+}  # fmt: skip
+
+
+def _entry(option: Option) -> Any:
+    """Type and default of an option in a project file; its declaration judges the value."""
+
+    def judge(value: Any) -> Any:
+        if not option.allows(value):
+            raise ValueError
+        return value
+
+    kind = _TYPES.get(option.kind, option.kind)
+    kind = kind | Text if option.named else Annotated[kind, AfterValidator(judge)]
+    name = f" or a name such as {toml(option.such)}" if option.named else ""
+    return kind | None if option.optional else kind, Field(default=option.default, description=option.expected + name)
+
+
+def options_table(table: str, *records: type) -> type[_Table]:
+    """Model of a table of the project file that holds the declared options of its groups."""
+    entries = {name: _entry(one) for name, one in declared(*records).items() if one.group.table == table}
+    return create_model(table.title(), __base__=_Table, **entries)
+
+
+if TYPE_CHECKING:
+    Orientation = _Table
+    Adjustment = _Table
+else:
+    Orientation, Adjustment = (options_table(table, Options, Reading) for table in ("orientation", "adjustment"))
+
+
+class ProjectFile(_Table):
+    """A whole project file."""
+
+    schema_: Literal[1] = Field(alias="schema", description="schema = 1")
+    name: Text = Field(description='a name in quotes, such as name = "zonguldak"')
+    images: tuple[ImageEntry, ...] = Field(
+        min_length=1, description="at least one [[images]] table with id and metadata"
+    )
+    points: PointsEntry = Field(description="a table [points] with file and crs")
+    observations: ObservationsEntry = Field(description="a table [observations] with file")
+    navigation: NavigationEntry | None = Field(default=None, description="a table [navigation] with file and crs")
+    orientation: Orientation = Field(default_factory=Orientation, description="a table [orientation]")
+    adjustment: Adjustment = Field(default_factory=Adjustment, description="a table [adjustment]")
+
+    def values_of(self, record: type) -> dict[str, Any]:
+        """Values of the options that a dataclass declares."""
+        values = {**dict(self.orientation), **dict(self.adjustment)}
+        return {name: values[name] for name in declared(record)}
+
+
+def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Finding, ...]:
+    """Check the parsed TOML; give the project, or every fault with its place and remedy."""
+    try:
+        return ProjectFile.model_validate(content)
+    except ValidationError as error:
+        return problems_of(error, file, ProjectFile)
+
+
+def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tuple[Finding, ...]:
+    """Every fault of a file that should have been a ``root``, with its place and remedy."""
+    places: dict[str, Finding] = {}
+    details = error.errors(include_url=False, include_context=False)
+    for detail in details:
+        if detail["type"] == "too_short" and any(_inside(other["loc"], detail["loc"]) for other in details):
+            continue  # an array counts as short of those of its items that have faults of their own
+        found = _problem(detail["type"], detail["loc"], detail["input"], file, root)
+        places.setdefault(found.place, found)  # a union reports one fault per member
+    return tuple(places.values())
+
+
+def _inside(loc: tuple[int | str, ...], outer: tuple[int | str, ...]) -> bool:
+    """Whether a place lies inside another one."""
+    return len(loc) > len(outer) and loc[: len(outer)] == outer
+
+
+def _problem(kind: str, loc: tuple[int | str, ...], value: object, file: str, root: type[BaseModel]) -> Finding:
+    path, field, siblings = _walk(loc, root)
+    if kind == "extra_forbidden" and path == "constraints":
+        return finding("project.constraints", file=file, place=path)
+    if kind == "extra_forbidden":
+        hint = did_you_mean(path.rpartition(".")[2], siblings)
+        return finding("project.unknown_key", file=file, place=path, value=value, hint=hint)
+    expected = field.description if field is not None else "a value of the right type"
+    if path == "schema" and kind != "missing":
+        return finding("project.schema", file=file, place=path, value=value)
+    if kind == "missing":
+        return finding("project.missing", file=file, place=path, expected=expected)
+    return finding("project.value", file=file, place=path, value=repr(value), expected=expected)
+
+
+def _walk(loc: tuple[int | str, ...], root: type[BaseModel]) -> tuple[str, FieldInfo | None, list[str]]:
+    """Path such as ``images[1].metadata``, the field's definition and the names beside it."""
+    path, field, siblings = "", None, list[str]()
+    table: type[BaseModel] | None = root
+    for step in loc:
+        if isinstance(step, int):
+            path += f"[{step + 1}]"
+        elif table is None:
+            break  # the name of a union member, not a key
+        else:
+            path += f".{step}" if path else step
+            siblings = [info.alias or name for name, info in table.model_fields.items()]
+            field = next((info for name, info in table.model_fields.items() if step in (name, info.alias)), None)
+            table = _table_of(field)
+    return path, field, siblings
+
+
+def _table_of(field: FieldInfo | None) -> type[BaseModel] | None:
+    """Model that a field holds, directly or as the items of an array; None for a plain value."""
+    annotation = field.annotation if field is not None else None
+    for candidate in (annotation, *getattr(annotation, "__args__", ())):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None

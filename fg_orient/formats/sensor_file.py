@@ -1,0 +1,288 @@
+"""Sensor descriptions: TOML files that stand for a pushbroom image, so that a new sensor needs no code.
+
+``docs/sensor-description.md`` describes the format; tables of states and directions are CSV files beside it.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, ValidationError
+
+from factors.geometry import kepler
+from factors.geometry.attitude import sign_aligned
+from fg_orient.formats.earth_orientation import read_earth_orientation
+from fg_orient.formats.project import parse_toml
+from fg_orient.formats.schema import Positive, Switch, Text, problems_of
+from fg_orient.formats.schema import _Table as Table
+from fg_orient.formats.tables import Faults, number, read_table
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.sensors.earth_rotation import DAY_S, EarthRotation, neglected
+from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
+from fg_orient.sensors.general_metadata import (
+    Attitude,
+    AttitudeFrame,
+    Camera,
+    DirectionTable,
+    Frame,
+    GeneralMetadata,
+    LightEffects,
+    LineCamera,
+    Orbit,
+    OrbitalFrame,
+)
+from fg_orient.sensors.metadata import LineTiming
+
+Array = npt.NDArray[np.float64]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Three = tuple[Number, Number, Number]
+Coefficients = Annotated[tuple[Number, ...], Field(min_length=1, max_length=12)]
+Count = Annotated[int, Field(strict=True, ge=2, le=10_000_000)]
+
+#: Distance from the Earth's centre (m) and speed (m/s) of what can carry a sensor over the ground.
+RADIUS_M: Final = (6.40e6, 5.0e7)
+SPEED_M_S: Final = (1.0, 1.2e4)
+#: Look no farther than this from the axis.
+WIDEST_TANGENT: Final = 5.0
+_STATE: Final = ("time_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
+_ANGLES: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
+_QUATERNION: Final = ("time_s", "q0", "q1", "q2", "q3")
+_DIRECTIONS: Final = ("sample", "tan_forward", "tan_left")
+
+
+class ImageTable(Table):
+    """The ``[image]`` table."""
+
+    lines: Count = Field(description="the number of lines, at least 2")
+    samples: Count = Field(description="the number of samples, at least 2")
+
+
+class TimeTable(Table):
+    """The ``[time]`` table."""
+
+    day: Text = Field(description='the UTC day that times count from, such as "2012-01-01"')
+    reference_line: Number = Field(default=0.0, description="a line, 0 is the first one")
+    reference_time_s: Number = Field(description="the time of the reference line, s since 0 h UTC")
+    line_period_s: Number = Field(description="seconds from one line to the next")
+
+
+class CameraTable(Table):
+    """The ``[camera]`` table: a lens, or the name of a table of directions."""
+
+    focal_length_m: Positive | None = Field(default=None, description="the focal length in m, above 0")
+    pitch_m: Number | None = Field(default=None, description="metres per sample along camera Y; below 0 to the right")
+    principal_sample: Number | None = Field(default=None, description="the sample of the principal point")
+    forward_m: Number = Field(default=0.0, description="the place of the line along camera X, m")
+    delta_forward_m: Coefficients = Field(default=(0.0,), description="coefficients in brackets, m")
+    delta_left_m: Coefficients = Field(default=(0.0,), description="coefficients in brackets, m")
+    directions: Text | None = Field(default=None, description="the path of the table of directions in quotes")
+
+
+class MountingTable(Table):
+    """The ``[mounting]`` table."""
+
+    offset_m: Three = Field(default=(0.0, 0.0, 0.0), description="three numbers, m")
+    angles_deg: Three = Field(default=(0.0, 0.0, 0.0), description="roll, pitch, yaw, degrees")
+    matrix: tuple[Three, Three, Three] | None = Field(default=None, description="three rows of three numbers")
+
+
+class OrbitTable(Table):
+    """The ``[orbit]`` table."""
+
+    frame: Frame = Field(description='"ITRF", "GCRS" or "EME2000"')
+    file: Text = Field(description="the path of the table of states in quotes")
+
+
+class AttitudeTable(Table):
+    """The ``[attitude]`` table."""
+
+    frame: AttitudeFrame = Field(description='"orbital", "ITRF", "GCRS" or "EME2000"')
+    file: Text = Field(description="the path of the table of attitudes in quotes")
+    orbital_frame: OrbitalFrame = Field(
+        default="earth-fixed velocity", description='"earth-fixed velocity", "inertial velocity" or "kepler"'
+    )
+
+
+class EarthTable(Table):
+    """The ``[earth]`` table."""
+
+    orientation: Text = Field(description="the path of an IERS C04 file in quotes")
+
+
+class LightTable(Table):
+    """The ``[light]`` table."""
+
+    light_time: Switch = Field(default=False, description="true or false")
+    aberration: Switch = Field(default=False, description="true or false")
+    refraction: Switch = Field(default=False, description="true or false")
+
+
+class SensorFile(Table):
+    """A whole sensor description."""
+
+    schema_: Literal[1] = Field(alias="schema", description="schema = 1")
+    kind: Literal["pushbroom"] = Field(description='kind = "pushbroom"')
+    mission: Text = Field(description="the name of the satellite in quotes")
+    instrument: str = Field(default="", description="the name of the instrument in quotes")
+    image: ImageTable = Field(description="a table [image] with lines and samples")
+    time: TimeTable = Field(description="a table [time]")
+    camera: CameraTable = Field(description="a table [camera]")
+    mounting: MountingTable = Field(default_factory=MountingTable, description="a table [mounting]")
+    orbit: OrbitTable = Field(description="a table [orbit] with frame and file")
+    attitude: AttitudeTable = Field(description="a table [attitude] with frame and file")
+    earth: EarthTable | None = Field(default=None, description="a table [earth] with orientation")
+    light: LightTable = Field(default_factory=LightTable, description="a table [light]")
+
+
+def read_sensor_file(path: str | Path) -> GeneralMetadata:
+    """Read a sensor description and the tables that it names, paths relative to it.
+
+    Raises
+    ------
+    InputError
+        All faults of the description, or those of a table.
+    """
+    path = Path(path)
+    try:
+        found = SensorFile.model_validate(parse_toml(path))
+    except ValidationError as error:
+        raise InputError(*problems_of(error, str(path), SensorFile)) from None
+    epoch, timing = _timing(found.time, path)
+    orbit, attitude = _orbit(found.orbit, path), _attitude(found.attitude, path)
+    earth, notes = _earth(found, epoch, orbit, attitude, path)
+    return GeneralMetadata(
+        file=str(path), mission=found.mission, instrument=found.instrument, epoch=epoch, n_lines=found.image.lines,
+        n_samples=found.image.samples, timing=timing, camera=_camera(found, path),
+        offset_m=np.array(found.mounting.offset_m), mounting=_mounting(found.mounting, path), orbit=orbit,
+        attitude=attitude, orbital_frame=found.attitude.orbital_frame, earth=earth,
+        effects=LightEffects(**dict(found.light)), notes=notes,
+    )  # fmt: skip
+
+
+def _timing(table: TimeTable, path: Path) -> tuple[np.datetime64, LineTiming]:
+    try:
+        epoch = np.datetime64(datetime.date.fromisoformat(table.day), "D")
+    except ValueError:
+        raise InputError.of("earth.day", file=path, place="time.day", value=table.day) from None
+    if table.line_period_s == 0.0:
+        raise InputError.of("earth.period", file=path, place="time.line_period_s", value=table.line_period_s)
+    return epoch, LineTiming(table.reference_line, table.reference_time_s, table.line_period_s)
+
+
+def _camera(found: SensorFile, path: Path) -> Camera:
+    """The lens or the table; exactly one of them is complete."""
+    c, n = found.camera, found.image.samples
+    lens = (c.focal_length_m, c.pitch_m, c.principal_sample)
+    if c.directions is not None and lens == (None,) * 3:
+        return _directions(path.parent / c.directions, n)
+    if c.directions is not None or None in lens:
+        raise InputError.of("earth.camera", file=path, place="camera")
+    delta = (np.array(c.delta_forward_m), np.array(c.delta_left_m))
+    camera = LineCamera(*lens, c.forward_m, n, *delta)  # type: ignore[arg-type]  # none of them is None
+    _require_angles(camera, n, path)
+    return camera
+
+
+def _directions(file: Path, n_samples: int) -> Camera:
+    sample, forward, left = _table(file, [_DIRECTIONS])[1].T
+    if len(sample) < 2 or (np.diff(sample) <= 0.0).any():
+        raise InputError.of("earth.order", file=file, place="column sample", value=f"{len(sample)} records")
+    if sample[0] > 0.0 or sample[-1] < n_samples - 1:
+        value = f"{sample[0]:g} .. {sample[-1]:g}"
+        raise InputError.of("earth.directions", file=file, place="column sample", value=value, last=n_samples - 1)
+    camera = DirectionTable(sample, forward, left)
+    _require_angles(camera, n_samples, file)
+    return camera
+
+
+def _require_angles(camera: Camera, n_samples: int, file: Path) -> None:
+    widest = float(np.abs(camera.tangents(np.linspace(0.0, n_samples - 1.0, 101))).max())
+    if widest > WIDEST_TANGENT:
+        raise InputError.of("earth.wide", file=file, place="camera", value=f"tangent {widest:.3g}", most=WIDEST_TANGENT)
+
+
+def _mounting(table: MountingTable, path: Path) -> Array:
+    """Payload from camera: the matrix, or that of the angles."""
+    if table.matrix is None:
+        return np.asarray(kepler.attitude_matrices(np.radians([table.angles_deg]))[0])
+    m = np.array(table.matrix)
+    away = float(away_from_rotation(m))
+    if any(table.angles_deg) or away > ORTHONORMAL:
+        value = not_a_rotation(away) if away > ORTHONORMAL else "angles and a matrix"
+        raise InputError.of("earth.matrix", file=path, place="mounting.matrix", value=value)
+    return m
+
+
+def _table(file: Path, layouts: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], Array]:
+    """Layout and numbers (n, k), in the order of the layout, of a CSV file."""
+    faults = Faults(str(file))
+    found = read_table(file, layouts, faults)
+    faults.raise_if_any()
+    assert found is not None  # else there is a fault
+    layout = next(tuple(one) for one in layouts if set(one) == set(found.columns))
+    values = found.numbers(*layout)
+    if values is None:
+        values = np.array([[number(row, name, faults) for name in layout] for row in found.rows])
+        faults.raise_if_any()
+    return layout, values
+
+
+def _increasing(file: Path, time_s: Array) -> None:
+    if len(time_s) < 2 or (np.diff(time_s) <= 0.0).any():
+        raise InputError.of("earth.order", file=file, place="column time_s", value=f"{len(time_s)} records")
+
+
+def _orbit(table: OrbitTable, path: Path) -> Orbit:
+    file = path.parent / table.file
+    values = _table(file, [_STATE])[1]
+    _increasing(file, values[:, 0])
+    p, v = np.ascontiguousarray(values[:, 1:4]), np.ascontiguousarray(values[:, 4:7])
+    for what, size, (low, high) in (("distance from the Earth's centre", p, RADIUS_M), ("speed", v, SPEED_M_S)):
+        length = np.linalg.norm(size, axis=1)
+        bad = np.flatnonzero((length < low) | (length > high))
+        if len(bad):
+            place = f"record {bad[0] + 1}"
+            raise InputError.of("earth.state", file=file, place=place, value=f"{length[bad[0]]:g}", what=what, low=low,
+                                high=high)  # fmt: skip
+    return Orbit(table.frame, np.ascontiguousarray(values[:, 0]), p, v)
+
+
+def _attitude(table: AttitudeTable, path: Path) -> Attitude:
+    file = path.parent / table.file
+    orbital = table.frame == "orbital"
+    values = _table(file, [_ANGLES if orbital else _QUATERNION])[1]
+    _increasing(file, values[:, 0])
+    time_s = np.ascontiguousarray(values[:, 0])
+    if orbital:
+        return Attitude(table.frame, time_s, angles_rad=np.radians(values[:, 1:]))
+    away = np.abs(np.linalg.norm(values[:, 1:], axis=1) - 1.0)
+    if away.max() > 1e-4:
+        place = f"record {int(away.argmax()) + 1}"
+        raise InputError.of("earth.quaternion", file=file, place=place, value=f"{away.max():.2g} off 1")
+    return Attitude(table.frame, time_s, quaternion=sign_aligned(values[:, 1:]))
+
+
+def _earth(
+    found: SensorFile, epoch: np.datetime64, orbit: Orbit, attitude: Attitude, path: Path
+) -> tuple[EarthRotation | None, tuple[Finding, ...]]:
+    """Orientation of the Earth where a frame needs it, and what is to be said of it."""
+    inertial = {f for f in (orbit.frame, attitude.frame) if f in ("GCRS", "EME2000")}
+    if not inertial:
+        unused = () if found.earth is None else (finding("image.earth_not_needed"),)
+        return None, unused
+    if len(inertial) > 1:
+        raise InputError.of("earth.two_frames", file=path, place="attitude.frame", value=", ".join(sorted(inertial)))
+    span = (float(orbit.time_s[0]), float(orbit.time_s[-1]))
+    if span[0] < -DAY_S or span[1] > 2.0 * DAY_S:
+        raise InputError(finding("earth.seconds", file=path, place="orbit.file", value=f"{span[0]:g} .. {span[1]:g} s"))
+    frame: Literal["GCRS", "EME2000"] = "GCRS" if "GCRS" in inertial else "EME2000"
+    if found.earth is None:
+        ground_side = orbit.position_m[len(orbit.position_m) // 2]
+        return EarthRotation(epoch, span, frame), (neglected(ground_side),)
+    series = read_earth_orientation(path.parent / found.earth.orientation)
+    return EarthRotation(epoch, span, frame, series), series.notes

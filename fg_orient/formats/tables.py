@@ -1,0 +1,348 @@
+"""CSV tables, read strictly: every cell is text until somebody asks for a number.
+
+A table is UTF-8 (a byte order mark is fine) with commas, one header line that names the
+columns, and one record per line. Lines starting with ``#`` and blank lines are skipped.
+Ids stay text: ``01`` is not ``1``. Faults are collected, so that a user sees all of them
+at once, each with file, line, column, value and remedy; see ``docs/file-formats.md``.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.model.errors import Finding, InputError, finding
+
+Array = npt.NDArray[np.float64]
+
+#: Faults listed per file; the rest is counted.
+MAX_FAULTS: Final = 20
+#: A longer line than this is not a record of ours.
+MAX_LINE: Final = 100_000
+_NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+#: Of text made of these, ``float`` takes what :data:`_NUMBER` describes and nothing else.
+_OF_NUMBERS: Final = b"0123456789eE+.-"
+#: What ``strip`` takes from the ends of ASCII text, but for the ends of lines.
+_SPACES: Final = "\t\v\f\x1c\x1d\x1e\x1f "
+#: Lines that start otherwise are neither blank nor a comment.
+_ODD_STARTS: Final = frozenset(("", "#", " ", "\t", ","))
+_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+")
+
+
+class Faults:
+    """Collects the faults of one file, keeps the first 20 and counts the rest.
+
+    Parameters
+    ----------
+    file : str
+        Name of the file, for the messages.
+
+    Attributes
+    ----------
+    codes : set of str
+        Codes of all faults noted, listed or not.
+    """
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self._problems: list[Finding] = []
+        self._dropped = 0
+        self.codes: set[str] = set()
+
+    def add(self, code: str, *, place: object = "", value: object = "", **fields: object) -> None:
+        """Note one fault from the message catalogue."""
+        self.take(finding(code, file=self.file, place=place, value=value, **fields))
+
+    def take(self, *found: Finding) -> None:
+        """Note faults that somebody else built."""
+        self.codes.update(p.code for p in found)
+        room = MAX_FAULTS - len(self._problems)
+        self._problems.extend(found[:room])
+        self._dropped += max(0, len(found) - room)
+
+    def __bool__(self) -> bool:
+        return bool(self._problems)
+
+    @property
+    def problems(self) -> tuple[Finding, ...]:
+        """The faults noted, and one line that counts those left out."""
+        if not self._dropped:
+            return tuple(self._problems)
+        more = finding("table.more_faults", file=self.file, value=f"{self._dropped} more")
+        return (*self._problems, more)
+
+    def raise_if_any(self) -> None:
+        """Raise all faults as one error.
+
+        Raises
+        ------
+        InputError
+            At least one fault was noted.
+        """
+        if self:
+            raise InputError(*self.problems)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One record: its line number in the file (1-based) and the text of its cells by column."""
+
+    line: int
+    cells: dict[str, str]
+
+    def place(self, column: str = "") -> str:
+        """Say where this record, or a cell of it, stands."""
+        return f"line {self.line}, column {column}" if column else f"line {self.line}"
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A table as read.
+
+    Parameters
+    ----------
+    file : str
+    columns : tuple of str
+    cells : dict of str to sequence of str
+        Text of the records in file order, by column.
+    lines : (n,) int array
+        Line number of each record in the file, from 1.
+    sha256 : str
+        Of the file.
+    """
+
+    file: str
+    columns: tuple[str, ...]
+    cells: dict[str, Sequence[str]]
+    lines: npt.NDArray[np.int64]
+    sha256: str
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def row(self, k: int) -> Row:
+        """One record."""
+        return Row(int(self.lines[k]), {name: self.cells[name][k] for name in self.columns})
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """All records, each made anew: for small tables, and to say what is wrong with a large one."""
+        return tuple(self.row(k) for k in range(len(self)))
+
+    def numbers(self, *columns: str, rows: npt.NDArray[np.intp] | None = None) -> Array | None:
+        """Columns as finite numbers (n, k), of all records or some.
+
+        None if a cell is no finite number; :func:`number` then says which.
+        """
+        out = np.empty((len(self) if rows is None else len(rows), len(columns)))
+        for k, name in enumerate(columns):
+            cells = self.cells[name] if rows is None else [self.cells[name][j] for j in rows.tolist()]
+            values = finite(cells)
+            if values is None:
+                return None
+            out[:, k] = values
+        return out
+
+
+def read_table(path: Path, columns: Sequence[Sequence[str]], faults: Faults) -> Table | None:
+    """Read a CSV file that has the columns of one of several layouts.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    columns : sequence of sequences of str
+        The allowed layouts, each a complete set of column names; their order in the file is free.
+    faults : Faults
+        Takes the faults found.
+
+    Returns
+    -------
+    Table or None
+        None if the file as a whole is unusable; the reasons are then in ``faults``.
+        Records with a wrong number of cells are left out, and noted.
+    """
+    data = _read_bytes(path, faults)
+    text = None if data is None else _decode(data, faults)
+    if data is None or text is None:
+        return None
+    numbers, lines = _lines(text, faults)
+    header = next(filter(None, (_cells(n, line, faults) for n, line in zip(numbers, lines, strict=True))), None)
+    if header is None:
+        faults.add("table.empty", place="line 1", columns=", ".join(columns[0]))
+        return None
+    first, cells = header
+    names = _header(first, cells, columns, faults)
+    if names is None:
+        return None
+    start = numbers.index(first) + 1
+    kept, found = _records(numbers[start:], lines[start:], names, faults)
+    if not kept and not faults:
+        faults.add("table.no_records", place=f"line {first}")
+    digest = hashlib.sha256(data).hexdigest()
+    return Table(faults.file, names, found, np.array(kept, np.int64), digest)
+
+
+def read_text(path: Path, faults: Faults) -> str | None:
+    """Text of a UTF-8 file without byte order mark, its lines ended by LF; None, with the reason noted, if unusable."""
+    data = _read_bytes(path, faults)
+    text = None if data is None else _decode(data, faults)
+    return None if text is None else text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def number(row: Row, column: str, faults: Faults) -> float:
+    """Read a cell as a finite number; nan, with the fault noted, if it is none."""
+    text = row.cells[column]
+    code = ""
+    if not text:
+        code = "table.cell_empty"
+    elif not _NUMBER.fullmatch(text):
+        code = "table.decimal_comma" if _DECIMAL_COMMA.fullmatch(text) else "table.not_a_number"
+    elif float(text) in (float("inf"), float("-inf")):
+        code = "table.number_too_large"
+    if code:
+        faults.add(code, place=row.place(column), value=repr(text))
+        return float("nan")
+    return float(text)
+
+
+def finite(cells: Sequence[str]) -> Array | None:
+    """Texts as finite numbers (n,), at once; None if one is none."""
+    if "".join(cells).encode().translate(None, _OF_NUMBERS):
+        return None
+    try:
+        values = np.fromiter(map(float, cells), np.float64, len(cells))
+    except ValueError:
+        return None
+    return values if np.isfinite(values).all() else None
+
+
+def did_you_mean(word: str, known: Sequence[str]) -> str:
+    """Give "did you mean X?", or the list of what is known (shortened)."""
+    if not known:
+        return "there is none"
+    close = difflib.get_close_matches(word, known, n=1)
+    if close:
+        return f"did you mean {close[0]}?"
+    more = " ..." if len(known) > 10 else ""
+    return f"known: {', '.join(known[:10])}{more}"
+
+
+# --- from bytes to records -----------------------------------------------------------------------
+
+
+def _read_bytes(path: Path, faults: Faults) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        faults.add("table.missing_file")
+    except OSError as error:
+        faults.add("table.unreadable", value=error.strerror or type(error).__name__)
+    return None
+
+
+def _decode(data: bytes, faults: Faults) -> str | None:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        faults.add("table.utf16", place="line 1")
+        return None
+    if b"\0" in data:
+        faults.add("table.nul", place=f"line {data[: data.index(0)].count(10) + 1}")
+        return None
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        faults.add("table.not_utf8", place=f"line {line}", value=f"byte 0x{data[error.start]:02x}")
+        return None
+
+
+def _lines(text: str, faults: Faults) -> tuple[list[int], list[str]]:
+    """Numbers and text of the lines that are neither blank nor a comment."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    kept = [
+        n for n, line in enumerate(lines, start=1)
+        if line[:1] not in _ODD_STARTS or (not line.startswith("#") and line.strip(" \t,"))
+    ]  # fmt: skip
+    long = [n for n in kept if len(lines[n - 1]) > MAX_LINE]
+    for n in long:
+        faults.add("table.long_line", place=f"line {n}", value=f"{len(lines[n - 1])} characters", limit=MAX_LINE)
+    if long:
+        kept = sorted(set(kept) - set(long))
+    return kept, [lines[n - 1] for n in kept]
+
+
+def _cells(number: int, line: str, faults: Faults) -> tuple[int, list[str]] | None:
+    """Number and stripped cells of a line; None, with the fault noted, if its quotes are wrong."""
+    try:
+        cells = next(csv.reader([line], strict=True))
+    except csv.Error as error:
+        faults.add("table.quotes", place=f"line {number}", value=str(error))
+        return None
+    return number, [cell.strip() for cell in cells]
+
+
+def _records(
+    numbers: list[int], lines: list[str], names: tuple[str, ...], faults: Faults
+) -> tuple[list[int], dict[str, Sequence[str]]]:
+    """Line numbers and cells by column of the records; those with a wrong number of cells are left out, and noted.
+
+    A table without quotes and with the right number of commas everywhere is split at once.
+    """
+    width, text = len(names), ",".join(lines)
+    if '"' not in text and all(line.count(",") == width - 1 for line in lines):
+        flat = text.split(",") if lines else []
+        if not text.isascii() or any(space in text for space in _SPACES):
+            flat = [cell.strip() for cell in flat]
+        return numbers, {name: flat[k::width] for k, name in enumerate(names)}
+    kept, rows = [], []
+    for n, line in zip(numbers, lines, strict=True):
+        found = _cells(n, line, faults)
+        cells = None if found is None else _fitting(*found, width, faults)
+        if cells is not None:
+            kept.append(n)
+            rows.append(cells)
+    return kept, {name: [cells[k] for cells in rows] for k, name in enumerate(names)}
+
+
+def _header(line: int, cells: list[str], layouts: Sequence[Sequence[str]], faults: Faults) -> tuple[str, ...] | None:
+    """Column names, checked against the layouts; None if they fit none of them."""
+    while cells and not cells[-1]:
+        cells.pop()
+    place = f"line {line}"
+    if len(cells) == 1 and any(mark in cells[0] for mark in ";\t|"):
+        faults.add("table.delimiter", place=place, value=cells[0])
+        return None
+    before = len(faults.problems)
+    for name in sorted({name for name in cells if cells.count(name) > 1}):
+        faults.add("table.column_twice", place=place, value=name or "an unnamed column")
+    layout = max(layouts, key=lambda one: len(set(one) & set(cells)))
+    everything = sorted({name for one in layouts for name in one})
+    for name in dict.fromkeys(cells):
+        if name and name not in everything:
+            faults.add("table.column_unknown", place=place, value=name, hint=did_you_mean(name, everything))
+        elif name and name not in layout:
+            faults.add("table.column_foreign", place=place, value=name, columns=", ".join(layout))
+    misspelt = [match for name in cells for match in difflib.get_close_matches(name, layout, n=1)]
+    for name in layout:
+        if name not in cells and name not in misspelt:
+            faults.add("table.column_missing", place=place, value=name, columns=", ".join(layout))
+    return None if len(faults.problems) > before else tuple(cells)
+
+
+def _fitting(line: int, cells: list[str], width: int, faults: Faults) -> list[str] | None:
+    """Cells without empty ones beyond the last column; None, with the fault noted, if their number is wrong."""
+    while len(cells) > width and not cells[-1]:
+        cells.pop()
+    if len(cells) != width:
+        faults.add("table.cell_count", place=f"line {line}", value=f"{len(cells)} cells", count=width)
+        return None
+    return cells

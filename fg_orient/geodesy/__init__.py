@@ -1,0 +1,447 @@
+"""Coordinate reference systems: the module that talks to PROJ (so does rectification.projections), with its guards.
+
+Inside the package a ground point is Earth-fixed Cartesian (ECEF, WGS84, EPSG:4978) in
+metres. Borders speak any EPSG code. What PROJ would do silently is refused here: axis
+order is always easting/longitude first, results must be finite, a "ballpark"
+transformation (which returns heights unchanged when a geoid grid is missing) is never
+used, and the network is off. Heights are ellipsoidal, above the ellipsoid of the named
+CRS, unless a compound code such as ``EPSG:4326+5773`` names a vertical CRS. One operation
+is chosen for all points of a call, the best for their area; its name and accuracy are
+given back for the record.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.model.errors import InputError, finding
+
+if TYPE_CHECKING:
+    from pyproj import CRS, Transformer
+    from pyproj.transformer import TransformerGroup
+
+Array = npt.NDArray[np.float64]
+Kind = Literal["geographic", "projected", "geocentric"]
+
+ECEF: Final = "EPSG:4978"
+#: WGS84 as PROJ and EPSG define it.
+_A_M: Final = 6378137.0
+_E2: Final = (2.0 - 1.0 / 298.257223563) / 298.257223563
+#: Columns of a point table, by the kind of its CRS.
+COORDINATE_COLUMNS: Final[dict[Kind, tuple[str, str, str]]] = {
+    "geographic": ("lon_deg", "lat_deg", "height_m"),
+    "projected": ("easting_m", "northing_m", "height_m"),
+    "geocentric": ("x_m", "y_m", "z_m"),
+}
+_CODE = re.compile(r"EPSG:[0-9]{1,6}(\+[0-9]{1,6})?", re.IGNORECASE)
+#: Margin of the area of interest around the points, degrees.
+_AREA_MARGIN_DEG: Final = 0.01
+
+
+@dataclass(frozen=True)
+class Operation:
+    """The coordinate operation PROJ used: for the provenance record.
+
+    Parameters
+    ----------
+    crs : str
+        Source CRS, for instance ``EPSG:32636``.
+    name : str
+        PROJ's name of the operation.
+    accuracy_m : float
+        Its stated accuracy; nan if PROJ does not know it.
+    missing_grids : tuple of str
+        Grid files that a more accurate operation would need; empty if the best one was used.
+    """
+
+    crs: str
+    name: str
+    accuracy_m: float
+    missing_grids: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        accuracy = "unknown accuracy" if np.isnan(self.accuracy_m) else f"accuracy {self.accuracy_m:g} m"
+        better = f"; a better one needs {', '.join(self.missing_grids)}" if self.missing_grids else ""
+        return f"{self.crs} to {ECEF} by {self.name} ({accuracy}){better}"
+
+
+def crs_kind(crs: str) -> Kind:
+    """Tell whether coordinates in ``crs`` are geographic, projected or geocentric.
+
+    Raises
+    ------
+    InputError
+        The code is unknown, or its axes are not degrees / metres towards east, north, up.
+    """
+    return _kind(crs, spatial_crs(crs))
+
+
+def to_ecef(
+    crs: str,
+    east_or_lon: npt.ArrayLike,
+    north_or_lat: npt.ArrayLike,
+    height: npt.ArrayLike,
+    *,
+    labels: Sequence[str] | None = None,
+) -> Array:
+    """Transform N points of any EPSG CRS to ECEF.
+
+    Parameters
+    ----------
+    crs : str
+        ``EPSG:n``, or ``EPSG:n+m`` with a vertical CRS.
+    east_or_lon, north_or_lat, height : (N,) array_like
+        Easting and northing (m) or longitude and latitude (degrees), height (m); x, y, z
+        (m) if the CRS is geocentric. The order is the same whatever the CRS definition says.
+    labels : sequence of str, optional
+        Place of each point in its file, for messages.
+
+    Returns
+    -------
+    (N, 3) array
+        ECEF coordinates in m.
+
+    Raises
+    ------
+    InputError
+        Unknown CRS, no exact operation (a grid is missing), or a point outside its domain.
+    """
+    return to_ecef_with_operation(crs, east_or_lon, north_or_lat, height, labels=labels)[0]
+
+
+def to_ecef_with_operation(
+    crs: str,
+    east_or_lon: npt.ArrayLike,
+    north_or_lat: npt.ArrayLike,
+    height: npt.ArrayLike,
+    *,
+    labels: Sequence[str] | None = None,
+    deciding: npt.NDArray[np.bool_] | None = None,
+) -> tuple[Array, Operation]:
+    """Do :func:`to_ecef` and give the operation used, too.
+
+    ``deciding`` (N,) selects the points whose area decides on the operation; all points do
+    if it is absent or selects none.
+    """
+    first, second, third = (np.atleast_1d(np.asarray(a, float)) for a in (east_or_lon, north_or_lat, height))
+    source = spatial_crs(crs)
+    kind = _kind(crs, source)
+    given = np.stack([first, second, third], axis=1)
+    require_finite(crs, given, given, labels)
+    lonlat = _longitude_latitude(crs, source, kind, given, labels)
+    some = deciding is not None and bool(deciding.any())
+    group = operations_to_ecef(crs, source, lonlat[deciding] if some else lonlat)
+    chosen = group.transformers[0]
+    xyz = np.stack(chosen.transform(first, second, third), axis=1)
+    require_finite(crs, xyz, given, labels)
+    grids = {grid.short_name for operation in group.unavailable_operations[:1] for grid in operation.grids}
+    missing = () if group.best_available else tuple(sorted(grids))
+    accuracy = chosen.accuracy if chosen.accuracy >= 0.0 else np.nan
+    return np.ascontiguousarray(xyz), Operation(crs, chosen.description, float(accuracy), missing)
+
+
+def geodetic_to_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike, height_m: npt.ArrayLike) -> Array:
+    """Transform WGS84 longitude, latitude (degrees), ellipsoidal height (m) of N points to (N, 3) ECEF m."""
+    given = np.stack([np.atleast_1d(np.asarray(a, float)) for a in (lon_deg, lat_deg, height_m)], axis=1)
+    require_finite("EPSG:4979", given, given, None)
+    # one operation wherever the points lie: it need not be searched for each time
+    xyz = np.stack(_transformer("EPSG:4979", ECEF).transform(*given.T), axis=1)
+    require_finite("EPSG:4979", xyz, given, None)
+    return np.ascontiguousarray(xyz)
+
+
+def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Array, Array, Array]:
+    """Transform (N, 3) ECEF m to WGS84 longitude, latitude (degrees) and ellipsoidal height (m), each (N,).
+
+    Iterates on the latitude (docs/equations.md 5; the error shrinks by e^2 = 0.0067 each
+    time). PROJ is not used: it takes a single step, which errs by 1e-6 m at 9 km height and
+    7 mm at that of a satellite.
+
+    Raises
+    ------
+    InputError
+        A coordinate is not finite.
+    """
+    xyz = np.atleast_2d(np.asarray(xyz_m, float))
+    require_finite(ECEF, xyz, xyz, None)
+    x, y, z = xyz.T
+    p = np.hypot(x, y)
+    lat = np.arctan2(z, p * (1.0 - _E2))
+    for _ in range(9):
+        sine = np.sin(lat)
+        lat = np.arctan2(z + _E2 * _A_M / np.sqrt(1.0 - _E2 * sine * sine) * sine, p)
+    sine = np.sin(lat)
+    height = p * np.cos(lat) + z * sine - _A_M * np.sqrt(1.0 - _E2 * sine * sine)
+    return np.degrees(np.arctan2(y, x)), np.degrees(lat), height
+
+
+def from_geographic(crs: str, lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> tuple[Array, Array]:
+    """Transform WGS84 longitude, latitude (degrees) of N points to horizontal coordinates of a raster's CRS.
+
+    Parameters
+    ----------
+    crs : str
+        WKT or EPSG code; a vertical part is ignored.
+    lon_deg, lat_deg : (N,) array_like
+        WGS84 longitude and latitude.
+
+    Returns
+    -------
+    tuple of two (N,) arrays
+        Easting and northing, or longitude and latitude, in the units of the CRS; nan
+        outside its domain.
+
+    Raises
+    ------
+    InputError
+        The CRS is unknown, or no exact operation leads to it.
+    """
+    lon, lat = np.atleast_1d(np.asarray(lon_deg, float)), np.atleast_1d(np.asarray(lat_deg, float))
+    x, y = (np.asarray(a) for a in _transformer("EPSG:4326", crs, horizontal=True).transform(lon, lat))
+    inside = np.isfinite(x) & np.isfinite(y)
+    return np.where(inside, x, np.nan), np.where(inside, y, np.nan)
+
+
+def to_geographic(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[Array, Array]:
+    """Transform horizontal coordinates of N points of a raster's CRS to WGS84 longitude, latitude (degrees).
+
+    The way back of :func:`from_geographic`, with its parameters and errors; nan outside the domain of the CRS.
+    """
+    first, second = np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float))
+    lon, lat = (np.asarray(a) for a in _transformer(crs, "EPSG:4326", horizontal=True).transform(first, second))
+    inside = np.isfinite(lon) & np.isfinite(lat)
+    return np.where(inside, lon, np.nan), np.where(inside, lat, np.nan)
+
+
+def same_crs(one: str, other: str) -> bool:
+    """Tell whether two CRS (WKT or EPSG codes) are the same, whatever the order of their axes.
+
+    Raises
+    ------
+    InputError
+        A CRS is unknown.
+    """
+    return bool(_known(one).equals(_known(other), ignore_axis_order=True))
+
+
+def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
+    """West, south, east, north (degrees) of the area for which a CRS was made; None if it states none.
+
+    Raises
+    ------
+    InputError
+        The CRS is unknown.
+    """
+    area = _known(crs).area_of_use
+    return None if area is None else (area.west, area.south, area.east, area.north)
+
+
+def vertical_reference(crs: str) -> tuple[str, str]:
+    """Name of the vertical CRS that heights given in ``crs`` refer to, and the unit of its height axis.
+
+    Parameters
+    ----------
+    crs : str
+        WKT or EPSG code.
+
+    Returns
+    -------
+    tuple of str
+        ``""`` as name if there is none: the heights are ellipsoidal; ``""`` as unit if the CRS has
+        no height axis.
+
+    Raises
+    ------
+    InputError
+        The CRS is unknown.
+    """
+    found = _known(crs)
+    names = [part.name for part in (found, *found.sub_crs_list) if part.is_vertical and not part.is_compound]
+    units = [axis.unit_name for axis in found.axis_info if axis.direction in ("up", "down")]
+    return (names[0] if names else ""), (units[0] if units else "")
+
+
+def with_vertical(crs: str, vertical: str) -> tuple[str, str]:
+    """Horizontal part of a CRS, and its compound with a vertical CRS ("": its own), as WKT.
+
+    Raises
+    ------
+    InputError
+        A CRS is unknown, or ``vertical`` is no vertical CRS.
+    """
+    found = _known(crs)
+    flat = found.sub_crs_list[0] if found.is_compound else found.to_2d()
+    if not vertical:
+        return str(flat.to_wkt()), str(found.to_wkt())
+    heights = _known(vertical)
+    if not heights.is_vertical or heights.is_compound:
+        raise InputError.of("geodesy.not_vertical", place="vertical crs", value=f"{vertical}, {heights.name}")
+    both = offline_pyproj().crs.CompoundCRS(f"{flat.name} + {heights.name}", [flat, heights])
+    return str(flat.to_wkt()), str(both.to_wkt())
+
+
+def undulation_m(crs: str, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+    """Height of the zero level of a compound CRS above the WGS84 ellipsoid at N points, m (N,).
+
+    ``x`` and ``y`` (N,) are easting and northing, or longitude and latitude, in units of the CRS.
+
+    Raises
+    ------
+    InputError
+        The grid of the geoid is missing, or does not cover a point.
+    """
+    source = offline_pyproj().CRS.from_user_input(crs)
+    flat = np.stack([np.asarray(x, float), np.asarray(y, float)], axis=1)
+    given = np.column_stack([flat, np.zeros(len(flat))])
+    kind: Kind = "projected" if source.sub_crs_list[0].is_projected else "geographic"
+    lonlat = _longitude_latitude(source.name, source, kind, given, None)
+    xyz = np.stack(operations_to_ecef(source.name, source, lonlat).transformers[0].transform(*given.T), axis=1)
+    require_finite(source.name, xyz, given, None)
+    return ecef_to_geodetic(xyz)[2]
+
+
+def enu_from_ecef(lon_deg: npt.ArrayLike, lat_deg: npt.ArrayLike) -> Array:
+    """Rotations (N, 3, 3) that turn an ECEF vector into East, North, Up at N places.
+
+    Rows are the unit vectors of East, North and Up in ECEF, Up along the ellipsoid normal.
+    """
+    lon, lat = np.broadcast_arrays(*(np.radians(np.atleast_1d(np.asarray(a, float))) for a in (lon_deg, lat_deg)))
+    sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
+    rows = [[-sl, cl, np.zeros_like(sl)], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]]
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
+
+
+def data_folder() -> str:
+    """Folder from which PROJ reads its database and grids."""
+    proj = offline_pyproj()
+    return str(proj.datadir.get_data_dir())
+
+
+# --- PROJ, guarded -------------------------------------------------------------------------------
+
+
+def offline_pyproj() -> Any:
+    """Import pyproj with its network access switched off: results must not depend on it."""
+    import pyproj
+    import pyproj.network
+
+    pyproj.network.set_network_enabled(active=False)  # type: ignore[attr-defined]
+    return pyproj
+
+
+@cache
+def _transformer(source: str, target: str, *, horizontal: bool = False) -> Transformer:
+    """Make the transformer between two CRS, once: easting or longitude first, never a ballpark."""
+    proj = offline_pyproj()
+    try:
+        goal = proj.CRS.from_user_input(target)
+        if horizontal:
+            goal = goal.sub_crs_list[0] if goal.is_compound else goal.to_2d()
+        made: Transformer = proj.Transformer.from_crs(source, goal, always_xy=True, allow_ballpark=False)
+    except proj.exceptions.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="crs", value=target) from None
+    except proj.exceptions.ProjError:
+        raise InputError.of("geodesy.no_operation", place="crs", value=target, grids="a grid or datum shift") from None
+    return made
+
+
+def spatial_crs(crs: str) -> CRS:
+    """CRS of the code, with an ellipsoidal height axis where none is named."""
+    text = str(crs).strip()
+    if not _CODE.fullmatch(text):
+        raise InputError.of("geodesy.not_epsg", place="crs", value=crs)
+    return _spatial(text.upper())
+
+
+@cache
+def _spatial(crs: str) -> CRS:
+    found = _known(crs)
+    return found if found.is_compound or found.is_geocentric or found.is_vertical else found.to_3d()
+
+
+@cache
+def _known(crs: str) -> CRS:
+    proj = offline_pyproj()
+    try:
+        found: CRS = proj.CRS.from_user_input(crs)
+    except proj.exceptions.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
+    return found
+
+
+def _kind(crs: str, source: CRS) -> Kind:
+    kind: Kind | None = None
+    if source.is_geocentric:
+        kind = "geocentric"
+    elif source.is_projected:
+        kind = "projected"
+    elif source.is_geographic:
+        kind = "geographic"
+    if kind is None or len(source.axis_info) != 3:
+        raise InputError.of("geodesy.not_spatial", place="crs", value=f"{crs}, {source.name}")
+    horizontal = "degree" if kind == "geographic" else "metre"
+    units = [axis.unit_name for axis in source.axis_info]
+    backwards = {axis.direction for axis in source.axis_info} & {"west", "down"}
+    if units != [horizontal, horizontal, "metre"] or backwards:
+        axes = ", ".join(f"{axis.direction} {axis.unit_name}" for axis in source.axis_info)
+        raise InputError.of("geodesy.axes", place="crs", value=f"{crs}: {axes}", unit=horizontal)
+    return kind
+
+
+def _longitude_latitude(crs: str, source: CRS, kind: Kind, given: Array, labels: Sequence[str] | None) -> Array:
+    """Longitude, latitude (degrees) on the CRS's own datum, good enough to choose an operation: (N, 2)."""
+    if kind == "geographic":
+        return np.asarray(given[:, :2])
+    if kind == "geocentric":
+        p = np.hypot(given[:, 0], given[:, 1])
+        angles = np.stack([np.arctan2(given[:, 1], given[:, 0]), np.arctan2(given[:, 2], p)], axis=1)
+        return np.asarray(np.degrees(angles))
+    proj = offline_pyproj()
+    horizontal = source.sub_crs_list[0] if source.is_compound else source
+    flat = horizontal.to_2d()
+    back = proj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
+    lonlat = np.stack(back.transform(given[:, 0], given[:, 1]), axis=1)
+    require_finite(crs, lonlat, given, labels)
+    return np.asarray(lonlat, float)
+
+
+def operations_to_ecef(crs: str, source: CRS, lonlat: Array) -> TransformerGroup:
+    """Operations to ECEF for the area of the points, best first, none of them a ballpark."""
+    proj = offline_pyproj()
+    from pyproj.transformer import AreaOfInterest, TransformerGroup
+
+    low, high = lonlat.min(axis=0) - _AREA_MARGIN_DEG, lonlat.max(axis=0) + _AREA_MARGIN_DEG
+    low, high = np.clip(low, [-180.0, -90.0], [180.0, 90.0]), np.clip(high, [-180.0, -90.0], [180.0, 90.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # "best not available": recorded in Operation instead
+        group = TransformerGroup(
+            source, proj.CRS.from_user_input(ECEF), always_xy=True, allow_ballpark=False,
+            area_of_interest=AreaOfInterest(low[0], low[1], high[0], high[1]),
+        )  # fmt: skip
+    if not group.transformers:
+        needed = sorted({g.short_name for o in group.unavailable_operations for g in o.grids})
+        raise InputError.of(
+            "geodesy.no_operation", place="crs", value=crs, grids=", ".join(needed) or "an operation PROJ does not have"
+        )
+    return group
+
+
+def require_finite(crs: str, values: Array, given: Array, labels: Sequence[str] | None) -> None:
+    """Refuse points whose ``values`` are not finite; ``given`` and ``labels`` say which."""
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(bad):
+        raise InputError(*(
+            finding(
+                "geodesy.outside", place=labels[i] if labels else f"point {i}",
+                value=" ".join(f"{v:.10g}" for v in given[i]), crs=crs,
+            )
+            for i in bad[:20]
+        ))  # fmt: skip

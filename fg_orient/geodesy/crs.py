@@ -1,0 +1,154 @@
+"""Coordinate reference systems by name: what a file calls its CRS, the order of its axes, the way back from ECEF.
+
+Files of other programs name their CRS by WKT, by a PROJ string or by words; inside it is an EPSG code.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.geodesy import (
+    Operation,
+    crs_kind,
+    ecef_to_geodetic,
+    offline_pyproj,
+    operations_to_ecef,
+    require_finite,
+    same_crs,
+    spatial_crs,
+    with_vertical,
+)
+from fg_orient.model.errors import InputError
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+Array = npt.NDArray[np.float64]
+
+#: WGS84 longitude, latitude, ellipsoidal height.
+WGS84: Final = "EPSG:4979"
+#: Per cent of agreement from which PROJ's search for an EPSG code is believed: all but the names is equal.
+_CONFIDENCE: Final = 70
+#: Begin of the names of a datum that a file leaves open, as a PROJ string with an ellipsoid alone does.
+_NO_DATUM: Final = ("unknown", "unspecified", "not specified")
+_UTM = re.compile(r"WGS ?84[ /]+UTM(?: zone)?[ /]+([0-9]{1,2}) ?([NS])", re.IGNORECASE)
+_CODE = re.compile(r"EPSG:{1,2}([0-9]{1,6}(?:\+[0-9]{1,6})?)", re.IGNORECASE)
+
+
+def epsg_code(text: str) -> str:
+    """EPSG code of a CRS that a file names by code, WKT, PROJ string or as ``WGS84 UTM 32N``.
+
+    Returns
+    -------
+    str
+        ``EPSG:n``, or ``EPSG:n+m`` if it has a vertical part; "" if it is no CRS of EPSG.
+    """
+    words = text.strip()
+    zone = _UTM.fullmatch(words)
+    if zone:
+        number = int(zone[1])
+        return f"EPSG:{(32600 if zone[2] in 'Nn' else 32700) + number}" if 1 <= number <= 60 else ""
+    proj = offline_pyproj()
+    code = _CODE.fullmatch(words)
+    try:
+        found = proj.CRS.from_user_input(f"EPSG:{code[1]}" if code else words)
+    except proj.exceptions.CRSError:
+        return ""
+    if code:
+        return f"EPSG:{code[1]}"
+    found = _without_null_shift(found)
+    parts = found.sub_crs_list or [found if len(found.axis_info) < 3 or found.to_epsg() else found.to_2d()]
+    codes = [_code_of(_without_null_shift(part)) for part in parts]
+    return "" if None in codes else f"EPSG:{'+'.join(map(str, codes))}"
+
+
+def _without_null_shift(found: CRS) -> CRS:
+    """CRS that a file binds to WGS84 by a shift of zero, as ``TOWGS84[0,0,0,0,0,0,0]``; any other stays."""
+    if not found.is_bound or found.source_crs is None or found.coordinate_operation is None:
+        return found
+    shift = found.coordinate_operation.towgs84  # empty for a grid of shifts
+    return found.source_crs if shift and not any(shift) else found
+
+
+def _code_of(found: CRS) -> int | None:
+    """EPSG number of a CRS without heights of its own: the one it states, else the one that PROJ finds equal."""
+    stated = found.to_json_dict().get("id", {})
+    if stated.get("authority") == "EPSG":
+        return int(stated["code"])
+    datum = found.datum
+    if datum is not None and datum.name.lower().startswith(_NO_DATUM):
+        return None  # PROJ would find any datum of this ellipsoid equal, several hundred metres away or not
+    number: int | None = found.to_epsg(min_confidence=_CONFIDENCE)
+    return number
+
+
+def same_horizontal(one: str, other: str) -> bool:
+    """Tell whether two CRS are the same, their heights aside.
+
+    Raises
+    ------
+    InputError
+        A CRS is unknown.
+    """
+    return same_crs(with_vertical(one, "")[0], with_vertical(other, "")[0])
+
+
+def north_first(crs: str) -> bool:
+    """Tell whether the definition of a CRS puts latitude or northing first.
+
+    Raises
+    ------
+    InputError
+        The CRS is unknown.
+    """
+    return bool(spatial_crs(crs).axis_info[0].direction == "north")
+
+
+def wkt(crs: str) -> str:
+    """Definition of a CRS as WKT 1, the form that most programs read, on one line.
+
+    Raises
+    ------
+    InputError
+        The CRS is unknown.
+    """
+    proj = offline_pyproj()
+    try:
+        found = proj.CRS.from_user_input(crs)
+    except proj.exceptions.CRSError:
+        raise InputError.of("geodesy.unknown_crs", place="crs", value=crs) from None
+    flat = found if found.is_compound or len(found.axis_info) == 2 or found.is_geocentric else found.to_2d()
+    return str(flat.to_wkt("WKT1_GDAL"))
+
+
+def from_ecef(crs: str, xyz_m: npt.ArrayLike, labels: Sequence[str] | None = None) -> tuple[Array, Operation]:
+    """Transform (n, 3) ECEF m to a CRS; the way back of :func:`fg_orient.geodesy.to_ecef_with_operation`.
+
+    Returns
+    -------
+    tuple
+        (n, 3) easting, northing, height or longitude, latitude, height (or x, y, z), and the operation, named in its
+        direction to ECEF.
+
+    Raises
+    ------
+    InputError
+        Unknown CRS, no exact operation, or a point outside its domain.
+    """
+    xyz = np.atleast_2d(np.asarray(xyz_m, float))
+    lon, lat, height = ecef_to_geodetic(xyz)
+    crs_kind(crs)
+    source = spatial_crs(crs)
+    chosen = operations_to_ecef(crs, source, np.stack([lon, lat], axis=1)).transformers[0]
+    accuracy = chosen.accuracy if chosen.accuracy >= 0.0 else np.nan
+    operation = Operation(crs, chosen.description, float(accuracy))
+    if same_crs(crs, WGS84):
+        return np.stack([lon, lat, height], axis=1), operation
+    out = np.stack(chosen.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], direction="INVERSE"), axis=1)
+    require_finite(crs, out, xyz, labels)
+    return np.ascontiguousarray(out), operation

@@ -1,0 +1,128 @@
+"""Image points by the hundred thousand: the registered equations over arrays, without a Python call each.
+
+An image unknown acts on an observation as one of a few *components* (a coordinate of the orbit, an angle, a
+look angle) times a *basis* value that never changes (1, tau, tau^2, powers of the sample), so that the
+Jacobian is a Kronecker product with columns left out. Equations are evaluated with the components as their
+unknowns: at most 11 columns are computed and kept, whatever the set of unknowns. *Wide* numbers of an image are its
+values over (basis, component), basis by basis.
+
+Kernels take a range ``[lo, hi)`` and write what belongs to it only: any division among threads gives the
+same bits. Observations are sorted by ground point; ``fg_orient.kernels.batch_points`` and
+``fg_orient.kernels.batch_pairs`` go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Final
+
+import numpy as np
+
+from factors._contract import Array, Equation
+from factors.cameras import frame, frame_measured, pushbroom, rfm_equation
+from factors.cameras.pushbroom import RECORD
+from fg_orient.kernels.batch_blocks import any_small_angle
+from fg_orient.kernels.batch_frame import frame_rows, measured_frame_rows
+from fg_orient.kernels.batch_pushbroom import pushbroom_rows, small_angle_rows
+from fg_orient.kernels.batch_rows import Index, rational_rows
+
+#: A basis value of the look polynomial has its degree plus this as its number, a curve its own plus that.
+_LOOK: Final = 10
+_CURVE: Final = 100
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Image unknowns of one setup as components times basis values.
+
+    Parameters
+    ----------
+    setup : (2, c) array
+        Setup of the equation with the components as unknowns.
+    component, basis : (k,) int arrays
+        Component and basis value of each unknown.
+    scale : (k,) array
+        Its factor.
+    values : callable
+        Basis values (n, b) from records (n, d).
+    """
+
+    setup: Array
+    component: Index
+    basis: Index
+    scale: Array
+    values: Callable[[Array], Array]
+
+    @property
+    def n_components(self) -> int:
+        """Number of components."""
+        return int(self.setup.shape[1])
+
+    @cached_property
+    def wide(self) -> Index:
+        """Place (k,) of each unknown among the wide numbers."""
+        return self.basis * self.n_components + self.component
+
+
+def _pushbroom_columns(setup: Array) -> Columns:
+    """Components: the 9 EOP and the two look angles as far as present; basis: powers of tau, of the sample, curves."""
+    codes, n_eop = setup[0].astype(np.int64), pushbroom.N_EOP
+    eop, look, curve = codes < n_eop, codes - n_eop, codes - pushbroom.CURVE
+    constants = np.where(eop, codes - codes % 3, n_eop + look % 2)
+    constants = np.where(curve >= 0, 3 * (curve // pushbroom.CURVES), constants)
+    degree = np.where(eop, codes % 3, look // 2)
+    degree = np.where(curve >= 0, _CURVE + curve % pushbroom.CURVES, degree + _LOOK * (~eop & (degree > 0)))
+    names, basis = np.unique(degree, return_inverse=True)
+    present, component = np.unique(constants, return_inverse=True)
+
+    def values(records: Array) -> Array:
+        return np.stack([_value(records, name) for name in names.tolist()], axis=1)
+
+    compact = np.stack([present.astype(np.float64), np.ones(len(present))])
+    return Columns(compact, component.astype(np.int64), basis.astype(np.int64), setup[1].copy(), values)
+
+
+def _value(records: Array, name: int) -> Array:
+    """Basis value (n,) by its number."""
+    if name >= _CURVE:
+        return np.asarray(records[:, RECORD.size + name - _CURVE])
+    look = name > _LOOK
+    return np.asarray(records[:, RECORD.s] ** (name - _LOOK) if look else records[:, RECORD.tau] ** name)
+
+
+def _plain_columns(setup: Array) -> Columns:
+    """Every unknown its own component."""
+    k = setup.shape[1]
+    return Columns(
+        np.ascontiguousarray(setup), np.arange(k), np.zeros(k, np.int64), np.ones(k),
+        lambda records: np.ones((len(records), 1)),
+    )  # fmt: skip
+
+
+#: Rows and columns of the equations that have a batch; a further equation is a row here.
+_BATCHES: Final[dict[str, tuple[Callable[..., int], Callable[[Array], Columns]]]] = {
+    pushbroom.LOOK_ANGLE_COLLINEARITY.name: (pushbroom_rows, _pushbroom_columns),
+    rfm_equation.RATIONAL_FUNCTION.name: (rational_rows, _plain_columns),
+    frame.FRAME_BROWN_IDEAL_TO_MEASURED.name: (frame_rows, _plain_columns),
+    frame_measured.FRAME_BROWN_MEASURED_TO_IDEAL.name: (measured_frame_rows, _plain_columns),
+}
+
+
+def has_batch(equation: Equation) -> bool:
+    """Whether the equation can be evaluated in batches."""
+    return equation.name in _BATCHES
+
+
+def batch(equation: Equation, setup: Array, records: Array) -> tuple[Callable[..., int], Columns]:
+    """Row kernel (see ``kernels.batch_pushbroom.rows_of_form``) and columns of an equation, for these records."""
+    rows, columns = _batch(equation.name, setup.tobytes(), setup.shape)
+    return (small_angle_rows if rows is pushbroom_rows and any_small_angle(records) else rows), columns
+
+
+@lru_cache(maxsize=256)
+def _batch(name: str, setup: bytes, shape: tuple[int, ...]) -> tuple[Callable[..., int], Columns]:
+    """The images of a block have one setup or a few, and are asked for thousands of times."""
+    rows, columns = _BATCHES[name]
+    return rows, columns(np.frombuffer(setup).reshape(shape))

@@ -1,0 +1,135 @@
+"""Blocks of the reduced system written to the matrix that LAPACK factorises, full or banded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from factors._compile import threaded
+from factors._contract import Array
+from fg_orient.kernels.batch_rows import Index
+from fg_orient.kernels.batch_tiles import LINE, SIDE, contiguous, total_of
+from fg_orient.kernels.vectors import data_of, load, splat, store
+
+
+def _write_lines(
+    typing: Any, out: Any, to: Any, given: Any, at: Any, scale: Any, begin: Any, sums: Any, factor: Any, lines: Any
+) -> Any:  # fmt: skip
+    """Write numbers times ``scale`` from ``begin`` times ``factor``, eight to a line; add absolute values to ``sums``.
+
+    Returns the sum of these.
+    """
+    contiguous(out, given, scale, sums)
+    place, number = types.intp, types.float64
+    signature = number(out, place, given, place, scale, place, sums, number, place)
+
+    def generate(context: Any, builder: Any, kinds: Any, arguments: Any) -> Any:
+        data = [data_of(context, builder, kinds.args[k], arguments[k]) for k in (0, 2, 4, 6)]
+        begins = [builder.gep(base, [arguments[k]]) for base, k in zip(data, (1, 3, 5, 5), strict=True)]
+        make: Any = cgutils.alloca_once
+        total, here = make(builder, LINE), splat(builder, arguments[7], SIDE)
+        builder.store(ir.Constant(LINE, [0.0] * SIDE), total)
+        absolute = builder.module.declare_intrinsic("llvm.fabs.v8f64", (), ir.FunctionType(LINE, [LINE]))
+        with cgutils.for_range(builder, arguments[8]) as loop:
+            step = builder.mul(loop.index, ir.Constant(loop.index.type, SIDE))
+            target, source, scales, added = begins
+            scaled = builder.fmul(load(builder, source, step, SIDE), load(builder, scales, step, SIDE))
+            line = builder.fmul(scaled, here)
+            store(builder, line, target, step)
+            size = builder.call(absolute, [line])
+            store(builder, builder.fadd(load(builder, added, step, SIDE), size), added, step)
+            builder.store(builder.fadd(builder.load(total), size), total)
+        return total_of(builder, builder.load(total))
+
+    return signature, generate
+
+
+#: Compiled only; the first argument is numba's.
+write_lines: Callable[..., float] = intrinsic(_write_lines)
+
+
+@threaded
+def fill_lower(
+    row: Index, column: Index, place: Index, size: Index, blocks: Array, diagonal: float, banded: bool, out: Array,
+    scale: Array, sums: Array,
+) -> bool:  # fmt: skip
+    """Write the lower triangle, scaled, column by column: element (r, c) to ``out[c, r]``, banded to ``out[c, r - c]``.
+
+    Returns False where an element of the diagonal is not positive; nothing is written then.
+
+    Parameters
+    ----------
+    row, column : (B,) int arrays
+        Images of each block (B, k, k); blocks of one image are symmetric.
+    place, size : (M,) int arrays
+        First unknown of each image in the order of the matrix, and their number.
+    diagonal : float
+        Added to each element of the diagonal before the matrix is scaled; ``out`` has it in the scale alone.
+    scale : (n,) array
+        Written: factors of rows and columns that make the diagonal one.
+    out : (n, n) or (n, band + 1) array
+        Zero where no block writes.
+    sums : (n,) array
+        Written: the sum of the absolute values of each column of the whole scaled matrix.
+    """
+    for n in range(len(scale)):
+        scale[n] = diagonal
+    for b in range(len(row)):
+        if row[b] == column[b]:
+            for p in range(size[row[b]]):
+                scale[place[row[b]] + p] += blocks[b, p, p]
+    for n in range(len(scale)):
+        if not scale[n] > 0.0:
+            return False
+        sums[n] = diagonal / scale[n]
+        scale[n] = 1.0 / math.sqrt(scale[n])
+    for b in range(len(row)):
+        i, j = row[b], column[b]
+        r, c = place[j], place[i]
+        if r >= c:
+            for p in range(size[i]):
+                lo = p if r == c else 0
+                _fill_row(b, p, lo, size[j], blocks, r, c + p, scale, banded, out, sums)
+                if r == c:
+                    sums[c + p] -= abs(blocks[b, p, p]) * scale[c + p] * scale[c + p]  # it was added twice
+        else:
+            for q in range(size[j]):
+                _fill_column(b, q, size[i], blocks, c, r + q, scale, banded, out, sums)
+    return True
+
+
+@threaded
+def _fill_row(
+    b: int, p: int, lo: int, hi: int, blocks: Array, r: int, c: int, scale: Array, banded: bool, out: Array,
+    sums: Array,
+) -> None:  # fmt: skip
+    """Write row p of a block, from element lo to hi, to rows r + lo ... of column c of the matrix."""
+    here, shift, lines = scale[c], c if banded else 0, (hi - lo) // SIDE
+    to, at = c * out.shape[1] + r + lo - shift, (b * blocks.shape[1] + p) * blocks.shape[2] + lo
+    total = write_lines(out, to, blocks, at, scale, r + lo, sums, here, lines)
+    for q in range(lo + lines * SIDE, hi):
+        value = blocks[b, p, q] * scale[r + q] * here
+        out[c, r + q - shift] = value
+        sums[r + q] += abs(value)
+        total += abs(value)
+    sums[c] += total
+
+
+@threaded
+def _fill_column(
+    b: int, p: int, hi: int, blocks: Array, r: int, c: int, scale: Array, banded: bool, out: Array, sums: Array
+) -> None:  # fmt: skip
+    """Write column p of a block, to element hi, to rows r ... of column c of the matrix."""
+    here, shift, total = scale[c], c if banded else 0, 0.0
+    for q in range(hi):
+        value = blocks[b, q, p] * scale[r + q] * here
+        out[c, r + q - shift] = value
+        sums[r + q] += abs(value)
+        total += abs(value)
+    sums[c] += total

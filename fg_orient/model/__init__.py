@@ -1,0 +1,1 @@
+"""What all floors know: blocks, options, unknowns, names, errors and their words."""

@@ -1,0 +1,287 @@
+"""The data model of an adjustment: images, ground points, image points. Immutable, arrays included.
+
+A :class:`Block` holds what is known before the adjustment. The coordinates of **check
+points** are not in :class:`GroundPoints` (their rows are nan): they stay sealed in
+:class:`WithheldCoordinates` and are opened by the accuracy assessment after convergence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.model.errors import Finding
+from fg_orient.model.names import Role
+from fg_orient.model.options import Options as Options
+
+if TYPE_CHECKING:
+    from factors._contract import Equation
+    from fg_orient.sensors.correction import HeightSurface
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+
+def _read_only(record: object, **kinds: type) -> None:
+    """Replace arrays of a frozen record by read-only copies of the given types."""
+    for name, kind in kinds.items():
+        given = getattr(record, name)
+        array: npt.NDArray[Any] = np.array(given, dtype=kind)
+        array.setflags(write=False)
+        object.__setattr__(record, name, array)
+
+
+class Sensor(Protocol):
+    """What every sensor can do: pixels (line, sample) with (0, 0) = centre of the first pixel, ECEF metres.
+
+    ``correction`` is what the image's adjustment gives (``Solution.correction``); None is the metadata.
+    """
+
+    n_lines: int
+    n_samples: int
+    notes: tuple[Finding, ...]
+
+    @property
+    def georeferenced(self) -> bool:
+        """Whether ground points are Earth-fixed; else metres of a local Cartesian system."""
+        ...
+
+    @property
+    def file(self) -> str:
+        """Name of the metadata file."""
+        ...
+
+    @property
+    def centre_m(self) -> Array:
+        """Ground point of the image centre, ECEF m (3,)."""
+        ...
+
+    def rays(self, line: npt.ArrayLike, sample: npt.ArrayLike, correction: Any = None, /) -> tuple[Array, Array]:
+        """Points on the lines of sight (N, 3) m, above the ground, and unit directions (N, 3), ECEF."""
+        ...
+
+    def project(self, ground_m: npt.ArrayLike, correction: Any = None, /) -> tuple[Array, Array]:
+        """Line and sample (N,) of ECEF points (N, 3)."""
+        ...
+
+    def locate(
+        self, line: npt.ArrayLike, sample: npt.ArrayLike, /, *, height_m: npt.ArrayLike | None = None,
+        dem: HeightSurface | None = None,
+    ) -> Array:  # fmt: skip
+        """Ground points (N, 3) ECEF m at ellipsoidal heights or on a DEM."""
+        ...
+
+    def is_inside(self, line: Array, sample: Array) -> npt.NDArray[np.bool_]:
+        """Tell which pixels lie in the image."""
+        ...
+
+    def require_inside(self, line: Array, sample: Array) -> None:
+        """Refuse pixels outside the image."""
+        ...
+
+    def footprint(self) -> Array:
+        """Corners in image order: (4, 2) longitude, latitude in degrees."""
+        ...
+
+
+@dataclass(frozen=True)
+class Image:
+    """One image: its id and the sensor that binds its metadata to the equations."""
+
+    id: str
+    sensor: Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Measured ground coordinates; the arrays are copied and read-only.
+
+    Parameters
+    ----------
+    ecef_m : (n, 3) array
+        WGS84 Earth-centred coordinates; rows without coordinates are nan.
+    sigma_enu_m : (n, 3) array
+        Sigmas East, North, Up at the point itself; nan for fixed points and rows without coordinates.
+    fixed : (n,) bool array
+        Constant in the adjustment: such a point has no residual.
+    """
+
+    ecef_m: Array
+    sigma_enu_m: Array
+    fixed: npt.NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        _read_only(self, ecef_m=np.float64, sigma_enu_m=np.float64, fixed=np.bool_)
+
+
+@dataclass(frozen=True)
+class GroundPoints:
+    """Ground points in file order.
+
+    Parameters
+    ----------
+    ids : tuple of str
+        Unique ids.
+    roles : tuple of Role
+        Control, check or tie, one per id.
+    known : Coordinates
+        One row per id; rows of control points hold coordinates, those of check points never, those of tie points
+        start values or nan.
+    """
+
+    ids: tuple[str, ...]
+    roles: tuple[Role, ...]
+    known: Coordinates
+
+    def where(self, role: Role) -> Index:
+        """Indices of the points with this role."""
+        return np.flatnonzero([r is role for r in self.roles])
+
+    def without_coordinates(self, gone: npt.NDArray[np.bool_], role: Role) -> GroundPoints:
+        """Give up the coordinates of the points ``gone`` (n,), which get this role."""
+        known, roles = self.known, tuple(role if away else r for away, r in zip(gone, self.roles, strict=True))
+        ecef_m, sigma_m = (np.where(gone[:, None], np.nan, values) for values in (known.ecef_m, known.sigma_enu_m))
+        return GroundPoints(self.ids, roles, Coordinates(ecef_m, sigma_m, known.fixed & ~gone))
+
+
+@dataclass(frozen=True)
+class WithheldCoordinates:
+    """Coordinates of the check points, sealed until :meth:`open` after convergence.
+
+    ``ids`` names the points; opening calls ``reader`` and gives rows in the order of ``ids``.
+    """
+
+    ids: tuple[str, ...]
+    reader: Callable[[], Coordinates]
+
+    def open(self) -> Coordinates:
+        """Read the withheld coordinates."""
+        return self.reader()
+
+
+@dataclass(frozen=True, eq=False)
+class ImagePoints:
+    """Image observations, one per row; the arrays are copied and read-only.
+
+    Parameters
+    ----------
+    image, point : (n,) int arrays
+        Positions in the block's images and ground points.
+    line, sample : (n,) arrays
+        Pixels; (0, 0) is the centre of the first pixel.
+    sigma_line_px, sigma_sample_px : (n,) arrays
+        Their standard deviations.
+    """
+
+    image: Index
+    point: Index
+    line: Array
+    sample: Array
+    sigma_line_px: Array
+    sigma_sample_px: Array
+
+    def __post_init__(self) -> None:
+        _read_only(self, image=np.intp, point=np.intp)
+        _read_only(self, line=np.float64, sample=np.float64, sigma_line_px=np.float64, sigma_sample_px=np.float64)
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def take(self, rows: npt.NDArray[np.bool_] | Index) -> ImagePoints:
+        """Give the selected rows."""
+        return ImagePoints(
+            self.image[rows], self.point[rows], self.line[rows],
+            self.sample[rows], self.sigma_line_px[rows], self.sigma_sample_px[rows],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class ExtraObservation:
+    """An observation of any registered equation, beyond image and control points.
+
+    Parameters
+    ----------
+    equation : factors._contract.Equation
+        Whitened: a unit of its residual is one sigma.
+    unknowns : tuple of str
+        One per argument of the equation: "image:left" (its coefficients in prior sigmas) or
+        "point:12" (metres relative to the block's local origin, axes parallel to ECEF).
+    record : array
+        Constants of the observation, see ``factors._contract``.
+    setup : array or None
+        What all observations of a group share; None: that of the image that it names first, the codes and prior
+        sigmas of the unknowns in force (``ImageParameters.setup``).
+    n_residuals : int
+        Length of the residual.
+    label : str
+        Named in messages.
+    """
+
+    equation: Equation
+    unknowns: tuple[str, ...]
+    record: Array
+    setup: Array | None
+    n_residuals: int
+    label: str
+
+
+@dataclass(frozen=True)
+class Source:
+    """An input file of the block, for the provenance record."""
+
+    path: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Block:
+    """Everything an adjustment starts from.
+
+    Parameters
+    ----------
+    name : str
+        Name of the project, for the report.
+    images : tuple of Image
+    points : GroundPoints
+        All ground points; their rows are what ``observations.point`` counts. Coordinates of tie points are start
+        values and nothing else; those without are intersected.
+    observations : ImagePoints
+    withheld : WithheldCoordinates
+        Coordinates of the check points, not to be opened before the solution stands.
+    options : Options
+    sources : tuple of Source
+        Files it was read from; empty for a block made in memory.
+    notes : tuple of Finding
+        Remarks of the readers, shown in the report.
+    extra : tuple of ExtraObservation
+        Further observations of any registered equation.
+    """
+
+    name: str
+    images: tuple[Image, ...]
+    points: GroundPoints
+    observations: ImagePoints
+    withheld: WithheldCoordinates
+    options: Options = field(default_factory=Options)
+    sources: tuple[Source, ...] = ()
+    notes: tuple[Finding, ...] = ()
+    extra: tuple[ExtraObservation, ...] = ()
+
+    @property
+    def georeferenced(self) -> bool:
+        """Whether coordinates are Earth-fixed; else metres of a local Cartesian system."""
+        return all(image.sensor.georeferenced for image in self.images)
+
+    def image_index(self, image_id: str) -> int:
+        """Position of the image with this id."""
+        return [image.id for image in self.images].index(image_id)
+
+    def find(self, name: str) -> tuple[str, int] | None:
+        """Kind ("image", "point") and position of a name such as "image:left" or "point:12"; None if there is none."""
+        kind, _, identifier = name.partition(":")
+        ids = {"image": tuple(image.id for image in self.images), "point": self.points.ids}.get(kind, ())
+        return (kind, ids.index(identifier)) if identifier in ids else None

@@ -1,0 +1,141 @@
+"""Cause and remedy where Python does not find fg_orient's own package ``factors``.
+
+The name is not ours alone: a distribution ``factors`` exists, and users have files of that name. Nothing here is
+imported where all is well.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import sys
+from collections.abc import Iterable
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import unquote, urlsplit
+
+from fg_orient.model.errors import Finding, finding
+
+_HOME: Final = Path(__file__).resolve().parents[2]
+_OURS: Final = _HOME / "factors"
+
+
+def is_ours(found: str) -> bool:
+    """Whether a file named otherwise than expected is fg_orient's own after all, through links."""
+    return os.path.realpath(os.path.dirname(found)) == os.path.realpath(_OURS)
+
+
+def clash(found: str | None, version: str, other: object = None) -> ImportError | SystemExit:
+    """Error that names the file in the way, the distribution that owns it, and a remedy.
+
+    The command ``fg-orient`` has no place where it could catch it: it ends with that line and exit code 1.
+
+    Parameters
+    ----------
+    found : str or None
+        File of the ``factors`` that Python finds; None if there is no such package, or one without ``__init__``.
+    version : str
+        Version of ``fg_orient``.
+    other : object
+        Mark of the ``factors`` that was imported: the version of fg_orient that it belongs to.
+    """
+    ours = _OURS / "__init__.py"
+    file = ours if found is None or not ours.exists() else Path(found)
+    text = str(_own(file, version, other) if is_ours(str(file)) else _hidden(file))
+    if Path(*sys.argv[:1]).name == "fg-orient":
+        return SystemExit(f"error: {text}")
+    return ImportError(text, name="factors", path=str(file))
+
+
+def shared_file() -> Finding | None:
+    """A distribution that has the same file as ours and does no harm yet."""
+    file = _OURS / "__init__.py"
+    owner = _owner(file)
+    if owner is None:
+        return None
+    return finding("installation.shared", file=file, owner=f"{owner.name} {owner.version}", name=owner.name,
+                   source=_source() or "fg-orient")  # fmt: skip
+
+
+def _own(file: Path, version: str, other: object) -> Finding:
+    """File that lies where ours should lie."""
+    source = _source()
+    owner = _owner(file)
+    if owner is not None:
+        return finding("installation.overwritten", file=file, owner=f"{owner.name} {owner.version}", name=owner.name,
+                       source=source or "fg-orient")  # fmt: skip
+    if source is None:
+        return finding("installation.damaged_tree", file=file)
+    if isinstance(other, str):
+        return finding("installation.other_version", file=file, other=other, version=version, source=source)
+    return finding("installation.damaged", file=file, source=source)
+
+
+def _hidden(file: Path) -> Finding:
+    """File that is found before ours."""
+    package = file.stem == "__init__"
+    thing, root = (file.parent, file.parent.parent) if package else (file, file.parent)
+    listed = [Path(entry).resolve() for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
+    if root.resolve() in listed:
+        return finding("installation.on_pythonpath", file=thing, ours=_OURS, root=root)
+    owner = _owner(file)
+    if owner is not None:
+        return finding("installation.other_distribution", file=file, owner=f"{owner.name} {owner.version}",
+                       name=owner.name, ours=_OURS)  # fmt: skip
+    if package:
+        return finding("installation.user_folder", file=thing, ours=_OURS)
+    return finding("installation.user_file", file=thing, ours=_OURS, new=f"my_{file.name}")
+
+
+def _owner(file: Path) -> metadata.Distribution | None:
+    """Distribution other than fg-orient that lists the file, or whose source tree it lies in."""
+    place = file.resolve()
+    for distribution in _others():
+        tree = _direct_url(distribution)
+        if tree.get("dir_info", {}).get("editable") and place.is_relative_to(_local(tree).resolve()):
+            return distribution
+        if "factors" not in (distribution.read_text("RECORD") or "factors"):
+            continue  # to take the list apart is slow
+        listed = (f for f in distribution.files or () if f.name == file.name and "factors" in (f.parent.name, f.stem))
+        if any(Path(str(distribution.locate_file(f))).resolve() == place for f in listed):
+            return distribution
+    return None
+
+
+def _others() -> Iterable[metadata.Distribution]:
+    for distribution in metadata.distributions():
+        name = distribution.metadata["Name"] or ""  # none in the remains of an interrupted installation
+        if name and re.sub(r"[-_.]+", "-", name).lower() != "fg-orient":
+            yield distribution
+
+
+def _source() -> str | None:
+    """Requirement by which pip installs this fg_orient again; None if it is used from its source tree."""
+    try:
+        own = metadata.distribution("fg-orient")
+    except metadata.PackageNotFoundError:
+        return None
+    if not Path(str(own.locate_file("fg_orient"))).exists() or not os.path.samefile(
+        str(own.locate_file("fg_orient")), _HOME / "fg_orient"
+    ):
+        return None  # an editable installation, or another one
+    origin = _direct_url(own)
+    if not origin:
+        return "fg-orient"
+    if "vcs_info" in origin:
+        at = origin["vcs_info"].get("commit_id", "")
+        return shlex.quote(f"{origin['vcs_info']['vcs']}+{origin['url']}@{at}")
+    return shlex.quote(str(_local(origin)) if origin["url"].startswith("file:") else origin["url"])
+
+
+def _direct_url(distribution: metadata.Distribution) -> dict[str, Any]:
+    """Where pip took a distribution from that does not come from an index (PEP 610); empty otherwise."""
+    text = distribution.read_text("direct_url.json")
+    return json.loads(text) if text else {}
+
+
+def _local(origin: dict[str, Any]) -> Path:
+    return Path(unquote(urlsplit(origin["url"]).path))

@@ -1,0 +1,238 @@
+"""Declaration of options: each is one field of a dataclass.
+
+The check of values, the project file's schema, the command line, the keyword arguments of
+:func:`fg_orient.adjust` and the reference page (docs/options.md) are made from the field.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from functools import cache
+from types import NoneType
+from typing import Any, Final, Literal, TypeVar, get_args, get_origin
+
+from fg_orient.model.errors import InputError, finding
+
+Three = tuple[float, float, float]
+Names = tuple[str, ...]
+Record = TypeVar("Record")
+#: Longest metavar that stays readable in the help of a command.
+_METAVAR_LENGTH: Final = 26
+
+
+@dataclass(frozen=True)
+class Group:
+    """Heading of related options, their table of the project file, if any, and the page that explains them."""
+
+    title: str
+    table: str = ""
+    page: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Option:
+    """One option.
+
+    Parameters
+    ----------
+    name, unit : str
+    kind : type
+        bool, int, float, str, ``Three``, ``Names`` or a Literal of words.
+    optional : bool
+        None is a value.
+    default : object
+    group : Group
+    help : str
+        The first sentence is the help of the command line; the reference page has all sentences.
+    within : (float, float) or None
+        Smallest and largest value. A float without it must be above zero.
+    below : float
+        Exclusive upper bound.
+    zero, left_out : str
+        Meaning of 0, if 0 is allowed below ``within``; meaning of None or of no names.
+    such : str or tuple of str
+        Example; of a number: name that is accepted in its place by all but ``Options``.
+    usual : tuple of str
+        Names for which the command line has a flag; other names are given by ``--...-of``.
+    spelled : str
+        Name on the command line if it is not the name without its unit.
+    """
+
+    name: str
+    kind: Any
+    optional: bool
+    default: Any
+    group: Group
+    help: str
+    unit: str = ""
+    within: tuple[float, float] | None = None
+    below: float = math.inf
+    zero: str = ""
+    such: str | Names = ""
+    left_out: str = ""
+    usual: Names = ()
+    spelled: str = ""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Allowed words; none if any text or number is possible."""
+        return get_args(self.kind) if get_origin(self.kind) is Literal else ()
+
+    @property
+    def named(self) -> bool:
+        """Whether a name may stand for the number."""
+        return self.kind is int and bool(self.such)
+
+    @property
+    def flag(self) -> str:
+        """Option of the command line."""
+        suffix = f"_{self.unit.lower().replace('/', '_')}"
+        return "--" + (self.spelled or self.name.removesuffix(suffix).replace("_", "-"))
+
+    @property
+    def metavar(self) -> str:
+        """Placeholder of the value in the help of a command."""
+        if words := "|".join(self.words):
+            return words if len(words) <= _METAVAR_LENGTH else "NAME"
+        if self.kind in (float, Three) and self.unit:
+            return ",".join([self.unit.upper()] * (3 if self.kind is Three else 1))
+        return {int: "N|NAME" if self.named else "N", float: "P", str: "NAME", Names: "NAME,NAME"}.get(self.kind, "")
+
+    @property
+    def short_help(self) -> str:
+        """First sentence of the help, with words that the metavar has no room for."""
+        first = self.help.partition(". ")[0].rstrip(".")
+        return f"{first}: {', '.join(self.words)}." if self.words and self.metavar == "NAME" else f"{first}."
+
+    @property
+    def default_text(self) -> str:
+        """Default in words."""
+        if self.default in (None, ()):
+            return self.left_out
+        return toml(self.default) if isinstance(self.default, bool | tuple) else str(self.default)
+
+    @property
+    def expected(self) -> str:
+        """Allowed values in words, for messages and the reference."""
+        within, such, unit = self.within, self.such or self.usual, f" in {self.unit}" if self.unit else ""
+        example = f", such as {toml(such)}" if such else ""
+        bounds = "above zero" + (f" and below {self.below:g}" if self.below < math.inf else "")
+        if within is not None:
+            bounds = f"from {within[0]:g} to {within[1]:g}" if within[1] < math.inf else f"from {within[0]:g}"
+        text = " or ".join(f'"{word}"' for word in self.words) or {
+            bool: "true or false", int: f"a whole number {bounds}{unit}", float: f"a number {bounds}{unit}",
+            Three: f"three numbers {bounds}{unit}", Names: f"names in brackets, each once{example}",
+            str: f"a name in quotes{example}",
+        }[self.kind]  # fmt: skip
+        text += f", or 0 for {self.zero}" if self.zero else ""
+        return text + (f"; leave it out for {self.left_out}" if self.left_out else "")
+
+    def allows(self, value: Any) -> bool:
+        """Whether the option can have this value."""
+        if value is None:
+            return self.optional
+        if self.words:
+            return isinstance(value, str) and value in self.words
+        if self.kind is bool:
+            import numpy as np  # not above: the help of a command needs no numpy
+
+            return isinstance(value, bool | np.bool_)
+        if self.kind is str:
+            return isinstance(value, str) and bool(value)
+        if self.kind in (Three, Names):
+            is_list = isinstance(value, tuple | list)
+            if self.kind is Three:
+                return is_list and len(value) == 3 and all(self._in_range(v) for v in value)
+            return is_list and all(isinstance(v, str) and v for v in value) and len(set(value)) == len(value)
+        return self._in_range(value)
+
+    def _in_range(self, value: Any) -> bool:
+        import numpy as np  # not above, as in allows
+
+        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not whole and (self.kind is int or not isinstance(value, float | np.floating)):
+            return False
+        if self.within is None:
+            return bool(0.0 < value < self.below)
+        return bool(self.within[0] <= value <= self.within[1] or (self.zero and value == 0))
+
+
+def option(default: Any, group: Group, help: str, **more: Any) -> Any:
+    """Field of a dataclass that declares an option; ``more`` are further parameters of :class:`Option`."""
+    return field(default=default, metadata={"group": group, "help": help, **more})
+
+
+def declared(*records: type) -> Mapping[str, Option]:
+    """Options of dataclasses by name, in the order of their declaration."""
+    return _declared(records)
+
+
+@cache
+def _declared(records: tuple[type, ...]) -> Mapping[str, Option]:
+    found = {}
+    for f in (f for record in records for f in fields(record)):
+        optional = NoneType in get_args(f.type)
+        kind = get_args(f.type)[0] if optional else f.type
+        found[f.name] = Option(name=f.name, kind=kind, optional=optional, default=f.default, **f.metadata)
+    return found
+
+
+def require_allowed(record: Any) -> None:
+    """Check all values of a record.
+
+    Raises
+    ------
+    InputError
+        One problem per value that is not allowed.
+    """
+    wrong = [one for name, one in declared(type(record)).items() if not one.allows(getattr(record, name))]
+    if wrong:
+        raise InputError(
+            *(finding("options.value", place=one.name, value=repr(getattr(record, one.name)), expected=one.expected)
+              for one in wrong)
+        )  # fmt: skip
+
+
+def require_declared(names: Iterable[str], caller: str, *records: type) -> None:
+    """Refuse names that no record declares.
+
+    Raises
+    ------
+    TypeError
+        As for any unknown keyword argument, with the most similar name.
+    """
+    known = declared(*records)
+    for name in sorted(set(names) - set(known)):
+        close = get_close_matches(name, known, 1)
+        hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
+        raise TypeError(f"{caller}() has no option {name!r}; {hint}")
+
+
+def documented(record: type[Record]) -> type[Record]:
+    """Decorate a dataclass: add its options to the docstring as parameters."""
+    lines = [f"{record.__doc__}\n\nParameters\n----------"]
+    for name, one in declared(record).items():
+        kind = " or ".join(f'"{word}"' for word in one.words) or _KIND_NAMES[one.kind]
+        lines += [f"{name} : {kind}{' or None' if one.optional else ''}", f"    {one.help}"]
+    record.__doc__ = "\n".join([*lines, "\nRaises\n------\nInputError\n    One problem per value that is not allowed."])
+    return record
+
+
+_KIND_NAMES: Final[dict[Any, str]] = {
+    bool: "bool", int: "int", float: "float", str: "str", Three: "tuple of 3 floats", Names: "tuple of str",
+}  # fmt: skip
+
+
+def toml(value: object) -> str:
+    """TOML text of a str, bool, int, float or tuple of these."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple):
+        return f"[{', '.join(toml(v) for v in value)}]"
+    if not isinstance(value, str):
+        return repr(value)
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}" for c in escaped) + '"'

@@ -1,0 +1,128 @@
+"""Messages of the dense path: linear solvers, published procedures, comparison and reproduction."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fg_orient.model.messages.entry import words
+
+WORDS: Final = words("""
+linear.not_square: the normal matrix must be square and not empty
+    -> give N as a (u, u) array
+linear.not_symmetric: the normal matrix is not symmetric
+    -> form it as A^T W A; (N + N^T)/2 if only rounding differs
+linear.not_finite: the normal matrix holds a value that is not finite
+    -> look for the observation behind it
+linear.not_real: the matrix or vector must hold real numbers
+    -> give an array of float64
+linear.too_large: more than {limit} unknowns are too many for dense matrices
+    -> use the graph backend: its cost grows with the observations only
+linear.rhs: the right-hand side must hold {unknowns} finite numbers
+    -> give b as a (u,) array
+linear.design: the design matrix must be finite with {unknowns} columns and one observation per row
+    -> give A as an (r, u) and l as an (r,) array
+linear.no_design: this needs the design matrix, and only the normal equations are known
+    -> give A and l
+linear.solver: no solver of this name
+    -> choose one of {known}
+linear.zero_pivot: the pivot is zero or not finite
+    -> the matrix is singular for this method; take one with pivoting, or a pseudo-inverse
+linear.zero_determinant: the determinant is zero
+    -> the matrix is singular; take a pseudo-inverse
+linear.radicand: the radicand of the Cholesky root is not positive
+    -> the matrix is not positive definite, or singular within rounding
+linear.dependent_column: the column of A depends on those before it within rounding
+    -> the unknown is not determined; take SVD, a prior or fewer unknowns
+linear.redundancy: there must be more observations than unknowns
+    -> without redundancy residuals say nothing; add observations or take fewer unknowns
+linear.kappa_rule: no kappa rule of this name
+    -> choose one of {known}
+linear.kappa_needs: this rule needs {needed}
+    -> give it in Given({needed}=...)
+linear.truth: the true solution must hold {unknowns} finite numbers
+    -> give it in Given(truth=...)
+linear.sigmas: standard deviations must be above zero
+    -> give them in Given(sigma_observed=..., ...)
+linear.kappa_value: kappa must be finite and not negative
+    -> 0 gives least squares
+linear.no_kappa: the rule finds no usable kappa
+    -> take another rule
+linear.penalty: the penalty must be identity, first_difference, second_difference or a finite matrix of {unknowns}
+    columns
+    -> differences need more unknowns than their order
+linear.prior: the prior needs a mean of {unknowns} numbers, a positive definite covariance and a positive sigma
+    -> leave out unknowns that are fixed
+linear.solution: the solution must hold {unknowns} finite numbers
+    -> give x as a (u,) array
+linear.residuals: there must be one finite residual per observation
+    -> give v as an (r,) array
+linear.noise: the noise must be a standard deviation
+    -> 0 if the observations are exact
+linear.reference: the reference solver has no solution to compare with
+    -> name another reference
+linear.library: the linear algebra library cannot go on
+    -> the system is singular for this solver
+linear.result_shape: the solver must give {unknowns} real numbers
+    -> mend the solver's function
+linear.result_not_finite: the solver gives values that are not finite
+    -> the system is singular for it
+classical.weights_twice: weights and cofactors exclude each other
+    -> give one of them; Q_ll = W^-1
+classical.weights: there must be {count} finite numbers, or a finite matrix of {count} rows and columns
+    -> give one per observation
+classical.not_definite: weights must be symmetric and positive definite, cofactors symmetric without negative
+    eigenvalues
+    -> leave out observations without weight; weights are 1/sigma^2, cofactors sigma^2
+classical.vector: this must be a vector of finite numbers
+    -> give an array of one dimension
+classical.function: the function must give arrays of the shapes {expected}
+    -> see its documentation
+classical.function_not_finite: the function gives values that are not finite
+    -> start nearer to the solution, or look for a division by zero
+classical.redundancy: too few for {unknowns} unknowns, or none
+    -> add observations or conditions, or take fewer unknowns
+classical.dependent_conditions: conditions depend on each other, or hold no observation that can move
+    -> leave out those that follow from others; an observation of cofactor 0 cannot fulfil a condition
+classical.one_image: the published procedure needs at least two images
+    -> use fg-orient adjust for a single one
+classical.bundle: no such bundle adjustment
+    -> give kind 1 or 2, and one iteration or more
+classical.few_control: the look-angle polynomial needs control points in at least {least} different columns
+    -> measure more control points in this image, or use fg-orient adjust
+published.source: no such publication
+    -> choose one of {known}
+published.folder: this is no folder
+    -> give a copy of the folder of the published tables
+published.unreadable: the table of published values cannot be read
+    -> copy the original file again
+published.column: columns of the published table are missing
+    -> copy the original file again
+published.row: the record must have {count} cells
+    -> copy the original file again
+published.not_a_number: this is not a number
+    -> write it as 123.4, 1.2e-3 or nan; nothing where nothing is printed
+published.table: no such table in this file
+    -> choose one of {known}
+published.twice: the cell stands twice; first in {first}
+    -> remove the wrong one
+published.unknown_cell: the publication has no such cell
+    -> alter values only; copy the original file again
+published.count: the table must hold {count} cells
+    -> copy the original file again
+reproduce.table: no such table, or a range that runs backwards
+    -> known, in order: {known}
+compare.no_figures (warning): no figures: matplotlib is missing
+    -> install it: pip install "fg-orient[report]"
+compare.type: no such type of pre-adjustment
+    -> give 1 (look angles), 2 (look angles and EOPs) or both
+compare.nothing: this selects nothing
+    -> name what to compare, or leave the option out for its default
+compare.target: the target must be a length above zero
+    -> give it in m, or leave it out for one pixel
+compare.slow: left out: this solver takes u^2 determinants, minutes beyond {limit} unknowns
+    -> any other solver gives the same answer where this one would
+compare.damped: left out: regularised steps only slow the iteration on its way to the same minimum
+    -> the priors regularise here; the published procedure takes a single step
+compare.no_solution: none of the {count} adjustments has a solution; the first says: {why}
+    -> the table gives the reason of each
+""")

@@ -1,0 +1,276 @@
+"""Messages about files: metadata, sensors and terrain models, coordinates, tables, project files."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fg_orient.model.messages.entry import words
+
+WORDS: Final = words("""
+xml.missing_file: the file does not exist
+    -> check the path; it is taken relative to {base}
+xml.not_a_file: this is a folder or a device, not a file
+    -> give the metadata file itself
+xml.unreadable: the file cannot be read
+    -> check its permissions
+xml.too_large: the file is larger than the limit of {limit} bytes
+    -> read it from Python with a larger max_bytes if you trust it
+xml.empty_file: the file is empty
+    -> copy or download it again
+xml.not_xml: the file is no XML
+    -> give the metadata file (METADATA.DIM or DIM_*.XML)
+xml.html: the file is an HTML page, probably an error page of a download
+    -> download the metadata file again
+xml.malformed: the XML is damaged
+    -> copy or download the file again
+xml.doctype: the file holds a DOCTYPE, which no DIMAP product has and which can hide an attack
+    -> remove it if you trust the file
+xml.missing_element: element {element} is missing
+    -> use the complete metadata file of the product
+xml.too_few: the file needs at least {at_least} {element}
+    -> use the complete metadata file of the product
+xml.doubled: the element may occur only once here
+    -> remove the wrong one
+xml.empty: the element is empty
+    -> fill it or use the original file
+xml.not_plain: the element must hold a plain value, no markup
+    -> use the original file
+xml.not_a_number: this is not a number
+    -> write it as 123.456 or 1.23e4
+xml.decimal_comma: the number has a decimal comma
+    -> write a decimal point
+xml.not_finite: this is not a finite number of possible size
+    -> use the original file
+xml.not_whole: this is not a whole number
+    -> use the original file
+xml.out_of_range: the value lies outside the possible range {low:g} .. {high:g}{unit}
+    -> check the value and its unit
+xml.wrong_count: the element needs {expected} numbers separated by blanks
+    -> use the original file
+xml.unit: this is no known unit for a {quantity}
+    -> choose one of {known}
+xml.not_a_time: this is not a UTC time
+    -> write it as 2005-03-13T05:21:07.332158Z
+dimap.other_format: this is no DIMAP product file that can be read
+    -> give METADATA.DIM of a SPOT 1-5 level 1A scene, DIM_*.XML of a Pléiades 1A/1B or SPOT 6/7 sensor product, or
+       a PHRDIMAP
+dimap.other_version: this version of DIMAP is not read
+    -> needed: DIMAP 1.1 (SPOT 1-5) or DIMAP 2.x (Pléiades 1A/1B, SPOT 6/7); newer missions: use their RPC
+dimap.other_mission: the rigorous model of this mission is not read
+    -> needed: SPOT 1-7 or Pléiades 1A/1B; other missions: use their RPC
+dimap.other_level: the image is resampled: its viewing model is no longer in the file
+    -> needed: level 1A (SPOT 1-5) or the sensor product (profile PHR_SENSOR, S6_SENSOR, S7_SENSOR; PHR_DIMAP of
+       level SENSOR)
+dimap.rpc_file: the file holds RPC, not the rigorous model
+    -> give the DIM_*.XML that lies beside it, or use the RPC commands
+dimap.pixel_origin: pixels must be counted from 1 in this format
+    -> use the original file
+dimap.time_order: times must increase
+    -> sort the list or remove the repeated entry
+dimap.radius: the distance from the Earth's centre must be {low:g} .. {high:g} m
+    -> check unit and frame (Earth-fixed, m)
+dimap.speed: the speed must be {low:g} .. {high:g} m/s
+    -> check unit and frame (Earth-fixed, m/s)
+dimap.quaternion_norm: a quaternion must have norm 1 within {tolerance:g} over the whole image
+    -> use the original file
+dimap.quaternion_span: OFFSET and SCALE do not belong to the time of the image (scaled time beyond +-{limit:g})
+    -> check day and unit of OFFSET and SCALE (s of the day)
+dimap.duration: {n_lines} lines at this period do not fill START .. END ({duration:.6g} s)
+    -> check LINE_PERIOD and its unit attribute, NROWS, START and END
+dimap.look_angle: a viewing direction lies more than 45 degrees off
+    -> check the look angle polynomial
+dimap.detector_order: detector numbers must increase
+    -> sort the list or remove the repeated entry
+dimap.detectors_cover: look angles must cover detectors {first} to {last} (NCOLS)
+    -> use the complete metadata file of the product
+dimap.speed_span: angular speeds cover {first:.3f} .. {last:.3f} s of the day, too little for the image; at most
+    {hold} s are held
+    -> use a metadata file whose angular speeds cover the image
+dimap.speed_gap: a gap in the angular speeds; a speed is held for at most {hold} s
+    -> use a metadata file with the complete list
+dimap.anchor: the first absolute attitude lies more than {hold} s outside the angular speeds
+    -> use a metadata file whose angular speeds start with the absolute attitude
+dimap.not_writable: this metadata cannot be written as {target}
+    -> {needed}
+sensor.not_rigorous: the published procedure needs the rigorous model of a pushbroom image
+    -> give METADATA.DIM or DIM_*.XML; RPC images take part in adjust
+sensor.ephemeris_span: the ephemeris covers {first:.6f} .. {last:.6f} s of the day only and is never extrapolated
+    -> use a metadata file whose state vectors cover the image
+sensor.attitude_span: the attitudes cover {first:.6f} .. {last:.6f} s of the day, {gap:.3f} s less than what is
+    asked for
+    -> stay within {lines}, or extrapolate with the last rate: <extrapolate_attitude_s> SECONDS
+sensor.extrapolation: attitudes are extrapolated for 0 to {most:g} s only
+    -> give the seconds that are missing, such as 0.2
+sensor.missing: the file does not exist
+    -> check the path
+sensor.own_reader: the plugin that reads it, {where}, raised an exception
+    -> mend it there; what is wrong with a file it should say by an InputError; <debug> shows the traceback
+sensor.model: no such kind of model
+    -> choose one of {known}
+sensor.only_rpc: the file holds an RPC, no rigorous model
+    -> use its RPC (<model> rpc), or give the DIM_*.XML or METADATA.DIM of the image
+sensor.no_field: first and last sample look in the same direction (less than {least:g} rad apart)
+    -> use the original file
+sensor.pixel_outside: pixel outside the image
+    -> lines run from {first_line:g} to {last_line:g}, samples from {first_sample:g} to {last_sample:g}; whole
+       numbers are centres of pixels
+sensor.ray_misses: the viewing ray does not meet the Earth at this height
+    -> check the height (m, ellipsoidal)
+dem.no_rasterio: reading a DEM needs rasterio
+    -> install the extra: pip install 'fg-orient[geo]'
+dem.missing: the DEM file does not exist
+    -> check the path
+dem.no_crs: the DEM has no coordinate reference system
+    -> assign one, for instance with gdal_edit -a_srs
+dem.vertical_crs: the DEM states another vertical CRS than the one given
+    -> leave the option out, or mend the file
+dem.geoid: the DEM's heights cannot be brought to the ellipsoid: {reason}
+    -> put the grid into PROJ's folder (projsync, PROJ_DATA), or convert the DEM to ellipsoidal heights
+dem_control.sigma: the sigma of heights from a DEM is no positive number
+    -> give metres, such as 3
+dem_control.both: a DEM as control needs its sigma, and a sigma a DEM
+    -> give <dem_control> and <dem_sigma>
+dem_control.backend: the Schur backend has no form for heights of single points: its points are free or have all
+    three coordinates
+    -> choose <backend> graph, dense or auto
+dem_control.no_point: no point to be observed lies over the DEM
+    -> use a DEM that covers the block, and a block with tie points
+dem.vertical_unit: the DEM's heights are not in metres
+    -> convert them to metres
+dem.unreadable: the DEM cannot be read
+    -> give a raster that GDAL reads
+dem.not_covered: a viewing ray meets nodata or comes from outside the DEM below its highest point
+    -> use a DEM without holes that covers the image footprint and what lies in front of it
+geodesy.not_epsg: the coordinate reference system is not an EPSG code
+    -> write EPSG:n, or EPSG:n+m with a vertical CRS, for instance EPSG:4979 or EPSG:32636
+geodesy.unknown_crs: no such EPSG code
+    -> look it up at epsg.org; WGS84 longitude, latitude, height is EPSG:4979
+geodesy.not_spatial: the CRS has no horizontal coordinates and height
+    -> give a geographic, projected or geocentric CRS
+geodesy.axes: the axes of the CRS are not {unit}s to the east and north and metres up
+    -> convert the coordinates first, for instance to EPSG:4979
+geodesy.not_vertical: this is not a vertical CRS
+    -> give one such as EPSG:5773 (EGM96) or EPSG:3855 (EGM2008)
+geodesy.no_operation: PROJ has no exact operation to WGS84; it needs {grids}
+    -> install the grid (projsync), or give ellipsoidal heights and no vertical CRS
+geodesy.outside: the coordinates lie outside the domain of {crs}
+    -> check the values, the order of the columns and the CRS
+table.missing_file: the file does not exist
+    -> check the path; tables that a project file names are taken relative to its folder, others to the current one
+table.unreadable: the file cannot be read
+    -> give a readable file
+table.utf16: the file is UTF-16
+    -> save it as UTF-8 text with commas (in Excel: CSV UTF-8)
+table.nul: the file holds NUL bytes and is no text
+    -> save the table as UTF-8 text with commas
+table.not_utf8: the file is not UTF-8, perhaps Latin-1
+    -> save it as UTF-8 text
+table.empty: the file holds no header line
+    -> begin with a line that names the columns: {columns}
+table.no_records: no records follow the header
+    -> add at least one record
+table.long_line: the line is too long for a record
+    -> keep lines below {limit} characters, one record on each
+table.quotes: the quotes of the line are not balanced
+    -> close the quotes, or remove them
+table.delimiter: the columns are not separated by commas
+    -> save the table with commas and decimal points
+table.column_twice: two columns have the same name
+    -> keep one of them
+table.column_unknown: unknown column
+    -> {hint}; put remarks into lines that begin with #
+table.column_foreign: the column does not belong with the others
+    -> the columns are {columns}
+table.column_missing: a column is missing
+    -> the columns are {columns}, in any order
+table.cell_count: the line does not have one cell for each of the {count} columns
+    -> write an empty cell for a missing value and decimal points, not commas
+table.cell_empty: the cell is empty
+    -> write a number
+table.decimal_comma: the number has a decimal comma
+    -> write a decimal point
+table.not_a_number: this is not a finite number
+    -> write a number such as -12.5 or 1e-6
+table.number_too_large: the number is too large for double precision
+    -> write a number below 1.7e308
+table.more_faults: further faults are not listed
+    -> mend the faults above first
+points.crs_columns: the CRS is {kind}, the coordinate columns are not
+    -> name them {columns}, or change the project file's crs
+points.sigma_axes: sigmas along the axes of the CRS are not supported
+    -> give sigma_east_m, sigma_north_m, sigma_up_m at the point
+points.id_missing: the point has no id
+    -> give every point an id
+points.id_twice: the id is used twice, first on line {first}
+    -> give every point its own id
+points.role: unknown role
+    -> write control, check or tie
+points.no_coordinates: the {role} point has no coordinates
+    -> give its coordinates, or make it a tie point
+points.tie_coordinates: a tie point has no known coordinates
+    -> empty the cell, or make it a control or check point
+points.sigma_not_positive: the standard deviation is not above zero
+    -> give it in metres; a point without uncertainty has the word fixed in all three sigma columns
+points.fixed_partly: fixed stands in some sigma columns only
+    -> write fixed in all three sigma columns, or in none
+points.fixed_check: only a control point can be fixed
+    -> give the standard deviations of the check point
+points.latitude: the latitude is outside -90 .. 90 degrees
+    -> check the value
+points.longitude: the longitude is outside -180 .. 180 degrees
+    -> check the value; 190 is written -170
+points.swapped_range: longitude and latitude look swapped
+    -> exchange the values of lon_deg and lat_deg
+points.swapped: {first} and {second} look swapped: exchanged, the points lie in the images ({count} of {total})
+    -> exchange the two columns
+points.far: the point lies {distance_km:.0f} km from the centre of the nearest image ({image}, {size_km:.0f} km
+    across)
+    -> check the coordinates, the columns and the crs of the project file
+points.changed: the file has changed since it was read
+    -> run the adjustment again
+observations.image_unknown: the project has no such image
+    -> {hint}
+observations.point_unknown: the point file has no such id
+    -> {hint}
+observations.twice: the point is measured twice in this image, first on line {first}
+    -> keep one measurement
+observations.outside: the pixel lies outside image {image}
+    -> {axis} runs from -0.5 to {last:g}; (0, 0) is the centre of the first pixel
+observations.sigma_not_positive: the standard deviation is not above zero
+    -> give it in pixels
+observations.seen_once: {count} check or tie point(s) are measured in one image only, so that they have no position
+    -> measure them in a second image, or write points_seen_once = "drop" under [adjustment]
+observations.image_unused: no point is measured in the image
+    -> measure points in it, or remove it from the project
+project.missing_file: the file does not exist
+    -> check the path; it is taken relative to {folder}
+project.folder: this is a folder, not a project file
+    -> give the project file in it, such as {inside}
+project.unreadable: the file cannot be read
+    -> give a readable text file
+project.encoding: the project file is not UTF-8
+    -> save it as UTF-8 text
+project.syntax: the project file is not valid TOML
+    -> mend the line; strings stand in double quotes
+project.schema: unknown schema of the project file
+    -> this version reads schema = 1
+project.format: files of this format hold no {what} that could be read
+    -> choose one of docs/formats
+project.own_table: this entry is for files of other programs only
+    -> leave it out, or name their format
+project.lacks: it has no {what}
+    -> add {entry}
+project.images_alike: two images of the file are one of the project
+    -> name the id of each in the table images
+project.missing: a required entry is missing
+    -> add it: {expected}
+project.unknown_key: unknown entry
+    -> {hint}
+project.constraints: a project takes no constraints: they have no form in the backends of satellite images
+    -> adjust photos with them by fg-orient closerange bundle <constraints> FILE; in Python one with a sigma is an
+       observation of Block.extra
+project.value: the value is not allowed
+    -> give {expected}
+project.image_twice: the image id is used twice
+    -> give every image its own id
+""")

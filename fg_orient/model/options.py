@@ -1,0 +1,212 @@
+"""Options of an adjustment and of reading a project; each field is the only declaration of its option.
+
+The types are read when the program runs, so annotations are not postponed here.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from fg_orient.model.declaration import Group, Names, Three, documented, option, require_allowed
+
+CheckPoints = Literal["use", "exclude"]
+RpcCompensation = Literal["shift", "shift_drift", "affine"]
+Datum = Literal["control", "priors", "inner", "free"]
+Backend = Literal["auto", "graph", "schur", "dense"]
+Optimizer = Literal[
+    "gauss-newton", "levenberg-marquardt", "dogleg", "native", "native-levenberg-marquardt", "native-dogleg"
+]
+RobustStart = Literal["none", "huber", "lms", "lts"]
+RobustScale = Literal["prior", "mad"]
+SnoopKind = Literal["groups", "points"]
+OutlierTest = Literal["baarda", "pope", "t"]
+StatisticsChoice = Literal["auto", "full", "basic"]
+MultipleTesting = Literal["none", "bonferroni", "sidak", "holm", "benjamini_hochberg"]
+
+#: Longest extrapolation of attitudes, s: a rate that is wrong by 1e-6 rad/s gives an error of 5 m on the ground.
+MAX_EXTRAPOLATION_S: Final = 5.0
+#: Groups of observations whose standard deviations are estimated if no others are named.
+USUAL_GROUPS: Final = ("image", "position", "height")
+
+UNKNOWNS: Final = Group("Unknowns of the images", "orientation", "concepts.md")
+PRIORS: Final = Group("Prior standard deviations", "orientation")
+ADJUSTMENT: Final = Group("Adjustment", "adjustment")
+ROBUST: Final = Group("Robust adjustment", "adjustment", "robust.md")
+TESTS: Final = Group("Gross errors and statistics", "adjustment", "outliers.md")
+
+
+@documented
+@dataclass(frozen=True)
+class Options:
+    """Choices of one adjustment: values of the project file, replaced by those of the command line."""
+
+    # fmt: off
+    eop_set: int = option(15, UNKNOWNS, "EOP set, 1-20 or a name such as PUA.", within=(1, 20), such="PUA")
+    look_polynomial: int | None = option(
+        None, UNKNOWNS, "Degree of the look-angle correction polynomial.",
+        within=(0, 5), left_out="no look-angle unknowns",
+    )
+    priors: bool = option(
+        True, UNKNOWNS, "Observe the orientation unknowns. Their prior standard deviations are the options named sigma."
+    )
+    position_sigma_m: Three = option(
+        (10.0, 1.0, 0.1), PRIORS, "Prior sigmas of the position: constant, linear, quadratic coefficient.", unit="m"
+    )
+    velocity_sigma_m_s: Three = option((1e-2, 1e-3, 1e-4), PRIORS, "Prior sigmas of the velocity.", unit="m/s")
+    attitude_sigma_rad: Three = option(
+        (50e-6, 10e-6, 2e-6), PRIORS, "Prior sigmas of roll, pitch and yaw.", unit="rad"
+    )
+    look_sigma_rad: float = option(1e-4, PRIORS, "Prior sigma of each look-angle coefficient.", unit="rad")
+    look_shared: bool = option(
+        False, UNKNOWNS,
+        "Self-calibration: one look-angle correction for all images of the same mission and instrument. Its constants "
+        "are the boresight (or mirror), psi_y_s1 is the focal length, psi_x_s1 the rotation of the line.",
+    )
+    curve_intervals: int = option(
+        0, UNKNOWNS,
+        "Intervals of smooth curves of position and attitude. Longer strips need them in addition to the quadratic "
+        "polynomials; the curves are cubic splines over equal intervals of the image (`factors.geometry.splines`).",
+        within=(2, 32), zero="no curves",
+    )
+    curve_position_sigma_m: float = option(
+        1.0, PRIORS, "Prior sigma of a position curve, root mean square over the image.", unit="m"
+    )
+    curve_attitude_sigma_rad: float = option(5e-6, PRIORS, "Prior sigma of an attitude curve, alike.", unit="rad")
+    rpc_compensation: RpcCompensation = option(
+        "shift", UNKNOWNS,
+        "Unknowns of an RPC image: shift; with terms linear in line; with terms linear in line and sample.",
+    )
+    rpc_shift_sigma_px: float = option(
+        100.0, PRIORS,
+        "Prior sigma of the shift of an RPC image. Vendor RPC of metre-resolution images are wrong by some ten pixels.",
+        unit="px",
+    )
+    rpc_linear_sigma_px: float = option(
+        10.0, PRIORS,
+        "Prior sigma of the other terms of an RPC image, at its ends. The normalised line or sample is -1 or 1 there.",
+        unit="px",
+    )
+    image_unknowns: Names = option(
+        (), UNKNOWNS,
+        "Names of single unknowns of an image instead of a set. They replace `eop_set`, `look_polynomial` and "
+        "`rpc_compensation`. Each image takes the names that its sensor has, such as psi_y_s1 or line_l1; the other "
+        "unknowns keep the values of the metadata.",
+        such=("x_0", "roll_0"), left_out="the EOP set",
+    )
+    small_angle: bool = option(
+        False, UNKNOWNS, "Small-angle attitude matrix of the published procedure. False: the exact rotation."
+    )
+    backend: Backend = option(
+        "auto", ADJUSTMENT,
+        "Least-squares engine: on arrays (schur), GTSAM (graph), full matrices (dense). auto: schur where it is "
+        "possible, else graph; dense: up to 2000 unknowns.",
+    )
+    solver: str | None = option(
+        None, ADJUSTMENT,
+        "Linear solver of the dense backend, such as qr or cramer_inverse. See fg_orient.adjustment.linear.registry.",
+        such="qr", left_out="qr",
+    )
+    optimizer: Optimizer = option(
+        "gauss-newton", ADJUSTMENT,
+        "Optimiser. The native ones are GTSAM's own: they need the graph and keep no checkpoint.",
+    )
+    loss: str = option(
+        "none", ROBUST,
+        "Robust loss, such as huber, hampel, tukey or tls; none: least squares. Image points and control points have "
+        "the loss. Others are andrews, danish, cauchy, geman_mcclure, welsch, danish_original and lad "
+        "(`factors.losses`).",
+        such="huber",
+    )
+    gnc: bool = option(
+        False, ROBUST,
+        "Graduated non-convexity: reach the loss tls or geman_mcclure in stages. Many gross errors then do not lead "
+        "to a wrong minimum. The limit of the loss follows from `inlier_probability`.",
+    )
+    inlier_probability: float = option(
+        0.99, ROBUST,
+        "Probability that a good observation lies within the limit of GNC. The quantile is that of chi-square with the "
+        "observation's dimension.",
+        below=1.0,
+    )
+    robust_start: RobustStart = option(
+        "huber", ROBUST,
+        "Start of a redescending loss; lms, lts: resections by control points. They minimise the median or the trimmed "
+        "sum of squares of each image; huber: minimum of Huber's loss; none: least squares.",
+    )
+    robust_scale: RobustScale = option(
+        "prior", ROBUST,
+        "Unit of a loss: the given standard deviations, or these times the scale of the residuals. mad: the robust "
+        "scales of image points and of control points.",
+    )
+    snoop: bool = option(
+        False, TESTS,
+        "Search for gross errors: adjust, leave out the worst observation, adjust again. "
+        "See fg_orient.orientation.outlier_search.",
+    )
+    snoop_kind: SnoopKind = option(
+        "groups", TESTS,
+        "Left out in a round of the search: one observation, or all of its point. groups: an image point or the "
+        "coordinates of a control point; points: all observations of a point.",
+    )
+    outlier_test: OutlierTest = option(
+        "t", TESTS,
+        "Test of single observations; baarda: standard deviations a priori. pope: tau test; t: scale without the "
+        "tested observation. Reports use the same test.",
+    )
+    outlier_level: float = option(0.05, TESTS, "Probability of any false alarm (see `multiple_testing`).", below=1.0)
+    multiple_testing: MultipleTesting = option(
+        "sidak", TESTS,
+        "Control of the false alarms of many tests. none: `outlier_level` of each test; bonferroni, sidak, holm: of "
+        "any false alarm; benjamini_hochberg: share of false alarms among the alarms.",
+    )
+    variance_components: Names = option(
+        (), TESTS,
+        "Estimate the standard deviations of groups of observations. The usual groups are the image points, the "
+        "positions and the heights; others are in fg_orient.quality.observation_groups. Adjustment and estimation "
+        "alternate until both have converged.",
+        usual=USUAL_GROUPS, left_out="the given standard deviations",
+    )
+    max_iterations: int = option(50, ADJUSTMENT, "Maximum number of iterations.", within=(1, 10_000))
+    check_points: CheckPoints = option(
+        "use", ADJUSTMENT,
+        "Use the image points of check points, or exclude them. Excluded check points are intersected afterwards.",
+    )
+    datum: Datum = option(
+        "control", ADJUSTMENT,
+        "Datum; all but control: relative, no control point is needed. priors: they define what no control point does; "
+        "inner: free network without priors, inner constraints on the ground points give its covariance; free: all "
+        "steps are damped, there is no covariance.",
+    )
+    statistics: StatisticsChoice = option(
+        "auto", TESTS,
+        "Reliability of every observation; auto: up to 200 000 image points. full: redundancy numbers, reliability and "
+        "normalised residuals in the results of a run; basic: without them.",
+    )
+    memory_limit_gb: float | None = option(
+        None, ADJUSTMENT,
+        "Refuse a run that needs more memory. The need is estimated before the run; 1 GB is 1e9 bytes.",
+        unit="GB", spelled="memory-limit-gb", left_out="80 % of the available memory",
+    )
+    # fmt: on
+
+    def __post_init__(self) -> None:
+        require_allowed(self)
+
+
+@documented
+@dataclass(frozen=True)
+class Reading:
+    """Choices of reading a project file; the block that is read has no trace of them."""
+
+    # fmt: off
+    extrapolate_attitude_s: float = option(
+        0.0, UNKNOWNS,
+        "Hold the last rate where attitudes do not cover the image. 0: these lines are refused one by one.",
+        within=(0.0, MAX_EXTRAPOLATION_S), unit="s",
+    )
+    points_seen_once: Literal["error", "drop"] = option(
+        "error", ADJUSTMENT, "Refuse check and tie points with a single image point, or drop them."
+    )
+    # fmt: on
+
+    def __post_init__(self) -> None:
+        require_allowed(self)

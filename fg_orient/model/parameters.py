@@ -1,0 +1,268 @@
+"""Named parameters of an image: EOP coefficients and look-angle polynomial, and the 20 EOP sets.
+
+Codes are those of ``factors.cameras.pushbroom``: ``3 component + degree`` for the 27 EOP
+coefficients, ``27 + 2 k`` and ``28 + 2 k`` for the coefficients of ``s^k`` in psi_x and
+psi_y. Unknowns are in prior sigmas, coefficients belong to tau in [-1, 1].
+
+Source of the sets: Terlemezoğlu 2019, Table 4.2 (sets 1-19: Topan & Maktav 2010, Table 2).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.model.block import Block, Options
+from fg_orient.model.declaration import require_declared
+from fg_orient.model.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+COMPONENTS = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")
+UNITS = ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
+POSITION, VELOCITY, ATTITUDE = (0, 1, 2), (3, 4, 5), (6, 7, 8)
+N_EOP = 27
+#: Coefficients of a look polynomial of the highest degree, 5.
+N_LOOK = 12
+#: Codes of curves: CURVE + CURVES component + number (``factors.cameras.pushbroom``).
+CURVE, CURVES = 64, 32
+#: Degrees of tau in words.
+DEGREES = ("constant", "linear in time", "quadratic in time")
+
+#: Short names of terms, and in words what the degree is one of.
+_TERMS: Final = (
+    (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_(?P<degree>[012])"), "degree {} in time"),
+    (re.compile(rf"(?P<component>{'|'.join(COMPONENTS)})_c[0-9]+(?P<degree>)"), "the curves"),
+    (re.compile(r"(?P<component>psi_[xy])_s(?P<degree>[0-5])"), "degree {} of the look angles"),
+    (re.compile(r"(?P<component>line|sample)_(?P<degree>0)"), "degree {} of the RPC compensation"),
+    (re.compile(r"(?P<component>line|sample)_l(?P<degree>1)"), "degree {} in line of the RPC compensation"),
+    (re.compile(r"(?P<component>line|sample)_s(?P<degree>1)"), "degree {} in sample of the RPC compensation"),
+    (re.compile(r"(?P<component>rotation|centre|principal)_(x|y|z|sample|line)(?P<degree>)"), ""),
+)
+
+_KINDS = {"PU": POSITION, "V": VELOCITY, "A": ATTITUDE}
+#: Number, name, kinds and degrees of each set; PU = position, V = velocity, A = attitude.
+EOP_SETS: dict[int, tuple[str, tuple[str, ...], tuple[int, ...]]] = {
+    1: ("PU", ("PU",), (0, 1, 2)), 2: ("PU0", ("PU",), (0,)), 3: ("PU1", ("PU",), (1,)), 4: ("PU2", ("PU",), (2,)),
+    5: ("V", ("V",), (0, 1, 2)), 6: ("V0", ("V",), (0,)), 7: ("V1", ("V",), (1,)), 8: ("V2", ("V",), (2,)),
+    9: ("A", ("A",), (0, 1, 2)), 10: ("A0", ("A",), (0,)), 11: ("A1", ("A",), (1,)), 12: ("A2", ("A",), (2,)),
+    13: ("PUV", ("PU", "V"), (0, 1, 2)), 14: ("PUV0", ("PU", "V"), (0,)),
+    15: ("PUA", ("PU", "A"), (0, 1, 2)), 16: ("PUA0", ("PU", "A"), (0,)),
+    17: ("VA", ("V", "A"), (0, 1, 2)), 18: ("VA0", ("V", "A"), (0,)),
+    19: ("PUVA0", ("PU", "V", "A"), (0,)), 20: ("PUVA", ("PU", "V", "A"), (0, 1, 2)),
+}  # fmt: skip
+
+
+def eop_set_number(name: int | str) -> int:
+    """Number 1-20 of an EOP set given by number or name.
+
+    Raises
+    ------
+    InputError
+        There is no such set.
+    """
+    text = str(name).strip().upper()
+    for number, (known, _, _) in EOP_SETS.items():
+        if text in (str(number), known):
+            return number
+    names = ", ".join(f"{n} {entry[0]}" for n, entry in EOP_SETS.items())
+    raise InputError.of("parameters.eop_set", place="eop_set", value=name, names=names)
+
+
+def with_options(block: Block, caller: str, **given: Any) -> Block:
+    """Block with options replaced; None keeps the block's.
+
+    Raises
+    ------
+    InputError
+        A value is not allowed.
+    TypeError
+        A name is not an option; the message names the ``caller``.
+    """
+    require_declared(given, caller, type(block.options))
+    values: dict[str, Any] = {
+        name: tuple(v) if isinstance(v, Sequence) and not isinstance(v, str) else v
+        for name, v in given.items()
+        if v is not None
+    }
+    if "eop_set" in values:
+        values["eop_set"] = eop_set_number(values["eop_set"])
+    return replace(block, options=replace(block.options, **values))
+
+
+def eop_codes(number: int) -> tuple[int, ...]:
+    """Codes of the coefficients in a set, by component, then degree."""
+    _, kinds, degrees = EOP_SETS[number]
+    return tuple(3 * c + k for kind in kinds for c in _KINDS[kind] for k in degrees)
+
+
+@dataclass(frozen=True)
+class Term:
+    """What a short name says of an unknown that belongs together with others: coefficient or coordinate.
+
+    Parameters
+    ----------
+    component : str
+        "roll", "psi_x", "line", "centre".
+    degree : int or None
+        None for a coordinate or a curve.
+    kind : str
+        Of the degree, in words: "degree 1 in time". Degrees of different variables are of different kinds; "" without.
+    """
+
+    component: str
+    degree: int | None
+    kind: str
+
+
+def term_of(name: str) -> Term | None:
+    """Component, degree and kind of an unknown by its short name; None for one that stands alone (``k1``)."""
+    for pattern, kind in _TERMS:
+        found = pattern.fullmatch(name)
+        if found:
+            digit = found["degree"]
+            return Term(found["component"], int(digit) if digit else None, kind.format(digit))
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class ImageParameters:
+    """The unknowns of one image in the order of its vector, whatever its sensor.
+
+    Parameters
+    ----------
+    codes : tuple of int
+        Codes of the image's observation equation: ``factors.cameras.pushbroom``, ``factors.cameras.rfm_equation``.
+    sigma : (k,) array
+        Prior sigmas in ``units``; the vector itself is in prior sigmas.
+    names : tuple of str
+        Short names, component and degree: ``x_0``, ``roll_2``, ``psi_y_s1``, ``line_0``.
+    units : tuple of str
+        Physical unit of each unknown.
+    words : tuple of str
+        Each unknown in words: "position X (constant, m)".
+    shared : tuple of str
+        Id under which images share each unknown, "" for the image's own; () if all are its own.
+    """
+
+    codes: tuple[int, ...]
+    sigma: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    words: tuple[str, ...]
+    shared: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    @cached_property
+    def own(self) -> npt.NDArray[np.bool_]:
+        """Unknowns (k,) that no other image shares."""
+        return np.array([not name for name in self.shared or ("",) * len(self)], dtype=bool)
+
+    def take(self, which: npt.NDArray[np.bool_]) -> ImageParameters:
+        """Some of the unknowns (k,)."""
+        at = np.flatnonzero(which).tolist()
+
+        def of(values: tuple[Any, ...]) -> tuple[Any, ...]:
+            return tuple(values[j] for j in at) if values else ()
+
+        return ImageParameters(
+            of(self.codes), self.sigma[at], of(self.names), of(self.units), of(self.words), of(self.shared)
+        )
+
+    @cached_property
+    def setup(self) -> Array:
+        """Setup array of the equation: codes and prior sigmas (2, k)."""
+        return np.ascontiguousarray(np.stack([np.array(self.codes, float), self.sigma]))
+
+
+def chosen_codes(options: Options) -> tuple[int, ...]:
+    """Codes of the unknowns of a pushbroom image: those named, else of EOP set and look polynomial."""
+    if options.image_unknowns:
+        every = (*range(N_EOP + N_LOOK), *curve_codes(options, POSITION + ATTITUDE))
+        known = {parameter_name(code): code for code in every}
+        return tuple(sorted(known[name] for name in options.image_unknowns if name in known))
+    degree = options.look_polynomial
+    eop = eop_codes(options.eop_set)
+    look = tuple(range(N_EOP, N_EOP + (0 if degree is None else 2 * (degree + 1))))
+    return eop + look + curve_codes(options, sorted({code // 3 for code in eop} - set(VELOCITY)))
+
+
+def curve_codes(options: Options, components: Iterable[int]) -> tuple[int, ...]:
+    """Codes of the curves of these components, by component, then number."""
+    return tuple(CURVE + CURVES * c + k for c in components for k in range(options.curve_intervals))
+
+
+def require_unknowns(options: Options, codes: tuple[int, ...], file: str, known: Iterable[str]) -> None:
+    """Refuse an image that ``image_unknowns`` leaves without any unknown.
+
+    Raises
+    ------
+    InputError
+        See above.
+    """
+    if not codes:
+        raise InputError.of(
+            "parameters.unknowns", file=file, place="image_unknowns", value=", ".join(options.image_unknowns),
+            known=", ".join(known),
+        )  # fmt: skip
+
+
+def orientation_parameters(options: Options, file: str = "", camera: str = "") -> ImageParameters:
+    """Unknowns of a pushbroom image: EOP coefficients, then those of the look polynomial, then curves.
+
+    ``camera``: with option ``look_shared``, images of the same camera have the look polynomial in common.
+
+    Raises
+    ------
+    InputError
+        ``image_unknowns`` names none of them.
+    """
+    codes = chosen_codes(options)
+    require_unknowns(options, codes, file, (parameter_name(code) for code in range(N_EOP + N_LOOK)))
+    table = np.repeat([options.position_sigma_m, options.velocity_sigma_m_s, options.attitude_sigma_rad], 3, axis=0)
+    plain = np.concatenate([table.ravel(), np.full(N_LOOK, options.look_sigma_rad)])
+    curve = np.repeat([options.curve_position_sigma_m, np.nan, options.curve_attitude_sigma_rad], 3)
+    sigma = np.array([plain[c] if c < CURVE else curve[(c - CURVE) // CURVES] for c in codes])
+    units = tuple("rad" if N_EOP <= code < CURVE else UNITS[_component(code)] for code in codes)
+    shared = tuple(f"look angles of {camera}" if N_EOP <= c < CURVE else "" for c in codes)
+    return ImageParameters(
+        codes, sigma, tuple(map(parameter_name, codes)), units, tuple(map(parameter_words, codes)),
+        shared if options.look_shared and any(shared) else (),
+    )  # fmt: skip
+
+
+def _component(code: int) -> int:
+    """Which of the nine EOP a coefficient or a curve belongs to."""
+    return code // 3 if code < N_EOP else (code - CURVE) // CURVES
+
+
+def parameter_name(code: int) -> str:
+    """Short name of one coefficient: ``roll_1``, of a curve ``roll_c4``."""
+    if code >= CURVE:
+        return f"{COMPONENTS[_component(code)]}_c{(code - CURVE) % CURVES}"
+    if code < N_EOP:
+        return f"{COMPONENTS[code // 3]}_{code % 3}"
+    return f"psi_{'xy'[(code - N_EOP) % 2]}_s{(code - N_EOP) // 2}"
+
+
+def parameter_words(code: int) -> str:
+    """Name a coefficient in words: "velocity Y (constant, m/s)", "look angle psi_x_s1"."""
+    if N_EOP <= code < CURVE:
+        return f"look angle {parameter_name(code)}"
+    component = _component(code)
+    if component in POSITION:
+        name = f"position {'XYZ'[component]}"
+    elif component in VELOCITY:
+        name = f"velocity {'XYZ'[component - 3]}"
+    else:
+        name = ("roll", "pitch", "yaw")[component - ATTITUDE[0]]
+    shape = DEGREES[code % 3] if code < N_EOP else f"curve {(code - CURVE) % CURVES}"
+    return f"{name} ({shape}, {UNITS[component]})"

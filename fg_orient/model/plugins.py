@@ -1,0 +1,114 @@
+"""A user's own file, loaded by the command line: it registers sensors, equations, solvers, kappa rules and losses.
+
+The command line imports the file of its option ``plugin`` before the command begins; from Python it is imported as any
+other module. Nothing else loads code: a project file that came from elsewhere cannot.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+from fg_orient.model.errors import FgOrientError, Finding, InputError, Option, finding
+
+#: Files that were loaded, as tracebacks name them.
+_LOADED: set[str] = set()
+
+
+def load_plugin(path: str | Path) -> ModuleType:
+    """Import a Python file under its own name, once.
+
+    Its folder goes to the end of ``sys.path``, so that worker processes, which get that path, find it too.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``NAME.py``; NAME is no module's that is installed.
+
+    Raises
+    ------
+    InputError
+        There is no such file, its name is no module name or is taken, or it cannot be imported: names the line.
+    """
+    path = Path(path).resolve()
+    if not path.is_file() or path.suffix != ".py" or not path.stem.isidentifier():
+        raise InputError.of("plugin.file", file=path, option="plugin")
+    present = sys.modules.get(path.stem)
+    if present is not None and getattr(present, "__file__", None) == str(path):
+        return present
+    other = present or find_spec(path.stem)
+    if other is not None:
+        known = getattr(other, "origin", None) or getattr(other, "__file__", "")
+        if known != str(path):
+            raise InputError.of("plugin.name", file=path, option="plugin", value=path.stem)
+    return _imported(path)
+
+
+def _imported(path: Path) -> ModuleType:
+    spec = spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None  # it ends in .py
+    module = sys.modules[path.stem] = module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # a script that ends itself would end the command as if it were good
+        del sys.modules[path.stem]
+        value = error if isinstance(error, FgOrientError) else told(error)
+        raise InputError.of("plugin.failed", file=path, place=_line(error, path), value=value) from error
+    _LOADED.add(str(path))
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    return module
+
+
+def fault_of(error: BaseException) -> Finding | None:
+    """What to say of an exception that came through a plugin; None if no plugin took part.
+
+    Parameters
+    ----------
+    error : exception
+        Any but an ``FgOrientError``, which says by itself what is wrong.
+    """
+    file = next((name for name in reversed(_files(error)) if name in _LOADED), None)
+    if file is None:
+        return None
+    return finding("plugin.raised", file=file, place=_line(error, Path(file)), value=told(error))
+
+
+def raised_in(error: BaseException, file: str) -> str:
+    """File and line of a user's own code that an exception came from.
+
+    Parameters
+    ----------
+    error : exception
+    file : str
+        Of that code, should the exception not have come through it: built-in functions leave no trace.
+    """
+    return f"{file}, {_line(error, Path(file))}" if file in _files(error) else file
+
+
+def told(error: BaseException) -> str:
+    """Kind and words of an exception on one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _files(error: BaseException) -> list[str]:
+    """Files that an exception came through, the innermost last."""
+    files, trace = [], error.__traceback__
+    while trace is not None:
+        files.append(trace.tb_frame.f_code.co_filename)
+        trace = trace.tb_next
+    return files
+
+
+def _line(error: BaseException, path: Path) -> str:
+    """Last line of the file that the error came through; of a syntax error the line itself."""
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        return f"line {error.lineno}"
+    lines, trace = [], error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path):
+            lines.append(trace.tb_lineno)
+        trace = trace.tb_next
+    return f"line {lines[-1]}" if lines else Option("plugin")

@@ -1,0 +1,1 @@
+"""The order of the steps of an adjustment, and the object that it returns."""

@@ -1,0 +1,128 @@
+"""What every adjustment ends with, and a round of the search for gross errors looks at: fit, cofactors, tests.
+
+:class:`fg_orient.orientation.solution.Solution` is one with all that is said of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import Weights, weighted_problem
+from fg_orient.model.block import Block
+from fg_orient.model.errors import Finding, NoSolutionError
+from fg_orient.model.names import Status
+from fg_orient.quality.covariance import Cofactors
+from fg_orient.quality.outliers import OutlierTests, outlier_tests
+from fg_orient.quality.residuals import ResidualCofactors, residual_cofactors
+from fg_orient.quality.suspects import Kind
+from fg_orient.quality.variance_components import VarianceComponents
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adjusted:
+    """End of an adjustment.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was solved (block, parameters, weights, start).
+    status : Status
+    state : State
+        Unknowns: prior sigmas and local metres.
+    chi2 : float
+        Weighted sum of squares of all residuals; under a loss with the weights at the solution.
+    cofactors : Cofactors or None
+        None where the covariance cannot be computed; ``withheld`` says why. Under a loss they are those of least
+        squares with the weights at the solution.
+    weights : Weights or None
+        Under a loss: of image points (n,) and ground points (N,).
+    components : VarianceComponents or None
+        Variance components that the sigmas of ``block`` were multiplied with, if the options ask for them.
+    """
+
+    problem: Problem
+    status: Status
+    state: State
+    chi2: float
+    cofactors: Cofactors | None
+    withheld: tuple[Finding, ...] = ()
+    weights: Weights | None = None
+    components: VarianceComponents | None = None
+
+    @property
+    def block(self) -> Block:
+        """The block that was adjusted."""
+        return self.problem.block
+
+    @property
+    def redundancy(self) -> int:
+        """Observations minus unknowns."""
+        return self.problem.redundancy
+
+    @property
+    def sigma0(self) -> float:
+        """A posteriori standard deviation of unit weight (nan without redundancy).
+
+        Under a loss below 1 even where all sigmas hold, since the weights take from the large residuals.
+        """
+        return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else float("nan")
+
+    def required_cofactors(self, *, unweighted: str = "") -> Cofactors:
+        """Cofactors, or why there are none; ``unweighted``: code of the message that refuses the weights of a loss."""
+        if self.cofactors is None:
+            raise NoSolutionError.of("covariance.withheld", value="; ".join(map(str, self.withheld)))
+        if unweighted:
+            self._require_unweighted(unweighted)
+        return self.cofactors
+
+    def _require_unweighted(self, code: str) -> None:
+        if self.weights is not None:
+            raise NoSolutionError.of(code, place=self.block.options.loss)
+
+    @cached_property
+    def judged(self) -> Problem:
+        """The problem that the cofactors belong to: under a loss the one with the weights at the solution."""
+        return self.problem if self.weights is None else weighted_problem(self.problem, self.weights)
+
+    @cached_property
+    def residual_cofactors(self) -> ResidualCofactors:
+        """Cofactors of all residuals (whitened, prior scale) and redundancy numbers; computed when first asked for.
+
+        Raises
+        ------
+        NoSolutionError
+            The covariance could not be computed; the message says why.
+        """
+        return residual_cofactors(self.judged, self.state, self.required_cofactors())
+
+    def outlier_tests(
+        self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
+    ) -> OutlierTests:
+        """Test of every observation for a gross error, most suspicious first; see ``fg_orient.quality.outliers``.
+
+        Parameters
+        ----------
+        level, test, control : optional
+            Options ``outlier_level``, ``outlier_test`` and ``multiple_testing`` of the block if not given.
+        kind : str
+            "groups": image points, position and height of control points; "coordinates"; "points".
+
+        Raises
+        ------
+        InputError
+            A name or a level that is not possible.
+        NoSolutionError
+            The covariance could not be computed; the message says why.
+        """
+        cofactors, options = self.required_cofactors(unweighted="covariance.weighted"), self.block.options
+        return outlier_tests(
+            self.problem, self.state, cofactors, self.chi2, kind=kind, components=self.components,
+            known=self.residual_cofactors,
+            level=options.outlier_level if level is None else level,
+            test=options.outlier_test if test is None else test,
+            control=options.multiple_testing if control is None else control,
+        )  # fmt: skip

@@ -1,0 +1,182 @@
+"""An elevation model as control: heights of points observed from it, with a sigma.
+
+A point's height above the model, taken as a plane about the point's last place (``factors.conditions.height_control``),
+is one more observation. The planes are read anew at the adjusted places until the points rest, as the place
+at which a slope is read depends on the adjustment. It holds the height of a block that has tie points on open
+ground and little control; on slopes it holds the position, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.conditions.height_control import HEIGHT_CONTROL, RECORD
+from factors.geometry import ellipsoid
+from fg_orient.geodesy import enu_from_ecef
+from fg_orient.model.block import Block, ExtraObservation
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
+from fg_orient.orientation.orient import adjust
+from fg_orient.orientation.solution import Solution
+from fg_orient.sensors.correction import HeightSurface
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+#: Half the step over which slopes are read; rounds, and the longest way of a point in the last one.
+SLOPE_M: Final = 1.0
+MAX_ROUNDS: Final = 10
+REST_M: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class DemAdjustment:
+    """Result of :func:`adjust_with_dem`.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of the last round.
+    dem : str
+        Name of the model.
+    ids : tuple of str
+        Points whose heights were observed.
+    outside : tuple of str
+        Points without a height in the model.
+    height_m : (n,) array
+        Adjusted heights above the model.
+    sigma_m : float
+        Of a height.
+    rounds : int
+        Adjustments made, the first one without the model.
+    moved_m : float
+        Longest way of a point in the last round; above 1 mm the points do not rest.
+    """
+
+    solution: Solution
+    dem: str
+    ids: tuple[str, ...]
+    outside: tuple[str, ...]
+    height_m: Array
+    sigma_m: float
+    rounds: int
+    moved_m: float
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the last planes were those of the adjusted places."""
+        return self.moved_m <= REST_M
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give the entry ``dem_control`` of ``result.json``."""
+        h = self.height_m
+        return {
+            "dem": self.dem, "sigma_m": self.sigma_m, "n": len(self.ids), "outside": list(self.outside),
+            "rounds": self.rounds, "at_rest": self.at_rest, "moved_m": self.moved_m,
+            "mean_m": float(h.mean()), "rms_m": float(np.sqrt(np.mean(h**2))), "max_m": float(np.abs(h).max()),
+        }  # fmt: skip
+
+
+def adjust_with_dem(
+    block: Block, dem: HeightSurface, sigma_m: float, *, roles: Sequence[Role] = (Role.TIE,), **options: Any
+) -> DemAdjustment:
+    """Adjust a block with heights of its points observed from an elevation model.
+
+    Parameters
+    ----------
+    block : Block
+    dem : HeightSurface
+        For instance ``RasterDem("dem.tif")``: ellipsoidal heights.
+    sigma_m : float
+        Standard deviation of a height of the model at a point.
+    roles : sequence of Role
+        Which points; check points keep their coordinates sealed all the same.
+    **options
+        Of :func:`fg_orient.adjust`; backends graph and dense take own observations.
+
+    Returns
+    -------
+    DemAdjustment
+
+    Raises
+    ------
+    InputError
+        The sigma is none, the backend is the Schur backend, no point lies over the model, or the block cannot be
+        adjusted.
+    """
+    if not (np.isfinite(sigma_m) and sigma_m > 0.0):
+        raise InputError.of("dem_control.sigma", place="sigma_m", value=sigma_m)
+    if options.get("backend", block.options.backend) == "schur":
+        raise InputError.of("dem_control.backend", place="backend", value="schur")
+    wanted = np.flatnonzero([role in roles for role in block.points.roles])
+    solution = adjust(block, **options)
+    moved, rounds = np.inf, 1
+    while rounds < MAX_ROUNDS and moved > REST_M:
+        ground = solution.ground_m
+        used, extra = height_observations(block, dem, sigma_m, ground, wanted, solution.problem.origin_m)
+        if not len(used):
+            raise InputError.of("dem_control.no_point", file=dem.path, value=f"{len(wanted)} points")
+        solution = adjust(replace(block, extra=(*block.extra, *extra)), **options)
+        moved, rounds = float(np.linalg.norm(solution.ground_m[used] - ground[used], axis=1).max()), rounds + 1
+    lon, lat, h = _geodetic(solution.ground_m[used])
+    names = block.points.ids
+    return DemAdjustment(
+        solution, dem.path, tuple(names[j] for j in used), tuple(names[j] for j in np.setdiff1d(wanted, used)),
+        h - dem.height_m(lon, lat), float(sigma_m), rounds, moved,
+    )  # fmt: skip
+
+
+def height_observations(
+    block: Block, dem: HeightSurface, sigma_m: float, ground_m: Array, points: Index, origin_m: Array
+) -> tuple[Index, tuple[ExtraObservation, ...]]:
+    """Heights of points above the planes of an elevation model at their present places.
+
+    Parameters
+    ----------
+    block : Block
+    dem : HeightSurface
+    sigma_m : float
+    ground_m : (n, 3) array
+        Places of all points of the block, ECEF m; nan where there is none.
+    points : (k,) int array
+        Points to observe; those without place, height or slope are left out.
+    origin_m : (3,) array
+        Local origin of the ground unknowns (``Problem.origin_m``).
+
+    Returns
+    -------
+    (m,) int array of the points observed, and their observations
+    """
+    placed = points[np.isfinite(ground_m[points]).all(axis=1)]
+    at = np.ascontiguousarray(ground_m[placed])
+    lon, lat, h = _geodetic(at)
+    axes = enu_from_ecef(lon, lat)
+    above = h - dem.height_m(lon, lat)
+    slope = np.empty((len(placed), 2))
+    for k in range(2):
+        ends = [dem.height_m(*_geodetic(at + sign * SLOPE_M * axes[:, k])[:2]) for sign in (-1.0, 1.0)]
+        slope[:, k] = (ends[1] - ends[0]) / (2.0 * SLOPE_M)
+    good = np.flatnonzero(np.isfinite(above) & np.isfinite(slope).all(axis=1))
+    up = axes[:, 2]
+    normal = up - slope[:, :1] * axes[:, 0] - slope[:, 1:] * axes[:, 1]
+    foot = at - above[:, None] * up - origin_m
+    extra = tuple(
+        ExtraObservation(
+            HEIGHT_CONTROL, (f"point:{block.points.ids[placed[j]]}",),
+            RECORD.pack(normal=normal[j] / sigma_m, place=foot[j]), np.zeros((2, 0)), 1,
+            f"height of point {block.points.ids[placed[j]]} from the DEM",
+        )
+        for j in good
+    )  # fmt: skip
+    return placed[good], extra
+
+
+def _geodetic(ground_m: Array) -> tuple[Array, Array, Array]:
+    """Longitudes and latitudes (degrees), heights (m)."""
+    lon, lat, h = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m)).T
+    return np.degrees(lon), np.degrees(lat), h

@@ -1,0 +1,355 @@
+"""The main job: block in, solution out.
+
+``adjust`` compiles the problem, judges observability **before** anything is solved, runs
+the backend, and only then opens the coordinates of the check points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._preparation import preparing_seconds, working_clock
+from fg_orient.adjustment.checkpoint import Checkpoint
+from fg_orient.adjustment.located import LocatedPoints, locate_points
+from fg_orient.adjustment.loop import Callback
+from fg_orient.adjustment.memory import require_memory
+from fg_orient.adjustment.point_cofactors import blocks_of_images
+from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.robust import are_information, weighted_problem
+from fg_orient.adjustment.solve import Estimate, require_possible, solve
+from fg_orient.model.block import Block, Coordinates
+from fg_orient.model.errors import Finding, InputError, finding
+from fg_orient.model.names import Role, Status
+from fg_orient.model.options import Backend, Datum, Options
+from fg_orient.model.parameters import with_options
+from fg_orient.orientation.adjusted import Adjusted
+from fg_orient.orientation.solution import Seconds, Solution
+from fg_orient.quality import verdict
+from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
+from fg_orient.quality.covariance import Cofactors, Indeterminate, cofactors_of
+from fg_orient.quality.deficiency import (
+    compiled_problem,
+    judge_observability,
+    refuse_deficient,
+    require_determined,
+)
+from fg_orient.quality.free_network import (
+    InnerCofactors,
+    held_unknowns,
+    to_inner_datum,
+    with_minimal_datum,
+    without_priors,
+)
+from fg_orient.quality.observability import BlockObservability, ImageObservability
+from fg_orient.sensors import initial
+
+if TYPE_CHECKING:
+    from fg_orient.adjustment.parts.pool import Execution
+
+Array = npt.NDArray[np.float64]
+#: Told of each stage of the work: its name, and the number of image points where it is known.
+Stage = Callable[[str, int], None]
+
+
+def adjust(
+    block: Block,
+    *,
+    eop_set: int | str | None = None,
+    priors: bool | None = None,
+    datum: Datum | None = None,
+    backend: Backend | None = None,
+    loss: str | None = None,
+    snoop: bool | None = None,
+    variance_components: Sequence[str] | None = None,
+    options: Options | None = None,
+    parts: int | None = None,
+    workers: int | None = None,
+    cluster: Any = None,
+    work_dir: str | Path | None = None,
+    callback: Callback | None = None,
+    stage: Stage | None = None,
+    checkpoint: Checkpoint | None = None,
+    **more: Any,
+) -> Solution:
+    """Adjust a block; arguments override the options of its project file.
+
+    Parameters
+    ----------
+    block : Block
+    eop_set : int or str, optional
+        Number 1-20 or name ("PUA").
+    priors, datum, backend, loss, snoop, variance_components : optional
+        Options that are used most, see :class:`fg_orient.Options`. None keeps the block's.
+    options : Options, optional
+        Options in place of the block's.
+    parts : int, optional
+        Adjust in so many parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``:
+        by the size of the block. The numbers are the same for any workers.
+    workers : int, optional
+        Processes of this machine that work on the parts; 1: this one.
+    cluster : str or dask.distributed.Client, optional
+        Scheduler of a running cluster instead.
+    work_dir : path, optional
+        Folder for the files of the parts, seen by all workers.
+    callback : callable, optional
+        Called with an ``IterationRecord`` after each iteration, in every round of a search.
+    stage : callable, optional
+        Called with the name of each stage of the work as it begins, and the number of image points.
+    checkpoint : Checkpoint, optional
+        Keeps the run in a file, or is what it goes on from; to be removed by the caller in the end. A search keeps its
+        first round, an estimation of variance components nothing.
+    **more
+        Any other option of :class:`fg_orient.Options`; docs/options.md.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    InputError
+        The block cannot be adjusted (exit code 2).
+    RankDeficientError
+        Without priors some directions are not observable; one problem per direction (exit code 3).
+    TypeError
+        An argument is not an option.
+    """
+    block = with_options(
+        block if options is None else replace(block, options=options), "adjust", eop_set=eop_set, priors=priors,
+        datum=datum, backend=backend, loss=loss, snoop=snoop, variance_components=variance_components, **more,
+    )  # fmt: skip
+    require_possible(block.options)
+    shared = not (parts is None and workers is None and cluster is None)
+    if work_dir is not None and not shared:
+        raise InputError.of("parallel.no_parts", place="work_dir", value=work_dir)
+    execution = _execution(parts, workers or 1, cluster, work_dir) if shared else None
+
+    def run(block: Block, begin: State | None) -> Solution:
+        return adjust_once(block, execution, callback, stage, checkpoint if begin is None else None, begin)
+
+    def run_with_components(block: Block, begin: State | None) -> Solution:
+        from fg_orient.orientation.components import adjust_with_components
+
+        return adjust_with_components(block, run, begin)
+
+    def next_round(block: Block, begin: State, like: Problem) -> Adjusted:
+        if block.options.variance_components or block.options.datum == "inner":
+            return runner(block, begin)
+        return adjust_again(block, like, begin, execution, callback, stage)
+
+    runner = run_with_components if block.options.variance_components else run
+    if not block.options.snoop:
+        return runner(block, None)
+    from fg_orient.orientation.outlier_search import require_possible_search, search
+
+    require_possible_search(block)
+    solution = runner(block, None)
+    end, found = search(block, solution, next_round)
+    whole = end.whole(solution.seconds.jit) if isinstance(end, Again) else end
+    assert isinstance(whole, Solution)
+    return replace(whole, snooping=found, findings=(*found.findings(), *whole.findings), memory=solution.memory)
+
+
+def adjust_once(
+    block: Block,
+    execution: Execution | None = None,
+    callback: Callback | None = None,
+    stage: Stage | None = None,
+    checkpoint: Checkpoint | None = None,
+    begin: State | None = None,
+) -> Solution:
+    """Adjust a block as its options say, one time, from a state if one is given; see :func:`adjust`."""
+    memory = require_memory(block, elsewhere=execution is not None and execution.cluster is not None)
+    prepared, start = preparing_seconds(), working_clock()
+    tell = stage or (lambda name, count: None)
+    tell("structure", len(block.observations))
+    inner = block.options.datum == "inner"
+    compiled = compiled_problem(without_priors(block) if inner else block)
+    observability = judge_observability(compiled)
+    block_view = refuse_deficient(compiled, observability)
+    compiled = with_minimal_datum(compiled) if inner else compiled
+    structure = working_clock() - start
+    tell("iterations", len(compiled.observations))
+    estimate = _solved(compiled, execution, callback, checkpoint, begin)
+    compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
+    tell("statistics", len(compiled.observations))
+    solution = conclude(compiled, observability, block_view, estimate, structure)
+    if inner and not len(held_unknowns(compiled)):
+        solution = replace(solution, findings=(_no_inner_datum(block), *solution.findings))
+    return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
+
+
+def _execution(parts: int | None, workers: int, cluster: Any, work_dir: str | Path | None) -> Execution:
+    """Where and in how many parts to adjust."""
+    from fg_orient.adjustment.parts.pool import Execution
+
+    return Execution(parts, workers, cluster, work_dir)
+
+
+def _solved(
+    compiled: Problem, execution: Execution | None, callback: Callback | None, checkpoint: Checkpoint | None,
+    begin: State | None,
+) -> Estimate:  # fmt: skip
+    """Run the optimisation here, or in parts."""
+    if execution is None:
+        return solve(compiled, callback, checkpoint=checkpoint, start=begin)
+    from fg_orient.adjustment.parts.solve import solve_in_parts
+
+    return solve_in_parts(compiled, execution, callback, checkpoint, begin)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Again(Adjusted):
+    """A round of a search: what the next round asks for, and how a whole solution is made of the last one."""
+
+    estimate: Estimate
+    structure_s: float
+
+    def whole(self, jit_s: float) -> Solution:
+        """Give the solution of this round; observability is judged only now."""
+        observability = judge_observability(self.problem)
+        block_view = refuse_deficient(self.problem, observability)
+        solution = conclude(self.problem, observability, block_view, self.estimate, self.structure_s)
+        return replace(solution, seconds=replace(solution.seconds, jit=jit_s))
+
+
+def adjust_again(
+    block: Block, like: Problem, begin: State, execution: Execution | None, callback: Callback | None,
+    stage: Stage | None,
+) -> Again:  # fmt: skip
+    """Adjust a block that differs in some observations from that of ``like``, from a state near the solution.
+
+    Only what decides on the next observation to be left out is computed.
+    """
+    start, tell = working_clock(), stage or (lambda name, count: None)
+    tell("structure", len(block.observations))
+    compiled = compiled_problem(block, like)
+    require_determined(compiled)
+    structure = working_clock() - start
+    tell("iterations", len(compiled.observations))
+    estimate = _solved(compiled, execution, callback, None, begin)
+    tell("statistics", len(compiled.observations))
+    cofactors, withheld = _cofactors(compiled, estimate)
+    return Again(
+        problem=compiled, status=verdict.judge(compiled, estimate, withheld).status, state=estimate.state,
+        chi2=estimate.chi2, cofactors=cofactors, withheld=withheld, estimate=estimate, structure_s=structure,
+    )  # fmt: skip
+
+
+def _no_inner_datum(block: Block) -> Finding:
+    """Inner constraints had nothing to do; the priors were switched off for them."""
+    priors = block.options.priors
+    return finding("solution.no_inner_datum_nor_priors" if priors else "solution.no_inner_datum")
+
+
+def conclude(
+    compiled: Problem,
+    observability: tuple[ImageObservability, ...],
+    block_view: BlockObservability | None,
+    estimate: Estimate,
+    structure_s: float,
+) -> Solution:
+    """Statistics after convergence; the check points' coordinates are opened here and nowhere before."""
+    start = working_clock()
+    judged = compiled if estimate.weights is None else weighted_problem(compiled, estimate.weights)
+    cofactors, withheld = _cofactors(judged, estimate)
+    located = _located_afterwards(compiled, estimate.state)
+    ground = estimate.state.ground + compiled.origin_m
+    if located is not None:
+        ground[located.index] = located.ground_m
+    accuracy = _assess(compiled, ground, located, cofactors)
+    found = verdict.judge(compiled, estimate, withheld)
+    findings = verdict.findings(compiled, estimate, found, observability, block_view, accuracy)
+    if found.status is Status.NOT_TRUSTWORTHY:
+        from fg_orient.quality.mix_ups import mix_ups
+
+        findings = (*findings[:1], *mix_ups(compiled.block), *findings[1:])
+    if located is not None and len(located.lost):
+        names = [compiled.block.points.ids[j] for j in located.lost]
+        findings += (finding("solution.check_not_located", n=len(names), points=names),)
+    return Solution(
+        problem=compiled, status=found.status, verdict=found.finding, end=estimate.end,
+        backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
+        state=estimate.state, ground_m=ground, chi2=estimate.chi2,
+        sigma0_interval=found.interval, log=estimate.log, iterations=estimate.iterations,
+        residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
+        accuracy=accuracy,
+        cofactors=cofactors, withheld=withheld, findings=findings, weights=estimate.weights,
+        resumed_at=estimate.resumed_at,
+        seconds=Seconds(0.0, structure_s + estimate.structure_s, 0.0, estimate.solve_s, working_clock() - start),
+    )  # fmt: skip
+
+
+def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None, tuple[Finding, ...]]:
+    if compiled.least_damping > 0.0:
+        return None, (finding("withheld.free_datum"),)
+    loss = compiled.block.options.loss
+    if estimate.weights is not None and not are_information(loss, estimate.weights):
+        return None, (finding("withheld.loss", loss=loss),)
+    try:
+        found = cofactors_of(compiled, estimate)
+        inner = compiled.block.options.datum == "inner"
+        return (InnerCofactors(compiled, estimate.state, found) if inner else found), ()
+    except Indeterminate as reason:
+        return None, (finding("withheld.indeterminate", why=reason),)
+
+
+def _located_afterwards(compiled: Problem, state: State) -> LocatedPoints | None:
+    """Excluded check points, located with the adjusted orientation; None if there is none."""
+    missing = initial.missing_rows(state.ground)
+    o = compiled.block.observations
+    rows = missing[o.point]
+    if not rows.any():
+        return None
+    seen = np.unique(o.point[rows])
+    wanted = np.zeros_like(state.ground)
+    wanted[seen] = np.nan
+    start = initial.ground_points(
+        compiled.block.images, o.take(rows), compiled.block.points.ids, wanted, compiled.corrections(state)
+    )
+    return locate_points(compiled, state, start, seen)
+
+
+def _assess(compiled: Problem, ground: Array, located: LocatedPoints | None, cofactors: Cofactors | None) -> Accuracy:
+    """Differences at control points and, after opening their coordinates, at check points."""
+    points = compiled.block.points
+    used = ~initial.missing_rows(ground)
+    control, check = (rows[used[rows]] for rows in (points.where(Role.CONTROL), points.where(Role.CHECK)))
+    adjusted = control[compiled.active[control]]  # a fixed point is a constant: it has no difference
+    opened = compiled.block.withheld.open() if len(check) else None
+    place = {name: k for k, name in enumerate(compiled.block.withheld.ids)}
+    order = [place[points.ids[j]] for j in check]
+    at_control = _differences(compiled, ground, adjusted, points.known, adjusted, located, cofactors)
+    return Accuracy(
+        replace(at_control, n_fixed=len(control) - len(adjusted)),
+        _differences(compiled, ground, check, opened or points.known, np.array(order, np.intp), located, cofactors),
+    )
+
+
+def _differences(
+    compiled: Problem,
+    ground: Array,
+    index: npt.NDArray[np.intp],
+    measured: Coordinates,
+    rows: npt.NDArray[np.intp],
+    located: LocatedPoints | None,
+    cofactors: Cofactors | None,
+) -> PointDifferences:
+    ids = tuple(compiled.block.points.ids[j] for j in index)
+    measured_m = measured.ecef_m[rows].reshape(-1, 3)
+    q = np.full((len(index), 3, 3), np.nan)
+    if cofactors is not None:
+        after = np.zeros(len(index), bool) if located is None else np.isin(index, located.index)
+        q[~after] = cofactors.points(index[~after])
+        if located is not None and after.any():
+            own = replace(located, index=index[after])
+            q[after] = own.cofactors(lambda pairs: blocks_of_images(compiled, lambda k: cofactors.joint(k, ()), pairs))
+    sigma = measured.sigma_enu_m[rows].reshape(-1, 3)
+    # East, North, Up of the adjusted point: no estimated sigma may depend on a check coordinate
+    return differences(ids, index, ground[index], measured_m, sigma, q, compiled.axes(ground[index].reshape(-1, 3)))

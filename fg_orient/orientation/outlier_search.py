@@ -1,0 +1,255 @@
+"""Data snooping in a block: observations of an adjustment for the loop of ``fg_orient.quality.rejection``.
+
+After each adjustment every observation left out is predicted from the others with its covariance and put back if it
+fits at the level at which it was left out.
+
+Nothing is deleted: the block that is adjusted loses observations, the given one stays as it is, and each is named with
+its test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.problem import Problem, State, compile_problem, participates
+from fg_orient.adjustment.robust import NONE
+from fg_orient.model.block import Block
+from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
+from fg_orient.model.names import Role, Status
+from fg_orient.orientation.adjusted import Adjusted
+from fg_orient.quality.freedom import least_freedom, with_freedom
+from fg_orient.quality.observation_groups import groups_of, scaled
+from fg_orient.quality.outliers import GroupTest, OutlierTests
+from fg_orient.quality.prediction import Fit, Suspect, prediction
+from fg_orient.quality.rejection import MOST, Rejection, reject
+from fg_orient.quality.search import Found, Round, Search
+from fg_orient.quality.variance_components import VarianceComponents
+from fg_orient.sensors import initial
+
+Index = npt.NDArray[np.intp]
+#: Adjusts a block from a state; the problem is that of the round before, which differs in some observations.
+Run = Callable[[Block, State, Problem], Adjusted]
+
+#: Place of what ended a search.
+GIVEN_UP: Final = "snooping was given up"
+
+
+def search(block: Block, first: Adjusted, run: Run) -> tuple[Adjusted, Search]:
+    """Search for gross errors among image points and control points.
+
+    Parameters
+    ----------
+    block : Block
+        Its options name the test and what is left out. Points to be judged with their coordinates must have the role
+        control: coordinates of check points stay sealed.
+    first : Adjusted
+        The adjustment of the whole block.
+    run : callable
+        Makes those of the rounds.
+
+    Returns
+    -------
+    end : Adjusted
+        The last round.
+    found : Search
+
+    Raises
+    ------
+    InputError
+        A loss (:func:`require_possible_search`).
+    NoSolutionError
+        The covariance, on which the test rests, cannot be computed.
+    """
+    rounds = _Rounds(block, first)
+    end = reject(
+        first, lambda out, last: run(rounds.block(out), rounds.state(out, last.state), last.problem), rounds.worst,
+        max(1, int(MOST * len(first.problem.observations))), returning=rounds.returning,
+        impossible=(InputError, NoSolutionError),
+    )  # fmt: skip
+    return end.fit, rounds.concluded(end)
+
+
+def require_possible_search(block: Block) -> None:
+    """Refuse what cannot be searched, before anything is adjusted.
+
+    Raises
+    ------
+    InputError
+        A loss.
+    """
+    if block.options.loss != NONE:
+        raise InputError.of("statistics.snoop_loss", place="snoop", value=block.options.loss)
+
+
+@dataclass
+class _Removal:
+    """What is left out together: rows of the given block's image points, and the coordinates of the point.
+
+    ``test``, ``with_it`` and ``fit`` are those of :class:`Found`.
+    """
+
+    point: int
+    rows: tuple[int, ...]
+    control: bool
+    test: GroupTest = field(compare=False)
+    with_it: tuple[str, ...] = field(default=(), compare=False)
+    fit: Fit | None = field(default=None, compare=False)
+
+
+class _Rounds:
+    """Observations of a block for :func:`reject`; figures of each round."""
+
+    def __init__(self, block: Block, first: Adjusted) -> None:
+        self._block, self._full = block, first.problem
+        self._place = np.cumsum(participates(block)) - 1  # rows of the block among those of the full problem
+        self._rows: list[list[int]] = [[] for _ in block.points.ids]
+        for row, j in enumerate(block.observations.point.tolist()):
+            self._rows[j].append(row)
+        self._rounds: list[Round] = []
+
+    def returning(self, solution: Adjusted, out: Sequence[_Removal]) -> list[float]:
+        """Test an adjustment; give the probability of each observation left out, 0 where it does not fit."""
+        self._tests = tests = solution.outlier_tests(kind=self._block.options.snoop_kind)
+        self._rounds.append(Round(
+            len(self._rounds) + 1, solution.sigma0, solution.redundancy, tests.n_tested, tests.n_suspicious,
+        ))  # fmt: skip
+        if solution.status is Status.NOT_CONVERGED:
+            return [0.0] * len(out)
+        self._predict(solution, out)
+        probabilities = [0.0 if r.fit is None else r.fit.probability or 0.0 for r in out]
+        return [p if p > r.test.level else 0.0 for p, r in zip(probabilities, out, strict=True)]
+
+    def worst(self, solution: Adjusted, out: Sequence[_Removal]) -> _Removal | None:
+        """Give the worst observation of the adjustment tested last."""
+        if solution.status is Status.NOT_CONVERGED or not self._tests.n_suspicious:
+            return None
+        return self._removal(self._tests, out)
+
+    def _removal(self, tests: OutlierTests, out: Sequence[_Removal]) -> _Removal:
+        """Collect what is left out with the first of the tests."""
+        kept, before = self._kept(out)
+        point, row = int(tests.point[0]), int(tests.row[0])
+        taking_part = kept[participates(before)]
+        rows = taking_part[[row]] if row >= 0 else taking_part[:0]
+        if tests.parts[tests.part[0]] == "point":
+            rows = kept[before.observations.point == point]
+        control = row < 0 and before.points.roles[point] is Role.CONTROL
+        removal = _Removal(point, tuple(rows.tolist()), control, tests[0])
+        after, _ = self._kept([*out, removal])
+        gone = np.setdiff1d(kept, np.concatenate([after, rows]))
+        return replace(removal, with_it=tuple(self._name(r) for r in gone.tolist()))
+
+    def _name(self, row: int) -> str:
+        """Name an image point of the given block."""
+        o = self._block.observations
+        return f"point {self._block.points.ids[o.point[row]]} in image {self._block.images[o.image[row]].id}"
+
+    def _predict(self, solution: Adjusted, out: Sequence[_Removal]) -> None:
+        """Judge everything left out by the rest."""
+        if solution.cofactors is None or not out:
+            return
+        components, full = solution.components, self._full
+        if components is not None:  # what is out gets the sigmas that its group has now
+            full = compile_problem(rescaled(self._block, self._full, components))
+        for removal in out:
+            j = removal.point
+            others = [r for r in out if r is not removal and r.point == j]
+            stay = self._staying(j, [removal, *others])
+            back = [row for row in self._staying(j, others) if row not in stay]
+            known = self._is_control(j, others) and self._full.observed[j]
+            fit = prediction(
+                full, solution.problem, solution.state, solution.cofactors, solution.chi2,
+                self._block.options.outlier_test, j, self._place[back].tolist(),
+                bool(known and not solution.problem.observed[j]), self._suspect(removal),
+            )  # fmt: skip
+            if components is not None:
+                fit = with_freedom(fit, least_freedom(components), self._block.options.outlier_test)
+            removal.fit = fit
+
+    def _suspect(self, removal: _Removal) -> Suspect:
+        """Where in what is left out the error is suspected."""
+        part = removal.test.part
+        return Suspect(part, int(self._place[removal.rows[0]]) if part == "image" else -1)
+
+    def _is_control(self, j: int, removals: Sequence[_Removal]) -> bool:
+        """Whether a point keeps its coordinates without these of its observations."""
+        return self._block.points.roles[j] is Role.CONTROL and not any(r.control for r in removals)
+
+    def _staying(self, j: int, removals: Sequence[_Removal]) -> list[int]:
+        """Rows of the given block's image points of a point that stay without these of its observations."""
+        gone = {row for removal in removals for row in removal.rows}
+        rows = [row for row in self._rows[j] if row not in gone]
+        alone = len(rows) == 1 and not self._is_control(j, removals)
+        return [] if alone else rows  # a single ray determines no point
+
+    def _kept(self, removals: Sequence[_Removal]) -> tuple[Index, Block]:
+        """Rows of the given block's image points that stay, and the block of them."""
+        o, points = self._block.observations, self._block.points
+        keep = np.ones(len(o), bool)
+        without = [removal.point for removal in removals if removal.control]
+        if without:
+            points = points.without_coordinates(np.isin(np.arange(len(points.ids)), without), Role.TIE)
+        for j in {removal.point for removal in removals}:
+            keep[self._rows[j]] = False
+            keep[self._staying(j, [r for r in removals if r.point == j])] = True
+        return np.flatnonzero(keep), replace(self._block, points=points, observations=o.take(keep))
+
+    def block(self, out: Sequence[_Removal]) -> Block:
+        """Give the block without what is left out."""
+        return self._kept(out)[1]
+
+    def state(self, out: Sequence[_Removal], last: State) -> State:
+        """Where the next adjustment begins: the last one's end, the first start for points that were not in it.
+
+        Points that are not in it either stay without coordinates.
+        """
+        ground = np.where(initial.missing_rows(last.ground)[:, None], self._full.start.ground, last.ground)
+        block = self.block(out)
+        part = np.isin(np.arange(len(ground)), block.observations.point[participates(block)])
+        return State(last.image, np.where(part[:, None], ground, np.nan))
+
+    def concluded(self, end: Rejection[Adjusted, _Removal]) -> Search:
+        """Give the record of the search."""
+        kept, block = self._kept(end.out)
+        o, points = self._block.observations, self._block.points
+        out = np.concatenate([kept, *(np.array(removal.rows, np.intp) for removal in end.out)])
+        single = np.setdiff1d(np.arange(len(o)), out)
+        lost = [j for j in points.where(Role.CHECK) if j in o.point and j not in block.observations.point]
+        changes = list(zip(self._rounds, end.changes, strict=True))
+        readmitted = {id(change.put_back): r.number for r, change in changes if change.put_back is not None}
+        return Search(
+            tuple(
+                replace(r, left_out=c.left_out.test.name if c.left_out else "",
+                        put_back=c.put_back.test.name if c.put_back else "")
+                for r, c in changes
+            ),
+            tuple(
+                Found(one.test, r.number, one.with_it, one.fit, readmitted.get(id(one)))
+                for r, change in changes if (one := change.left_out) is not None
+            ),
+            _given_up(end), tuple(self._name(r) for r in single.tolist()), tuple(points.ids[j] for j in lost),
+        )  # fmt: skip
+
+
+def _given_up(end: Rejection[Adjusted, _Removal]) -> Finding | None:
+    """Give why the search ended although something is suspicious; None if it came to its end."""
+    if end.fit.status is Status.NOT_CONVERGED:
+        return finding("search.not_converged", place=GIVEN_UP)
+    if end.worst is None:
+        return None
+    if isinstance(end.error, (InputError, NoSolutionError)):
+        why = end.error.problems[0].message
+        return finding("search.impossible", place=GIVEN_UP, name=end.worst.test.name, why=why)
+    return finding("search.too_many", place=GIVEN_UP, percent=100.0 * MOST)
+
+
+def rescaled(block: Block, full: Problem, components: VarianceComponents) -> Block:
+    """The given block with the sigmas that variance components found; ``full`` is its problem."""
+    groups = groups_of(full, full.block.options.variance_components)
+    known = {c.group: c.factor for c in components.components}
+    return scaled(block, groups, np.array([known.get(name, 1.0) for name in groups.names]))

@@ -1,0 +1,331 @@
+"""Reduction of a set of image unknowns, one at a time, with criteria of the models beside it.
+
+Backward: of the coefficients of the model the least significant is dropped and the block adjusted again, as long as its
+probability is above the level. Forward: beginning with the single best coefficient, the one that is most significant
+when added is taken, as long as it is significant. A coefficient is one of all images; it is tested by F over those that
+have it (``fg_orient.quality.significance``). A step tests many coefficients, so the level of each is Sidak's.
+
+Criteria, unit weight unknown, n observations, k unknowns and the unit weight::
+
+    -2 ln L = n (ln(2 pi v^T v / n) + 1) + sum ln sigma_i^2
+    AIC = -2 ln L + 2k,  AICc = AIC + 2k(k + 1)/(n - k - 1),  BIC = -2 ln L + k ln n
+
+(Akaike 1974; Hurvich & Tsai 1989; Schwarz 1978). With priors an unknown counts as the part of it that the
+observations determine, 1 - q_jj, and v are residuals of observations only. Prediction errors by cross-validation:
+``fg_orient.orientation.cross_validation``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.problem import Problem
+from fg_orient.model.block import Block
+from fg_orient.model.distributions import sidak
+from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
+from fg_orient.model.names import Progress
+from fg_orient.model.parameters import EOP_SETS, N_EOP, eop_codes, parameter_name
+from fg_orient.orientation.cross_validation import CrossValidation, Parts, cross_validate, folds_of
+from fg_orient.orientation.orient import adjust
+from fg_orient.orientation.solution import Solution
+from fg_orient.quality.significance import GroupTest, group_test, places_of
+
+Array = npt.NDArray[np.float64]
+Direction = Literal["backward", "forward"]
+
+#: Probability of a false choice in one step, over all coefficients of the step.
+LEVEL: Final = 0.05
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """Criteria of one model; None where a figure does not exist.
+
+    Parameters
+    ----------
+    n : int
+        Observations without priors.
+    k : float
+        Unknowns that the observations determine, and the unit weight.
+    sigma0 : float
+    log_likelihood, aic, bic : float or None
+        None where the model fits exactly: the likelihood has no maximum.
+    aicc : float or None
+        The same, and None where n <= k + 1.
+    """
+
+    n: int
+    k: float
+    sigma0: float
+    log_likelihood: float | None
+    aic: float | None
+    aicc: float | None
+    bic: float | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """One model of a reduction.
+
+    Parameters
+    ----------
+    unknowns : tuple of str
+    changed : str
+        Coefficient dropped or added to come here; "" for the first.
+    test : GroupTest or None
+        Its test.
+    tests : tuple of GroupTest
+        Of all coefficients of this model, least significant first.
+    criteria : Criteria
+    validation : CrossValidation or None
+    """
+
+    unknowns: tuple[str, ...]
+    changed: str
+    test: GroupTest | None
+    tests: tuple[GroupTest, ...]
+    criteria: Criteria
+    validation: CrossValidation | None = None
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """All models of a reduction, the first to the last.
+
+    Parameters
+    ----------
+    direction : str
+    level : float
+        Of each step.
+    steps : tuple of Step
+    solution : Solution
+        Of the last model.
+    """
+
+    direction: Direction
+    level: float
+    steps: tuple[Step, ...]
+    solution: Solution
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """The last model: what is significant."""
+        return self.steps[-1].unknowns
+
+    @property
+    def closest_set(self) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
+        """EOP set with the fewest differences: its number, what it has more, what it has less; None without EOP."""
+        return closest_eop_set(self.unknowns)
+
+    def best(self, criterion: str) -> Step:
+        """Step with the least "aic", "aicc", "bic", or prediction error "image" or "ground"."""
+
+        def value(step: Step) -> float:
+            source = step.criteria if criterion in ("aic", "aicc", "bic") else step.validation
+            found = getattr(source, criterion if source is step.criteria else f"{criterion}_rms", None)
+            return float("inf") if found is None else float(found)
+
+        return min(self.steps, key=value)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        closest = self.closest_set
+        named = ("aic", "aicc", "bic", *(("image", "ground") if self.steps[0].validation else ()))
+        return {
+            "direction": self.direction, "level": self.level, "unknowns": list(self.unknowns),
+            "closest_eop_set": None if closest is None else {
+                "number": closest[0], "name": EOP_SETS[closest[0]][0], "only_in_set": list(closest[1]),
+                "not_in_set": list(closest[2]),
+            },
+            "best": {name: self.steps.index(self.best(name)) for name in named},
+            "steps": [
+                {"unknowns": list(s.unknowns), "changed": s.changed or None,
+                 "test": None if s.test is None else dict(vars(s.test)), "tests": [dict(vars(t)) for t in s.tests],
+                 **vars(s.criteria), "validation": None if s.validation is None else s.validation.as_dict()}
+                for s in self.steps
+            ],
+        }  # fmt: skip
+
+
+def closest_eop_set(unknowns: Iterable[str]) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
+    """EOP set that differs from these unknowns least, the first of several; None if there is no EOP among them."""
+    eop = [parameter_name(code) for code in range(N_EOP)]
+    mine = set(unknowns) & set(eop)
+    if not mine:
+        return None
+
+    def difference(number: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        codes = {parameter_name(code) for code in eop_codes(number)}
+        return tuple(n for n in eop if n in codes - mine), tuple(n for n in eop if n in mine - codes)
+
+    number = min(EOP_SETS, key=lambda n: (sum(map(len, difference(n))), n))
+    return number, *difference(number)
+
+
+def reduce_unknowns(
+    block: Block, *, direction: Direction = "backward", level: float = LEVEL, folds: int | None = None,
+    progress: Progress | None = None, **options: Any,
+) -> Reduction:  # fmt: skip
+    """Reduce the set of unknowns of a block's images.
+
+    Parameters
+    ----------
+    block : Block
+        Its options name the set to begin with, or to choose from. A search for gross errors and variance components
+        are those of the whole set and kept for all models.
+    direction : str
+        "backward" or "forward".
+    level : float
+        Probability of a false choice in one step.
+    folds : int, optional
+        Cross-validate every model with so many parts of the control points; 0: leave one out. Default: not at all.
+    progress : callable, optional
+        Called before each adjustment.
+    **options
+        Of :func:`fg_orient.adjust`.
+
+    Returns
+    -------
+    Reduction
+
+    Raises
+    ------
+    InputError
+        See :func:`fg_orient.adjust`; another direction, fewer control points than folds, a loss or a search.
+    NoSolutionError
+        There is no covariance or no redundancy.
+    """
+    if direction not in ("backward", "forward"):
+        raise InputError.of("options.value", place="direction", value=direction, expected='"backward" or "forward"')
+    if not 0.0 < level < 1.0:
+        raise InputError.of("options.value", place="level", value=level, expected="a number above 0 and below 1")
+    run = _Runs(block, options, progress, folds)
+    full = run.adjust(())
+    every = tuple(dict.fromkeys(name for p in full.problem.parameters for name in p.names))
+    run.keep(full, len(every) if direction == "backward" else 1 + len(every) * (len(every) + 1) // 2)
+    steps = _backward(run, full, every, level) if direction == "backward" else _forward(run, every, level)
+    return Reduction(direction, level, tuple(step for step, _ in steps), steps[-1][1])
+
+
+class _Runs:
+    """Adjustments of one block with different unknowns."""
+
+    def __init__(self, block: Block, options: dict[str, Any], progress: Progress | None, folds: int | None) -> None:
+        self._block, self._options, self._count = block, options, folds
+        self._folds: Parts = () if folds is None else folds_of(block, folds)
+        self._tell, self._done, self.most = progress or (lambda done, most, text: None), 0, 1
+
+    def adjust(self, unknowns: tuple[str, ...]) -> Solution:
+        """Adjust with these unknowns; (): those of the options."""
+        self._tell(self._done, self.most, f"{len(unknowns)} unknowns" if unknowns else "all unknowns")
+        self._done += 1
+        given = {**self._options, **({"image_unknowns": unknowns} if unknowns else {})}
+        solution = adjust(self._block, **given)
+        solution.required_cofactors(unweighted="statistics.significance_weighted")
+        if solution.redundancy <= 0:
+            raise NoSolutionError.of("statistics.no_redundancy", place=self._block.name, value=solution.redundancy)
+        return solution
+
+    def keep(self, full: Solution, most: int) -> None:
+        """Keep what a search left out and the variance components of the first model for all others."""
+        self.most = most
+        self._block = replace(full.block, options=replace(full.block.options, snoop=False, variance_components=()))
+        self._options = {k: v for k, v in self._options.items() if k not in ("snoop", "variance_components")}
+        if self._count is not None:
+            self._folds = folds_of(self._block, self._count)
+
+    def step(self, solution: Solution, unknowns: tuple[str, ...], changed: str, test: GroupTest | None) -> Step:
+        """Record a model."""
+        tests = sorted((coefficient_test(solution, name) for name in unknowns), key=lambda t: -t.probability)
+        validation = None
+        if self._folds:
+            self._tell(self._done, self.most, f"cross-validation of {len(unknowns)} unknowns")
+            validation = cross_validate(self._block, self._folds, image_unknowns=unknowns, **self._options)
+        return Step(unknowns, changed, test, tuple(tests), criteria(solution), validation)
+
+
+def coefficient_test(solution: Solution, name: str) -> GroupTest:
+    """F test of a coefficient over all images that have it."""
+    index = places_of(solution.problem, lambda known: known == name)
+    return group_test(
+        solution.problem, solution.state, solution.required_cofactors(), solution.sigma0, name, index,
+        freedom=solution.unknown_freedom,
+    )  # fmt: skip
+
+
+def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) -> list[tuple[Step, Solution]]:
+    """Drop the least significant coefficient until all are significant."""
+    steps = [(run.step(full, every, "", None), full)]
+    while len(steps[-1][0].unknowns) > 1:
+        last = steps[-1][0]
+        worst = last.tests[0]
+        if worst.probability <= sidak(level, len(last.unknowns)):
+            break
+        rest = tuple(name for name in last.unknowns if name != worst.group)
+        try:
+            solution = run.adjust(rest)
+        except InputError:  # an image would have no unknown left
+            break
+        steps.append((run.step(solution, rest, worst.group, worst), solution))
+    return steps
+
+
+def _forward(run: _Runs, every: tuple[str, ...], level: float) -> list[tuple[Step, Solution]]:
+    """Add the most significant coefficient until none is significant; the first is the best alone."""
+    steps: list[tuple[Step, Solution]] = []
+    while True:
+        chosen = steps[-1][0].unknowns if steps else ()
+        trials: list[tuple[float, float, str, GroupTest, Solution]] = []
+        for name in every:
+            if name in chosen:
+                continue
+            trial = tuple(n for n in every if n in (*chosen, name))
+            try:
+                solution = run.adjust(trial)
+            except (InputError, RankDeficientError):  # an image without unknowns, or with one that nothing shows
+                continue
+            test = coefficient_test(solution, name)
+            trials.append((test.probability, -test.statistic, name, test, solution))
+        if not trials:
+            return steps
+        p, _, name, test, solution = min(trials, key=lambda t: t[:3])
+        if steps and p > sidak(level, len(trials)):
+            return steps
+        taken = tuple(n for n in every if n in (*chosen, name))
+        steps.append((run.step(solution, taken, name, test), solution))
+
+
+def criteria(solution: Solution) -> Criteria:
+    """Criteria of the model of a solution."""
+    problem = solution.problem
+    squares, n, log_sigma = _observed(problem, solution)
+    k = 1.0 + 3.0 * int(problem.active.sum()) + _determined(solution)
+    if squares <= 0.0:  # an exact fit: the likelihood has no maximum
+        return Criteria(n, k, solution.sigma0, None, None, None, None)
+    log_likelihood = float(-0.5 * (n * (np.log(2.0 * np.pi * squares / n) + 1.0) + 2.0 * log_sigma))
+    aic = float(-2.0 * log_likelihood + 2.0 * k)
+    aicc = aic + 2.0 * k * (k + 1.0) / (n - k - 1.0) if n > k + 1.0 else None
+    return Criteria(n, k, solution.sigma0, log_likelihood, aic, aicc, float(-2.0 * log_likelihood + k * np.log(n)))
+
+
+def _observed(problem: Problem, solution: Solution) -> tuple[float, int, float]:
+    """Weighted squares of the observations without priors, their number, and the sum of ln sigma."""
+    o, seen = problem.observations, problem.observed
+    x = problem.image_vector(solution.state) if problem.block.options.priors else np.zeros(0)
+    n = problem.n_observations - len(x)
+    logs = np.log(o.sigma_line_px).sum() + np.log(o.sigma_sample_px).sum()
+    logs += np.log(problem.block.points.known.sigma_enu_m[seen]).sum()
+    return solution.chi2 - float(x @ x), n, float(logs)
+
+
+def _determined(solution: Solution) -> float:
+    """Image unknowns, each counted as far as the observations determine it."""
+    problem, q = solution.problem, solution.required_cofactors()
+    if not problem.block.options.priors:
+        return float(problem.n_free_unknowns)
+    return sum(float(np.sum(1.0 - np.diag(q.image(k)))) for k in range(problem.n_images))

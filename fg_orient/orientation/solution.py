@@ -1,0 +1,375 @@
+"""The solution of an adjustment: state, fit, observability, accuracy, covariance on demand.
+
+Cofactors are in prior scale (sigma0 = 1 a priori), which predictions are tested against; :meth:`Solution.covariance`
+multiplies with the a posteriori variance factor ``sigma0^2``, for reports.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.adjustment.memory import Need
+from fg_orient.model.errors import Finding, InputError, NoSolutionError
+from fg_orient.model.names import Role
+from fg_orient.model.options import USUAL_GROUPS
+from fg_orient.orientation.adjusted import Adjusted
+from fg_orient.quality.accuracy import Accuracy
+from fg_orient.quality.covariance import NamedMatrix
+from fg_orient.quality.freedom import UnknownFreedom
+from fg_orient.quality.hypotheses import GlobalTest, global_test
+from fg_orient.quality.observability import BlockObservability, ImageObservability
+from fg_orient.quality.outliers import GroupTest
+from fg_orient.quality.reliability import ALPHA, POWER, BlockReliability, reliability
+from fg_orient.quality.search import Search
+from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
+from fg_orient.quality.significance import Significance, significance
+from fg_orient.quality.suspects import Kind
+from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from fg_orient.quality.dem_accuracy import DemComparison
+    from fg_orient.quality.free_network import FreeNetwork
+    from fg_orient.quality.located_point import LocatedPoint, Orientation
+    from fg_orient.quality.prediction_test import PredictionTest
+    from fg_orient.quality.regularisation import Regularisation
+    from fg_orient.sensors.correction import HeightSurface
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """Wall-clock seconds by phase; ``read`` is filled by the command line."""
+
+    read: float = 0.0
+    structure: float = 0.0
+    jit: float = 0.0
+    solve: float = 0.0
+    statistics: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """Sum of all phases."""
+        return self.read + self.structure + self.jit + self.solve + self.statistics
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution(Adjusted):
+    """Result of :func:`fg_orient.adjust` (``orientation.orient``); what it has in common: ``orientation.adjusted``.
+
+    Parameters
+    ----------
+    verdict : Finding
+        What decided on the status; ``reason`` is its sentence.
+    end : Finding
+        Why the iteration ended; ``ended`` is its sentence.
+    ground_m : (N, 3) array
+        Adjusted ECEF coordinates in file order; excluded check points are intersected, points
+        without image observations nan.
+    residuals_px : (n, 2) array
+        Line and sample residuals, adjusted minus observed, of ``problem.observations``.
+    sigma0_interval : (float, float)
+        99.9 % interval of sigma0 if model and weights hold; nan under a loss and with variance components.
+    observability : tuple of ImageObservability
+    block_view : BlockObservability or None
+        The whole block without its priors, where there are none or where they hold the datum.
+    accuracy : Accuracy
+        Control and check points against their measured coordinates.
+    backend, solver : str
+        Which backend solved; the linear solver of the dense one, "" otherwise.
+    memory : Need or None
+        What the run was expected to need, and what it was allowed.
+    resumed_at : int
+        Iterations of a run that was stopped, which this one went on with.
+    snooping : Search or None
+        What a search for gross errors found, if the options ask for one.
+    """
+
+    verdict: Finding
+    end: Finding
+    backend: str
+    solver: str
+    optimizer: str
+    ground_m: Array
+    sigma0_interval: tuple[float, float]
+    log: tuple[IterationRecord, ...]
+    iterations: int
+    residuals_px: Array
+    observability: tuple[ImageObservability, ...]
+    accuracy: Accuracy
+    findings: tuple[Finding, ...] = ()
+    block_view: BlockObservability | None = None
+    memory: Need | None = None
+    seconds: Seconds = field(default_factory=Seconds)
+    resumed_at: int = 0
+    snooping: Search | None = None
+
+    @property
+    def scale(self) -> float:
+        """Factor from roots of cofactors to standard deviations: sigma0, or 1 (prior scale) under a loss."""
+        return self.sigma0 if self.weights is None else 1.0
+
+    @property
+    def reason(self) -> str:
+        """The verdict in words."""
+        return str(self.verdict)
+
+    @property
+    def ended(self) -> str:
+        """Why the iteration ended, in words."""
+        return str(self.end)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the findings."""
+        return tuple(map(str, self.findings))
+
+    @property
+    def rank_defect(self) -> dict[str, int]:
+        """Dead directions per image."""
+        return {o.image: o.rank_defect for o in self.observability}
+
+    @property
+    def unobservable(self) -> tuple[str, ...]:
+        """One sentence per dead direction, per free shift of the block, per observation on board that priors hold."""
+        datum = () if self.block_view is None else (*self.block_view.datum, *self.block_view.on_board)
+        return (*(sentence for o in self.observability for sentence in o.sentences), *datum)
+
+    def correction(self, image: str) -> Any:
+        """Correction of an image in physical units, as ``project``, ``locate`` and ``rays`` of its sensor take it.
+
+        ``Correction`` of a pushbroom image, compensation (6,) in pixels of an RPC image (``factors.cameras.rfm``).
+
+        Raises
+        ------
+        InputError
+            There is no such image.
+        """
+        if image not in [i.id for i in self.block.images]:
+            raise InputError.of("covariance.no_such", place="correction", value=image)
+        return self.problem.corrections(self.state)[self.block.image_index(image)]
+
+    def cofactor_matrix(self, *names: str) -> NamedMatrix:
+        """Joint cofactor matrix (prior scale) of anything adjusted, by name.
+
+        "image:left" (all its parameters), "image:left.x_0" (one), "point:12", "point:12.z", "observation:left/12"
+        (adjusted line and sample of an image point), "residual:left/12". Units are physical: m, m/s, rad for
+        images, ECEF metres for points, pixels; see ``fg_orient.quality.joint``.
+
+        Raises
+        ------
+        InputError
+            A name that does not exist, or a point that is no unknown.
+        NoSolutionError
+            The covariance could not be computed; the message says why.
+        """
+        from fg_orient.quality.joint import joint_cofactors
+
+        return joint_cofactors(self.judged, self.state, self.required_cofactors(), names)
+
+    def covariance(self, *names: str) -> NamedMatrix:
+        """Joint covariance ``scale^2 Q`` of anything adjusted; see :meth:`cofactor_matrix`."""
+        q = self.cofactor_matrix(*names)
+        return NamedMatrix(q.names, q.units, q.values * self.scale**2)
+
+    @cached_property
+    def unknown_freedom(self) -> UnknownFreedom | None:
+        """Degrees of freedom of tests of unknowns with estimated variance components; None without components."""
+        if self.components is None:
+            return None
+        q, known = self.required_cofactors(), self.residual_cofactors
+        return UnknownFreedom.of(self.problem, self.state, q, self.components, known)
+
+    def locate(
+        self, image: str, line: float, sample: float, *, height_m: float | None = None,
+        dem: HeightSurface | None = None, height_sigma_m: float = 0.0, sigma_px: tuple[float, float] | None = None,
+    ) -> LocatedPoint:  # fmt: skip
+        """Locate a pixel with the adjusted orientation, with covariance, error ellipse, CE90, LE90 and SE90.
+
+        Parameters
+        ----------
+        image : str
+        line, sample : float
+            (0, 0) = centre of the first pixel.
+        height_m : float, optional
+            Ellipsoidal height.
+        dem : HeightSurface, optional
+            Surface instead of a height; its slope carries the error of its height to East and North.
+        height_sigma_m : float
+            Standard deviation of the height, or of the DEM's.
+        sigma_px : (line, sample), optional
+            Standard deviations of the measurement; default: the median of the image's own, times sigma0.
+
+        Raises
+        ------
+        InputError
+            No such image, not one height, a pixel outside the image or a ray that misses.
+        NoSolutionError
+            There is no covariance.
+        """
+        from fg_orient.quality.located_point import locate
+
+        return locate(self._orientation, image, (line, sample), height_m=height_m, dem=dem,
+                      height_sigma_m=height_sigma_m, sigma_px=sigma_px)  # fmt: skip
+
+    def intersect(
+        self, pixels: Mapping[str, tuple[float, float]], *, sigma_px: tuple[float, float] | None = None
+    ) -> LocatedPoint:
+        """Intersect the rays of two images or more with the adjusted orientation; see :meth:`locate`.
+
+        Parameters
+        ----------
+        pixels : mapping
+            Line and sample of the same point by image id.
+        sigma_px : (line, sample), optional
+            As for :meth:`locate`, of all images.
+        """
+        from fg_orient.quality.located_point import intersect
+
+        return intersect(self._orientation, pixels, sigma_px=sigma_px)
+
+    @property
+    def _orientation(self) -> Orientation:
+        from fg_orient.quality.located_point import Orientation
+
+        scale = self.scale if np.isfinite(self.scale) else 1.0  # without redundancy
+        return Orientation(self.problem, self.state, self.required_cofactors(), scale)
+
+    def reliability(self, *, alpha: float = ALPHA, power: float = POWER) -> BlockReliability:
+        """Redundancy numbers, minimal detectable biases and their effects, of all observations.
+
+        See ``fg_orient.quality.reliability``; sigmas are those a priori.
+
+        Parameters
+        ----------
+        alpha, power : float
+            Probabilities of a false alarm and of finding the minimal detectable bias, 0 < alpha < power < 1.
+
+        Raises
+        ------
+        InputError
+            They are no such probabilities.
+        NoSolutionError
+            There is no covariance, or a loss is set: its weights change both probabilities.
+        """
+        return self._usual_reliability if (alpha, power) == (ALPHA, POWER) else self._reliability(alpha, power)
+
+    @cached_property
+    def _usual_reliability(self) -> BlockReliability:
+        return self._reliability(ALPHA, POWER)
+
+    def _reliability(self, alpha: float, power: float) -> BlockReliability:
+        self._require_unweighted("statistics.reliability_weighted")
+        return reliability(self.problem, self.state, self.residual_cofactors, alpha=alpha, power=power)
+
+    def suspicious(
+        self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
+    ) -> tuple[GroupTest, ...]:
+        """The observations that a gross error is suspected in; see :meth:`outlier_tests`."""
+        return self.outlier_tests(level=level, test=test, control=control, kind=kind).suspicious()
+
+    def global_test(self, *, level: float = 0.001) -> GlobalTest | None:
+        """Chi-square test of the whole model (``fg_orient.quality.hypotheses``); None without redundancy.
+
+        Raises
+        ------
+        InputError
+            The level is not between 0 and 1.
+        NoSolutionError
+            The weights of a loss changed the sum of squares, or the sigmas were estimated from it.
+        """
+        self._require_unweighted("statistics.global_weighted")
+        if self.components is not None:
+            raise NoSolutionError.of("statistics.components_global", place=self.block.name)
+        return global_test(self.chi2, self.redundancy, level)
+
+    def variance_components(
+        self, *, groups: tuple[str, ...] = USUAL_GROUPS, method: Method = "helmert"
+    ) -> VarianceComponents:
+        """By how much the sigmas of each group of observations are wrong, from this one solution.
+
+        See ``fg_orient.quality.variance_components``; ``adjust(variance_components=...)`` iterates.
+
+        Raises
+        ------
+        InputError
+            Groups or method do not exist.
+        NoSolutionError
+            The covariance could not be computed, or was changed by the weights of a loss.
+        """
+        q, known = self.required_cofactors(unweighted="statistics.components_loss"), self.residual_cofactors
+        return variance_components(self.problem, self.state, q, groups=groups, method=method, known=known)
+
+    def in_datum(self, *names: str) -> FreeNetwork:
+        """S-transformation of a free network to the datum of images ("image:3") and points ("point:12").
+
+        Without names: the datum it was adjusted in, inner constraints on all ground points.
+
+        Raises
+        ------
+        NoSolutionError
+            This is no free network (``datum = "inner"``), or it has no covariance.
+        InputError
+            No such image or point, or these do not fix all motions.
+        """
+        network = getattr(self.cofactors, "network", None)
+        if network is None:
+            raise NoSolutionError.of("statistics.no_free_network", place=self.block.options.datum)
+        return network.in_datum(*names) if names else network  # type: ignore[no-any-return]
+
+    def significance(self, *, level: float = SIGNIFICANCE_LEVEL) -> Significance:
+        """Test every unknown of the images, and groups of them; see ``fg_orient.quality.significance``.
+
+        Raises
+        ------
+        NoSolutionError
+            No covariance, or under a loss; no redundancy; sigmas estimated in a block too large to form their freedom.
+        """
+        q = self.required_cofactors(unweighted="statistics.significance_weighted")
+        return significance(self.problem, self.state, q, self.sigma0, level=level, freedom=self.unknown_freedom)
+
+    def prediction_test(self) -> PredictionTest:
+        """Hold the predicted accuracy against the check points; see ``fg_orient.quality.prediction_test``.
+
+        Raises
+        ------
+        NoSolutionError
+            No covariance, no check points, or check points that are no unknowns.
+        """
+        from fg_orient.quality.prediction_test import prediction_test
+
+        return prediction_test(self.problem, self.state, self.required_cofactors(), self.accuracy.check)
+
+    @cached_property
+    def regularisation(self) -> Regularisation | None:
+        """L-curve and chosen kappas of a Tikhonov solver (``fg_orient.quality.regularisation``); None for others."""
+        if not self.solver:  # a backend that has none: the rules of kappa need not be loaded
+            return None
+        from fg_orient.quality.regularisation import regularisation
+
+        return regularisation(self.judged, self.solver, self.log)
+
+    def compare_dem(self, dem: HeightSurface | str | Path, *, role: str | None = None) -> DemComparison:
+        """Compare adjusted heights (of one role: "control", "check", "tie") with a DEM of ellipsoidal heights.
+
+        Raises
+        ------
+        InputError
+            The DEM cannot be read, no such point lies over it, or the block has no coordinates of the Earth.
+        """
+        from fg_orient.quality.dem_accuracy import compare_points
+
+        return compare_points(self.block, self.ground_m, dem, role)
+
+    def role(self, point: int) -> Role:
+        """Role of a ground point."""
+        return self.block.points.roles[point]

@@ -1,1 +1,0 @@
-"""Rasters: orthorectification and resampling of large images in windows."""

@@ -1,0 +1,133 @@
+"""Corrections of images out of a result folder of ``adjust``."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.models.contract import own_model
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Status
+from fg_orient.model.options import Options
+from fg_orient.model.parameters import CURVE, CURVES, N_EOP, parameter_name
+from fg_orient.rectification.ortho_models import Sensor
+from fg_orient.sensors.correction import Correction
+from fg_orient.sensors.frame import UNKNOWNS, FrameSensor
+from fg_orient.sensors.pushbroom import PushbroomSensor
+
+Array = npt.NDArray[np.float64]
+
+#: Names of the compensation of an RPC image, in the order of ``factors.cameras.rfm_project``.
+COMPENSATION = ("line_0", "sample_0", "line_l1", "sample_l1", "line_s1", "sample_s1")
+#: Highest power of the sample in a look-angle polynomial.
+LOOK_DEGREES = 10
+
+
+def read_correction(folder: Path, sensor: Sensor, image: str = "") -> Correction | Array:
+    """Read the adjusted correction of one image.
+
+    Parameters
+    ----------
+    folder : Path
+        Result folder: ``eop.csv`` and ``result.json``.
+    sensor : PushbroomSensor, RpcSensor or FrameSensor
+        Of this image.
+    image : str
+        Image id; default the image whose metadata file the sensor's is, by content if the result recorded it, else by
+        name.
+
+    Raises
+    ------
+    InputError
+        No such folder or image; an image with other metadata than the sensor's, several with the same, or the
+        unknowns of another kind of sensor.
+    """
+    try:
+        record = json.loads((folder / "result.json").read_text("utf-8"))
+        if record["status"] == Status.RANK_DEFICIENT:
+            raise InputError.of("report.nothing_adjusted", file=folder, place="result.json", value=record["status"])
+        options = record["provenance"]["options"]
+        small_angle, n_curves = bool(options["small_angle"]), int(options.get("curve_intervals", 0))
+        files = _files(record)
+        with (folder / "eop.csv").open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        values: dict[str, dict[str, float]] = {name: {} for name in files}
+        for row in rows:
+            values[row["image"]][row["parameter"]] = float(row["value_per_tau"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError.of("ortho.result", file=folder, known="-") from None
+    name = _chosen(files, folder, Path(sensor.file), image)
+    try:
+        return _correction(values[name], sensor, small_angle, n_curves)
+    except KeyError:
+        raise InputError.of("ortho.other_sensor", file=folder, place=f"image {name}", value=sensor.file) from None
+
+
+def _files(record: dict[str, Any]) -> dict[str, tuple[str, str]]:
+    """Name and SHA-256 of the metadata file of each image; "" where the result does not tell.
+
+    The inputs of a run are its project file, then one metadata file per image.
+    """
+    names = [(str(entry["id"]), str(entry["file"])) for entry in record["images"]]
+    inputs = record["provenance"].get("inputs", [])[1 : 1 + len(names)]
+    digests = [str(source["sha256"]) for source in inputs] if len(inputs) == len(names) else [""] * len(names)
+    return {image: (file, digest) for (image, file), digest in zip(names, digests, strict=True)}
+
+
+def _chosen(files: dict[str, tuple[str, str]], folder: Path, metadata: Path, image: str) -> str:
+    """Image id; content decides (products of one mission often have the same file name), else the name."""
+    digest = hashlib.sha256(metadata.read_bytes()).hexdigest() if metadata.is_file() else ""
+    same = [key for key, (file, known) in files.items()
+            if (known == digest if known and digest else file == metadata.name)]  # fmt: skip
+    if image in files:
+        if image not in same:
+            raise InputError.of("ortho.other_image", file=metadata, option="image_id", image=image,
+                                known=files[image][0])  # fmt: skip
+        return image
+    named = [key for key, (file, _) in files.items() if file == metadata.name]
+    if image or not (same or named):
+        raise InputError.of("ortho.result", file=folder, value=image or metadata.name, known=", ".join(files))
+    if not same:
+        raise InputError.of("ortho.other_image", file=metadata, option="result", image=named[0],
+                            known=f"{files[named[0]][0]} of another content")  # fmt: skip
+    if len(same) > 1:
+        raise InputError.of("ortho.which_image", file=metadata, option="image_id", known=" or ".join(same))
+    return same[0]
+
+
+def _correction(values: dict[str, float], sensor: Sensor, small_angle: bool, n_curves: int) -> Correction | Array:
+    """What ``sensor.project`` takes; KeyError for names of another kind of sensor."""
+    own = own_model(sensor, Options())
+    if own is not None:
+        x = np.zeros(len(own.parameters))
+        _place(x, values, {name: k for k, name in enumerate(own.parameters.names)})
+        return np.asarray(own.correction(x / own.parameters.sigma))
+    if isinstance(sensor, FrameSensor):
+        unknowns = np.zeros(len(UNKNOWNS))
+        _place(unknowns, values, {name: k for k, name in enumerate(UNKNOWNS)})
+        return unknowns
+    if not isinstance(sensor, PushbroomSensor):
+        out = np.zeros(len(COMPENSATION))
+        _place(out, values, {name: k for k, name in enumerate(COMPENSATION)})
+        return out
+    curve, names = np.zeros(9 * CURVES), {parameter_name(CURVE + k): k for k in range(9 * CURVES)}
+    _place(curve, {name: value for name, value in values.items() if name in names}, names)
+    values = {name: value for name, value in values.items() if name not in names}
+    codes = {parameter_name(code): code for code in range(N_EOP + 2 * (LOOK_DEGREES + 1))}
+    every = np.zeros(len(codes))
+    _place(every, values, codes)
+    used = max((codes[name] for name in values), default=0) + 1
+    look = every[N_EOP : max(used + (used - N_EOP) % 2, N_EOP)]
+    look = np.ascontiguousarray(look.reshape(-1, 2).T)
+    return Correction(every[:N_EOP].reshape(9, 3), look, small_angle, curve.reshape(9, CURVES)[:, :n_curves])
+
+
+def _place(out: Any, values: dict[str, float], places: dict[str, int]) -> None:
+    for name, value in values.items():
+        out[places[name]] = value

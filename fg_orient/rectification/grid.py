@@ -1,0 +1,81 @@
+"""The pixels of a map raster: origin, size of a pixel, coordinate system."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.model.errors import InputError, Option
+from fg_orient.rectification.arguments import finite, positive
+
+Array = npt.NDArray[np.float64]
+Bounds = tuple[float, float, float, float]
+
+#: Pixels of one axis beyond which the resolution has the wrong unit.
+LARGEST: Final = 1_000_000
+
+
+@dataclass(frozen=True)
+class MapGrid:
+    """A north-up raster of square pixels.
+
+    Parameters
+    ----------
+    crs : str
+        WKT of its coordinate system.
+    left, top : float
+        Corner of the first pixel (not its centre), units of the CRS.
+    resolution : float
+        Size of a pixel.
+    rows, columns : int
+    """
+
+    crs: str
+    left: float
+    top: float
+    resolution: float
+    rows: int
+    columns: int
+
+    @classmethod
+    def over(cls, bounds: Bounds, resolution: float, crs: str) -> MapGrid:
+        """Give the grid over bounds (left, bottom, right, top), widened to whole multiples of the resolution.
+
+        Raises
+        ------
+        InputError
+            Bounds without area, a resolution that is not above 0, or more than a million pixels along an axis.
+        """
+        if finite(Option("bounds"), bounds).shape != (4,):
+            raise InputError.of("rectify.numbers", option="bounds", value=f"{len(bounds)} numbers")
+        left, bottom, right, top = bounds
+        positive(Option("resolution"), resolution, "units of the map")
+        sides = right - left, top - bottom
+        if not all(math.isfinite(side) and 0.0 < side <= LARGEST * resolution for side in sides):
+            raise InputError.of("ortho.grid", option="bounds, resolution", value=f"{sides[0]:g} x {sides[1]:g}",
+                                resolution=resolution, most=LARGEST)  # fmt: skip
+        # bounds given as multiples must not gain a pixel by rounding
+        west, south = (math.floor(v / resolution + 1e-6) for v in (left, bottom))
+        east, north = (math.ceil(v / resolution - 1e-6) for v in (right, top))
+        return cls(crs, west * resolution, north * resolution, resolution, north - south, east - west)
+
+    def centres(self, row: npt.ArrayLike, column: npt.ArrayLike) -> tuple[Array, Array]:
+        """Map coordinates x, y of pixel centres; fractions allowed."""
+        x = self.left + (np.asarray(column, float) + 0.5) * self.resolution
+        return np.asarray(x), np.asarray(self.top - (np.asarray(row, float) + 0.5) * self.resolution)
+
+    def transform(self) -> Any:
+        """Affine transformation of pixel corners, as GeoTIFF has it."""
+        from rasterio import Affine
+
+        return Affine(self.resolution, 0.0, self.left, 0.0, -self.resolution, self.top)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Left, bottom, right, top."""
+        bottom, right = self.top - self.rows * self.resolution, self.left + self.columns * self.resolution
+        return self.left, bottom, right, self.top

@@ -1,0 +1,306 @@
+"""Orthorectification: a map raster filled from an image through a model, window by window.
+
+Each map pixel takes its height from the surface (bilinear), its place in the image from the model
+(:mod:`fg_orient.rectification.lattice`, error stated) and its grey value from the image by the chosen resampling.
+Ground that the sensor cannot see behind a ridge is filled with what stands in front of it: hidden places are not looked
+for. Source: İpbüker 1994, sec. 5 (indirect method); Keys 1981 (cubic convolution).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.rasters import rasterio_of
+from fg_orient.kernels.resampling import BILINEAR, CUBIC, LIMITS, NEAREST, REACH, pixel_positions, resample
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Progress
+from fg_orient.rectification.grid import Bounds, MapGrid
+from fg_orient.rectification.lattice import Lattice, Surface, dem_outline, lattice
+from fg_orient.rectification.ortho_models import BORDER, MapModel
+from fg_orient.rectification.output import CACHE_BYTES, as_cog, profile, staged_file
+from fg_orient.sensors.surface import RasterDem
+
+Array = npt.NDArray[np.float64]
+
+#: Kernel and its slope a, by name.
+RESAMPLING: Final = {
+    "nearest": (NEAREST, 0.0), "bilinear": (BILINEAR, 0.0), "cubic": (CUBIC, -0.5), "cubic-sharp": (CUBIC, -1.0),
+}  # fmt: skip
+COMPRESSIONS: Final = ("deflate", "lzw", "zstd", "none")
+#: Edge of the windows, map pixels.
+WINDOW: Final = 1024
+
+
+@dataclass(frozen=True)
+class OrthoOptions:
+    """How to fill a map raster.
+
+    Parameters
+    ----------
+    resampling : str
+        nearest, bilinear, cubic (a = -0.5) or cubic-sharp (a = -1).
+    allow_holes : bool
+        Leave map pixels empty for which the DEM has no height, instead of refusing them.
+    cog : bool
+        Write a cloud optimised GeoTIFF with overviews.
+    compress : str
+        Of the file: deflate, lzw, zstd, none.
+    window : int
+        Edge of the windows, map pixels; the result does not depend on it.
+    nodata : float, optional
+        Value of empty pixels, one that the type of the image holds; default the image's own if it is such a value,
+        else 0 (whole numbers; grey values that meet it become the next value) or nan.
+
+    Raises
+    ------
+    InputError
+        No such resampling or compression, a window without pixels.
+    """
+
+    resampling: str = "bilinear"
+    allow_holes: bool = False
+    cog: bool = False
+    compress: str = "deflate"
+    window: int = WINDOW
+    nodata: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.resampling not in RESAMPLING:
+            raise InputError.of("ortho.resampling", option="resampling", value=self.resampling,
+                                known=", ".join(RESAMPLING))  # fmt: skip
+        if self.compress not in COMPRESSIONS:
+            raise InputError.of("options.value", place="compress", value=self.compress,
+                                expected=" or ".join(COMPRESSIONS))  # fmt: skip
+        if not (isinstance(self.window, int) and self.window > 0):
+            raise InputError.of("options.value", place="window", value=self.window, expected="a whole number above 0")
+
+
+def orthorectify(
+    image: str | Path, model: MapModel, surface: Surface, out: str | Path, *, crs: str,
+    resolution: float | None = None, bounds: Bounds | None = None, options: OrthoOptions | None = None,
+    overwrite: bool = False, progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Rectify an image to a GeoTIFF.
+
+    Parameters
+    ----------
+    image : path
+        Raster in sensor geometry, all its bands.
+    model : MapModel
+        Takes map coordinates in ``crs`` and heights to pixels.
+    surface : RasterDem or LevelSurface
+    out : path
+        GeoTIFF to come.
+    crs : str
+        Of the map: WKT or code; projected or geographic.
+    resolution : float, optional
+        Size of a map pixel, units of the CRS; default about one pixel of the image.
+    bounds : left, bottom, right, top, optional
+        Default what image and surface have in common.
+    options : OrthoOptions, optional
+    overwrite : bool
+        Replace an existing file once the new one is complete.
+    progress : callable, optional
+        Called with windows done, windows in all, and words.
+
+    Returns
+    -------
+    dict
+        rows, columns, resolution, bounds, filled (share of map pixels), knots (map pixels between), error_px (of the
+        interpolated places), resampling, nodata, out.
+
+    Raises
+    ------
+    InputError
+        An image that cannot be read, also in part; sizes that do not fit, a value for empty pixels that its type cannot
+        hold, no common ground, holes of the DEM, an unwritable output.
+    """
+    chosen, rasterio = options or OrthoOptions(), rasterio_of(image)
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES), _opened(rasterio, image) as source:
+        size = (source.height, source.width)
+        _require_fitting(source, model, image)
+        nodata = _nodata(source, chosen, image)
+        grid = _grid(model, surface, size, crs, resolution, bounds)
+        limits = LIMITS.pack(
+            first_line=-0.5, last_line=source.height - 0.5, first_sample=-0.5, last_sample=source.width - 0.5
+        )
+        knots = lattice(grid, model, surface, limits)
+        if knots is None:
+            raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
+        with staged_file(Path(out), overwrite=overwrite) as staged:
+            target = staged.with_suffix(".work.tif") if chosen.cog else staged
+            try:
+                seen, filled = _fill(rasterio, source, target, grid, knots, surface, limits, nodata, chosen, progress)
+                if not seen:
+                    raise InputError.of("ortho.no_overlap", file=image, what=surface.path)
+                if chosen.cog:
+                    as_cog(target, staged, chosen.compress)
+            finally:
+                if chosen.cog:
+                    target.unlink(missing_ok=True)
+    return {
+        "out": str(out), "crs": grid.crs, "rows": grid.rows, "columns": grid.columns, "resolution": grid.resolution,
+        "bounds": list(grid.bounds), "filled": filled / (grid.rows * grid.columns), "knots": knots.step,
+        "error_px": knots.error_px, "resampling": chosen.resampling, "nodata": nodata,
+    }  # fmt: skip
+
+
+def _opened(rasterio: Any, image: str | Path) -> Any:
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # an image in sensor geometry
+        try:
+            return rasterio.open(image)
+        except rasterio.RasterioIOError as error:
+            raise InputError.of("ortho.image", file=image, value=error) from error
+
+
+def _require_fitting(source: Any, model: MapModel, image: str | Path) -> None:
+    if any(np.dtype(name).kind not in "iuf" for name in source.dtypes):
+        raise InputError.of("ortho.kind", file=image, value=", ".join(source.dtypes))
+    if model.size is not None and model.size != (source.height, source.width):
+        raise InputError.of("ortho.size", file=image, value=f"{source.height} x {source.width}",
+                            lines=model.size[0], samples=model.size[1])  # fmt: skip
+
+
+def _nodata(source: Any, options: OrthoOptions, image: str | Path) -> float:
+    kind = np.dtype(source.dtypes[0])
+    if options.nodata is not None and not _holds(kind, options.nodata):
+        limits = np.iinfo(kind) if kind.kind in "iu" else np.finfo(kind)
+        raise InputError.of("options.value", file=image, place="nodata", value=options.nodata,
+                            expected=f"a value of {kind}, {limits.min} to {limits.max}")  # fmt: skip
+    if options.nodata is not None:
+        return float(options.nodata)
+    if source.nodata is not None and _holds(kind, source.nodata):
+        return float(source.nodata)
+    return 0.0 if kind.kind in "iu" else math.nan
+
+
+def _holds(kind: np.dtype[Any], value: float) -> bool:
+    """Tell whether a type has this value; one with a point also rounds."""
+    if kind.kind in "iu":
+        return math.isfinite(value) and float(value).is_integer() and np.iinfo(kind).min <= value <= np.iinfo(kind).max
+    return not math.isfinite(value) or abs(value) <= float(np.finfo(kind).max)
+
+
+def _grid(
+    model: MapModel, surface: Surface, size: tuple[int, int], crs: str, resolution: float | None, bounds: Bounds | None
+) -> MapGrid:
+    """Grid over what image and surface have in common, or over the bounds."""
+    if resolution is not None and bounds is not None:
+        return MapGrid.over(bounds, resolution, crs)
+    x, y = model.outline(size, surface.range_m)
+    if resolution is None:
+        resolution = _pixel_size(x, y, size)
+    if bounds is not None:
+        return MapGrid.over(bounds, resolution, crs)
+    left, bottom, right, top = _box(x, y)
+    if isinstance(surface, RasterDem):
+        west, south, east, north = _box(*dem_outline(surface, crs))
+        left, bottom, right, top = max(left, west), max(bottom, south), min(right, east), min(top, north)
+    if not (left < right and bottom < top):
+        raise InputError.of("ortho.no_overlap", place="DEM", what=surface.path)
+    return MapGrid.over((left, bottom, right, top), resolution, crs)
+
+
+def _box(x: Array, y: Array) -> Bounds:
+    return float(np.nanmin(x)), float(np.nanmin(y)), float(np.nanmax(x)), float(np.nanmax(y))
+
+
+def _pixel_size(x: Array, y: Array, size: tuple[int, int]) -> float:
+    """Root of the area of a pixel on the map at the lower height, rounded to two digits."""
+    a, b = (v[: BORDER * BORDER].reshape(BORDER, BORDER) for v in (x, y))
+    (down_x, across_x), (down_y, across_y) = ((v[-1, 0] - v[0, 0], v[-1, -1] - v[-1, 0]) for v in (a, b))
+    area = abs(down_x * across_y - across_x * down_y)
+    found = math.sqrt(area / (size[0] * size[1]))
+    return float(f"{found:.2g}")
+
+
+def _fill(
+    rasterio: Any, source: Any, target: Path, grid: MapGrid, knots: Lattice, surface: Surface, limits: Array,
+    nodata: float, options: OrthoOptions, progress: Progress | None,
+) -> tuple[int, int]:  # fmt: skip
+    """Write all windows; map pixels that lie in the image, and those with a value in its first band."""
+    settings = profile(grid, bands=source.count, dtype=source.dtypes[0], nodata=nodata, compress=options.compress)
+    heights = np.ascontiguousarray(surface.heights_m)
+    corners = [(r, c) for r in range(0, grid.rows, options.window) for c in range(0, grid.columns, options.window)]
+    seen = filled = 0
+    with rasterio.open(target, "w", **settings) as sink:
+        for done, (row, column) in enumerate(corners):
+            if progress is not None:
+                progress(done, len(corners), "windows")
+            shape = min(options.window, grid.rows - row), min(options.window, grid.columns - column)
+            line, sample = np.empty(shape), np.empty(shape)
+            holes, hole_row, hole_column = pixel_positions(
+                row, column, knots.step, knots.knots, heights, knots.scaling, limits, line, sample
+            )
+            if holes and not options.allow_holes:
+                raise InputError.of("ortho.hole", file=surface.path, row=hole_row, column=hole_column)
+            seen += int(np.count_nonzero(~np.isnan(line)))
+            place = rasterio.windows.Window(column, row, shape[1], shape[0])
+            filled += _window(rasterio, source, sink, place, line, sample, nodata, options.resampling)
+    if progress is not None:
+        progress(len(corners), len(corners), "windows")
+    return seen, filled
+
+
+def _window(
+    rasterio: Any, source: Any, sink: Any, place: Any, line: Array, sample: Array, nodata: float, resampling: str
+) -> int:
+    """Resample all bands into one window; pixels of the first that have a value."""
+    if np.isnan(line).all():
+        empty = np.full(line.shape, nodata).astype(source.dtypes[0])
+        for band in source.indexes:
+            sink.write(empty, band, window=place)
+        return 0
+    first_l, last_l = _needed(line, source.height)
+    first_s, last_s = _needed(sample, source.width)
+    part = rasterio.windows.Window(first_s, first_l, last_s - first_s, last_l - first_l)
+    kind, a = RESAMPLING[resampling]
+    out, count = np.empty(line.shape), 0
+    for band in source.indexes:
+        grey = _read(rasterio, source, band, part)
+        n = resample(grey, first_l, first_s, line, sample, kind, a, out)
+        count = n if band == source.indexes[0] else count
+        sink.write(_stored(out, source.dtypes[0], nodata), band, window=place)
+    return count
+
+
+def _needed(positions: Array, n: int) -> tuple[int, int]:
+    """First line and the one after the last that any kernel may touch."""
+    low, high = math.floor(np.nanmin(positions)), math.floor(np.nanmax(positions))
+    return min(max(low - REACH, 0), n - 1), max(min(high + REACH + 1, n), 1)
+
+
+def _read(rasterio: Any, source: Any, band: int, part: Any) -> Array:
+    try:
+        grey = source.read(band, window=part).astype(float)
+    except rasterio.RasterioIOError as error:  # an OSError: it would pass for one of the output
+        raise InputError.of("ortho.image", file=source.name, place=f"band {band}, from line {part.row_off}",
+                            value=error.__cause__ or error) from error  # fmt: skip
+    nodata = source.nodatavals[band - 1]
+    if nodata is not None and not math.isnan(nodata):
+        grey[grey == nodata] = np.nan
+    return np.ascontiguousarray(grey)
+
+
+def _stored(values: Array, dtype: str, nodata: float) -> npt.NDArray[Any]:
+    """Round and cut to the type of the file; values that meet nodata become the next one."""
+    kind, empty = np.dtype(dtype), np.isnan(values)
+    if kind.kind == "f":
+        out = values.astype(kind)
+        out[empty] = nodata
+        return out
+    limits = np.iinfo(kind)
+    whole = np.clip(np.rint(np.where(empty, 0.0, values)), limits.min, limits.max)
+    whole[whole == nodata] += 1.0 if nodata < limits.max else -1.0
+    out = whole.astype(kind)
+    out[empty] = kind.type(nodata)
+    return out

@@ -1,0 +1,279 @@
+"""Estimation of rational function models from control points: linear form, weighted linear form, true equations.
+
+Sources: Tao & Hu 2001 (linear form, weights 1/f2); Terlemezoğlu 2019, section 2.4 and T(2.53)-(2.57), T(3.51).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.linear.registry import solve
+from fg_orient.adjustment.linear.system import LinearSystem
+from fg_orient.adjustment.linear.tikhonov import regularised
+from fg_orient.model.errors import InputError, NoSolutionError
+from fg_orient.rpc.fit import RfmFit
+from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+
+Array = npt.NDArray[np.float64]
+Penalty = Literal["beyond_affine", "identity"]
+Estimator = Callable[[ControlPoints], RfmFit]
+
+#: QR works on A and so on the root of the condition number of N.
+SOLVER: Final = "qr_scaled"
+#: With a penalty, and where plain steps of the true equations meet a design without full rank.
+STEP_SOLVER: Final = "svd_scaled"
+MAX_ITERATIONS: Final = 100
+#: The iteration has ended when a step changes all unknowns by less than this share ...
+END: Final = 1e-12
+#: ... or two steps in turn lower the sum of squares by less than this share: a residual by 1e-10.
+GAIN: Final = 1e-10
+#: Damping of Levenberg-Marquardt relative to the diagonal of N: start, change.
+DAMPING: Final = 1e-6
+DAMPING_CHANGE: Final = 10.0
+MAX_DAMPING: Final = 1e10
+
+
+def penalised_unknowns(form: RfmForm, penalty: Penalty) -> Array:
+    """Which unknowns (u,) a penalty holds near zero: all, or those that make the model more than affine.
+
+    An image of a satellite is affine but for some pixels, so the second is the prior that fits; the first also pulls
+    the scale of the image to zero.
+
+    Raises
+    ------
+    InputError
+        No such penalty.
+    """
+    if penalty == "identity":
+        return np.ones(len(form))
+    if penalty == "beyond_affine":
+        return form.beyond_affine.astype(np.float64)
+    raise InputError.of("rfm.penalty", place="penalty", value=penalty)
+
+
+def linear_system(points: ControlPoints, form: RfmForm, scaling: Scaling) -> LinearSystem:
+    """Normal equations of the linear form, as published: rows of the sample, then of the line."""
+    m = form.monomials(scaling.ground(points.ground))
+    return LinearSystem.from_design(*form.design(m, scaling.image(points.line, points.sample)))
+
+
+def fit_linear(
+    points: ControlPoints, form: RfmForm, *, normalise: bool = True, solver: str = SOLVER, as_run: bool = False,
+    kappa: float = 0.0, penalty: Penalty = "beyond_affine", allow_pole: bool = False,
+) -> RfmFit:  # fmt: skip
+    """Fit the linear form m a - sample m' b = sample, as published.
+
+    Parameters
+    ----------
+    points : ControlPoints
+    form : RfmForm
+    normalise : bool
+        Coordinates to [-1, 1]; without it the system is singular within rounding (T, section 4.3).
+    solver : str
+        Any of the registry of :mod:`fg_orient.adjustment.linear`.
+    as_run : bool
+        As the authors' program works (complex roots).
+    kappa : float
+        Adds kappa times the squares of the penalised unknowns.
+    penalty : "beyond_affine" or "identity"
+        See :func:`penalised_unknowns`.
+    allow_pole : bool
+        Give a model even if a denominator changes sign among the points.
+
+    Returns
+    -------
+    RfmFit
+
+    Raises
+    ------
+    InputError
+        Fewer equations than coefficients, a coordinate without extent, unknown solver, bad kappa.
+    NoSolutionError
+        The solver breaks down, or a denominator changes sign.
+    """
+    scaling = Scaling.of(points, normalise=normalise)
+    _require_points(points, form, kappa)
+    held = penalised_unknowns(form, penalty)
+    system = linear_system(points, form, scaling)
+    if kappa > 0.0:
+        system_solver = STEP_SOLVER if solver == SOLVER else solver
+        found = regularised(system, kappa, np.diag(held), solver=system_solver)
+    else:
+        found = solve(solver, system, as_run=as_run)
+    method = f"linear form, {solver}"
+    fit = RfmFit(form, scaling, points, found.x, method, kappa, held, notes=found.notes)
+    return _checked(fit, allow_pole)
+
+
+def fit_weighted(
+    points: ControlPoints, form: RfmForm, *, normalise: bool = True, kappa: float = 0.0,
+    penalty: Penalty = "beyond_affine", allow_pole: bool = False,
+) -> RfmFit:  # fmt: skip
+    """Fit the linear form with the weights 1/f2^2 of the last cycle until nothing changes (Tao & Hu 2001).
+
+    Its fixed point makes A^T P v = 0 with weighted residuals that are the true ones, but A is not their Jacobian: it is
+    close to the least-squares solution of the true equations, not equal to it.
+
+    Raises
+    ------
+    InputError
+        See :func:`fit_linear`.
+    NoSolutionError
+        A denominator changes sign, or the cycles do not end.
+    """
+    start = fit_linear(points, form, normalise=normalise, kappa=kappa, penalty=penalty, allow_pole=True)
+    m = form.monomials(start.scaling.ground(points.ground))
+    design, observed = form.design(m, start.scaling.image(points.line, points.sample))
+    x = start.x
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        below = form.below(x, m)
+        if not (below > 0.0).all():
+            raise NoSolutionError.of("rfm.pole", place=f"weighted cycle {iteration}", value=f"{below.min():.3g}")
+        weight = 1.0 / np.concatenate([below[:, 1], below[:, 0]])
+        system = LinearSystem.from_design(design * weight[:, None], observed * weight)
+        previous, x = x, _solution(system, kappa * start.penalised)
+        if np.abs(x - previous).max() <= 1e-10 * (1.0 + np.abs(x).max()):
+            fit = RfmFit(
+                form, start.scaling, points, x, "weighted linear form", kappa, start.penalised, True, iteration
+            )
+            return _checked(fit, allow_pole)
+    raise NoSolutionError.of("rfm.no_end", place="weighted linear form", value=f"{MAX_ITERATIONS} cycles")
+
+
+def fit_true(
+    points: ControlPoints, form: RfmForm, *, normalise: bool = True, kappa: float = 0.0,
+    penalty: Penalty = "beyond_affine", start: Array | None = None, scaling: Scaling | None = None,
+    allow_pole: bool = False,
+) -> RfmFit:  # fmt: skip
+    """Fit the true equations sample - f1/f2 = 0, line - f3/f4 = 0 by damped Gauss-Newton (Levenberg-Marquardt).
+
+    Parameters
+    ----------
+    points, form, normalise, kappa, penalty, allow_pole
+        See :func:`fit_linear`.
+    start : (u,) array, optional
+        First unknowns; default, and if they have a pole at a point, the affine model, whose denominators are 1.
+    scaling : Scaling, optional
+        Instead of that of the points.
+
+    Returns
+    -------
+    RfmFit
+
+    Raises
+    ------
+    InputError
+        See :func:`fit_linear`.
+    NoSolutionError
+        The iteration does not end, or a denominator changes sign among the points.
+    """
+    scale = scaling or Scaling.of(points, normalise=normalise)
+    _require_points(points, form, kappa)
+    held = penalised_unknowns(form, penalty)
+    m = form.monomials(scale.ground(points.ground))
+    image = scale.image(points.line, points.sample)
+    first = _affine(form, m, image)
+    if start is not None and (form.below(start, m) > 0.0).all():
+        first = start
+    x, iterations = _minimise(form, m, image, first, kappa * held)
+    fit = RfmFit(form, scale, points, x, "true equations", kappa, held, True, iterations)
+    return _checked(fit, allow_pole)
+
+
+def _minimise(form: RfmForm, m: Array, image: Array, x: Array, penalty: Array) -> tuple[Array, int]:
+    """Levenberg-Marquardt; a step over a pole of a point counts as too long."""
+    root = np.sqrt(penalty)
+    damping, flat, (r, cost) = DAMPING, 0, _misfit(form, m, image, x, root)
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        jacobian = np.vstack([form.jacobian(x, m), -np.diag(root)])
+        length = np.linalg.norm(jacobian, axis=0)
+        length = np.where(length > 0.0, length, 1.0)
+        q, upper = np.linalg.qr(jacobian / length)
+        left, values, right = np.linalg.svd(upper)
+        beta = left.T @ (q.T @ r)
+        while True:
+            step = (right.T @ (beta * values / (values**2 + damping))) / length
+            new_r, new_cost = _misfit(form, m, image, x + step, root)
+            if new_cost <= cost:
+                break
+            damping *= DAMPING_CHANGE
+            if damping > MAX_DAMPING:  # no step lowers the sum of squares: rounding is all that is left
+                return x, iteration
+        gain = cost - new_cost
+        still = np.abs(step * length).max() <= END * (1.0 + np.abs(x * length).max())
+        x, r, cost = x + step, new_r, new_cost
+        flat = flat + 1 if gain <= GAIN * cost else 0
+        if still or flat == 2 or cost == 0.0:
+            return x, iteration
+        damping = max(damping / DAMPING_CHANGE**2, 1e-18)
+    raise NoSolutionError.of("rfm.no_end", place="true equations", value=f"{MAX_ITERATIONS} iterations")
+
+
+def _misfit(form: RfmForm, m: Array, image: Array, x: Array, root: Array) -> tuple[Array, float]:
+    """Residuals with those of the penalty, and their sum of squares; inf across a pole."""
+    if not (form.below(x, m) > 0.0).all():
+        return np.zeros(0), np.inf
+    v = image - form.image(x, m)
+    r = np.concatenate([v[:, 1], v[:, 0], root * x])
+    return r, float(r @ r)
+
+
+def _affine(form: RfmForm, m: Array, image: Array) -> Array:
+    """Least squares of the unknowns that are left without denominators and higher terms."""
+    x = np.zeros(len(form))
+    plain = ~form.beyond_affine
+    design, observed = form.design(m, image)
+    x[plain] = np.linalg.lstsq(design[:, plain], observed, rcond=None)[0]
+    return x
+
+
+def _solution(system: LinearSystem, penalty: Array) -> Array:
+    """Least squares with a penalty on each unknown."""
+    if not penalty.any():
+        return solve(STEP_SOLVER, system).x
+    return regularised(system, 1.0, np.diag(np.sqrt(penalty)), solver=STEP_SOLVER).x
+
+
+def _require_points(points: ControlPoints, form: RfmForm, kappa: float) -> None:
+    """Refuse fewer equations than coefficients; with a penalty on them none is too few.
+
+    Raises
+    ------
+    InputError
+    """
+    if not (np.isfinite(kappa) and kappa >= 0.0):
+        raise InputError.of("linear.kappa_value", place="kappa", value=kappa)
+    equations = 2 * len(points)
+    if equations < len(form) and kappa == 0.0:
+        place = f"degree {form.degree}, {form.denominators} denominators"
+        least = -(-len(form) // 2)
+        raise InputError.of("rfm.few_points", place=place, value=len(points), unknowns=len(form), least=least)
+
+
+def _checked(fit: RfmFit, allow_pole: bool) -> RfmFit:
+    if not allow_pole:
+        fit.require_no_pole()
+    return fit
+
+
+def fit_path(
+    points: ControlPoints, form: RfmForm, kappas: npt.NDArray[np.float64], *, penalty: Penalty = "beyond_affine"
+) -> list[RfmFit]:
+    """Fits of the true equations for several kappas, from the largest down, each started at the last.
+
+    The path ends before the first fit that has no solution.
+    """
+    fits: list[RfmFit] = []
+    scaling = Scaling.of(points)
+    for kappa in np.sort(kappas)[::-1]:
+        start = fits[-1].x if fits else None
+        try:
+            fits.append(fit_true(points, form, kappa=float(kappa), penalty=penalty, start=start, scaling=scaling))
+        except NoSolutionError:
+            break
+    return fits

@@ -1,0 +1,267 @@
+"""A fitted rational function model: coefficients, both kinds of residuals, statistics, poles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.cameras.rfm_project import RANGE
+from fg_orient.adjustment.linear.conditioning import Conditioning, diagnose
+from fg_orient.adjustment.linear.system import LinearSystem
+from fg_orient.model.errors import NoSolutionError, finding
+from fg_orient.rpc.form import RfmForm
+from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+from fg_orient.sensors.rpc import RpcModel, RpcValidity
+
+Array = npt.NDArray[np.float64]
+
+#: Segments between points on which denominators are looked at; beyond it a seeded choice of them.
+MAX_SEGMENTS: Final = 20_000
+
+
+@dataclass(frozen=True)
+class RfmFit:
+    """A rational function model estimated from control points.
+
+    Parameters
+    ----------
+    form : RfmForm
+    scaling : Scaling
+    points : ControlPoints
+        Those it was estimated from.
+    x : (u,) array
+        Unknowns in the order of ``form.names``, for normalised coordinates.
+    method : str
+        How it was estimated.
+    kappa : float
+        Of the penalty; 0 for plain least squares.
+    penalised : (u,) array
+        1 for the unknowns that the penalty holds, else 0.
+    true : bool
+        Estimated from the true equations; else from the linear form.
+    iterations : int
+    notes : tuple of str
+    choice : dict
+        What the method chose from the points: kappa, terms.
+    """
+
+    form: RfmForm
+    scaling: Scaling
+    points: ControlPoints
+    x: Array
+    method: str
+    kappa: float = 0.0
+    penalised: Array = field(default_factory=lambda: np.zeros(0))
+    true: bool = False
+    iterations: int = 1
+    notes: tuple[str, ...] = ()
+    choice: dict[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def _monomials(self) -> Array:
+        return self.form.monomials(self.scaling.ground(self.points.ground))
+
+    @cached_property
+    def _linear_form(self) -> tuple[Array, Array]:
+        image = self.scaling.image(self.points.line, self.points.sample)
+        return self.form.design(self._monomials, image)
+
+    @property
+    def coefficients(self) -> Array:
+        """Line numerator, line denominator, sample numerator, sample denominator in RPC00B order: (4, 20)."""
+        return self.form.coefficients(self.x)
+
+    def project(self, ground: Array) -> tuple[Array, Array]:
+        """Line and sample (pixels) of ground points (n, 3): longitude, latitude in degrees, height in m."""
+        normalised = self.form.image(self.x, self.form.monomials(self.scaling.ground(ground)))
+        line, sample = (normalised * self.scaling.scales[RANGE.image] + self.scaling.offsets[RANGE.image]).T
+        return line, sample
+
+    def model(self, n_lines: int | None = None, n_samples: int | None = None, file: str = "") -> RpcModel:
+        """Model for projection, location and files; valid where the points are.
+
+        Parameters
+        ----------
+        n_lines, n_samples : int, optional
+            Size of the image.
+        file : str
+            Named in messages.
+
+        Raises
+        ------
+        InputError
+            A scale or coefficient that :class:`fg_orient.sensors.rpc.RpcModel` refuses.
+        """
+        low, high = self.points.columns.min(axis=0), self.points.columns.max(axis=0)
+        ranges = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
+        return RpcModel(
+            self.scaling.offsets, self.scaling.scales, self.coefficients, RpcValidity(*ranges), n_lines, n_samples,
+            file=file, notes=tuple(finding("rpc.of_solver", note=note) for note in self.notes),
+        )  # fmt: skip
+
+    def residuals_px(self, points: ControlPoints | None = None) -> Array:
+        """True image residuals, projected minus observed: (n, 2) line and sample; default of the fitted points."""
+        chosen = points or self.points
+        line, sample = self.project(chosen.ground)
+        return np.column_stack([line - chosen.line, sample - chosen.sample])
+
+    @property
+    def rms_px(self) -> Array:
+        """RMS of the true image residuals: (2,) line and sample; inf at a pole."""
+        return rms(self.residuals_px())
+
+    @property
+    def linear_residuals_px(self) -> Array:
+        """V = A x - l of the linear form, scaled to pixels: (n, 2) line and sample."""
+        design, observed = self._linear_form
+        sample, line = (design @ self.x - observed).reshape(2, -1)
+        return np.asarray(np.column_stack([line, sample]) * self.scaling.scales[RANGE.image])
+
+    @property
+    def redundancy(self) -> float:
+        """Observations minus unknowns; with a penalty minus the trace of the hat matrix (effective unknowns)."""
+        unknowns = float(len(self.x))
+        if self.kappa > 0.0:
+            unknowns = float(np.trace(self.leverages, axis1=1, axis2=2).sum())
+        return 2 * len(self.points) - unknowns
+
+    @property
+    def m0_linear_px(self) -> float:
+        """m0 = sqrt([vv]/(n - u)) of the linear form, as published; nan without redundancy."""
+        return self._m0(self.linear_residuals_px)
+
+    @property
+    def m0_px(self) -> float:
+        """m0 of the true image residuals; nan without redundancy."""
+        return self._m0(self.residuals_px())
+
+    def _m0(self, v: Array) -> float:
+        free = self.redundancy
+        return float(np.sqrt(np.sum(v**2) / free)) if free > 0.0 else float("nan")
+
+    @cached_property
+    def design(self) -> Array:
+        """Jacobian of the equations that were adjusted, normalised units: (2 n, u), sample rows first."""
+        return self.form.jacobian(self.x, self._monomials) if self.true else self._linear_form[0]
+
+    @cached_property
+    def conditioning(self) -> Conditioning:
+        """Diagnostics of the design, without the penalty."""
+        return diagnose(LinearSystem.from_design(self.design, self._linear_form[1]))
+
+    @property
+    def rank(self) -> int:
+        """Numerical rank of the design with unit-length columns, without the penalty."""
+        return self.conditioning.rank_scaled
+
+    @property
+    def leverages(self) -> Array:
+        """Hat matrix of each point, (n, 2, 2), sample first: how much its residuals follow its own observations."""
+        return leverages(self.design, self._penalty)
+
+    @cached_property
+    def cofactors(self) -> Array | None:
+        """Cofactor matrix (u, u) of the unknowns; None where the design has no full rank and nothing is penalised.
+
+        With a penalty it is that of the posterior under the prior the penalty stands for.
+        """
+        if self.kappa == 0.0 and self.rank < len(self.x):
+            return None
+        lengths = np.linalg.norm(self.design, axis=0)
+        lengths = np.where(lengths > 0.0, lengths, 1.0)
+        rows = np.vstack([self.design, np.diag(np.sqrt(self._penalty))]) / lengths
+        root = np.linalg.pinv(np.linalg.qr(rows, mode="r"))
+        return np.asarray((root @ root.T) / np.outer(lengths, lengths))
+
+    @property
+    def covariance(self) -> Array | None:
+        """Covariance matrix (u, u) of the unknowns: cofactors times the variance of unit weight; see ``cofactors``.
+
+        The variance is that of the equations that were adjusted, both coordinates alike in normalised units.
+        """
+        if self.cofactors is None or not self.redundancy > 0.0:
+            return None
+        residuals = self.residuals_px() if self.true else self.linear_residuals_px
+        v = residuals / self.scaling.scales[RANGE.image]
+        return np.asarray(self.cofactors * (np.sum(v**2) / self.redundancy))
+
+    @property
+    def _penalty(self) -> Array:
+        return self.kappa * self.penalised if len(self.penalised) else np.zeros(len(self.x))
+
+    @cached_property
+    def least_denominators(self) -> Array:
+        """Smallest denominators of line and sample at the points and on the segments between them: (2,)."""
+        return least_denominators(self.form, self.x, self.scaling.ground(self.points.ground))
+
+    @property
+    def has_pole(self) -> bool:
+        """A denominator vanishes or changes its sign at the points or between them."""
+        return not bool((self.least_denominators > 0.0).all())
+
+    def require_no_pole(self) -> None:
+        """Refuse a model whose denominators change sign among its points.
+
+        Raises
+        ------
+        NoSolutionError
+        """
+        if self.has_pole:
+            value = f"{self.least_denominators.min():.3g}"
+            raise NoSolutionError.of("rfm.pole", place=f"{self.method}, degree {self.form.degree}", value=value)
+
+
+def rms(residuals: Array) -> Array:
+    """RMS by column; inf where a residual is not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        out = np.sqrt(np.mean(residuals**2, axis=0))
+    return np.where(np.isfinite(out), out, np.inf)
+
+
+def leverages(design: Array, penalty: Array) -> Array:
+    """Hat matrix blocks (n, 2, 2) of points whose rows are i and n + i of the design (2 n, u)."""
+    n = len(design) // 2
+    rows = np.vstack([design, np.diag(np.sqrt(penalty))]) if penalty.any() else design
+    left, values, _ = np.linalg.svd(rows, full_matrices=False)
+    q = left[:, values > max(rows.shape) * np.spacing(values[0])]
+    pair = np.stack([q[:n], q[n : 2 * n]], axis=1)
+    return np.asarray(pair @ np.swapaxes(pair, 1, 2))
+
+
+def least_denominators(form: RfmForm, x: Array, ground: Array) -> Array:
+    """Smallest denominators (2,) at normalised points (n, 3) and between them.
+
+    On a segment a denominator is a cubic: four values give it, its minimum is exact.
+    """
+    first, second = _pairs(len(ground))
+    ends = form.below(x, form.monomials(ground))
+    if not len(first):
+        return np.asarray(ends.min(axis=0))
+    step = ground[second] - ground[first]
+    inner = [form.below(x, form.monomials(ground[first] + t * step)) for t in (1.0 / 3.0, 2.0 / 3.0)]
+    f0, f1, f2, f3 = ends[first], inner[0], inner[1], ends[second]
+    c1 = -5.5 * f0 + 9.0 * f1 - 4.5 * f2 + f3
+    c2 = 9.0 * f0 - 22.5 * f1 + 18.0 * f2 - 4.5 * f3
+    c3 = -4.5 * f0 + 13.5 * f1 - 13.5 * f2 + 4.5 * f3
+    lowest = [ends.min(axis=0)]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        root = np.sqrt(c2**2 - 3.0 * c1 * c3)
+        for t in ((-c2 + root) / (3.0 * c3), -c1 / (c2 + root)):  # both forms: c3 may be zero
+            inside = (t > 0.0) & (t < 1.0)
+            values = f0 + t * (c1 + t * (c2 + t * c3))
+            lowest.append(np.where(inside, values, np.inf).min(axis=0))
+    return np.asarray(np.min(lowest, axis=0))
+
+
+def _pairs(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """All pairs of n points, or a seeded choice of them."""
+    if n * (n - 1) // 2 <= MAX_SEGMENTS:
+        first, second = np.triu_indices(n, 1)
+        return first, second
+    rng = np.random.default_rng(n)
+    first, second = rng.integers(0, n, (2, MAX_SEGMENTS))
+    return first, second

@@ -1,0 +1,189 @@
+"""Rational function model of a sensor: fitted to a virtual grid of ground points, checked on points between them.
+
+Pixels of a grid are located on several height layers with the sensor's own model; all layers are adjusted in one system
+(Tao & Hu 2001; Terlemezoğlu 2019, section 2.4 averages the coefficients of the layers, which is no estimate). The
+stated errors are those at independent points: pixels between the grid's, heights between its layers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.geometry import ellipsoid
+from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.model.errors import InputError, finding
+from fg_orient.rpc.estimate import fit_true
+from fg_orient.rpc.fit import RfmFit, rms
+from fg_orient.rpc.form import Denominators, RfmForm
+from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.sensors.rpc import RpcModel, RpcValidity
+
+Array = npt.NDArray[np.float64]
+
+#: Lines, samples, height layers.
+SHAPE: Final = (20, 20, 5)
+#: A cubic along each axis, and something to check it.
+LEAST: Final = 5
+#: The normal equations of degree 3 are singular in practice; this kappa changes no residual by 1e-4 px.
+KAPPA: Final = 1e-12
+#: Independent points per grid point.
+CHECK_SHARE: Final = 1.0
+
+
+class LocatingSensor(Protocol):
+    """What a sensor must do: know its size, and locate pixels at heights."""
+
+    n_lines: int
+    n_samples: int
+
+    def locate(self, line: npt.ArrayLike, sample: npt.ArrayLike, *, height_m: npt.ArrayLike | None = None) -> Any:
+        """Ground points (N, 3) ECEF m of N pixels at ellipsoidal heights."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of a model at points.
+
+    Parameters
+    ----------
+    rms, largest : (2,) array
+        Per axis.
+    points : int
+    """
+
+    rms: Array
+    largest: Array
+    points: int
+
+    @classmethod
+    def of(cls, residuals: Array) -> Errors:
+        """Summarise residuals (n, 2)."""
+        return cls(rms(residuals), np.abs(residuals).max(axis=0), len(residuals))
+
+
+@dataclass(frozen=True)
+class SensorRfm:
+    """A rational function model of a sensor.
+
+    Parameters
+    ----------
+    forward : RfmFit
+        Ground to image.
+    inverse : RfmFit
+        Image to ground with exchanged roles: "line" is the latitude, "sample" the longitude (degrees), "ground" sample,
+        line and height.
+    validity : RpcValidity
+        Ranges of the grid: pixels, degrees, m.
+    fit_px, check_px : Errors
+        Line and sample, pixels: at the grid, at independent points.
+    inverse_m : Errors
+        Longitude and latitude of the inverse model in metres on the ground, at the same independent points.
+    """
+
+    forward: RfmFit
+    inverse: RfmFit
+    validity: RpcValidity
+    fit_px: Errors
+    check_px: Errors
+    inverse_m: Errors
+
+    def model(self, file: str = "") -> RpcModel:
+        """Model with validity range and inverse coefficients, for projection and files."""
+        errors = [float(value) for value in self.check_px.largest]
+        note = finding("rpc.fitted_to_sensor", errors_px=errors, n=self.check_px.points)
+        scaling = self.forward.scaling
+        return RpcModel(
+            scaling.offsets, scaling.scales, self.forward.coefficients, self.validity,
+            int(self.validity.line[1]) + 1, int(self.validity.sample[1]) + 1,
+            direct=self.inverse.coefficients[[2, 3, 0, 1]], file=file, notes=(note,),
+        )  # fmt: skip
+
+
+def fit_sensor(
+    sensor: LocatingSensor, heights_m: tuple[float, float], *, shape: tuple[int, int, int] = SHAPE, degree: int = 3,
+    denominators: Denominators = "separate", kappa: float = KAPPA, seed: int = 1,
+) -> SensorRfm:  # fmt: skip
+    """Fit a rational function model to a sensor.
+
+    Parameters
+    ----------
+    sensor : LocatingSensor
+        Any with ``n_lines``, ``n_samples`` and ``locate`` at heights; (0, 0) = centre of the first pixel.
+    heights_m : (float, float)
+        Lowest and highest layer above the ellipsoid.
+    shape : (int, int, int)
+        Lines, samples and layers of the grid, at least 5 each, spaced like Chebyshev nodes: closer towards the borders.
+    degree, denominators
+        See :class:`fg_orient.rpc.form.RfmForm`.
+    kappa : float
+        Penalty of all coefficients beyond the affine ones.
+    seed : int
+        Of the independent points.
+
+    Returns
+    -------
+    SensorRfm
+
+    Raises
+    ------
+    InputError
+        Too small a grid, heights that do not rise or are not finite, a ray that misses a layer.
+    NoSolutionError
+        The fit does not end, or has a pole in the grid.
+    """
+    low, high = heights_m
+    if min(shape) < LEAST:
+        raise InputError.of("rfm.grid", place="virtual grid", value=shape, least=LEAST)
+    if not (np.isfinite([low, high]).all() and high > low):
+        raise InputError.of("rfm.heights", place="heights", value=f"{low:g}, {high:g}")
+    last = getattr(sensor, "last_line", sensor.n_lines - 1.0), getattr(sensor, "last_sample", sensor.n_samples - 1.0)
+    first = getattr(sensor, "first_line", 0.0), getattr(sensor, "first_sample", 0.0)
+    axes = [_nodes(a, b, n) for a, b, n in zip((*first, low), (*last, high), shape, strict=True)]
+    grid = _located(sensor, *(axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")))
+    rng = np.random.default_rng(seed)
+    count = int(CHECK_SHARE * len(grid))
+    draws = [rng.uniform(a, b, count) for a, b in zip((*first, low), (*last, high), strict=True)]
+    check = _located(sensor, *draws)
+    form = RfmForm(degree, denominators)
+    with one_blas_thread():  # small matrices: on a busy machine a second thread only waits
+        forward, inverse = fit_true(grid, form, kappa=kappa), fit_true(_exchanged(grid), form, kappa=kappa)
+    ranges = np.stack([grid.columns.min(axis=0), grid.columns.max(axis=0)], axis=1)
+    validity = RpcValidity(*((float(a), float(b)) for a, b in ranges))
+    back = inverse.residuals_px(_exchanged(check))
+    return SensorRfm(
+        forward, inverse, validity, Errors.of(forward.residuals_px()), Errors.of(forward.residuals_px(check)),
+        Errors.of(_metres(back, check)),
+    )  # fmt: skip
+
+
+def _nodes(first: float, last: float, count: int) -> Array:
+    """Chebyshev nodes stretched to both ends: an even grid leaves the errors at the border."""
+    nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    return np.asarray(0.5 * (first + last) + 0.5 * (last - first) * nodes / nodes[-1])
+
+
+def _located(sensor: LocatingSensor, line: Array, sample: Array, height_m: Array) -> ControlPoints:
+    """Control points of pixels at heights; longitudes continuous across 180 degrees."""
+    geodetic = ellipsoid.geodetic_array(np.ascontiguousarray(sensor.locate(line, sample, height_m=height_m)))
+    lon, lat = np.degrees(geodetic[:, 0]), np.degrees(geodetic[:, 1])
+    lon = lon[0] + (lon - lon[0] + 180.0) % 360.0 - 180.0
+    return ControlPoints(line, sample, np.column_stack([lon, lat, height_m]))
+
+
+def _exchanged(points: ControlPoints) -> ControlPoints:
+    """Exchange the roles: latitude and longitude as functions of sample, line and height."""
+    lon, lat, height = points.ground.T
+    return ControlPoints(lat, lon, np.column_stack([points.sample, points.line, height]))
+
+
+def _metres(residuals_deg: Array, points: ControlPoints) -> Array:
+    """Longitude and latitude differences in metres: (n, 2) from residuals of latitude, longitude in degrees."""
+    lat = np.radians(points.ground[:, 1])
+    root = np.sqrt(1.0 - ellipsoid.E2 * np.sin(lat) ** 2)
+    east = np.radians(residuals_deg[:, 1]) * np.cos(lat) * (ellipsoid.A_M / root + points.ground[:, 2])
+    north = np.radians(residuals_deg[:, 0]) * (ellipsoid.A_M * (1.0 - ellipsoid.E2) / root**3 + points.ground[:, 2])
+    return np.column_stack([east, north])

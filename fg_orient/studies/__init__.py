@@ -1,0 +1,1 @@
+"""Studies on the twin and on published data: experiments, published procedures, comparisons."""

@@ -1,0 +1,259 @@
+"""The backends of a comparison: each turns EOP set and solver into a row, failures included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from factors._preparation import working_clock
+from fg_orient.adjustment.dense import assemble
+from fg_orient.adjustment.linear import registry
+from fg_orient.adjustment.linear.conditioning import numerical_rank, singular_values
+from fg_orient.adjustment.linear.l_curve import l_curve_of
+from fg_orient.adjustment.linear.scaling import unit_columns
+from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
+from fg_orient.adjustment.problem import Problem, compile_problem
+from fg_orient.model.block import Block
+from fg_orient.model.errors import FgOrientError, finding
+from fg_orient.model.names import Status
+from fg_orient.model.parameters import EOP_SETS, eop_codes
+from fg_orient.orientation.orient import adjust
+from fg_orient.orientation.solution import Solution
+from fg_orient.quality.accuracy import PointDifferences
+from fg_orient.quality.deficiency import judge_observability
+from fg_orient.quality.observability import affordable, analyse_block
+from fg_orient.studies.comparison.model import AXES, GRAPH_SOLVER, Curve, Direction, Row, Spectrum
+from fg_orient.studies.two_stage import Kind, TwoStage
+from fg_orient.studies.two_stage_results import Bundle
+
+Array = npt.NDArray[np.float64]
+
+#: Cramer's rule takes u^2 determinants of order u - 1: minutes per solution beyond this many unknowns.
+CRAMER_LIMIT = 120
+
+
+def row(eop_set: int, solver: str, backend: str, kind: int | None = None, **values: Any) -> Row:
+    """Make a row."""
+    return Row(eop_set, EOP_SETS[eop_set][0], solver, backend, kind, **values)
+
+
+def one_line(error: FgOrientError) -> str:
+    """Give the problems of an error in one line."""
+    return " | ".join(str(found) for found in error.problems)
+
+
+def spectra_of(design: Array, eop_set: int, system: str) -> tuple[Spectrum, Spectrum]:
+    """Singular values of a design matrix, raw and with columns of unit length (a zero column stays zero)."""
+    return (
+        Spectrum(eop_set, system, "raw", singular_values(design)),
+        Spectrum(eop_set, system, "columns", singular_values(unit_columns(design))),
+    )
+
+
+def _conditioning(raw: Spectrum, columns: Spectrum, n_rows: int) -> dict[str, Any]:
+    """Columns of a row that describe its matrix; rank as MATLAB counts it for A."""
+    order = len(raw.values)
+    return {
+        "cond_raw": raw.condition, "cond_scaled": columns.condition, "order": order,
+        "rank": numerical_rank(raw.values, max(n_rows, order)),
+    }  # fmt: skip
+
+
+def _reason_to_leave_out(solver: str, order: int, *, iterated: bool) -> str:
+    """Say why an adjustment is not tried; "" if it is."""
+    if order > MAX_UNKNOWNS:
+        return str(finding("linear.too_large", place=solver, value=order, limit=MAX_UNKNOWNS))
+    if solver == "cramer_inverse" and order > CRAMER_LIMIT:
+        return str(finding("compare.slow", place=solver, value=order, limit=CRAMER_LIMIT))
+    if iterated and registry.solver(solver).family == "tikhonov":
+        return str(finding("compare.damped", place=solver))
+    return ""
+
+
+class Published:
+    """The published two-stage procedure, one-iteration bundle.
+
+    Parameters
+    ----------
+    block : Block
+    as_run : bool
+        As the authors' program works.
+    """
+
+    def __init__(self, block: Block, as_run: bool) -> None:
+        self.failure, self.spectra = "", dict[tuple[int, int], tuple[Spectrum, Spectrum]]()
+        self.curves = dict[tuple[int, int], Curve]()
+        try:
+            self.stage = TwoStage(block, as_run=as_run)
+            self.n_images, self.n_check = len(block.images), len(self.stage.check_ids)
+            _ = self.stage.pre_adjusted  # step 1 serves all sets: it does not count as the first one's time
+        except FgOrientError as error:
+            self.failure = one_line(error)
+
+    def run(self, eop_set: int, kind: int, solver: str) -> Row:
+        """Adjust with one set, type and solver."""
+        make: dict[str, Any] = {"eop_set": eop_set, "solver": solver, "backend": "faithful", "kind": kind}
+        if self.failure:
+            return row(**make, failure=self.failure)
+        order = self.n_images * len(eop_codes(eop_set)) + 3 * self.n_check
+        reason = _reason_to_leave_out(solver, order, iterated=False)
+        if reason:
+            return row(**make, failure=reason, left_out=True, order=order)
+        start = working_clock()
+        try:
+            with np.errstate(all="ignore"):  # wild corrections overflow; the result is then reported as failed
+                bundle = self.stage.bundle(eop_set, cast(Kind, kind), solver)
+        except FgOrientError as error:
+            return row(**make, failure=one_line(error))
+        return row(**make, seconds=working_clock() - start, **self._values(bundle, eop_set, kind))
+
+    def _values(self, bundle: Bundle, eop_set: int, kind: int) -> dict[str, Any]:
+        values: dict[str, Any] = {
+            "failure": bundle.failure, "iterations": 1, "order": bundle.n_unknowns, "notes": bundle.solution.notes,
+            "kappa": np.nan if bundle.solution.kappa is None else bundle.solution.kappa,
+        }  # fmt: skip
+        if bundle.system is not None:
+            design, _ = bundle.system.require_design("spectrum")
+            pair = spectra_of(design, eop_set, f"published {kind}")
+            self.spectra.setdefault((eop_set, kind), pair)
+            values |= _conditioning(*pair, len(design))
+            if bundle.solution.kappa is not None and (eop_set, kind) not in self.curves:
+                self.curves[eop_set, kind] = Curve(eop_set, kind, l_curve_of(bundle.system))
+        if not bundle.failure:
+            redundancy = bundle.n_observations - bundle.n_unknowns
+            values["m0_rad"] = float(np.sqrt(bundle.v @ bundle.v / redundancy)) if redundancy > 0 else np.nan
+            values |= _axes("control", bundle.accuracy.gcp_rmse) | _axes("check", bundle.accuracy.icp_rmse)
+        return values
+
+
+def _axes(role: str, rmse: Array) -> dict[str, float]:
+    """RMSE of a role: the largest axis (nan if any is) and the three."""
+    named = {f"{role}_rmse_{axis}_m": float(value) for axis, value in zip(AXES, rmse, strict=True)}
+    return {f"{role}_rmse_m": float(np.max(rmse))} | named
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """A solution of the graph, for the differences; None where there is none."""
+
+    solution: Solution | None
+    row: Row
+
+
+class Adjustments:
+    """:func:`fg_orient.adjust` with one EOP set: graph, and dense with any solver.
+
+    Parameters
+    ----------
+    block : Block
+    eop_set : int
+    look_polynomial : int or None
+        Replaces the block's, unless None.
+
+    Raises
+    ------
+    InputError
+        The block cannot be adjusted with any set.
+    """
+
+    def __init__(self, block: Block, eop_set: int, look_polynomial: int | None) -> None:
+        self.block, self.eop_set, self.look_polynomial = block, eop_set, look_polynomial
+        degree = block.options.look_polynomial if look_polynomial is None else look_polynomial
+        self.problem = compile_problem(
+            replace(block, options=replace(block.options, eop_set=eop_set, look_polynomial=degree))
+        )
+        self.spectra: tuple[Spectrum, ...] = ()
+        self.directions = directions_of(self.problem)
+        self.matrix: dict[str, Any] = {"order": self.problem.n_unknowns}
+        if self.problem.n_unknowns <= MAX_UNKNOWNS:
+            self._describe()
+
+    def _describe(self) -> None:
+        """Singular values at the start: with and without priors; raw, columns of unit length, prior sigmas."""
+        design = assemble(self.problem, self.problem.start)[1]
+        physical = _per_physical_unit(self.problem, design)
+        raw, columns = spectra_of(physical, self.eop_set, "adjustment")
+        found = [raw, columns, Spectrum(self.eop_set, "adjustment", "priors", singular_values(design))]
+        self.matrix |= _conditioning(raw, columns, len(design))
+        if self.block.options.priors:
+            free = _without_priors(self.problem, design)
+            found += spectra_of(_per_physical_unit(self.problem, free), self.eop_set, "no priors")
+            found.append(Spectrum(self.eop_set, "no priors", "priors", singular_values(free)))
+        self.spectra = tuple(found)
+
+    def graph(self) -> Adjusted:
+        """Adjust through the graph."""
+        return self._run(GRAPH_SOLVER, "graph", {"backend": "graph"})
+
+    def dense(self, solver: str, reference: Solution | None) -> Row:
+        """Adjust with dense matrices and one solver; ``reference`` is the graph's solution."""
+        reason = _reason_to_leave_out(solver, self.problem.n_unknowns, iterated=True)
+        if reason:
+            return row(self.eop_set, solver, "dense", failure=reason, left_out=True, **self.matrix)
+        found = self._run(solver, "dense", {"backend": "dense", "solver": solver})
+        if found.solution is None or reference is None:
+            return found.row
+        ours, theirs = found.solution.state, reference.state
+        apart = np.abs(ours.ground - theirs.ground)
+        return replace(
+            found.row, difference_sigmas=float(np.abs(ours.image - theirs.image).max()),
+            difference_m=float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan,
+        )  # fmt: skip
+
+    def _run(self, solver: str, backend: str, options: dict[str, Any]) -> Adjusted:
+        try:
+            with np.errstate(all="ignore"):  # a step through a singular matrix may overflow; the loop then says so
+                found = adjust(self.block, eop_set=self.eop_set, look_polynomial=self.look_polynomial, **options)
+        except FgOrientError as error:
+            return Adjusted(None, row(self.eop_set, solver, backend, failure=one_line(error), **self.matrix))
+        if found.status is Status.NOT_CONVERGED:
+            failed = row(
+                self.eop_set, solver, backend, failure=found.reason, iterations=found.iterations,
+                seconds=_seconds(found), **self.matrix,
+            )  # fmt: skip
+            return Adjusted(None, failed)
+        values: dict[str, Any] = _accuracy("control", found.accuracy.control) | _accuracy("check", found.accuracy.check)
+        notes = (found.reason,) if found.status is Status.NOT_TRUSTWORTHY else ()
+        done = row(
+            self.eop_set, solver, backend, sigma0=found.sigma0, iterations=found.iterations, seconds=_seconds(found),
+            notes=notes, **values, **self.matrix,
+        )  # fmt: skip
+        return Adjusted(found, done)
+
+
+def directions_of(compiled: Problem) -> tuple[Direction, ...]:
+    """Directions that the image observations do not determine: of each image, then of the block as a whole."""
+    number, found = compiled.block.options.eop_set, list[Direction]()
+    for image in judge_observability(compiled):
+        words = [text.removeprefix(f"image {image.image}: ") for text in image.sentences]
+        found += [Direction(number, image.image, text, "nothing") for text in words]
+        found += [Direction(number, image.image, text, "prior") for text in image.held]
+    view = analyse_block(compiled) if affordable(compiled) else None
+    block = () if view is None else (*view.datum, *view.on_board)
+    return (*found, *(Direction(number, "", text.removeprefix("block: "), "prior") for text in block))
+
+
+def _seconds(solution: Solution) -> float:
+    return solution.seconds.structure + solution.seconds.solve
+
+
+def _accuracy(role: str, found: PointDifferences) -> dict[str, float]:
+    statistics = found.statistics()
+    return _axes(role, np.array([statistics.get(f"rmse_ecef_{axis}_m", np.nan) for axis in AXES]))
+
+
+def _per_physical_unit(compiled: Problem, design: Array) -> Array:
+    """Columns per m, m/s and rad instead of per prior sigma; those of ground points are per metre already."""
+    scale = np.ones(design.shape[1])
+    scale[: compiled.n_image_unknowns] = np.concatenate([p.sigma for p in compiled.parameters])
+    return design / scale
+
+
+def _without_priors(compiled: Problem, design: Array) -> Array:
+    """Drop the prior rows: compile the same block without them."""
+    options = replace(compiled.block.options, priors=False)
+    free = replace(compiled, block=replace(compiled.block, options=options))
+    return assemble(free, free.start)[1]

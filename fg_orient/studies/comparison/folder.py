@@ -1,0 +1,167 @@
+"""From a project to a comparison folder: tables, figures, record and report, whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, astuple
+from pathlib import Path
+from typing import Any, Final
+
+from factors._preparation import working_clock
+from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
+from fg_orient.formats.project import read_project
+from fg_orient.model.errors import NoSolutionError, as_record, finding
+from fg_orient.model.names import Progress
+from fg_orient.report.style import available
+from fg_orient.run.json import dumps, plain
+from fg_orient.run.provenance import provenance
+from fg_orient.run.tables import write_csv
+from fg_orient.studies.comparison import plots, selection
+from fg_orient.studies.comparison.compare import compare
+from fg_orient.studies.comparison.model import COLUMNS, Comparison
+from fg_orient.studies.comparison.report import render
+from fg_orient.studies.comparison.words import summaries, verdict
+
+SCHEMA_VERSION: Final = 1
+#: What a comparison folder holds.
+COMPARISON: Final = Contents(
+    "compare.csv",
+    ("compare.csv", "spectra.csv", "directions.csv", "l_curves.csv", "result.json", "*.svg", "report.html"),
+)
+SPECTRUM_COLUMNS: Final = ("eop_set", "system", "scaling", "index", "singular_value")
+DIRECTION_COLUMNS: Final = ("eop_set", "image", "direction", "held_by")
+#: ``rule``: empty for a point of the curve, else the rule that chose this kappa.
+CURVE_COLUMNS: Final = ("eop_set", "type", "rule", "kappa", "residual_norm", "solution_norm")
+
+
+def compare_project(
+    project: str | Path,
+    out: str | Path,
+    *,
+    overwrite: bool = False,
+    options: Mapping[str, Any] | None = None,
+    callback: Progress | None = None,
+    command: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Read a project, compare and write the folder.
+
+    Parameters
+    ----------
+    project : path
+        The TOML file.
+    out : path
+        Folder to come.
+    overwrite : bool
+        Replace an existing comparison folder, once the new one is complete.
+    options : mapping, optional
+        Arguments of :func:`fg_orient.compare`. With workers the sets that are done are kept in a hidden folder beside
+        ``out`` until this is written.
+    callback : callable, optional
+        Called with (done, of, text) after each adjustment.
+    command : sequence of str
+        The command line, for the record.
+
+    Returns
+    -------
+    dict
+        The record of the command ``compare``.
+
+    Raises
+    ------
+    InputError
+        The project, an option or the output folder is unusable.
+    NoSolutionError
+        Not one adjustment has a solution; nothing is written.
+    """
+    start = working_clock()
+    require_free(Path(out), overwrite=overwrite, contents=COMPARISON)
+    selection.require(options or {})
+    block = read_project(project)
+    read_s = working_clock() - start
+    given = dict(options or {})
+    shared = given.get("workers", 0) > 1 or given.get("cluster") is not None
+    kept = Path(out).absolute().with_name(f".{Path(out).name}.sets") if shared else None
+    found = compare(block, callback=callback, folder=kept, **given)
+    if all(row.failure for row in found.rows):
+        raise NoSolutionError.of("compare.no_solution", file=project, count=len(found.rows), why=found.rows[0].failure)
+    record = _record(found, Path(project), Path(out), command)
+    with staged_folder(out, overwrite=overwrite, contents=COMPARISON) as folder:
+        mark = working_clock()
+        drawn = plots.figures(found)
+        end = working_clock()
+        record["seconds"] = {"read": read_s, "compare": found.seconds, "figures": end - mark, "total": end - start}
+        with writing(out):
+            write_folder(folder, found, record, drawn)
+    if kept is not None:
+        shutil.rmtree(kept, ignore_errors=True)
+    return {**record, "out": str(out)}
+
+
+def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> None:
+    """Write every file of a comparison into an existing folder.
+
+    Parameters
+    ----------
+    folder : Path
+    comparison : Comparison
+    record : mapping
+        For ``result.json``.
+    figures : mapping
+        File name to SVG text.
+    """
+    records = (row.as_dict() for row in comparison.rows)
+    rows = [[_cell(record[name]) for name in COLUMNS] for record in records]
+    write_csv(folder / "compare.csv", COLUMNS, rows)
+    write_csv(folder / "spectra.csv", SPECTRUM_COLUMNS, (
+        (s.eop_set, s.system, s.scaling, index, float(value))
+        for s in comparison.spectra for index, value in enumerate(s.values)
+    ))  # fmt: skip
+    write_csv(folder / "directions.csv", DIRECTION_COLUMNS, (astuple(found) for found in comparison.directions))
+    if comparison.curves:
+        write_csv(folder / "l_curves.csv", CURVE_COLUMNS, _curve_rows(comparison))
+    for name, text in figures.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
+    (folder / "report.html").write_text(render(comparison, record, figures), encoding="utf-8")
+
+
+def _curve_rows(comparison: Comparison) -> Iterator[tuple[object, ...]]:
+    """Points of all curves, each curve followed by the choices of the rules."""
+    for found in comparison.curves:
+        curve, key = found.curve, (found.eop_set, found.type)
+        for point in zip(curve.kappa.tolist(), curve.residual_norm.tolist(), curve.solution_norm.tolist(), strict=True):
+            yield (*key, "", *point)
+        for choice in curve.choices:
+            yield (*key, choice.rule, choice.kappa, choice.residual_norm, choice.solution_norm)
+
+
+def _cell(value: object) -> object:
+    """Nothing for None, words of JSON for truth values."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value is None else value
+
+
+def _record(comparison: Comparison, project: Path, out: Path, command: Sequence[str]) -> dict[str, Any]:
+    """Everything of ``result.json`` but the times."""
+    record: dict[str, Any] = plain({
+        "schema": SCHEMA_VERSION,
+        "kind": "compare",
+        "name": comparison.block.name,
+        "verdict": verdict(comparison),
+        "target_m": comparison.target_m,
+        "eop_sets": comparison.eop_sets,
+        "solvers": comparison.solvers,
+        "backends": comparison.backends,
+        "types": comparison.types,
+        "as_run": comparison.as_run,
+        "look_polynomial": comparison.block.options.look_polynomial,
+        "summary": [asdict(line) for line in summaries(comparison)],
+        **as_record([] if available() else [finding("compare.no_figures")]),
+        "rows": [row.as_dict() for row in comparison.rows],
+        "directions": [asdict(found) for found in comparison.directions],
+        "out": out.name,
+        "provenance": provenance(comparison.block, project.parent, command),
+    })  # fmt: skip
+    return record

@@ -1,0 +1,171 @@
+"""Renders the report of a comparison: one HTML file on the shell of all reports."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from fg_orient.model.errors import sentences
+from fg_orient.report.page import environment
+from fg_orient.report.style import INK, PAPER
+from fg_orient.studies.comparison import heat
+from fg_orient.studies.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison, Direction
+from fg_orient.studies.comparison.plots import row_name
+from fg_orient.studies.comparison.words import ranges, summaries, verdict
+
+#: Heading and explanation of each heat map; their drawings lie beside the report for papers.
+HEAT_MAPS: Final = {
+    "control": (
+        "Control points",
+        "RMSE of the worst ECEF axis, metres. Blue is at the target, orange beyond, hatched without solution. The "
+        "published procedure holds control points fixed and intersects them again with its own orientation and look "
+        "angles; dense and graph adjust them with their standard deviations.",
+    ),
+    "check": (
+        "Check points",
+        "The same at check points. In the published procedure they absorb what the orientation gets wrong.",
+    ),
+}
+#: Heading and explanation of each drawing.
+CAPTIONS: Final = {
+    "conditions.svg": (
+        "Condition numbers",
+        "Of N = A\u1d40A, as the square of A's. At the upper line the smallest singular value of A is rounding.",
+    ),
+    "spectra.svg": (
+        "Singular values",
+        "Of the design matrix A, beside the largest. A drop to 1e−15 is a direction that the data do not show: a "
+        "silent one. The table of directions names them where dense or graph were asked for.",
+    ),
+    "l_curves.svg": (
+        "L-curves",
+        "Of the published bundle: norm of the solution over norm of the residuals for all κ, with the choices of the "
+        "Tikhonov solvers. A good κ lies where the curve bends; unknowns are in m, m/s and rad together, so that κ and "
+        "the curve depend on these units.",
+    ),
+    "seconds.svg": ("Run times", "Wall clock of one adjustment, statistics left out."),
+}
+#: Tables that explain the drawings: id and heading, what fills them.
+TABLES: Final = {
+    ("directions", "Directions not determined"): "directions",
+    ("condition-table", "Condition numbers of N"): "conditions",
+}
+#: Parts that say why rows have no numbers: id, heading, whether they were left out.
+REASONS: Final = (("failures", "Without solution", False), ("left-out", "Not tried", True))
+
+
+def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[str, str]) -> str:
+    """Give the HTML text of a comparison."""
+    from markupsafe import Markup
+
+    shell = environment()
+    shell.filters |= {"short": short, "ranges": ranges}
+    drawn = [
+        (name, *CAPTIONS[name], Markup(inline(figures[name], name.partition(".")[0]))) for name in CAPTIONS
+        if name in figures
+    ]  # fmt: skip
+    heats = [(f"heat-{role}", *words, heat.heat_map(comparison, role)) for role, words in HEAT_MAPS.items()]
+    heats = [shown for shown in heats if shown[-1]]
+    sets = {number: (name, _lines(comparison, number)) for number, name in _names(comparison).items()}
+    condition_heads, conditions = _conditions(comparison)
+    directions = _directions(comparison)
+    tables = [words for words, shown in TABLES.items() if {"directions": directions, "conditions": conditions}[shown]]
+    reasons = [(id_, title, found) for id_, title, left_out in REASONS if (found := _reasons(comparison, left_out))]
+    return shell.get_template("compare.html.j2").render(
+        r=record, verdict=verdict(comparison), problems=sentences(record), figures=drawn, heats=heats,
+        summaries=summaries(comparison), sets=sets, conditions=conditions, reasons=reasons,
+        condition_heads=condition_heads, directions=directions, outcomes=heat.OUTCOMES, counts=heat.counts(comparison),
+        steps=heat.steps(comparison.target_m), 
+        sections=_sections(heats, drawn, reasons, [*tables]),
+    )  # fmt: skip
+
+
+def _sections(
+    heats: list[Any], drawn: list[Any], reasons: list[Any], tables: list[tuple[str, str]]
+) -> list[tuple[str, str]]:  # fmt: skip
+    """Parts of the page that are there, and their words."""
+    return [
+        ("outcomes", "Outcomes"),
+        *((shown[0], shown[1]) for shown in heats),
+        ("summary", "Solvers"),
+        *((shown[0], shown[1]) for shown in reasons),
+        *((f"{name[:-4]}-section", title) for name, title, _, _ in drawn),
+        *tables,
+        ("sets", "Set by set"),
+        ("provenance", "Provenance"),
+    ]
+
+
+def short(value: float | None) -> str:
+    """Write a length or a wild number in three digits; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    text = f"{value:.2f}" if 0.01 <= abs(value) < 1000.0 or value == 0.0 else f"{value:.0e}"
+    return text.replace("e+0", "e").replace("e+", "e").replace("e-0", "e-").replace("-", "−")
+
+
+def inline(svg: str, name: str) -> str:
+    """Make an SVG file part of a page: no header, its own ids, ink and paper of the page."""
+    text = svg[svg.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
+    text = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', text)
+    text = re.sub(r'(<svg[^>]*?) width="[^"]*" height="[^"]*"', r"\1", text, count=1)
+    return text.replace(f"fill: {PAPER}", "fill: none").replace(INK, "currentColor")
+
+
+def _names(comparison: Comparison) -> dict[int, str]:
+    return {row.eop_set: row.eop_set_name for row in comparison.rows}
+
+
+def _lines(comparison: Comparison, eop_set: int) -> list[dict[str, Any]]:
+    """Rows of one set with their name and outcome for people."""
+    words = {key: (sign, name) for key, sign, name, _ in heat.OUTCOMES}
+    return [
+        row.as_dict()
+        | {"name": row_name(comparison, row.backend, row.type, row.solver)}
+        | dict(zip(("sign", "outcome"), words[heat.outcome(row)], strict=True))
+        for row in comparison.select(eop_set=eop_set)
+    ]
+
+
+def _conditions(comparison: Comparison) -> tuple[list[str], list[tuple[int, list[tuple[str, str]]]]]:
+    """Heads, one per system and scaling, and condition numbers by set: down the page, twenty sets fit on paper."""
+    columns = dict.fromkeys((s.system, s.scaling) for s in comparison.spectra)
+    found = {(s.eop_set, s.system, s.scaling): s.condition for s in comparison.spectra}
+    rows = [(n, [_condition(found.get((n, *column))) for column in columns]) for n in comparison.eop_sets]
+    return [f"{system}, {scaling}" for system, scaling in columns], rows if columns else []
+
+
+def _directions(comparison: Comparison) -> list[tuple[str, str, list[str], list[int]]]:
+    """Directions in words, what holds them, images and sets; those that nothing holds first."""
+    found: dict[tuple[str, str], list[Direction]] = {}
+    for direction in comparison.directions:
+        found.setdefault((direction.held_by, direction.words), []).append(direction)
+    rows = [
+        (words, held, list(dict.fromkeys(d.image for d in group)), sorted({d.eop_set for d in group}))
+        for (held, words), group in found.items()
+    ]
+    return sorted(rows, key=lambda row: (row[1] != "nothing", row[3][0]))
+
+
+def _condition(value: float | None) -> tuple[str, str]:
+    """Words and the number to sort by."""
+    if value is None:
+        return "–", ""
+    return f"≥ {value:.0e}" if value >= LARGEST_CONDITION else f"{value:.0e}", f"{value:.9g}"
+
+
+def _reasons(comparison: Comparison, left_out: bool) -> list[tuple[str, int, list[int]]]:
+    """Why rows were not tried or have no solution, how often, with which sets; numbers do not tell reasons apart."""
+    found: dict[str, tuple[str, list[int]]] = {}
+    for row in comparison.rows:
+        if row.failure and row.left_out == left_out:
+            label = comparison.labels.get(row.solver, GRAPH_SOLVER)
+            text = f"{row.backend}, {label}: {row.failure}"
+            key = re.sub(r"[0-9.e+-]+", "#", text)
+            found.setdefault(key, (text, []))[1].append(row.eop_set)
+    return [(text, len(sets), sorted(set(sets))) for text, sets in found.values()]

@@ -1,0 +1,101 @@
+"""Writes a reproduction as a folder: ``cells.csv``, ``claims.csv``, ``result.json``, ``report.html``."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
+from fg_orient.model.versions import versions
+from fg_orient.run.json import dumps, plain
+from fg_orient.studies.published.tables import require_source
+from fg_orient.studies.reproduce.html import render
+from fg_orient.studies.reproduce.reproduction import Callback, Reproduction, reproduce
+
+#: What the folder holds; result.json is its mark.
+CONTENTS: Final = Contents("result.json", ("result.json", "cells.csv", "claims.csv", "report.html"))
+SCHEMA_VERSION: Final = 1
+
+
+def reproduce_to(
+    name: str, out: Path | None = None, *, overwrite: bool = False, callback: Callback | None = None,
+    command: Sequence[str] = (), **options: Any,
+) -> tuple[Reproduction, dict[str, Any]]:  # fmt: skip
+    """Reproduce a publication and write the folder.
+
+    Parameters
+    ----------
+    name : str
+        "terlemezoglu2019", "topan2010", "ipbuker1994" or "ayhan1996".
+    out : Path, optional
+        Folder to make; default "reproduced-" and the name.
+    overwrite : bool
+        Replace a folder that an earlier reproduction wrote.
+    callback : callable, optional
+        See :func:`fg_orient.studies.reproduce.reproduction.reproduce`.
+    command : sequence of str
+        Words of the command line, for the record.
+    **options
+        Of :func:`fg_orient.studies.reproduce.reproduction.reproduce`.
+
+    Returns
+    -------
+    Reproduction, dict
+        All rows and claims, and the record that the command prints as JSON.
+
+    Raises
+    ------
+    InputError
+        Bad options, damaged published tables, or an output that cannot be written.
+    """
+    require_source(name)
+    target = out or Path(f"reproduced-{name}")
+    require_free(target, overwrite=overwrite, contents=CONTENTS)
+    found = reproduce(name, callback=callback, **options)
+    with staged_folder(target, overwrite=overwrite, contents=CONTENTS) as folder, writing(target):
+        _write(folder, found, command)
+    return found, as_record(found) | {"out": str(target)}
+
+
+def as_record(found: Reproduction) -> dict[str, Any]:
+    """Rows and claims as plain values; numbers that are not finite become None."""
+    rows = [plain(asdict(row)) for row in found.rows]
+    return {"rows": rows, "claims": [plain(asdict(claim)) for claim in found.claims]}
+
+
+def _write(folder: Path, found: Reproduction, command: Sequence[str]) -> None:
+    rows = [asdict(row) for row in found.rows]
+    _table(folder / "cells.csv", list(rows[0]), rows)
+    claims = [asdict(c) | {"low": c.interval[0], "high": c.interval[1]} for c in found.claims]
+    _table(folder / "claims.csv", ["id", "passed", "of", "low", "high", "met", "text", "reason"], claims)
+    record = {
+        "schema": SCHEMA_VERSION,
+        "source": found.source.name,
+        "title": found.source.title,
+        "about": found.source.about,
+        "options": found.options,
+        "verdicts": found.counts(),
+        "tables": {table: {"title": title, "verdicts": found.counts(table)} for table, title in found.titles.items()},
+        "claims": as_record(found)["claims"],
+        "published_sha256": found.sha256,
+        "versions": versions(),
+        "command": [Path(word).name if Path(word).is_absolute() else word for word in command],
+        "date_time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
+    (folder / "report.html").write_text(render(found, record), encoding="utf-8")
+
+
+def _table(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
+    """Write a CSV table; nan is an empty cell."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        out = csv.writer(stream, lineterminator="\n")
+        out.writerow(columns)
+        for row in rows:
+            values = (row[name] for name in columns)
+            out.writerow(["" if isinstance(v, float) and math.isnan(v) else v for v in values])

@@ -1,0 +1,213 @@
+"""Published beside reproduced, cell by cell, with the claims: the work behind ``fg-orient reproduce``."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.linear.l_curve import LCurve
+from fg_orient.model.cells import CellKey
+from fg_orient.model.errors import InputError
+from fg_orient.studies.claims import ClaimResult, all_claims, run_claims
+from fg_orient.studies.published.tables import PublishedTables, load
+from fg_orient.studies.reproduce import ayhan1996, ipbuker1994, terlemezoglu2019, topan2010
+from fg_orient.studies.reproduce.sources import Source
+from fg_orient.studies.reproduce.verdict import KINDS, Verdict, judge
+from fg_orient.studies.tables_spot6 import PERMUTATIONS
+
+Array = npt.NDArray[np.float64]
+
+#: Told after each run: runs done, runs in all, what is being done.
+Callback = Callable[[int, int, str], None]
+
+SOURCES: Final = {module.SOURCE.name: module.SOURCE for module in (terlemezoglu2019, topan2010, ipbuker1994, ayhan1996)}
+#: Runs when nothing is said: about a minute.
+DEFAULT_SEEDS: Final = 10
+MAX_SEEDS: Final = 1000
+
+
+@dataclass(frozen=True)
+class Row:
+    """One published number, what the runs give, and the verdict.
+
+    Parameters
+    ----------
+    table, cell : str
+        Table, and the address in it.
+    published, reproduced : float
+        nan where nothing is printed, or the runs broke down. ``reproduced`` is the median.
+    low, high : float
+        Smallest and largest run.
+    verdict, reason : str
+        One of ``KINDS``, and why.
+    printed, unit, note : str
+        Digits as printed, unit, doubts about the number.
+    """
+
+    table: str
+    cell: str
+    published: float
+    reproduced: float
+    low: float
+    high: float
+    verdict: str
+    reason: str
+    printed: str
+    unit: str
+    note: str
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """All rows and claims of a publication.
+
+    Parameters
+    ----------
+    source : Source
+    titles : dict
+        Of the tables, in order.
+    rows : tuple of Row
+    claims : tuple of ClaimResult
+    options : dict
+        ``tables``, ``seeds``, ``as_run``.
+    sha256 : dict
+        Of the files of published values.
+    keys : dict
+        (table, address) of a row to the fields of its address.
+    curves : dict
+        L-curve of each EOP set whose kappas are among the rows, on the twin of the first seed.
+    """
+
+    source: Source
+    titles: dict[str, str]
+    rows: tuple[Row, ...]
+    claims: tuple[ClaimResult, ...]
+    options: dict[str, Any]
+    sha256: dict[str, str]
+    keys: dict[tuple[str, str], CellKey] = field(default_factory=dict)
+    curves: dict[int, LCurve] = field(default_factory=dict)
+
+    def counts(self, table: str | None = None) -> dict[str, int]:
+        """Number of rows with each verdict, of one table or of all."""
+        found = Counter(row.verdict for row in self.rows if table in (None, row.table))
+        return {kind: found[kind] for kind in KINDS}
+
+
+def reproduce(
+    name: str, *, tables: str = "", n_seeds: int = DEFAULT_SEEDS, as_run: bool = False, claims: bool = True,
+    published: Path | None = None, data: Path | None = None, permutations: int = PERMUTATIONS,
+    callback: Callback | None = None,
+) -> Reproduction:  # fmt: skip
+    """Run the experiments of a publication on the twin and compare with what was printed.
+
+    Parameters
+    ----------
+    name : str
+        "terlemezoglu2019", "topan2010"; "ipbuker1994", "ayhan1996" (no seeds, points or programs to vary).
+    tables : str
+        Tables and ranges of tables ("4.3-4.9,4.28"); "" for all.
+    n_seeds : int
+        Twins, with the seeds 1 to n.
+    as_run : bool
+        As the authors' program works, on a twin with radial velocity and attitude.
+    claims : bool
+        Judge the claims about the publication, too.
+    published : Path, optional
+        Other folder of published tables.
+    data : Path, optional
+        Control points of the SPOT-6 scene, for tables 4.35-4.55; default ``$FG_ORIENT_REAL_DATA``.
+    permutations : int
+        Orders of these points beside that of their file.
+    callback : callable, optional
+        Called after each run of the tables and each run of the claims.
+
+    Raises
+    ------
+    InputError
+        Unknown publication or table, number of seeds out of range, damaged tables.
+    """
+    if not 1 <= n_seeds <= MAX_SEEDS:
+        raise InputError.of("options.value", option="seeds", value=n_seeds, expected=f"1 to {MAX_SEEDS}")
+    printed = load(name, published)
+    if not 1 <= permutations <= MAX_SEEDS:
+        raise InputError.of("options.value", option="permutations", value=permutations, expected=f"1 to {MAX_SEEDS}")
+    source, chosen = SOURCES[name], select(tables, tuple(printed.titles))
+    seeds = range(1, n_seeds + 1)
+
+    steps = n_seeds * (1 + claims)
+
+    def tell(offset: int, what: str) -> Callable[[int, int], None]:
+        return lambda done, _: callback(offset + done, steps, what) if callback else None
+
+    on_twin = tuple(table for table in chosen if table not in source.real_tables)
+    computed = {}
+    if on_twin and source.compute is not None:
+        computed = source.compute(on_twin, seeds, as_run=as_run, progress=tell(0, "tables"))
+    on_points = source.real(
+        printed, chosen, data, permutations=permutations,
+        progress=lambda done, of: callback(done, of, "real points") if callback else None,
+    ) if source.real else {}  # fmt: skip
+    about_it = [claim for claim in all_claims() if claims and claim.id in source.claims]
+    judged = run_claims(seeds, tell(n_seeds, "claims"), about_it) if about_it else []
+    options: dict[str, Any] = {"tables": list(chosen)}
+    if source.compute is not None:
+        options |= {"seeds": list(seeds), "as_run": as_run}
+    if source.compute is not None and set(chosen) & set(source.real_tables):
+        options["permutations"] = permutations
+    titles = {table: printed.titles[table] for table in chosen}
+    rows = pair(printed, computed, source, chosen, on_points, as_run=as_run)
+    keys = {(cell.key.table, str(cell.key)): cell.key for cell in printed.cells if cell.key.table in chosen}
+    curves = source.curves(on_twin, seeds[0], as_run=as_run) if source.curves else {}
+    return Reproduction(source, titles, rows, tuple(judged), options, printed.sha256, keys, curves)
+
+
+def select(text: str, tables: Sequence[str]) -> tuple[str, ...]:
+    """Choose tables by name and range.
+
+    Raises
+    ------
+    InputError
+        No such table, or a range that runs backwards.
+    """
+    if not text.strip():
+        return tuple(tables)
+    chosen: set[str] = set()
+    for part in filter(None, (word.strip() for word in text.split(","))):
+        first, dash, last = (word.strip() for word in part.partition("-"))
+        ends = (first, last if dash else first)
+        unknown = [name for name in ends if name not in tables]
+        if unknown or tables.index(ends[0]) > tables.index(ends[1]):
+            value = unknown[0] if unknown else part
+            raise InputError.of("reproduce.table", option="tables", value=value, known=", ".join(tables))
+        chosen |= set(tables[tables.index(ends[0]) : tables.index(ends[1]) + 1])
+    return tuple(name for name in tables if name in chosen)
+
+
+def pair(
+    printed: PublishedTables, computed: Mapping[CellKey, Array], source: Source, tables: Sequence[str],
+    judged: Mapping[CellKey, Verdict] | None = None, *, as_run: bool = False,
+) -> tuple[Row, ...]:  # fmt: skip
+    """Put each published cell of some tables beside its runs, or beside a verdict that is there already."""
+    rows = []
+    for cell in printed.cells:
+        key = cell.key
+        if key.table not in tables:
+            continue
+        orders = computed.get(key._replace(quantity="matrix_order"), np.array([math.nan]))
+        found = (judged or {}).get(key) or judge(
+            cell, computed.get(key), None if np.isnan(orders[0]) else float(orders[0])
+        )
+        known = source.explain(cell, as_run) if found.kind == "differs" and key not in (judged or {}) else ""
+        reason = f"{found.reason}; {known}" if known else found.reason
+        rows.append(
+            Row(key.table, str(key), cell.value, found.reproduced, found.low, found.high, found.kind, reason,
+                cell.text or cell.printed, cell.unit, cell.note)
+        )  # fmt: skip
+    return tuple(rows)

@@ -1,0 +1,233 @@
+"""Tables 4.35-4.55 of Terlemezoğlu (2019) on the real control points: data, verdicts, reasons.
+
+Unlike the twins of the other tables these are the authors' own points: a number either meets the printed digits or is
+rounding noise. The verdicts (docs/rfm.md):
+
+- ``equal``: the points in the order of their file give all printed digits, and no permutation of them is more than one
+  unit of the last digit away. Where the method itself loses digits (degree 3, inverses formed from N): within 0.2 px^2
+  of [vv] in the order of the file.
+- ``rounding``: the published size, as an interval of its printed digits, meets min/30 to 30 max of the permutations.
+- ``differs``: neither; ``not_reproducible``: no points, or nothing to compare with.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.model.cells import CellKey
+from fg_orient.rpc.gcp_file import SPOT6_FILE, SPOT6_FOLDER, find_spot6, read_gcp
+from fg_orient.rpc.rfm_points import ControlPoints
+from fg_orient.studies import tables_spot6
+from fg_orient.studies.published.tables import PublishedCell, PublishedTables
+from fg_orient.studies.reproduce.verdict import Kind, Verdict, last_digit
+
+Array = npt.NDArray[np.float64]
+
+#: Folder of real data if ``--data`` is not given.
+VARIABLE: Final = "FG_ORIENT_REAL_DATA"
+#: Whole numbers that must be met exactly, like a printed zero; elsewhere "13" is 13 +- 0.5.
+COUNTED: Final = ("n_observations", "n_unknowns", "matrix_order", "rank")
+ELIMINATIONS: Final = ("gauss_partial_pivot_elimination", "cholesky_elimination")
+#: Factor beyond the smallest and largest permutation that still counts as their noise.
+MARGIN: Final = 30.0
+#: Spread of the permutations, as a share, below which a number is no noise.
+STEADY: Final = 0.01
+#: Inverses formed from the normalised N of degree 3 (condition 4e12) lose digits of [vv]: it comes out 0 to 0.7 px^2
+#: above its minimum 2.94, whichever the method and the order of the points (printed 2.9 to 3.1).
+INVERSES: Final = ("pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_penrose_inverse")
+VV_TOLERANCE_PX2: Final = 0.2
+#: What these 0.2 px^2 make of m0, beside the rounding of its print.
+M0_TOLERANCE_PX: Final = 0.0044 + 0.005
+NO_POINTS: Final = f"the 99 control points are not here: give them as data, or a folder of real data in {VARIABLE}"
+
+
+def control_points(data: Path | None) -> ControlPoints | None:
+    """Read the points from a file or folder, by default from ``$FG_ORIENT_REAL_DATA``.
+
+    Returns
+    -------
+    ControlPoints or None
+        None if nothing is given and the environment names no folder that holds the points.
+
+    Raises
+    ------
+    InputError
+        What is given is not there or damaged.
+    """
+    if data is not None:
+        return read_gcp(find_spot6(data))
+    name = os.environ.get(VARIABLE, "")
+    path = Path(name) / SPOT6_FOLDER / SPOT6_FILE
+    return read_gcp(path) if name and path.is_file() else None
+
+
+def verdicts(
+    printed: PublishedTables, tables: Collection[str], data: Path | None, *,
+    permutations: int = tables_spot6.PERMUTATIONS, progress: Callable[[int, int], None] | None = None,
+) -> dict[CellKey, Verdict]:  # fmt: skip
+    """Judge the cells of some tables.
+
+    Parameters
+    ----------
+    printed : PublishedTables
+    tables : collection of str
+        Those of others are left out.
+    data : Path, optional
+        File of the control points, or a folder with it; default ``$FG_ORIENT_REAL_DATA``.
+    permutations : int
+        Orders of the points beside that of the file.
+    progress : callable, optional
+        Called with runs done and runs in all.
+
+    Returns
+    -------
+    dict
+        Verdict of each cell of tables 4.35-4.55 that is asked for.
+
+    Raises
+    ------
+    InputError
+        See :func:`control_points`.
+    """
+    cells = [cell for cell in printed.cells if cell.key.table in tables and cell.key.table in tables_spot6.TABLES]
+    if not cells:
+        return {}
+    points = control_points(data)
+    if points is None:
+        return {cell.key: Verdict("not_reproducible", NO_POINTS) for cell in cells}
+    chosen = {cell.key.table for cell in cells}
+    with one_blas_thread():
+        computed = tables_spot6.compute(
+            chosen, points, permutations=permutations, kappas=printed_kappas(printed), progress=progress
+        )
+    return {cell.key: judge(cell, computed) for cell in cells}
+
+
+def printed_kappas(printed: PublishedTables) -> dict[tuple[str, int], float]:
+    """Kappas of Table 4.45 by method and degree."""
+    found = (cell for cell in printed.cells if cell.key.table == "4.45" and cell.key.quantity == "kappa")
+    return {(cell.key.method, int(cell.key.stage[-1])): cell.value for cell in found}
+
+
+def judge(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> Verdict:
+    """Compare a printed number with the order of the file and the permutations; see the module docstring.
+
+    Parameters
+    ----------
+    cell : PublishedCell
+    computed : mapping
+        Of :func:`fg_orient.studies.tables_spot6.compute`.
+    """
+    runs = computed[cell.key]
+    file, sizes = float(runs[0]), np.abs(runs[1:][np.isfinite(runs[1:])])
+    low, high = (float(sizes.min()), float(sizes.max())) if len(sizes) else (math.nan, math.nan)
+    kind, reason = _tested(cell, runs, sizes)
+    more = _more(cell, computed)
+    return Verdict(kind, f"{reason}; {more}" if more else reason, file, low, high)
+
+
+def _tested(cell: PublishedCell, runs: Array, sizes: Array) -> tuple[Kind, str]:
+    """Kind of verdict and its reason."""
+    reason = _equal(cell, runs)
+    if reason:
+        return "equal", reason
+    if hadamard := _hadamard(cell, runs):
+        return hadamard
+    if math.isnan(cell.value):
+        return "not_reproducible", f"printed NaN; computed {runs[0]:.2g}"
+    overflows = int(np.isinf(runs[1:]).sum())
+    if math.isinf(cell.value) and overflows:
+        return "rounding", f"beyond the largest number, as printed, in {overflows} of {len(runs) - 1} permutations"
+    if not len(sizes):
+        return "not_reproducible", f"no result in any of {len(runs) - 1} permutations"
+    span = f"{sizes.min():.2g} to {sizes.max():.2g} in {len(sizes)} of {len(runs) - 1} permutations"
+    points = ", ".join(f"{q:.2g}" for q in np.quantile(sizes, (0.05, 0.5, 0.95)))
+    noise = f"{span}, 5/50/95 %: {points}"
+    half = 0.0 if cell.text == "0" else 0.5 * last_digit(cell.text)
+    least, most = max(0.0, abs(cell.value) - half), abs(cell.value) + half
+    if most >= sizes.min() / MARGIN and least <= sizes.max() * MARGIN:
+        spread, gap = float(sizes.max() - sizes.min()), max(sizes.min() - most, least - sizes.max())
+        if gap > spread and spread < STEADY * sizes.max():
+            return "rounding", f"within the limits, but steady here and not as printed: {noise}"
+        return "rounding", f"rounding noise: {noise}"
+    return "differs", f"{_why(cell)} ({noise})"
+
+
+def _equal(cell: PublishedCell, runs: Array) -> str:
+    """Why a number counts as equal, or ""."""
+    if math.isinf(cell.value):
+        return "overflows like the printed one" if np.isinf(runs).all() and runs[0] == cell.value else ""
+    if not math.isfinite(cell.value) or not math.isfinite(runs[0]):
+        return ""
+    off = np.abs(runs - cell.value)
+    tolerance = _tolerance(cell.key)
+    if tolerance is not None and off[0] <= tolerance:
+        return f"{runs[0]:.4g} in the order of the file, within {tolerance:g}: the inverse loses digits"
+    exact = cell.key.quantity in COUNTED or (cell.value == 0.0 and cell.key.quantity != "rpc")
+    unit = 0.0 if exact else last_digit(cell.text)
+    slack = 1e-9 * abs(cell.value)  # the decimal print of a double
+    stays = np.isfinite(runs).all() and float(off.max()) <= 1.5 * unit + slack
+    return "all printed digits" if off[0] <= 0.5 * unit + slack and stays else ""
+
+
+def _tolerance(key: CellKey) -> float | None:
+    """Tolerance of cells whose method loses digits."""
+    if key.method not in INVERSES or key.stage != tables_spot6.stage(3):
+        return None
+    if key.table == "4.55" and key.quantity == "m0":
+        return M0_TOLERANCE_PX
+    return VV_TOLERANCE_PX2 if key.table in tables_spot6.NORMALISED and key.quantity == "sum_squared_residual" else None
+
+
+def _hadamard(cell: PublishedCell, runs: Array) -> tuple[Kind, str] | None:
+    """The Hadamard numbers that follow from no matrix of these points."""
+    if cell.key.quantity != "cond_hadamard":
+        return None
+    if math.isnan(cell.value):
+        return "not_reproducible", "printed NaN after an overflow (Inf/Inf); log-determinants give less than 1e-308"
+    if cell.key.table != "4.53":
+        return None
+    return "not_reproducible", (
+        f"T(3.14) gives {runs[0]:.2g} on these points whatever their order, while determinant and rank agree: what row "
+        "norms the printed number was divided by is not known"
+    )
+
+
+def _why(cell: PublishedCell) -> str:
+    """Say what is known about a number that differs."""
+    key = cell.key
+    if key.quantity == "cond_hadamard":
+        return "determinant and rank agree: the row norms in T(3.14) were others, as in table 4.53"
+    if key.quantity == "sum_squared_residual" and cell.value > 1.0 and key.method in ELIMINATIONS:
+        return "misprint: 3.7e-4 fits the printed m0 of 0.003"
+    if key.quantity == "kappa":
+        return "0 is printed where no eigenvalue was found in [0, 1]; here rounding leaves some there"
+    if key.quantity == "rpc":
+        return "noise of Cramer's inverse with tails longer than the permutations show"
+    if key.quantity == "normal_residual_abs_min":
+        return "the smallest of all elements is 0 or a few roundings, by luck"
+    return "outside the noise of the permutations"
+
+
+def _more(cell: PublishedCell, computed: Mapping[CellKey, Array]) -> str:
+    """What the source does not say: true image residuals beside m0; m0 with the printed kappa."""
+    key = cell.key
+    if key.quantity != "m0":
+        return ""
+    true = computed.get(key._replace(quantity=tables_spot6.TRUE_M0))
+    if true is not None:
+        return f"true image residuals of the same coefficients: m0 {true[0]:.3g} px"
+    other = computed.get(key._replace(table=tables_spot6.WITH_PRINTED_KAPPA))
+    if other is None:
+        return ""
+    sizes = np.abs(other[1:][np.isfinite(other[1:])])
+    points = ", ".join(f"{q:.2g}" for q in np.quantile(sizes, (0.05, 0.5, 0.95))) if len(sizes) else "none"
+    return f"with the printed kappa {other[0]:.2g}, 5/50/95 %: {points}"

@@ -1,0 +1,249 @@
+"""Tables 4.1-4.34 of Terlemezoğlu (2019) on the twin, point set H-10.
+
+Where the source is silent: tables 4.3-4.16 are taken to belong to a bundle without EOP pre-adjustment (type 1),
+and its matrices to whitened conditions. As run, the RMSE of type 1 in tables 4.25-4.34 are taken to be those of the
+procedure without bundle (:mod:`fg_orient.studies.step_two_only`): its check points diverge as the printed ones do.
+Tables 4.3-4.23 are then those of a step 1 that ends at rounding (D4 off): [Delta Delta] is printed as 1e-33, which
+misclosures of 1e-10 cannot give.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.linear.conditioning import diagnose
+from fg_orient.adjustment.linear.l_curve import LCurve, l_curve_of
+from fg_orient.adjustment.linear.ls_conditions import ls_conditions
+from fg_orient.adjustment.linear.system import LinearSystem
+from fg_orient.model.cells import CellKey
+from fg_orient.studies.step_two_only import step_two_only
+from fg_orient.studies.study import ILL_CONDITIONED
+from fg_orient.studies.switch_effects import norm_condition
+from fg_orient.studies.switches import TEXT, Switches
+from fg_orient.studies.tables_counts import counts
+from fg_orient.studies.tables_twin import (
+    LEAST_SQUARES,
+    Cells,
+    Progress,
+    collect,
+    labels,
+    rmse_cells,
+    twin,
+)
+from fg_orient.studies.two_stage import Kind, TwoStage
+
+Array = npt.NDArray[np.float64]
+
+#: EOP set of each table of three series.
+_SETS = (1, *ILL_CONDITIONED)
+CONDITIONS_OF = {f"4.{3 + k}": number for k, number in enumerate(_SETS)}
+CONDITIONING_OF = {f"4.{10 + k}": number for k, number in enumerate(_SETS)}
+CORRECTIONS_OF = {f"4.{17 + k}": number for k, number in enumerate(_SETS)}
+#: As run, these tables are taken to follow a step 1 that ends at rounding.
+STEP_1_CLOSED = frozenset(CONDITIONS_OF) | frozenset(CONDITIONING_OF) | frozenset(CORRECTIONS_OF)
+#: Solvers of tables 4.17-4.23.
+SOLVERS = (
+    "cramer_inverse", "pivot_inverse", "gauss_inverse", "moore_penrose_inverse", "cholesky_inverse",
+    "gauss_elimination", "gauss_partial_pivot_elimination", "cholesky_elimination",
+)  # fmt: skip
+#: The source has no bundle by Cramer's rule.
+_NOT_FOR_BUNDLES = ("cramer_inverse",)
+#: Solver of each table of bundles.
+SOLVER_OF = {
+    "4.24": LEAST_SQUARES, "4.25": "tikhonov_hkb", "4.26": "tikhonov_lw", "4.27": "tikhonov_od",
+    "4.28": "pivot_inverse", "4.29": "gauss_inverse", "4.30": "moore_penrose_inverse", "4.31": "cholesky_inverse",
+    "4.32": "gauss_elimination", "4.33": "gauss_partial_pivot_elimination", "4.34": "cholesky_elimination",
+}  # fmt: skip
+#: Tables whose solvers choose a kappa.
+TIKHONOV_TABLES = frozenset(table for table, name in SOLVER_OF.items() if name.startswith("tikhonov"))
+#: As run, type 1 of these tables is taken to be without bundle: an inference from the printed check points.
+WITHOUT_BUNDLE = frozenset(SOLVER_OF) - {"4.24"}
+#: Table 4.24 repeats the bundles of Topan 2009, who had no set 20.
+_METHOD_OF = {"4.24": "least_squares_topan2009"}
+PRE_STAGES = ("pre-left", "pre-right")
+TYPES: tuple[Kind, ...] = (1, 2)
+
+
+def compute(
+    tables: Collection[str], seeds: Sequence[int], *, as_run: bool | Switches = False,
+    progress: Progress | None = None,
+) -> dict[CellKey, Array]:  # fmt: skip
+    """Compute the cells of some tables.
+
+    Parameters
+    ----------
+    tables : collection of str
+        Of "text", "eq4.1" ... "eq4.6", "4.1" ... "4.34", "s4.2.2".
+    seeds : sequence of int
+        One twin each.
+    as_run : bool or Switches
+        As the authors' program works, on a twin with radial velocity and attitude.
+    progress : callable, optional
+        Called with runs done and runs in all.
+
+    Returns
+    -------
+    dict
+        Cell to values (n,), one per seed; nan where a solver broke down.
+    """
+
+    def one_run(seed: int) -> Cells:
+        run = closed = twin(seed, as_run=as_run)
+        if run.switches.test_after and any(table in STEP_1_CLOSED for table in tables):
+            closed = twin(seed, as_run=run.switches.without("test_after"))
+        out = counts(run)
+        for table in tables:
+            out |= _table(closed if table in STEP_1_CLOSED else run, table)
+        return out
+
+    return collect(one_run, seeds, progress)
+
+
+def _table(run: TwoStage, table: str) -> Cells:
+    """Cells of one table of adjustments; none for others."""
+    kinds: tuple[tuple[Collection[str], Callable[[TwoStage, str], Cells]], ...] = (
+        (CONDITIONS_OF, _conditions), (CONDITIONING_OF, _conditioning), (CORRECTIONS_OF, _corrections),
+        (SOLVER_OF, _bundles), (("s4.2.2",), _correlations),
+    )  # fmt: skip
+    return next((make(run, table) for members, make in kinds if table in members), {})
+
+
+def _conditions(run: TwoStage, table: str) -> Cells:
+    """Conditions of usability (T sect. 3.5): counts, [v], [vv], smallest and largest |N dP - b|.
+
+    The source does not name the solver, and these numbers follow from it alone: each has one value per solver.
+    """
+    number = CONDITIONS_OF[table]
+    out: dict[CellKey, list[float]] = {}
+    for method in SOLVERS:
+        stages = PRE_STAGES if method in _NOT_FOR_BUNDLES else (*PRE_STAGES, "bundle")
+        for stage, system, x, residual in _solved(run, number, method, stages):
+            key = CellKey(table, str(number), stage, method="least_squares")
+            for name, value in _condition_values(system, x, residual).items():
+                out.setdefault(key._replace(quantity=name), []).append(value)
+    return dict(out)
+
+
+def _solved(
+    run: TwoStage, number: int, method: str, stages: Sequence[str]
+) -> Iterator[tuple[str, LinearSystem, Array, Array]]:
+    """Stage, system, dP and residuals of pre-adjustments and bundle."""
+    for stage in stages:
+        if stage == "bundle":
+            bundle = run.bundle(number, 1, method)
+            if bundle.system is not None:
+                yield stage, bundle.system, bundle.solution.x, bundle.v
+        else:
+            step = run.pre_adjust(PRE_STAGES.index(stage), number, method)
+            yield stage, step.system, step.solution.x, step.delta
+
+
+def _condition_values(system: LinearSystem, x: Array, residual: Array) -> dict[str, float]:
+    """Counts, and the numbers of conditions 1-3; nan where the solver broke down."""
+    design, _ = system.require_design("conditions")
+    counted = {"n_observations": float(len(design)), "n_unknowns": float(len(system))}
+    names = ("sum_residual", "sum_squared_residual", "normal_residual_abs_min", "normal_residual_abs_max")
+    if not (np.isfinite(x).all() and np.isfinite(residual).all()):
+        return counted | dict.fromkeys(names, math.nan)
+    found = ls_conditions(system, x, residual)
+    values = (found.sum_v, found.sum_vv, found.normal_min, found.normal_max)
+    return counted | dict(zip(names, values, strict=True))
+
+
+def _conditioning(run: TwoStage, table: str) -> Cells:
+    """Order, rank, determinant and three condition numbers of A^T A."""
+    number = CONDITIONING_OF[table]
+    out: Cells = {}
+    for stage, system, _, _ in _solved(run, number, LEAST_SQUARES, (*PRE_STAGES, "bundle")):
+        key = CellKey(table, str(number), stage)
+        found = diagnose(system)
+        formed = math.nan if run.switches == TEXT else norm_condition(system, LEAST_SQUARES)
+        norm = found.cond_norm if math.isnan(formed) else formed
+        values = {
+            "matrix_order": found.order, "rank": found.rank, "det": _double(found.det_sign, found.log10_det),
+            "cond_norm": norm, "cond_spectral": found.cond_spectral, "cond_hadamard": found.cond_hadamard,
+        }  # fmt: skip
+        out |= {key._replace(quantity=name): float(value) for name, value in values.items()}
+    return out
+
+
+def _double(sign: float, log10: float) -> float:
+    """A determinant as a double holds it: 0 or inf where it does not."""
+    with np.errstate(under="ignore", over="ignore"):
+        return float(sign * np.float64(10.0) ** log10)
+
+
+def _corrections(run: TwoStage, table: str) -> Cells:
+    """EOP corrections dP of the pre-adjustment of the left image, solver by solver; per line and line squared."""
+    number = CORRECTIONS_OF[table]
+    out: Cells = {}
+    for method in SOLVERS:
+        found = run.pre_adjust(0, number, method).dP
+        for name, value in zip(labels(number), found, strict=True):
+            out[CellKey(table, str(number), "pre-left", quantity="dP", method=method, parameter=name)] = float(value)
+    return out
+
+
+def _bundles(run: TwoStage, table: str) -> Cells:
+    """RMSE and kappa of the one-iteration bundles of the ill-conditioned sets, both types of pre-adjustment."""
+    out: Cells = {}
+    method = _METHOD_OF.get(table, SOLVER_OF[table])
+    for number in ILL_CONDITIONED:
+        for kind in TYPES:
+            found = run.bundle(number, kind, SOLVER_OF[table])
+            key = CellKey(table, str(number), "bundle", str(kind), method=method)
+            errors = found.accuracy
+            if kind == 1 and table in WITHOUT_BUNDLE and run.switches != TEXT:
+                errors = step_two_only(run, number, SOLVER_OF[table]).accuracy
+            out |= rmse_cells(key, errors.gcp_rmse, errors.icp_rmse)
+            if found.solution.kappa is not None:
+                out[key._replace(quantity="kappa")] = float(found.solution.kappa)
+    return out
+
+
+def tikhonov_curves(tables: Collection[str], seed: int, *, as_run: bool | Switches = False) -> dict[int, LCurve]:
+    """L-curve of the bundle that the rules of tables 4.25-4.27 look at, of each ill-conditioned set.
+
+    Parameters
+    ----------
+    tables : collection of str
+        Empty without one of these tables.
+    seed : int
+        Of the twin.
+    as_run : bool or Switches
+        See :func:`compute`.
+
+    Returns
+    -------
+    dict
+        EOP set to curve, bundle without EOP pre-adjustment (type 1).
+    """
+    if not set(tables) & TIKHONOV_TABLES:
+        return {}
+    run = twin(seed, as_run=as_run)
+    found = {number: run.bundle(number, 1, SOLVER_OF["4.25"]).system for number in ILL_CONDITIONED}
+    return {number: l_curve_of(system) for number, system in found.items() if system is not None}
+
+
+def _correlations(run: TwoStage, table: str) -> Cells:
+    """Correlations of equal position coefficients, EOP set 1, left image (T sect. 4.2.2).
+
+    From the design with unit-length columns: the correlations are the same, and N can be inverted.
+    """
+    design, _ = run.pre_adjust(0, 1, LEAST_SQUARES).system.require_design("correlations")
+    r = np.linalg.qr(design / np.linalg.norm(design, axis=0), mode="r")
+    root = np.linalg.inv(r)
+    cofactors = root @ root.T
+    sigma = np.sqrt(np.diag(cofactors))
+    names = labels(1)
+    out: Cells = {}
+    for i, first in enumerate(names):
+        for j, second in enumerate(names[i + 1 :], start=i + 1):
+            value = abs(cofactors[i, j]) / (sigma[i] * sigma[j])
+            key = CellKey(table, "1", "pre-left", quantity="correlation", parameter=f"{first} {second}")
+            out[key] = float(value)
+    return out

@@ -1,0 +1,286 @@
+"""Tables 4.35-4.55 of Terlemezoğlu (2019): sensor-independent RFM of the SPOT-6 scene, degrees 1-3, as they were run.
+
+The control points are public, so the numbers can be met digit by digit where they are no rounding noise. Where they
+are, another order of the rows moves them by decades: everything is computed on the points in the order of their file
+(run 0) and on seeded permutations of them. Always as run: inverses are formed and multiplied with b, negative radicands
+have complex roots, |N^-1| is that of the inverse formed, eigenvalues are those of the upper triangle of N (as MATLAB's
+eig reads it), Table 4.45 uses Cramer's inverse. x is the sample, y the line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import eigh
+
+from fg_orient.adjustment.linear.conditioning import diagnose
+from fg_orient.adjustment.linear.kappa import KappaChoice, clamped
+from fg_orient.adjustment.linear.registry import attempt
+from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
+from fg_orient.adjustment.linear.tikhonov import regularised_system
+from fg_orient.model.cells import CellKey
+from fg_orient.rpc.estimate import linear_system
+from fg_orient.rpc.fit import RfmFit
+from fg_orient.rpc.form import DEGREES, RfmForm
+from fg_orient.rpc.rfm_points import ControlPoints, Scaling
+
+Array = npt.NDArray[np.float64]
+Cells = dict[CellKey, float]
+Progress = Callable[[int, int], None]
+#: Printed kappas by method and degree, to be put into Table 4.45.
+Kappas = Mapping[tuple[str, int], float]
+
+#: Methods in the order of the tables.
+METHODS: Final = (
+    "cramer_inverse", "pivot_inverse", "cholesky_inverse", "gauss_inverse", "moore_penrose_inverse",
+    "gauss_partial_pivot_elimination", "cholesky_elimination",
+)  # fmt: skip
+RAW: Final = {f"4.{35 + k}": method for k, method in enumerate(METHODS)}
+NORMALISED: Final = {f"4.{46 + k}": method for k, method in enumerate(METHODS)}
+CRAMER: Final = "cramer_inverse"
+TIKHONOV: Final = {"tikhonov_hkb": "hkb", "tikhonov_lw": "lw", "tikhonov_od": "od"}
+TABLES: Final = tuple(f"4.{k}" for k in range(35, 56))
+#: The published computation with the printed kappas put in is reported beside Table 4.45 under this table name.
+WITH_PRINTED_KAPPA: Final = "4.45 printed kappa"
+#: Quantity beside m0: that of the true image residuals, which the source does not give.
+TRUE_M0: Final = "m0_true"
+#: Permutations, seeds 1 to 50.
+PERMUTATIONS: Final = 50
+AXES: Final = ("x", "y")
+PLACES: Final = {"4.42": False, "4.43": False, "4.44": False, "4.45": False, "4.53": True, "4.54": True, "4.55": True}
+_AS_IT_IS: Final = Scaling(np.zeros(5), np.ones(5))
+
+
+@dataclass(frozen=True)
+class Run:
+    """One order of the points, one degree, normalised or not; each solution is computed once.
+
+    Parameters
+    ----------
+    points : ControlPoints
+        In the order of the run.
+    degree : int
+    normalised : bool
+    """
+
+    points: ControlPoints
+    degree: int
+    normalised: bool
+
+    @cached_property
+    def prepared(self) -> ControlPoints:
+        """Points as the equations take them: raw, or normalised by T(3.51) in the printed order of operations."""
+        if not self.normalised:
+            return self.points
+        values = self.points.columns
+        low, high = values.min(axis=0), values.max(axis=0)
+        line, sample, *ground = ((2.0 * values - high - low) / (high - low)).T
+        return ControlPoints(line, sample, np.column_stack(ground))
+
+    @cached_property
+    def pixels(self) -> Array:
+        """Pixels per unit of line and sample: (2,)."""
+        return 0.5 * np.ptp(self.points.columns[:, :2], axis=0) if self.normalised else np.ones(2)
+
+    @cached_property
+    def form(self) -> RfmForm:
+        """Separate denominators, all coefficients."""
+        return RfmForm(self.degree)
+
+    @cached_property
+    def system(self) -> LinearSystem:
+        """Normal equations of the linear form."""
+        return linear_system(self.prepared, self.form, _AS_IT_IS)
+
+    @cached_property
+    def _solutions(self) -> dict[tuple[str, bytes], LinearSolution]:
+        return {}
+
+    def solution(self, method: str, system: LinearSystem | None = None) -> LinearSolution:
+        """Solution by a published method; nan where it breaks down."""
+        used = system or self.system
+        key = method, used.normal.tobytes()
+        if key not in self._solutions:
+            self._solutions[key] = attempt(method, used, as_run=True)
+        return self._solutions[key]
+
+    def residuals_px(self, x: Array) -> Array:
+        """Residuals A x - l in pixels: (2, n), x (sample) and y (line)."""
+        design, observed = self.system.require_design("residuals")
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray((design @ x - observed).reshape(2, -1) * self.pixels[::-1, None])
+
+    def m0_px(self, x: Array) -> float:
+        """m0 = sqrt(([vv]_x + [vv]_y)/(n - u)); nan where there is no solution."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(np.sqrt(np.sum(self.residuals_px(x) ** 2) / self.system.redundancy))
+
+    def true_m0_px(self, x: Array) -> float:
+        """The same of x - f1/f2 and y - f3/f4; inf at a pole."""
+        if not np.isfinite(x).all():
+            return math.nan
+        v = RfmFit(self.form, _AS_IT_IS, self.prepared, x, "as run").residuals_px() * self.pixels
+        return float(np.sqrt(np.sum(v**2) / self.system.redundancy))
+
+
+def compute(
+    tables: Collection[str], points: ControlPoints, *, permutations: int = PERMUTATIONS,
+    degrees: Sequence[int] = DEGREES, kappas: Kappas | None = None, progress: Progress | None = None,
+) -> dict[CellKey, Array]:  # fmt: skip
+    """Compute the cells of some tables.
+
+    Parameters
+    ----------
+    tables : collection of str
+        Of "4.35" ... "4.55"; others are left out.
+    points : ControlPoints
+        The 99 of the scene.
+    permutations : int
+        Number of seeded orders of the points beside that of the file, seeds 1 to n.
+    degrees : sequence of int
+        Of 1, 2, 3. Cramer's inverse makes degree 3 slow: seconds per permutation.
+    kappas : mapping, optional
+        Printed kappas: Table 4.45 is computed once more with them.
+    progress : callable, optional
+        Called with runs done and runs in all.
+
+    Returns
+    -------
+    dict
+        Cell to values (1 + permutations,), the order of the file first; nan where a solver broke down.
+    """
+    chosen = [table for table in TABLES if table in tables]
+    values: dict[CellKey, list[float]] = {}
+    runs = permutations + 1 if chosen else 0
+    for seed in range(runs):
+        ordered = points if seed == 0 else points.take(np.random.default_rng(seed).permutation(len(points)))
+        for degree in degrees:
+            for key, value in _cells(chosen, ordered, degree, kappas or {}).items():
+                values.setdefault(key, []).append(value)
+        if progress is not None:
+            progress(seed + 1, runs)
+    return {key: np.array(found) for key, found in values.items()}
+
+
+def _cells(tables: Sequence[str], points: ControlPoints, degree: int, kappas: Kappas) -> Cells:
+    """Cells of one degree and one order of the points."""
+    runs = {normalised: Run(points, degree, normalised) for normalised in (False, True)}
+    makers: dict[str, Callable[[Run, str], Cells]] = {
+        "4.42": _conditioning, "4.43": _coefficients, "4.44": _accuracy,
+        "4.53": _conditioning, "4.54": _coefficients, "4.55": _accuracy,
+    }  # fmt: skip
+    out: Cells = {}
+    for table in tables:
+        if table in RAW or table in NORMALISED:
+            out |= _conditions(runs[table in NORMALISED], table)
+        elif table == "4.45":
+            out |= _tikhonov(runs[False], table, {})
+            if kappas:
+                out |= _tikhonov(runs[False], WITH_PRINTED_KAPPA, kappas)
+        else:
+            out |= makers[table](runs[PLACES[table]], table)
+    return out
+
+
+def stage(degree: int) -> str:
+    """Name a degree in a cell's address."""
+    return f"rfm degree {degree}"
+
+
+def _key(table: str, run: Run, **fields: str) -> CellKey:
+    return CellKey(table, stage=stage(run.degree), **fields)
+
+
+def _conditions(run: Run, table: str) -> Cells:
+    """Counts, [v] and [vv] per axis in pixels, smallest and largest |N x - b| (T sect. 3.5)."""
+    method = RAW.get(table) or NORMALISED[table]
+    x = run.solution(method).x
+    key = _key(table, run, method=method)
+    out: Cells = {}
+    with np.errstate(over="ignore", invalid="ignore"):
+        misfit = np.abs(run.system.normal @ x - run.system.rhs)
+        for axis, v in zip(AXES, run.residuals_px(x), strict=True):
+            values = {
+                "n_observations": 2.0 * len(run.points), "n_unknowns": float(len(x)), "sum_residual": float(v.sum()),
+                "sum_squared_residual": float(v @ v),
+            }  # fmt: skip
+            out |= {key._replace(quantity=name, parameter=axis): value for name, value in values.items()}
+    out[key._replace(quantity="normal_residual_abs_min")] = float(misfit.min())
+    out[key._replace(quantity="normal_residual_abs_max")] = float(misfit.max())
+    return out
+
+
+def _conditioning(run: Run, table: str) -> Cells:
+    """Order, rank, determinant and three condition numbers of A^T A, as run."""
+    normal = run.system.normal
+    found = diagnose(run.system)
+    with np.errstate(all="ignore"):
+        try:
+            cond_norm = float(np.linalg.norm(normal, 2) * np.linalg.norm(np.linalg.inv(normal), 2))
+        except np.linalg.LinAlgError:
+            cond_norm = math.inf
+        eigenvalues = eigh(normal, lower=False, eigvals_only=True)
+        values = {
+            "matrix_order": float(found.order), "rank": float(found.rank),
+            "det": float(found.det_sign * np.float64(10.0) ** found.log10_det), "cond_norm": cond_norm,
+            "cond_spectral": float(eigenvalues[-1] / eigenvalues[0]), "cond_hadamard": found.cond_hadamard,
+        }  # fmt: skip
+    return {_key(table, run, quantity=name): value for name, value in values.items()}
+
+
+def _coefficients(run: Run, table: str) -> Cells:
+    """Coefficients of degree 1 by each method."""
+    if run.degree != 1:
+        return {}
+    out: Cells = {}
+    for method in METHODS:
+        for name, value in zip(run.form.names, run.solution(method).x, strict=True):
+            out[_key(table, run, quantity="rpc", method=method, parameter=name)] = float(value)
+    return out
+
+
+def _accuracy(run: Run, table: str) -> Cells:
+    """Accuracy m0 of the linear form by each method, and of the true image residuals of the same coefficients."""
+    out: Cells = {}
+    for method in METHODS:
+        x = run.solution(method).x
+        out[_key(table, run, quantity="m0", method=method)] = run.m0_px(x)
+        out[_key(table, run, quantity=TRUE_M0, method=method)] = run.true_m0_px(x)
+    return out
+
+
+def _tikhonov(run: Run, table: str, kappas: Kappas) -> Cells:
+    """Kappa and m0 of three rules with Cramer's inverse; kappas that are given stand for those of the rule."""
+    out: Cells = {}
+    for method, rule in TIKHONOV.items():
+        kappa = kappas[method, run.degree] if kappas else _kappa(run, rule)
+        x = np.full(len(run.system), math.nan)
+        if math.isfinite(kappa):
+            x = run.solution(CRAMER, regularised_system(run.system, kappa)).x
+        out[_key(table, run, quantity="kappa", method=method)] = kappa
+        out[_key(table, run, quantity="m0", method=method)] = run.m0_px(x)
+    return out
+
+
+def _kappa(run: Run, rule: str) -> float:
+    """Kappa by the rules as they were run, from the solution by Cramer's inverse, clamped as published.
+
+    The printed kappas of degree 1 follow from the printed coefficients with s0 where T(3.5) and T(3.6) have its square,
+    and with dP_i and descending eigenvalues where T(3.6) needs canonical coefficients: 4.4e-5 and 1.0e-19.
+    """
+    system, x = run.system, run.solution(CRAMER).x
+    eigenvalues = eigh(system.normal, lower=False, eigvals_only=True)
+    if rule == "od":
+        inside = eigenvalues[(eigenvalues >= 0.0) & (eigenvalues <= 1.0)]
+        return float(inside.max()) if len(inside) else 0.0
+    if not np.isfinite(x).all():
+        return math.nan
+    with np.errstate(all="ignore"):
+        size = np.sum((eigenvalues[::-1] if rule == "lw" else 1.0) * x**2)
+        return clamped(KappaChoice(float(len(x) * run.m0_px(x) / size), rule)).kappa

@@ -1,0 +1,425 @@
+"""The two-stage orientation of Topan 2009, as Topan & Maktav 2010 and Terlemezoğlu 2019 use it.
+
+1. **Look-angle pre-adjustment** (first type, per image, control points only, P 19-20): every condition
+   has its own observation, so the whole misclosure, whatever its origin, goes into the look angles.
+   Check points get theirs from a degree-2 polynomial in the column.
+2. **EOP pre-adjustment** (second type, T 4.5): ``A dP + w = Delta`` minimised per image at the look
+   angles of step 1. As ``w`` is rounding noise by then, so is dP.
+3. **Bundle** (P 21, T 2.71): both images, EOP coefficients and check-point coordinates, one iteration.
+   Control-point accuracy is taken from a new intersection of the control points, check-point accuracy
+   from the coordinates of the bundle.
+
+This is the procedure with its weaknesses (docs/ill-conditioning.md); for work, use
+:func:`fg_orient.adjust`. ``as_run`` is the procedure of the authors' program instead of the equations of the text;
+each of its departures is a switch (:mod:`fg_orient.studies.switches`, docs/program-as-run.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.adjustment.linear.registry import attempt
+from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
+from fg_orient.model.block import Block
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Role
+from fg_orient.model.parameters import eop_codes, eop_set_number, parameter_name
+from fg_orient.sensors import initial
+from fg_orient.studies import conditions
+from fg_orient.studies.axis_errors import AxisErrors, from_two_rays
+from fg_orient.studies.conditions import Conditions, Linearised
+from fg_orient.studies.switches import Switches, switches_of
+from fg_orient.studies.two_stage_results import Bundle, LookAngles, PreAdjustment
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+LookModel = Literal["angles", "corrections"]
+Kind = Literal[1, 2]
+
+#: Step 1 repeats until the largest condition is this small or no longer falls.
+CLOSED = 1e-15
+CLOSED_AS_RUN = np.radians(0.1 / 3600.0)
+MAX_CYCLES = 10
+#: The program repeats step 2 while a correction exceeds 10 (10" for sets of attitudes), at most so often; by unknown,
+#: it would be 10 m or 10" and need no more than the second number.
+REPEAT_AS_RUN_M = 10.0
+REPEAT_AS_RUN_RAD = np.radians(10.0 / 3600.0)
+MAX_REPEATS, MAX_REPEATS_BY_UNKNOWN = 1000, 10
+#: First EOP code of the attitude.
+FIRST_ATTITUDE = 18
+LOOK_DEGREE = 2
+LEFT = "the corrections have left the range in which the conditions can be computed"
+
+
+class TwoStage:
+    """The published procedure on a block of two or more images.
+
+    Parameters
+    ----------
+    block : Block
+        Control points are held fixed at their coordinates; tie points count as check points without
+        coordinates.
+    as_run : bool or Switches
+        As the authors' program works, with all its departures from the text or with these.
+    look_model : "angles" or "corrections"
+        What the degree-2 polynomial describes for the check points: the look angles themselves, as
+        published, or their corrections (free of the cubic part of the angle, about 3e-6 rad).
+
+    Raises
+    ------
+    InputError
+        Fewer than two images, or control points in fewer than three columns of an image; later, when
+        first needed: a check or tie point whose rays do not meet.
+    """
+
+    def __init__(self, block: Block, *, as_run: bool | Switches = False, look_model: LookModel = "angles") -> None:
+        self.block, self.switches, self.look_model = block, switches_of(as_run), look_model
+        self._require_enough()
+        seen = np.unique(block.observations.point)
+        control = block.points.where(Role.CONTROL)
+        self._control: Index = control[np.isin(control, seen)]
+        self._check: Index = np.setdiff1d(seen, self._control)
+        self.control_ids = tuple(block.points.ids[j] for j in self._control)
+        self.check_ids = tuple(block.points.ids[j] for j in self._check)
+
+    def _require_enough(self) -> None:
+        o, control = self.block.observations, self.block.points.where(Role.CONTROL)
+        if len(self.block.images) < 2:
+            raise InputError.of("classical.one_image", file=self.block.name, value=len(self.block.images))
+        for k, image in enumerate(self.block.images):
+            columns = np.unique(o.sample[(o.image == k) & np.isin(o.point, control)])
+            if len(columns) <= LOOK_DEGREE:
+                raise InputError.of(
+                    "classical.few_control", file=self.block.name, place=f"image {image.id}", value=len(columns),
+                    least=LOOK_DEGREE + 1,
+                )  # fmt: skip
+
+    # --- step 1 ------------------------------------------------------------------------------
+
+    @cached_property
+    def _control_rows(self) -> Index:
+        """Image points of control points."""
+        return np.flatnonzero(np.isin(self.block.observations.point, self._control))
+
+    @cached_property
+    def start(self) -> Conditions:
+        """Conditions at the file's look angles and metadata orientation."""
+        return self._built(line_exact=self.switches.line_exact)
+
+    @cached_property
+    def _polynomials(self) -> Conditions:
+        """:attr:`start` with the EOPs as polynomials of the line: what A and later intersections use."""
+        return self._built(line_exact=False) if self.switches.line_exact else self.start
+
+    def _built(self, *, line_exact: bool) -> Conditions:
+        block = self.block
+        ground = block.points.known.ecef_m.copy()
+        ground[np.setdiff1d(np.arange(len(ground)), block.observations.point)] = 0.0  # no ray asks for them
+        ground = initial.ground_points(block.images, block.observations, block.points.ids, ground)
+        return conditions.build(block.images, block.observations, ground, switches=self.switches, line_exact=line_exact)
+
+    def _smooth(self, at: Conditions, rows: Index | None = None) -> Conditions:
+        """These conditions (of these rows) with the EOPs as polynomials."""
+        if not self.switches.line_exact:
+            return at
+        return at.with_orbit(self._polynomials if rows is None else self._polynomials.take(rows))
+
+    @cached_property
+    def look(self) -> LookAngles:
+        """Step 1 of all images: adjusted look angles."""
+        rows, none = self._control_rows, np.zeros((len(self.block.images), 0))
+        at = self.start.take(rows)
+        coarse, after = self.switches.coarse_stop, self.switches.test_after
+        limit, cycles, previous = CLOSED_AS_RUN if coarse else CLOSED, 0, np.inf
+        lin = at.linearise((), none)
+        while cycles < MAX_CYCLES:
+            v = -(lin.value / lin.look)[:, ::-1]  # rows are psi_y, psi_x; columns of the record psi_x, psi_y
+            at, cycles, before = at.with_look(at.look_rad + v), cycles + 1, lin
+            lin = at.linearise((), none)
+            largest = float(np.abs((lin if after else before).value).max())
+            if largest <= limit or (not coarse and largest >= previous):
+                break
+            previous = largest
+        adjusted = self.start.look_rad
+        adjusted[rows] = at.look_rad
+        self._predict_check_angles(adjusted)
+        v = adjusted - self.start.look_rad
+        remaining = float(np.abs(lin.value).max())
+        return LookAngles(adjusted, v, cycles, remaining, float(np.sqrt(np.mean(v[rows] ** 2))))
+
+    def _predict_check_angles(self, adjusted_rad: Array) -> None:
+        """Fill the rows of check points from the degree-2 polynomial in the column, image by image."""
+        o, is_control = self.block.observations, np.zeros(len(adjusted_rad), bool)
+        is_control[self._control_rows] = True
+        base = np.zeros_like(adjusted_rad) if self.look_model == "angles" else self.start.look_rad
+        for k, image in enumerate(self.block.images):
+            known, wanted = (np.flatnonzero((o.image == k) & side) for side in (is_control, ~is_control))
+            centre = (image.sensor.n_samples - 1) / 2.0
+            powers = [((o.sample[rows] - centre) / centre)[:, None] ** np.arange(LOOK_DEGREE + 1) for rows in
+                      (known, wanted)]  # fmt: skip
+            fitted = np.linalg.lstsq(powers[0], adjusted_rad[known] - base[known], rcond=None)[0]
+            adjusted_rad[wanted] = base[wanted] + powers[1] @ fitted
+
+    # --- accuracy without unknowns -----------------------------------------------------------
+
+    def uncorrected(self, look_sign: float = -1.0) -> AxisErrors:
+        """Stereo intersection with metadata orientation and look angles ("L" of Topan & Maktav 2010, Table 1).
+
+        ``look_sign=+1`` takes the third component of the viewing direction as printed: the rays then
+        meet above the satellites.
+        """
+        return self._errors(self._intersect(self.start, (), self._no_eop(), look_sign=look_sign))
+
+    def look_only(self) -> AxisErrors:
+        """Stereo intersection with the look angles of step 1 ("L bar" of Topan & Maktav 2010, Table 1)."""
+        return self._errors(self._intersect(self.pre_adjusted, (), self._no_eop()))
+
+    @cached_property
+    def pre_adjusted(self) -> Conditions:
+        """Conditions at the look angles of step 1; check points intersected with them."""
+        at = self.start.with_look(self.look.adjusted_rad)
+        ground = self._intersect(at, (), self._no_eop())
+        ground[self._control] = self.block.points.known.ecef_m[self._control]
+        return at.with_ground(ground[at.point])
+
+    def intersected(self, eop_set: int, eop: Array) -> AxisErrors:
+        """Stereo intersection of all points with corrected EOPs, at the look angles of step 1.
+
+        Parameters
+        ----------
+        eop_set : int
+            1-20.
+        eop : (M, k) array
+            Its corrections per image, as :meth:`pre_adjust` gives them.
+        """
+        at = self._smooth(self.pre_adjusted)
+        positions = self.switches.metadata_positions
+        return self._errors(self._intersect(at, _codes(eop_set), eop, metadata_position=positions))
+
+    # --- step 2 ------------------------------------------------------------------------------
+
+    def pre_adjust(
+        self, image: int, eop_set: int, solver: str, *, polynomial_misclosures: bool = False, once: bool = False
+    ) -> PreAdjustment:
+        """Step 2 of one image: EOP corrections at the look angles of step 1, which stay.
+
+        Parameters
+        ----------
+        image : int
+            Position in the block.
+        eop_set : int
+            1-20.
+        solver : str
+            Name in the registry of ``fg_orient.adjustment.linear``.
+        polynomial_misclosures : bool
+            Misclosures of the first iteration from the EOP polynomials, too (1e-8 rad instead of rounding).
+        once : bool
+            One iteration, whatever the switches say.
+
+        Raises
+        ------
+        InputError
+            No such EOP set; no such solver.
+        """
+        codes = _codes(eop_set)
+        rows = self._control_rows[self.pre_adjusted.image[self._control_rows] == image]
+        exact = self.pre_adjusted.take(rows)
+        at = self._smooth(exact, rows)
+        eop, repeats = self._no_eop(len(codes)), 0
+        lin = at.linearise(codes, eop)
+        if at is not exact and not polynomial_misclosures:
+            lin = replace(lin, value=exact.linearise((), self._no_eop()).value)
+        while True:
+            system = LinearSystem.from_design(lin.eop.reshape(-1, len(codes)), -lin.value.ravel())
+            solution, repeats = attempt(solver, system, as_run=self.switches.complex_roots), repeats + 1
+            eop[image] += solution.x
+            if once or not self._repeats(codes, solution.x, system, repeats):
+                break
+            lin = at.linearise(codes, eop)
+            if not lin.is_finite:
+                solution = LinearSolution(np.full(len(codes), np.nan), failure=LEFT)
+                eop[image] = np.nan
+                break
+        design, observed = system.require_design("step 2")
+        delta = design @ solution.x - observed
+        return PreAdjustment(system, solution, eop[image], delta, _names(codes), repeats)
+
+    def _repeats(self, codes: tuple[int, ...], dp: Array, system: LinearSystem, repeats: int) -> bool:
+        """Tell whether the program would go on: large corrections and a matrix of full rank."""
+        most = MAX_REPEATS if self.switches.one_limit else MAX_REPEATS_BY_UNKNOWN
+        if not self.switches.repeated_step_2 or repeats >= most or not np.isfinite(dp).all():
+            return False
+        attitude = np.array(codes) >= FIRST_ATTITUDE
+        if self.switches.one_limit:
+            attitude[:] = attitude.all()
+        limit = np.where(attitude, REPEAT_AS_RUN_RAD, REPEAT_AS_RUN_M)
+        design, _ = system.require_design("step 2")
+        return bool((np.abs(dp) > limit).any() and np.linalg.matrix_rank(design) == len(codes))
+
+    # --- bundle ------------------------------------------------------------------------------
+
+    def bundle(self, eop_set: int | None, kind: Kind, solver: str, iterations: int = 1) -> Bundle:
+        """Bundle adjustment of all images.
+
+        Parameters
+        ----------
+        eop_set : int or None
+            1-20; None holds the EOPs ("B" of Topan & Maktav 2010, Table 1).
+        kind : 1 or 2
+            1 starts from the metadata EOPs, 2 from those of step 2.
+        solver : str
+            Name in the registry of ``fg_orient.adjustment.linear``; also used in step 2.
+        iterations : int
+            One as published. Further ones take the adjusted observations as new ones, as the sources do.
+
+        Raises
+        ------
+        InputError
+            No such EOP set, kind or number of iterations; no such solver.
+        """
+        if kind not in (1, 2) or iterations < 1:
+            raise InputError.of("classical.bundle", place="bundle", value=f"kind {kind}, {iterations} iterations")
+        codes = () if eop_set is None else _codes(eop_set)
+        eop = self._no_eop(len(codes))
+        if kind == 2 and eop_set is not None:
+            steps = [self.pre_adjust(k, eop_set, solver) for k in range(len(self.block.images))]
+            eop = np.array([step.dP for step in steps])
+            broken = [step.solution for step in steps if step.solution.failure]
+            if broken:
+                return self._broken(codes, broken[0])
+        at = self.pre_adjusted
+        v, system, solution = np.zeros((len(at.image), 2)), None, LinearSolution(np.zeros(0))
+        if kind == 2:
+            at = self._with_check_points(at, self._intersect(self._smooth(at), codes, eop))
+        for k in range(iterations):
+            lin = self._bundle_conditions(at, codes, eop, first=k == 0)
+            if not lin.is_finite:
+                return self._broken(codes, LinearSolution(np.zeros(0), failure=LEFT), system)
+            at, eop, step_v, system, solution = self._iterate(at, lin, eop, solver)
+            if solution.failure or not np.isfinite(eop).all() or not np.isfinite(at.approximate_m).all():
+                return self._broken(codes, solution, system)
+            v = v + step_v
+        ground = self._intersect(self._smooth(at), codes, eop, metadata_position=self.switches.metadata_positions)
+        ground[self._check] = self._by_point(at)[self._check]
+        if not np.isfinite(ground[self._assessed]).all():
+            return self._broken(codes, solution, system)
+        return Bundle(
+            system, solution, v[:, ::-1].ravel(), eop, _names(codes), self._errors(ground), *self._counts(codes)
+        )
+
+    def _bundle_conditions(self, at: Conditions, codes: tuple[int, ...], eop: Array, *, first: bool) -> Linearised:
+        """Misclosures and derivatives of one iteration; those of the first may be of other EOPs than A."""
+        lin = self._smooth(at).linearise(codes, eop)
+        at_metadata = first and self.switches.metadata_misclosures
+        if at_metadata or (first and self.switches.line_exact):
+            lin = replace(lin, value=at.linearise(codes, 0.0 * eop if at_metadata else eop).value)
+        return lin
+
+    def _iterate(
+        self, at: Conditions, lin: Linearised, eop: Array, solver: str
+    ) -> tuple[Conditions, Array, Array, LinearSystem | None, LinearSolution]:
+        """One linearised adjustment: new conditions, EOPs, residuals (psi_x, psi_y), system, solution."""
+        system = self._system(at, lin)
+        if system is None:
+            v = -(lin.value / lin.look)
+            return at.with_look(at.look_rad + v[:, ::-1]), eop, v[:, ::-1], None, LinearSolution(np.zeros(0))
+        solution = attempt(solver, system, as_run=self.switches.complex_roots)
+        design, observed = system.require_design("bundle")
+        residual = (design @ solution.x - observed).reshape(-1, 2)  # B^-1 (A dP + w), B square
+        v = -np.sign(lin.look) * residual
+        n_images, k = eop.shape
+        eop = eop + solution.x[: n_images * k].reshape(n_images, k)
+        ground = self._by_point(at)
+        ground[self._check] += solution.x[n_images * k :].reshape(-1, 3)
+        moved = at.with_look(at.look_rad + v[:, ::-1])
+        return self._with_check_points(moved, ground), eop, v[:, ::-1], system, solution
+
+    def _system(self, at: Conditions, lin: Linearised) -> LinearSystem | None:
+        """Whitened design of the bundle; no system without unknowns."""
+        n, k, n_images = len(at.image), lin.eop.shape[2], len(self.block.images)
+        column = {int(j): n_images * k + 3 * c for c, j in enumerate(self._check)}
+        u = n_images * k + 3 * len(self._check)
+        if not u:
+            return None
+        design = np.zeros((n, 2, u))
+        for row in range(n):
+            first = int(at.image[row]) * k
+            design[row, :, first : first + k] = lin.eop[row]
+            start = column.get(int(at.point[row]))
+            if start is not None:
+                design[row, :, start : start + 3] = lin.ground[row]
+        weight = 1.0 / np.abs(lin.look)  # M = B B^T is diagonal
+        whitened = (design * weight[:, :, None]).reshape(2 * n, u)
+        return LinearSystem.from_design(whitened, -(lin.value * weight).ravel())
+
+    def _counts(self, codes: tuple[int, ...]) -> tuple[int, int]:
+        return 2 * len(self.start.image), len(self.block.images) * len(codes) + 3 * len(self._check)
+
+    def _broken(self, codes: tuple[int, ...], solution: LinearSolution, system: LinearSystem | None = None) -> Bundle:
+        """A bundle without result."""
+        nothing = np.full((len(self.block.points.ids), 3), np.nan)
+        return Bundle(
+            system, solution, np.full(2 * len(self.start.image), np.nan),
+            np.full((len(self.block.images), len(codes)), np.nan), _names(codes), self._errors(nothing),
+            *self._counts(codes), solution.failure or "the result is not finite",
+        )  # fmt: skip
+
+    # --- geometry ----------------------------------------------------------------------------
+
+    def _no_eop(self, count: int = 0) -> Array:
+        return np.zeros((len(self.block.images), count))
+
+    def _by_point(self, at: Conditions) -> Array:
+        """Approximate coordinates (N, 3) by ground point."""
+        out = np.full((len(self.block.points.ids), 3), np.nan)
+        out[at.point] = at.approximate_m
+        return out
+
+    def _with_check_points(self, at: Conditions, ground_m: Array) -> Conditions:
+        """Move the check points to these coordinates (N, 3); control points stay."""
+        ground = self._by_point(at)
+        ground[self._check] = ground_m[self._check]
+        return at.with_ground(ground[at.point])
+
+    def _intersect(
+        self, at: Conditions, codes: tuple[int, ...], eop: Array, *, metadata_position: bool = False,
+        look_sign: float = -1.0,
+    ) -> Array:  # fmt: skip
+        """Intersect the rays of all points: (N, 3) ECEF m."""
+        n = len(self.block.points.ids)
+        with np.errstate(all="ignore"):  # wild corrections overflow: such points are nan
+            centre, direction = at.rays(codes, eop, metadata_position=metadata_position, look_sign=look_sign)
+            if len(self.block.images) == 2:
+                return from_two_rays(centre, direction, at.image, at.point, n, midpoint=self.switches.midpoint)
+            return initial.nearest_points(centre, direction, at.point, n)[0]
+
+    @cached_property
+    def _assessed(self) -> Index:
+        """Control points whose rays meet: not those of one image, or of nearly parallel rays."""
+        found = self._intersect(self.start, (), self._no_eop())[self._control]
+        return self._control[np.isfinite(found).all(axis=1)]
+
+    def _errors(self, ground_m: Array) -> AxisErrors:
+        """Measured minus computed coordinates; opens those of the check points."""
+        known, points = self.block.points.known, self.block.points
+        gcp = known.ecef_m[self._assessed] - ground_m[self._assessed]
+        check = [j for j in self._check if points.roles[j] is Role.CHECK]
+        icp = np.zeros((0, 3))
+        if check:
+            withheld = self.block.withheld
+            rows = [withheld.ids.index(points.ids[j]) for j in check]
+            icp = withheld.open().ecef_m[rows] - ground_m[check]
+        return AxisErrors(gcp, icp)
+
+
+def _codes(eop_set: int) -> tuple[int, ...]:
+    return eop_codes(eop_set_number(eop_set))
+
+
+def _names(codes: tuple[int, ...]) -> tuple[str, ...]:
+    return tuple(parameter_name(code) for code in codes)
