@@ -53,8 +53,8 @@ class ZonguldakOptions:
         unit="m/s",
     )
     attitude_rad: Three = option(
-        (0.0, 0.0, 0.0), ORIENTATION, "True roll, pitch and yaw of both images, for instance "
-        "`attitude_rad`=-1.6e-4,-7.2e-4,9e-4.", within=(-1e-2, 1e-2), unit="rad",
+        (0.0, 0.0, 0.0), ORIENTATION, "True roll, pitch and yaw of both images, such as "
+        "-1.6e-4,-7.2e-4,9e-4 (after an equals sign where the first is negative).", within=(-1e-2, 1e-2), unit="rad",
     )
     ground_noise_m: Three = option((0.06, 0.06, 1.0), NOISE, _GROUND_NOISE, within=(0.0, 100.0), unit="m")
 
