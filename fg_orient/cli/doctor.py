@@ -78,7 +78,8 @@ def _cache_folders() -> list[Path]:
     from factors._kernel import Kernel
 
     modules = [module for name, module in sys.modules.items() if name.startswith(("factors.", "fg_orient.kernels."))]
-    found = {Path(vars(m)["__file__"]).parent: k for m in modules for k in vars(m).values() if isinstance(k, Kernel)}
+    kernels = [value for module in modules for value in vars(module).values() if isinstance(value, Kernel)]
+    found = {Path(kernel.py_func.__code__.co_filename).parent: kernel for kernel in kernels}
     opened = filter(None, (kernel.open_cache() for _, kernel in sorted(found.items())))
     return list(dict.fromkeys(Path(cache.cache_path) for cache in opened))
 
