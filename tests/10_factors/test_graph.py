@@ -27,14 +27,34 @@ def image_point(e: pushbroom.Example, equation: Equation, ground: object = P0) -
     return factor(equation, (E0, ground), (len(e.unknowns[0]), 3), e.record, e.setup, label=LABEL)
 
 
-@pytest.mark.consistency
+def gradient_of_error(f: gtsam.CustomFactor, values: gtsam.Values, length: int) -> np.ndarray:
+    """Central difference quotients of GTSAM's error; each unknown moves by its own step, the image's first."""
+    image, ground, found = values.atVector(E0), values.atPoint3(P0), []
+    steps = np.r_[np.full(len(image), 1e-4), np.ones(3)][:length]
+    for k, h in enumerate(steps):
+        ends = []
+        for sign in (1.0, -1.0):
+            d = np.zeros(len(image) + 3)
+            d[k] = sign * h
+            moved = gtsam.Values()
+            moved.insert(E0, image + d[: len(image)])
+            moved.insertPoint3(P0, ground + d[len(image) :])
+            ends.append(f.error(moved))
+        found.append((ends[0] - ends[1]) / (2.0 * h))
+    return np.array(found)
+
+
+@pytest.mark.oracle
 def test_linearisation_equals_the_kernel() -> None:
+    """The kernel's numbers, in the order of the keys: the gradient is the difference quotients of the error."""
     e, values = example()
-    linear = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY).linearize(values)
+    f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY)
     value, j_image, j_ground = pushbroom.kernel(e.record, e.setup, *e.unknowns, True)
-    a, b = linear.jacobian()
+    a, b = f.linearize(values).jacobian()
     assert np.array_equal(a, np.hstack([j_image, j_ground]))
     assert np.array_equal(b, -value)
+    quotients = gradient_of_error(f, values, a.shape[1])
+    assert np.abs(-a.T @ b - quotients).max() <= 1e-6 * np.abs(quotients).max()
 
 
 @pytest.mark.consistency
@@ -45,13 +65,16 @@ def test_error_is_half_the_weighted_square() -> None:
     assert f.error(values) == pytest.approx(0.5 * value @ value, rel=1e-15)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_constant_ground_point_is_no_unknown() -> None:
+    """Only the image's unknowns move the error; by difference quotients its gradient is that of the rows."""
     e, values = example()
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY, ground=e.unknowns[1])
     assert list(f.keys()) == [E0]
-    a, _ = f.linearize(values).jacobian()
+    a, b = f.linearize(values).jacobian()
     assert np.array_equal(a, pushbroom.kernel(e.record, e.setup, *e.unknowns, True)[1])
+    quotients = gradient_of_error(f, values, a.shape[1])
+    assert np.abs(-a.T @ b - quotients).max() <= 1e-6 * np.abs(quotients).max()
 
 
 @pytest.mark.behaviour

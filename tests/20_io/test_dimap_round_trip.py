@@ -144,15 +144,21 @@ def test_line_period_follows_its_unit(
     assert read_dimap(path).timing.line_period_s == pytest.approx(period, rel=1e-15)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_sign_jumps_of_quaternions_are_turned_back(spot6: PushbroomMetadata, tmp_path: Path) -> None:
+    """Each row of the file with the sign that makes its product with the row before positive, by numpy."""
     assert isinstance(spot6.attitude, QuaternionList)
     jumping = spot6.attitude.quaternion * np.array([1.0, -1.0, -1.0, 1.0, -1.0])[:, None]
     path = tmp_path / "jump.xml"
     write_dimap2(path, replace(spot6, attitude=QuaternionList(spot6.attitude.time_s, jumping)))
+    text = path.read_text()
+    stated = np.array([[float(v) for v in re.findall(rf"<Q{k}>([^<]*)<", text)] for k in range(4)]).T
+    sign = np.sign(np.sum(stated[1:] * stated[:-1], axis=1))
+    assert (sign < 0.0).any()
     back = read_dimap(path).attitude
     assert isinstance(back, QuaternionList)
-    np.testing.assert_allclose(back.quaternion, spot6.attitude.quaternion, rtol=0, atol=4 * np.finfo(float).eps)
+    expected = stated * np.cumprod(np.r_[1.0, sign])[:, None]
+    np.testing.assert_allclose(back.quaternion, expected, rtol=0, atol=4 * np.finfo(float).eps)
 
 
 @pytest.mark.behaviour

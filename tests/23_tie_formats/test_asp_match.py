@@ -39,7 +39,7 @@ def test_pixels_are_read_past_descriptors_of_any_length(lengths: tuple[int, ...]
     assert right.tolist() == [[y, x] for x, y in RIGHT]
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_what_is_written_is_read_again_and_has_the_bytes_of_the_layout(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     left, right = rng.uniform(-0.5, 12000, (2, 50, 2)).astype(np.float32).astype(float)
@@ -47,9 +47,13 @@ def test_what_is_written_is_read_again_and_has_the_bytes_of_the_layout(tmp_path:
     again = read_match(tmp_path / "x-a__b.match")
     assert np.array_equal(again[0], left)
     assert np.array_equal(again[1], right)
-    first = struct.unpack_from("<QQffii", (tmp_path / "x-a__b.match").read_bytes())
-    line, sample = left[0].tolist()
-    assert first == (50, 50, sample, line, round(sample), round(line))
+    content = (tmp_path / "x-a__b.match").read_bytes()
+    size = len(record(0.0, 0.0))
+    assert struct.unpack_from("<QQ", content) == (50, 50)
+    assert len(content) == 16 + 100 * size
+    for k, (line, sample) in enumerate(np.vstack([left, right]).tolist()):
+        assert struct.unpack_from("<ffii", content, 16 + k * size) == (sample, line, round(sample), round(line))
+        assert struct.unpack_from("<Q", content, 16 + (k + 1) * size - 8) == (0,)  # no descriptor
 
 
 @pytest.mark.behaviour

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -77,12 +79,20 @@ def model_numbers(data: BalData) -> list[np.ndarray]:
     return [data.camera, data.point, data.xy, data.cameras, data.points]
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", ["bundle.txt", "bundle.txt.gz", "bundle.txt.bz2"])
 def test_bal_is_written_and_read_again(name: str, tmp_path: Path) -> None:
+    """The numbers stand in the file as published: counts, image points, nine of each camera, points."""
     data, lost = bal_data_of(frame_model(("none", "k1", "radial")))
     assert lost == ("names of images, points and cameras; sizes of images; principal points",)
     write_bal(tmp_path / name, data)
+    opened = {".txt": open, ".gz": gzip.open, ".bz2": bz2.open}[Path(name).suffix]
+    with opened(tmp_path / name, "rt") as stream:
+        numbers = np.array(stream.read().split(), float)
+    m, n, rows = len(data.cameras), len(data.points), len(data.xy)
+    assert numbers[:3].tolist() == [m, n, rows]
+    table = np.column_stack([data.camera, data.point, data.xy])
+    assert np.array_equal(numbers[3:], np.concatenate([table.ravel(), data.cameras.ravel(), data.points.ravel()]))
     for ours, again in zip(model_numbers(data), model_numbers(read_bal_data(tmp_path / name)), strict=True):
         assert np.array_equal(ours, again)
     assert len(read_bal(tmp_path / name).images) == 4
@@ -90,10 +100,26 @@ def test_bal_is_written_and_read_again(name: str, tmp_path: Path) -> None:
         write_bal(tmp_path / name, data)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_bundler_is_written_and_read_again(tmp_path: Path) -> None:
+    """Cameras as published: focal length and k1, k2, rotation (scipy's) row by row, translation; then the points."""
     data, _ = bal_data_of(frame_model(("none", "k1", "radial")))
     write_bundler(tmp_path / "bundle.out", data)
+    numbers = np.array((tmp_path / "bundle.out").read_text().split("\n", 1)[1].split(), float)
+    m, n = len(data.cameras), len(data.points)
+    assert numbers[:2].tolist() == [m, n]
+    cameras, at = numbers[2 : 2 + 15 * m].reshape(m, 15), 2 + 15 * m
+    assert np.array_equal(cameras[:, :3], data.cameras[:, 6:])
+    turned = Rotation.from_rotvec(data.cameras[:, :3]).as_matrix().reshape(m, 9)
+    assert np.abs(cameras[:, 3:12] - turned).max() < 1e-14
+    assert np.array_equal(cameras[:, 12:], data.cameras[:, 3:6])
+    for j, point in enumerate(data.points):
+        own, count = data.point == j, int(numbers[at + 6])
+        assert np.array_equal(numbers[at : at + 3], point)
+        rays = numbers[at + 7 : at + 7 + 4 * count].reshape(count, 4)
+        assert np.array_equal(rays[:, [0, 2, 3]], np.column_stack([data.camera, data.xy])[own])
+        at += 7 + 4 * count
+    assert at == len(numbers)
     again, images, notes = read_bundler(tmp_path / "bundle.out")
     assert (images, notes) == ((0, 1, 2, 3), ())
     order = np.argsort(data.point, kind="stable")

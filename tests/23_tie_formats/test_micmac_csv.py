@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import gzip
 from pathlib import Path
 
@@ -31,7 +32,7 @@ def test_columns_are_sample_line_id(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @pytest.mark.parametrize("ids", [("3", "0", "12"), ("a", "01", "3")])
 def test_what_is_written_is_read_again(ids: tuple[str, ...], tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
@@ -47,6 +48,12 @@ def test_what_is_written_is_read_again(ids: tuple[str, ...], tmp_path: Path) -> 
     assert [again.ids[p] for p in o.point] == named
     assert np.array_equal(o.line, line)
     assert np.array_equal(o.sample, sample)
+    for k, name in enumerate(("a", "b", "c")):
+        with (tmp_path / "t" / f"PMUL-{name}.csv").open(newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        found = sorted((float(row["Pt.y"]), float(row["Pt.x"]), row["Id"]) for row in rows)
+        at = np.flatnonzero(image == k)
+        assert found == sorted((line[i], sample[i], named[i]) for i in at)
 
 
 FAULTS = [

@@ -1,7 +1,8 @@
-"""What the writers write, the readers read back to the last bit."""
+"""The readers read to the last bit what the writers write, and the standard library reads the same."""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 from pathlib import Path
 
@@ -26,7 +27,15 @@ id_lists = st.lists(names, min_size=1, max_size=6, unique=True)
 sigmas = st.floats(1e-6, 1e6)
 
 
-@pytest.mark.consistency
+def rows_of(path: Path, comments: int = 0) -> list[dict[str, str]]:
+    """Read a table by the standard library alone."""
+    with path.open(newline="", encoding="utf-8") as stream:
+        for _ in range(comments):
+            next(stream)
+        return list(csv.DictReader(stream))
+
+
+@pytest.mark.oracle
 @given(id_lists, st.data())
 def test_points(tmp_path_factory, ids, data):
     path = tmp_path_factory.mktemp("p") / "points.csv"
@@ -39,6 +48,15 @@ def test_points(tmp_path_factory, ids, data):
     fixed = np.array([role is Role.CONTROL and draw(st.booleans()) for role in roles])
     xyz[tie], sigma[tie | fixed] = np.nan, np.nan
     write_points(path, ids, roles, xyz, sigma, kind="geocentric", fixed=fixed, comments=["a, b"])
+    rows = rows_of(path, comments=1)
+    assert [(row["id"], row["role"]) for row in rows] == [
+        (name, str(role)) for name, role in zip(ids, roles, strict=True)
+    ]
+    assert [row["sigma_up_m"] == "fixed" for row in rows] == fixed.tolist()
+    for columns, numbers in (("x_m y_m z_m", xyz), ("sigma_east_m sigma_north_m sigma_up_m", sigma)):
+        cells = [[row[name] for name in columns.split()] for row in rows]
+        written = [[float(cell) if cell not in ("", "fixed") else np.nan for cell in row] for row in cells]
+        np.testing.assert_array_equal(written, numbers)
     faults = Faults(str(path))
     read = read_points(path, "EPSG:4978", faults)
     assert not faults, faults.problems
@@ -54,7 +72,7 @@ def test_points(tmp_path_factory, ids, data):
     assert opened.fixed.sum() == 0 and len(opened.fixed) == len(check) <= n
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 @given(id_lists, id_lists, st.data())
 def test_observations(tmp_path_factory, images, points, data):
     path = tmp_path_factory.mktemp("o") / "observations.csv"
@@ -62,6 +80,10 @@ def test_observations(tmp_path_factory, images, points, data):
     pixels = np.array([[data.draw(st.floats(-0.5, 999.5)) for _ in range(2)] for _ in pairs])
     sigma = np.array([[data.draw(sigmas) for _ in range(2)] for _ in pairs])
     write_observations(path, [p[0] for p in pairs], [p[1] for p in pairs], pixels, sigma)
+    rows = rows_of(path)
+    assert [(row["image"], row["id"]) for row in rows] == pairs
+    names = ("line", "sample", "sigma_line_px", "sigma_sample_px")
+    np.testing.assert_array_equal([[float(row[name]) for name in names] for row in rows], np.hstack([pixels, sigma]))
     faults = Faults(str(path))
     read = read_observations(path, dict.fromkeys(images, (1000, 1000)), points, faults)
     assert not faults, faults.problems

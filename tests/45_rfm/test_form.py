@@ -10,6 +10,13 @@ from fg_orient.rpc.form import RfmForm
 from tests.support.rpc_model import TERMS
 
 
+def terms_at(ground: np.ndarray) -> np.ndarray:
+    """Published terms of n points, (20, n)."""
+    axes = dict(zip("LPH", ground.T, strict=True))
+    one = [np.ones(len(ground))]
+    return np.array([np.prod([axes[f] for f in term if f != "1"] + one, axis=0) for term in TERMS])
+
+
 @pytest.mark.truth
 @pytest.mark.parametrize(("degree", "counts"), [(1, (14, 11, 8)), (2, (38, 29, 20)), (3, (78, 59, 40))])
 def test_number_of_unknowns(degree: int, counts: tuple[int, ...]) -> None:
@@ -43,22 +50,22 @@ def test_jacobian_by_difference_quotients(degree: int, denominators: str, rng: n
 def test_coefficients_project_like_the_polynomials_term_by_term(denominators: str, rng: np.random.Generator) -> None:
     form = RfmForm(3, denominators)  # type: ignore[arg-type]
     ground, x = rng.uniform(-1.0, 1.0, (7, 3)), 0.02 * rng.standard_normal(len(form))
-    axes = dict(zip("LPH", ground.T, strict=True))
-    terms = np.array([np.prod([axes[f] for f in term if f != "1"] + [np.ones(7)], axis=0) for term in TERMS])
-    line, line_below, sample, sample_below = form.coefficients(x) @ terms
+    line, line_below, sample, sample_below = form.coefficients(x) @ terms_at(ground)
     expected = np.stack([line / line_below, sample / sample_below], axis=1)
     np.testing.assert_allclose(rfm.values(form.coefficients(x), ground), expected, rtol=1e-12)
     np.testing.assert_allclose(form.image(x, form.monomials(ground)), expected, rtol=1e-12)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_linear_form_is_the_true_one_times_its_denominator(rng: np.random.Generator) -> None:
+    """The polynomials term by term: numerator minus measured coordinate times denominator."""
     form = RfmForm(2)
-    m, x = form.monomials(rng.uniform(-1.0, 1.0, (9, 3))), 0.02 * rng.standard_normal(len(form))
+    ground, x = rng.uniform(-1.0, 1.0, (9, 3)), 0.02 * rng.standard_normal(len(form))
     image = rng.uniform(-1.0, 1.0, (9, 2))
-    design, observed = form.design(m, image)
-    expected = (form.image(x, m) - image) * form.below(x, m)
-    np.testing.assert_allclose(design @ x - observed, np.concatenate([expected[:, 1], expected[:, 0]]), atol=1e-14)
+    design, observed = form.design(form.monomials(ground), image)
+    line, line_below, sample, sample_below = form.coefficients(x) @ terms_at(ground)
+    expected = np.concatenate([sample - image[:, 1] * sample_below, line - image[:, 0] * line_below])
+    np.testing.assert_allclose(design @ x - observed, expected, atol=1e-14)
 
 
 @pytest.mark.consistency

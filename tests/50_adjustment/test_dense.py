@@ -23,7 +23,7 @@ from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.model.names import Role
 from fg_orient.quality.covariance import DenseCofactors, Indeterminate
 from fg_orient.simulate.block import BlockOptions, grid_block
-from tests.support.full_statistics import step_of_numpy
+from tests.support.full_statistics import damped_of_numpy, dogleg_of_numpy, step_of_numpy
 
 #: Both loops go on to this scaled step, or until it stops shrinking.
 TOLERANCE = 1e-9
@@ -129,9 +129,9 @@ def test_damped_optimisers_give_the_same(twin: Block, optimizer: str) -> None:
     assert [r.accepted for r in dense.log] == [r.accepted for r in base.log]
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_damped_and_dogleg_steps_equal_the_graphs(twin: Block) -> None:
-    """Step by step at the start: damping 0.5, and radii in the steepest-descent and the blended part."""
+    """Step by step at the start, and numpy's: damping 0.5, radii in the steepest-descent and the blended part."""
     problem = compiled(twin, eop_set=9)
     dense, graph = DenseBackend(problem), GraphBackend(problem)
     a, b = dense.linearise(dense.initial()), graph.linearise(graph.initial())
@@ -139,7 +139,14 @@ def test_damped_and_dogleg_steps_equal_the_graphs(twin: Block) -> None:
     steepest = b.linear.optimizeGradientSearch().norm()
     radii = [0.5 * steepest, 0.5 * (steepest + newton), 2.0 * newton]
     assert steepest < newton
-    for ours, theirs in [(a.solve(0.5), b.solve(0.5)), *((a.dogleg(r), b.dogleg(r)) for r in radii)]:
+    v, design = assemble(problem, dense.initial())
+    steps = [
+        (a.solve(0.5), b.solve(0.5), damped_of_numpy(problem, v, design, 0.5)),
+        *((a.dogleg(r), b.dogleg(r), dogleg_of_numpy(problem, v, design, r)) for r in radii),
+    ]
+    for ours, theirs, numpys in steps:
+        assert np.abs(ours.data - numpys).max() <= 1e-9 * ours.length
+        assert ours.predicted_error == pytest.approx(0.5 * np.sum((v + design @ numpys) ** 2), rel=1e-9)
         expected = graph.state(graph.retract(graph.initial(), theirs))
         found = dense.retract(dense.initial(), ours)
         assert np.abs(found.image - expected.image).max() <= 1e-9 * ours.length

@@ -33,7 +33,7 @@ from fg_orient.model.names import Role
 from fg_orient.quality import conditioning
 from fg_orient.quality.covariance import cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
-from tests.support.full_statistics import Full, step_of_numpy
+from tests.support.full_statistics import Full, damped_of_numpy, dogleg_of_numpy, step_of_numpy, stepped
 from tests.support.rpc_block import rpc_twin, twin_with_models
 from tests.support.states import largest, moved
 
@@ -187,12 +187,12 @@ def test_solutions_equal_those_of_the_graph_and_the_dense_backend(name: str, opt
         assert ground <= 1e-7
 
 
-@pytest.mark.consistency
-def test_dogleg_inside_a_small_region_equals_the_dense_one() -> None:
-    """Steepest descent alone, and the blend."""
+@pytest.mark.oracle
+def test_dogleg_inside_a_small_region_equals_the_one_by_numpy() -> None:
+    """Steepest descent alone, the blend, and the whole Gauss-Newton step."""
     problem = compile_problem(with_options(fixed_control(grid(2, 2, 40), 2), eop_set=15))
-    state, dense = moved(problem, 4), DenseBackend(problem)
-    expected = dense.linearise(state)
+    state = moved(problem, 4)
+    v, design = assemble(problem, state)
     backend = SchurBackend(problem)
     system = backend.linearise(state)
     newton = system.solve(0.0).norm
@@ -200,10 +200,11 @@ def test_dogleg_inside_a_small_region_equals_the_dense_one() -> None:
     shortest = float(np.sqrt(np.sum(image**2) + np.sum(ground**2)))
     assert shortest < 0.5 * newton
     for radius in (0.5 * shortest, 0.5 * (shortest + newton), 2.0 * newton):
-        a, b = system.dogleg(radius), expected.dogleg(radius)
-        assert min(radius, newton) == pytest.approx(a.norm, rel=1e-9)
-        assert max(largest(problem, backend.retract(state, a), dense.retract(state, b))) < 1e-8 * newton
-        assert a.predicted_error == pytest.approx(b.predicted_error, rel=1e-9)
+        found, expected = system.dogleg(radius), dogleg_of_numpy(problem, v, design, radius)
+        assert min(radius, newton) == pytest.approx(found.norm, rel=1e-9)
+        after = stepped(problem, state, expected)
+        assert max(largest(problem, backend.retract(state, found), after)) < 1e-8 * newton
+        assert found.predicted_error == pytest.approx(0.5 * np.sum((v + design @ expected) ** 2), rel=1e-9)
 
 
 @pytest.mark.oracle
@@ -344,14 +345,19 @@ def test_order_of_the_observations_does_not_matter() -> None:
     assert np.array_equal(found[0].ground, found[1].ground)
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_a_system_whose_arrays_were_taken_is_made_again() -> None:
+    """The same bits as without, and numpy's damped step."""
     problem = compile_problem(with_options(grid(2, 2, 60), eop_set=15))
     backend = SchurBackend(problem)
     first = backend.linearise(problem.start)
     expected = backend.linearise(problem.start).solve(0.5)
     backend.linearise(moved(problem, 1)).solve(0.5)
-    assert np.array_equal(first.solve(0.5).image, expected.image)
+    found = first.solve(0.5)
+    assert np.array_equal(found.image, expected.image)
+    numpys = damped_of_numpy(problem, *assemble(problem, problem.start), 0.5)
+    after = stepped(problem, problem.start, numpys)
+    assert max(largest(problem, backend.retract(problem.start, found), after)) < 1e-8 * np.linalg.norm(numpys)
 
 
 @pytest.mark.behaviour

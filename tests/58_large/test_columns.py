@@ -52,7 +52,7 @@ def test_written_bytes_are_those_of_csv_row_by_row(tmp_path: Path, rows: list[tu
     assert (tmp_path / "t.csv").read_bytes() == stream.getvalue().encode()
 
 
-@pytest.mark.consistency
+@pytest.mark.oracle
 def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fg_orient.run.columns.CHUNK", 7)
     monkeypatch.setattr("fg_orient.report.data.CHUNK", 5)
@@ -60,6 +60,10 @@ def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytes
     values[3] = np.nan
     ids[39] = 'p"39'
     write_columns(tmp_path / "t.csv", {"id": ids, "x_m": values})
+    with (tmp_path / "t.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.reader(stream))
+    cells = ["" if np.isnan(x) else repr(x) for x in values.tolist()]
+    assert rows == [["id", "x_m"], *map(list, zip(ids, cells, strict=True))]
     table = read_columns(tmp_path / "t.csv")
     assert table.words["id"] == ids and len(table) == 40
     np.testing.assert_array_equal(table.figures["x_m"], values)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from factors.conditions.control import CONTROL_POINT, POINT
 from fg_orient.adjustment.dense import Columns, assemble
@@ -46,10 +47,35 @@ def after_numpy(problem: Problem, state: State, robust: Robust | None = None) ->
     design = design if problem.ties is None else problem.ties.columns(design)
     scale = np.linalg.norm(design, axis=0)
     step = np.linalg.lstsq(design / scale, -v, rcond=None)[0] / scale
-    step = step if problem.ties is None else problem.ties.widened(step)
+    return stepped(problem, state, step if problem.ties is None else problem.ties.widened(step))
+
+
+def stepped(problem: Problem, state: State, step: np.ndarray) -> State:
+    """Add a step (u,) of all unknowns, images before points."""
     ground = state.ground.copy()
     ground[problem.active] += step[problem.n_image_unknowns :].reshape(-1, 3)
     return State(state.image + problem.image_matrix(step[: problem.n_image_unknowns]), ground)
+
+
+def damped_of_numpy(problem: Problem, v: np.ndarray, design: np.ndarray, damping: float) -> np.ndarray:
+    """Step by numpy's least squares: the damping is added to the images' diagonal, and is a share of the points'."""
+    roots = np.full(design.shape[1], np.sqrt(damping))
+    roots[problem.n_image_unknowns :] *= np.linalg.norm(design[:, problem.n_image_unknowns :], axis=0)
+    rows, scale = np.vstack([design, np.diag(roots)]), np.hypot(np.linalg.norm(design, axis=0), roots)
+    return np.linalg.lstsq(rows / scale, np.concatenate([-v, 0.0 * roots]), rcond=None)[0] / scale
+
+
+def dogleg_of_numpy(problem: Problem, v: np.ndarray, design: np.ndarray, radius: float) -> np.ndarray:
+    """Powell's step: along steepest descent to its minimum, from there to Gauss-Newton's, as far as the radius."""
+    newton, gradient = damped_of_numpy(problem, v, design, 0.0), design.T @ v
+    steepest = -gradient * (gradient @ gradient) / np.sum((design @ gradient) ** 2)
+    if np.linalg.norm(newton) <= radius:
+        return newton
+    if np.linalg.norm(steepest) >= radius:
+        return steepest * radius / np.linalg.norm(steepest)
+    across = newton - steepest
+    share = brentq(lambda t: np.linalg.norm(steepest + t * across) - radius, 0.0, 1.0, xtol=1e-15)
+    return steepest + share * across
 
 
 def step_of_numpy(problem: Problem, state: State, robust: Robust | None = None) -> tuple[float, float]:
