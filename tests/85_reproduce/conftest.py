@@ -41,6 +41,7 @@ def copied(tmp_path: Path) -> Callable[[str], Path]:
     def copy(name: str) -> Path:
         folder = tmp_path / name
         shutil.copytree(Path(tables.__file__).parent / name, folder)
+        folder.chmod(0o755)  # the installation may be read-only, and its rights are copied
         return folder
 
     return copy
