@@ -134,8 +134,10 @@ def warm_up(given: argparse.Namespace) -> float:
     start = time.perf_counter()
     small = compile_problem(cases.spot_block("94"))
     frames = pinhole.pinhole_problem("1e3")
+    more = compile_problem(cases.spot_block("1e3"))  # the first calls with fewer points are plain Python
     for threads in (1, 2):
         own.schur(small, threads)()
+        own.schur(more, threads)()
         own.damped(frames, threads)()
     if not given.no_peers:
         flat = FlatProblem(small)

@@ -56,9 +56,10 @@ def any_small(first: int, size: int, members: Index, records: Array, row: Index)
     flags = 0.0
     for i in range(size):
         r = row[members[first + i]]
-        flags += records[r, RECORD.small_angle]
+        touched = 0.0  # a sum of its own: the next record is asked for before this one has come
         for k in range(0, RECORD.size, SIDE):
-            flags += 0.0 * records[r, k]
+            touched += records[r, k]
+        flags += records[r, RECORD.small_angle] + 0.0 * touched
     return flags != 0.0  # also where a number is nan
 
 
