@@ -1,4 +1,4 @@
-"""Robust losses: one file each, found by name.
+"""Robust losses, found by name: the built-in ones in ``standard``, others in files that are added to this package.
 
 A loss acts on the whitened norm t of one observation (2 numbers of an image point, 3 of a control point) through
 ``u = t / c``. It is given by its weight w(u); the cost is the integral of the weight, ``rho(t) = c^2 cost(t / c)``,

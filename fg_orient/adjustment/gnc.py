@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.losses import Curve, losses
-from factors.losses.geman_mcclure import GEMAN_MCCLURE
+from factors.losses.standard import GEMAN_MCCLURE
 from fg_orient.adjustment.robust import A_PRIORI, CONTROL, IMAGE, Robust, ScaledLoss, inlier_limit
 from fg_orient.model.block import Options
 

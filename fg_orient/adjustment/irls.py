@@ -6,7 +6,7 @@ of its residuals. Priors and own observations keep weight 1.
 Danish method (Krarup, Juhl & Kubik 1980): with r = t / sigma0 (a posteriori, 1 at least) a weight is multiplied by
 ``exp(-0.05 r^4.4)`` in the first three cycles and by ``exp(-0.05 r^3)`` afterwards where r exceeds its limit. The
 exponent depends on the cycle and weights never rise again, so no cost belongs to it: the result depends on the way.
-:mod:`factors.losses.danish` is the form that has one.
+:mod:`factors.losses.standard` has the form that has one.
 
 Least absolute values: ``w = 1 / max(t, eps)`` minimises the sum of t (Schlossmacher 1973; for 2 and 3 numbers the sum
 of lengths, Weiszfeld 1937). There is no constant to choose: its efficiency at the normal distribution is 2/pi, pi/4

@@ -1,7 +1,4 @@
-"""The reduced camera system solved: Cholesky factor of the full or banded matrix, or GTSAM on its blocks.
-
-Where ``fg_orient.kernels.batch_band`` pays it factorises full matrices as well, as bands of full width; elsewhere
-LAPACK does.
+"""The reduced camera system solved: LAPACK's Cholesky factor of the full or banded matrix, or GTSAM on its blocks.
 
 Blocks are those of the upper triangle, (B, k, k) in the order of ``Pattern.block_row``; the unknowns of image i
 are ``first[i]`` to ``first[i + 1]``. GTSAM eliminates a graph of one HessianFactor per image and one per pair of
@@ -18,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from fg_orient.kernels.batch_band import MARGIN, PAYS, TILE, factorise_band
 from fg_orient.kernels.batch_matrix import fill_lower
 
 if TYPE_CHECKING:
@@ -33,13 +29,10 @@ Index = npt.NDArray[np.int64]
 #: Condition of the reduced system, its diagonal scaled to 1, beyond which no covariance is given: the relative
 #: rounding error of a cofactor, some eps cond, passes 1e-3 there.
 CONDITION_LIMIT: Final = 1e13
-#: A band of up to this share of the matrix is taken: LAPACK's banded factorisation against the full one and GTSAM took
-#: 1.7, 2.1 and 3.3 ms at 432 unknowns with a band of 0.62, 6.4, 14.5 and 20 ms at 972 with 0.39, 40, 204 and 92 ms
-#: at 2700 with 0.22 (measured, blocks of 4 x 4, 6 x 6 and 10 x 10 scenes). Where ours pays, it takes a full matrix of
-#: 108, 432, 972 and 2700 in 0.014, 0.32, 3.3 and 74 ms, LAPACK in 0.019, 0.63, 6.5 and 125: no band is too wide.
+#: A band of up to this share of the matrix is taken. LAPACK's banded factorisation, its full one and GTSAM took 1.7,
+#: 2.1 and 3.3 ms at 432 unknowns with a band of 0.62; 6.4, 14.5 and 20 ms at 972 with 0.39; 40, 204 and 92 ms at 2700
+#: with 0.22 (measured, blocks of 4 x 4, 6 x 6 and 10 x 10 scenes).
 BANDED: Final = 0.65
-#: Unknowns from which our own factorisation is taken: below, it gains less than 5 us and takes a second to compile.
-OWN_FROM: Final = 100
 #: Elements of the largest band: 0.24 GB.
 BAND_LIMIT: Final = 30_000_000
 #: Without a band, reduced unknowns up to which the full matrix is always taken, and at all. Between them GTSAM gets
@@ -126,17 +119,14 @@ class LapackReduced:
         self._order = order or Order(first[:-1].astype(np.int64), np.arange(n), n - 1)
         # scaled to a unit diagonal: pivots are judged alike, whatever the units
         self._scale, sums = np.empty(n), np.empty(n)
-        own = self._banded and PAYS and n >= OWN_FROM
-        s = np.zeros((-(-n // TILE) * TILE if own else n, self._order.band + 1 + (MARGIN if own else 0)))
+        s = np.zeros((n, self._order.band + 1))
         at = (pattern.block_row, pattern.block_column, self._order.place, pattern.size, blocks)
         if not fill_lower(*at, diagonal, self._banded, s, self._scale, sums):
             raise Singular("an unknown of an image is in no observation")
         s.ravel()[:: s.shape[1] + (0 if self._banded else 1)] = 1.0
         self._norm = float(sums.max())
-        self._factor: Any = s[:n].T
-        if own:
-            info = factorise_band(s, self._order.band)
-        elif self._banded:
+        self._factor: Any
+        if self._banded:
             self._factor, info = lapack.dpbtrf(s.T, lower=1, overwrite_ab=1)
         else:
             self._factor, info = lapack.dpotrf(s.T, lower=1, clean=0, overwrite_a=1)
@@ -157,14 +147,10 @@ class LapackReduced:
         return np.asarray(substitute(self._factor, right, lower=1)[0])
 
     def covariance(self, images: tuple[int, ...]) -> Array:
-        """See :class:`Reduced`; of a full matrix or wide band, or for all of a small one, the inverse is formed.
-
-        Else the columns asked for are solved.
-        """
+        """See :class:`Reduced`; columns of a band are solved for some images, else the inverse is formed."""
         self._judge()
         index = np.concatenate([np.arange(self._first[k], self._first[k + 1]) for k in images])
-        narrow = self._banded and self._order.band <= BANDED * len(self._scale)
-        if narrow and (len(images) < len(self._first) - 1 or len(index) > DENSE_LIMIT):
+        if self._banded and (len(images) < len(self._first) - 1 or len(index) > DENSE_LIMIT):
             place = np.empty(len(self._scale), np.int64)
             place[self._order.unknowns] = np.arange(len(place))
             right = np.zeros((len(self._scale), len(index)), order="F")
@@ -407,8 +393,7 @@ class ReducedSystems:
 
 def _suitable(pattern: Pattern, unknowns: int, band: int) -> str:
     """What solves a pattern soonest."""
-    pays = band <= BANDED * unknowns or (PAYS and unknowns <= FULL_LIMIT)
-    if pays and (band + 1) * unknowns <= BAND_LIMIT:
+    if band <= BANDED * unknowns and (band + 1) * unknowns <= BAND_LIMIT:
         return "banded"
     images = len(pattern.size)
     share = 2.0 * len(pattern.block_row) / (images * (images + 1))

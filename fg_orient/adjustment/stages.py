@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.losses import Loss
-from factors.losses.huber import HUBER
+from factors.losses.standard import HUBER
 from fg_orient.adjustment.gnc import EXACT, PLAIN, Graduated, half_square
 from fg_orient.adjustment.loop import STEP_TOLERANCE, Backend, Carried, LoopResult
 from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, RobustBackend, ScaledLoss, find_loss, scaled

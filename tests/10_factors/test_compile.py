@@ -146,7 +146,7 @@ def test_stamps_do_not_depend_on_the_order_of_sets(repository: Path) -> None:
     """Python numbers strings anew in each process, and literals such as ``{"a", "b"}`` are sets."""
     code = """
 import sys
-from fg_orient.kernels import batch, batch_band, batch_cofactors, batch_pairs
+from fg_orient.kernels import batch, batch_cofactors, batch_pairs
 from factors._kernel import Kernel
 from factors._sources import stamp
 kernels = {f for name, module in list(sys.modules.items()) if name.startswith(("factors", "fg_orient.kernels"))

@@ -393,16 +393,14 @@ def test_reduced_systems_are_solved_by_what_suits_them(monkeypatch: pytest.Monke
     problem = compile_problem(with_options(grid(2, 3, 60), eop_set=15))  # 6 images, 108 unknowns
     pattern = SchurBackend(problem).structure
     share, band = len(pattern.block_row) / 21.0, schur_reduced.narrowest(pattern, problem.first).band
-    for pays, full, dense, sparse, banded, limit, expected in (
-        (False, 3000, 1000, 1.0, 0.0, 10**6, "dense"), (False, 107, 1000, 0.0, 0.0, 10**6, "graph"),
-        (False, 3000, 107, share, 0.0, 10**6, "dense"), (False, 3000, 107, share + 0.01, 0.0, 10**6, "graph"),
-        (False, 3000, 108, 1.0, 0.0, 10**6, "dense"), (False, 3000, 1000, 1.0, band / 108, 10**6, "banded"),
-        (False, 3000, 1000, 1.0, (band - 1) / 108, 10**6, "dense"), (True, 108, 1000, 1.0, 0.0, 10**6, "banded"),
-        (True, 107, 1000, 0.0, 0.0, 10**6, "graph"), (True, 3000, 1000, 1.0, 1.0, 108 * band, "dense"),
+    for full, dense, sparse, banded, limit, expected in (
+        (3000, 1000, 1.0, 0.0, 10**6, "dense"), (107, 1000, 0.0, 0.0, 10**6, "graph"),
+        (3000, 107, share, 0.0, 10**6, "dense"), (3000, 107, share + 0.01, 0.0, 10**6, "graph"),
+        (3000, 108, 1.0, 0.0, 10**6, "dense"), (3000, 1000, 1.0, band / 108, 10**6, "banded"),
+        (3000, 1000, 1.0, (band - 1) / 108, 10**6, "dense"), (3000, 1000, 1.0, 1.0, 108 * band, "dense"),
     ):  # fmt: skip
         for name, value in (
-            ("PAYS", pays), ("FULL_LIMIT", full), ("DENSE_LIMIT", dense), ("SPARSE", sparse), ("BANDED", banded),
-            ("BAND_LIMIT", limit),
+            ("FULL_LIMIT", full), ("DENSE_LIMIT", dense), ("SPARSE", sparse), ("BANDED", banded), ("BAND_LIMIT", limit),
         ):  # fmt: skip
             monkeypatch.setattr(schur_reduced, name, value)
         assert SchurBackend(problem).reduced.kind == expected
