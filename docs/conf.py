@@ -113,9 +113,9 @@ autosummary_generate = False  # numpydoc loads it; no page has such a table
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 
-html_theme = "alabaster"
+html_theme = "furo"
 html_static_path = ["_static"]
-html_theme_options = {"description": "Orientation of optical images", "fixed_sidebar": True}
+html_title = "fg_orient"
 
 # Several classes stand under two names (fg_orient.Block is fg_orient.model.block.Block): either target is right.
 suppress_warnings = ["ref.python"]

@@ -40,7 +40,7 @@ def test_no_page_loads_from_another_address(built: Path) -> None:
     for page in pages:
         assert LOADED.findall(page.read_text("utf-8")) == [], page.name
     styles = sorted(built.rglob("*.css"))
-    assert {"custom.css", "alabaster.css"} <= {style.name for style in styles}
+    assert {"custom.css", "furo.css"} <= {style.name for style in styles}
     for style in styles:
         assert STYLE.findall(style.read_text("utf-8")) == [], style.name
 
