@@ -60,7 +60,7 @@ class Checkpoint:
 
     def __init__(self, path: str | Path, *, every_s: float = EVERY_S, resume: bool = False, scope: str = "") -> None:
         if not (math.isfinite(every_s) and every_s >= 0.0):
-            raise InputError.of("options.value", place="checkpoint_every", value=every_s, expected="seconds from 0")
+            raise InputError.of("options.value", option="checkpoint_every", value=every_s, expected="seconds from 0")
         self.path, self.every_s, self.resume, self.scope = Path(path), every_s, resume, scope
         self._last = time.monotonic()
         self._pending: tuple[Problem, str, Carried[State]] | None = None

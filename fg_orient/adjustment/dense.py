@@ -329,7 +329,7 @@ class DenseBackend:
 
     def __init__(self, problem: Problem, solver: str = DEFAULT_SOLVER) -> None:
         if problem.n_unknowns > MAX_UNKNOWNS:
-            raise InputError.of("linear.too_large", place="backend", value=problem.n_unknowns, limit=MAX_UNKNOWNS)
+            raise InputError.of("linear.too_large", option="backend", value=problem.n_unknowns, limit=MAX_UNKNOWNS)
         self.problem, self.solver = problem, find_solver(solver).name
         self.columns = Columns.of(problem)
         self.robust: Robust | None = None

@@ -102,7 +102,7 @@ def resection_start(compiled: Problem, method: str, seed: int = SEED) -> tuple[S
         unknowns in common.
     """
     if compiled.ties is not None:
-        raise InputError.of("frame.shared_not", place="robust_start", value=method, id=", ".join(compiled.ties.ids))
+        raise InputError.of("frame.shared_not", option="robust_start", value=method, id=", ".join(compiled.ties.ids))
     image = compiled.start.image
     for _ in range(ROUNDS):
         found = _Pass(compiled, image, method, seed)

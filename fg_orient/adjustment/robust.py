@@ -146,7 +146,7 @@ def find_loss(name: str) -> Loss:
     loss = find(name)
     if loss is None:
         known = ", ".join((NONE, *losses(), *ALIASES, *IN_CYCLES))
-        raise InputError.of("adjust.loss", place="loss", value=name, known=known)
+        raise InputError.of("adjust.loss", option="loss", value=name, known=known)
     return loss
 
 

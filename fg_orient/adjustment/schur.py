@@ -315,7 +315,7 @@ class SchurBackend:
     def __init__(self, problem: Problem, threads: int | None = None, reduced: str = "auto") -> None:
         reason = reason_against(problem.block, problem.models)
         if reason:
-            raise InputError.of("adjust.schur", place="backend", value=reason)
+            raise InputError.of("adjust.schur", option="backend", value=reason)
         if reduced not in REDUCED:
             raise ValueError(f"reduced = {reduced!r}: one of {', '.join(REDUCED)}")
         self.problem, self.structure = problem, compile_structure(problem)

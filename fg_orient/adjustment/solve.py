@@ -177,12 +177,12 @@ def require_possible(options: Options) -> None:
     """
     if options.optimizer in NATIVE and options.backend in ("dense", "schur"):
         known = ", ".join(OPTIMIZERS)
-        raise InputError.of("adjust.native_dense", place="optimizer", value=options.optimizer, known=known)
+        raise InputError.of("adjust.native_dense", option="optimizer", value=options.optimizer, known=known)
     _require_robust(options)
     if options.gnc and options.loss not in SCHEDULES:
-        raise InputError.of("adjust.gnc", place="gnc", value=options.loss, known=", ".join(SCHEDULES))
+        raise InputError.of("adjust.gnc", option="gnc", value=options.loss, known=", ".join(SCHEDULES))
     if options.solver is not None and options.backend != "dense":
-        raise InputError.of("adjust.solver_dense", place="solver", value=options.solver, backend=options.backend)
+        raise InputError.of("adjust.solver_dense", option="solver", value=options.solver, backend=options.backend)
 
 
 def _require_robust(options: Options) -> None:
@@ -191,16 +191,16 @@ def _require_robust(options: Options) -> None:
     wish = "robust_scale" if mad else "robust_start"
     if options.loss == NONE:
         if mad or resections:
-            raise InputError.of("adjust.needs_loss", place=wish, value=getattr(options, wish))
+            raise InputError.of("adjust.needs_loss", option=wish, value=getattr(options, wish))
         return
     if options.optimizer in NATIVE:
-        raise InputError.of("adjust.native_loss", place="optimizer", value=options.optimizer)
+        raise InputError.of("adjust.native_loss", option="optimizer", value=options.optimizer)
     if options.loss not in RULES:
         find_loss(options.loss)
         if options.gnc and (mad or resections):
-            raise InputError.of("adjust.gnc_start", place=wish, value=getattr(options, wish))
+            raise InputError.of("adjust.gnc_start", option=wish, value=getattr(options, wish))
     elif options.gnc or mad or resections:
-        raise InputError.of("adjust.cycles", place="loss", value=options.loss, known=", ".join(losses()))
+        raise InputError.of("adjust.cycles", option="loss", value=options.loss, known=", ".join(losses()))
 
 
 def first_sentence(error: Exception) -> str:
@@ -324,7 +324,7 @@ def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Est
     """Least squares again and again with the weights of a rule; no checkpoint is kept."""
     options = problem.block.options
     if parted:
-        raise InputError.of("adjust.cycles", place="parts", value=options.loss, known=", ".join(losses()))
+        raise InputError.of("adjust.cycles", option="parts", value=options.loss, known=", ".join(losses()))
     plain = replace(problem.block, options=replace(options, loss=NONE, backend=chosen_backend(problem)))
     log: list[IterationRecord] = []
 

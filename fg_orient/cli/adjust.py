@@ -1,33 +1,24 @@
-"""Command ``adjust``: the main job, with progress for people and one JSON object for programs."""
+"""Commands ``adjust`` and ``reduce``: adjust a project, and reduce the unknowns of its images."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.common import (
-    Debug,
-    Json,
-    Log,
-    Overwrite,
-    Quiet,
-    VerticalCrs,
-    number,
-    outcome,
-    read_dem,
-    require_project,
-    table,
-)
-from fg_orient.cli.options import flags, named_as_typed, with_options
-from fg_orient.cli.output import emit, folded, note, say, tell, tell_findings
-from fg_orient.cli.progress import progress
+from fg_orient.cli.command import command
+from fg_orient.cli.common import Overwrite, VerticalCrs, command_line, read_dem, require_project
+from fg_orient.cli.log import session
+from fg_orient.cli.output import answer, folded, note, number, say, table, tell, tell_findings
+from fg_orient.cli.progress import progress, progress_bar
 from fg_orient.model.errors import InputError, read
 from fg_orient.model.names import EXIT_CODE, Status
 from fg_orient.model.options import Options, Reading
+
+if TYPE_CHECKING:
+    from fg_orient.orientation.reduction import Reduction
 
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
 WORKING = ("fg_orient.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.formats.schema",
@@ -39,7 +30,7 @@ OF_BACKEND = {
 }
 
 
-@with_options(Options, Reading)
+@command(Options, Reading, named={"cluster": "--scheduler"})
 def adjust(
     project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
     options: Mapping[str, Any],
@@ -70,46 +61,31 @@ def adjust(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the checkpoint of a run that was stopped.")
     ] = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Adjust a block: orientation, ground points, statistics, result folder and HTML report.
 
     Options replace those of the project file.
     """
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
-    with outcome(as_json, debug, quiet, log):
-        require_project(project)
-        load(options.get("backend"))
-        from fg_orient.run import checkpoint_path, run_project
+    require_project(project)
+    load(options.get("backend"))
+    from fg_orient.run import checkpoint_path, run_project
 
-        target = out or project.parent / "result"
-        if resume and not checkpoint_path(target).exists():
-            note(f"no checkpoint {checkpoint_path(target).name} to resume: starting from the beginning")
-        others = ("parts", "workers", "work_dir", "scheduler", "checkpoint_every")
-        typed = flags(Options, Reading) | {name: f"--{name.replace('_', '-')}" for name in others}
-        with named_as_typed(typed), progress() as watch:
-            record = run_project(
-                project, target, overwrite=overwrite, options=options, callback=watch.iteration,
-                command=["fg-orient", *sys.argv[1:]], execution=execution, stage=watch.stage,
-                checkpoint_every_s=checkpoint_every, resume=resume,
-                dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs),
-                dem_vertical_crs=dem_vertical_crs,
-            )  # fmt: skip
-        for found in folded([read(one) for one in record.get("errors", [])]):
-            tell("error", found)
-        if as_json:
-            emit(record)
-        elif record["status"] == Status.RANK_DEFICIENT:
-            if record["out"]:
-                say(f"report of what is not determined: {Path(record['out']) / 'report.html'}")
-        else:
-            show(record)
-        if quiet and not as_json and record["status"] != Status.CONVERGED:
-            note(f"{record['status'].replace('_', ' ')}: {record['reason']}")
-        raise typer.Exit(EXIT_CODE[Status(record["status"])])
+    target = out or project.parent / "result"
+    if resume and not checkpoint_path(target).exists():
+        note(f"no checkpoint {checkpoint_path(target).name} to resume: starting from the beginning")
+    with progress() as watch:
+        record = run_project(
+            project, target, overwrite=overwrite, options=options, callback=watch.iteration,
+            command=command_line(), execution=execution, stage=watch.stage,
+            checkpoint_every_s=checkpoint_every, resume=resume,
+            dem_control=_dem_control(dem_control, dem_sigma, dem_vertical_crs),
+            dem_vertical_crs=dem_vertical_crs,
+        )  # fmt: skip
+    for found in folded([read(one) for one in record.get("errors", [])]):
+        tell("error", found)
+    answer(record, show)
+    raise typer.Exit(EXIT_CODE[Status(record["status"])])
 
 
 def _dem_control(path: Path | None, sigma_m: float | None, vertical_crs: str) -> tuple[Any, float] | None:
@@ -131,7 +107,13 @@ def load(backend: str | None = None) -> None:
 
 
 def show(record: dict[str, Any]) -> None:
-    """Print warnings, verdict, accuracy and where the result lies."""
+    """Print warnings, assessment, accuracy and the path of the report."""
+    if session().quiet and record["status"] != Status.CONVERGED:
+        note(f"{record['status'].replace('_', ' ')}: {record['reason']}")
+    if record["status"] == Status.RANK_DEFICIENT:
+        if record["out"]:
+            say(f"report of what is not determined: {Path(record['out']) / 'report.html'}")
+        return
     tell_findings(record, as_result=True)
     from fg_orient.report.words import orientation_words
 
@@ -170,3 +152,72 @@ def show(record: dict[str, Any]) -> None:
         say(f"heights of {found['n']} tie points from {Path(found['dem']).name}: RMS {number(found['rms_m'])} m "
             f"above it after {found['rounds']} adjustments, {len(found['outside'])} outside{rest}")  # fmt: skip
     say(f"report: {Path(record['out']) / 'report.html'}")
+
+
+@command(
+    Options, only=("eop_set", "look_polynomial", "priors", "rpc_compensation"), named={"folds": "--cross-validation"}
+)
+def reduce(
+    project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    options: Mapping[str, Any],
+    direction: Annotated[
+        Literal["backward", "forward"], typer.Option(help="Drop from the whole set, or add to the best coefficient.")
+    ] = "backward",
+    level: Annotated[float, typer.Option(metavar="P", help="Probability of a false choice in one step.")] = 0.05,
+    cross_validation: Annotated[
+        str | None,
+        typer.Option(metavar="loo|K", help="Predict control points left out: one at a time, or in K parts."),
+    ] = None,
+) -> None:
+    """Reduce the unknowns of the images one at a time by F tests; AIC, AICc, BIC and prediction errors beside it."""
+    folds = _folds(cross_validation)
+    require_project(project)
+    from fg_orient.formats.project import read_project
+    from fg_orient.orientation.reduction import reduce_unknowns
+
+    block = read_project(project, **options)
+    with progress_bar("adjusting") as callback:
+        reduction = reduce_unknowns(block, direction=direction, level=level, folds=folds, progress=callback)
+    answer({"name": block.name, **reduction.as_dict()}, _show_reduction, reduction)
+
+
+def _folds(text: str | None) -> int | None:
+    """Number of parts; 0: leave one out; None: no cross-validation."""
+    if text is None or text == "loo":
+        return None if text is None else 0
+    if text.isdecimal() and int(text) >= 2:
+        return int(text)
+    raise InputError.of("options.value", option="cross_validation", value=text, expected="loo or a number from 2")
+
+
+def _show_reduction(found: Reduction) -> None:
+    """Print one line per model, what is left and which set it comes closest to."""
+    first = found.steps[0]
+    columns = ["step", "u", "p", "sigma0", "AIC", "AICc", "BIC"]
+    columns += ["image px", "ground m"] if first.validation else []
+    sign, rows = "-" if found.direction == "backward" else "+", []
+    for step in found.steps:
+        c, v = step.criteria, step.validation
+        row = [f"{sign} {step.changed}" if step.changed else "all", len(step.unknowns),
+               number(step.test.probability if step.test else None), number(c.sigma0), number(c.aic, 1),
+               number(c.aicc, 1), number(c.bic, 1)]  # fmt: skip
+        rows.append(row + ([number(v.image_rms), number(v.ground_rms)] if v else []))
+    table(f"{found.direction} reduction at a level of {found.level:g} per step", columns, rows)
+    for test in found.steps[-1].tests[::-1]:
+        say(f"{test.group}: F = {test.statistic:.1f}, p = {test.probability:.2g}")
+    names = ", ".join(f'"{name}"' for name in found.unknowns)
+    say(f"significant: image_unknowns = [{names}]")
+    closest = found.closest_set
+    if closest is not None:
+        from fg_orient.model.parameters import EOP_SETS
+
+        number_, less, more = closest
+        differences = [*(f"without {name}" for name in less), *(f"with {name}" for name in more)]
+        say(
+            f"closest EOP set: {number_} {EOP_SETS[number_][0]}"
+            + (f", {', '.join(differences)}" if differences else "")
+        )
+    for criterion, words in (("aic", "AIC"), ("aicc", "AICc"), ("bic", "BIC"), *(
+        (("image", "prediction in the image"), ("ground", "prediction on the ground")) if first.validation else ()
+    )):  # fmt: skip
+        say(f"best by {words}: {', '.join(found.best(criterion).unknowns)}")

@@ -1,10 +1,11 @@
-"""The application: commands by name, each loaded when it is called, usage errors, signals."""
+"""The application: commands by name, each loaded when it is called, completion, usage errors, signals."""
 
 from __future__ import annotations
 
 import copy
 import gc
 import inspect
+import os
 import signal
 import sys
 from collections.abc import Iterator, Mapping
@@ -17,31 +18,34 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 import fg_orient
-from fg_orient.cli import completion
-from fg_orient.cli.common import INTERRUPTED, outcome
+from fg_orient.cli.command import INTERRUPTED, outcome
 from fg_orient.cli.output import emit_errors, note
 from fg_orient.model.errors import InputError
 
-#: Name of a command -> module of this package, and what in it declares the command: a function, or a group by itself.
+PROGRAM: Final = "fg-orient"
+#: Variable through which the script of a shell asks for completions.
+VARIABLE: Final = "_FG_ORIENT_COMPLETE"
+SHELLS: Final = ("bash", "zsh", "fish")
+#: Name of a command -> module of this package and the name in it: a function, or a group by itself.
 COMMANDS: Final = {
     "adjust": ("adjust", "adjust"),
-    "compare": ("compare", "compare"),
-    "reduce": ("reduce", "reduce"),
-    "accuracy": ("accuracy", "accuracy"),
+    "compare": ("studies", "compare"),
+    "reduce": ("adjust", "reduce"),
+    "accuracy": ("results", "accuracy"),
     "locate": ("geometry", "locate"),
     "project": ("geometry", "project"),
     "intersect": ("geometry", "intersect"),
-    "footprint": ("viewing", "footprint"),
+    "footprint": ("geometry", "footprint"),
     "convert": ("convert", "convert"),
     "validate": ("checks", "validate"),
-    "completion": ("completion", "completion"),
+    "completion": ("app", "completion"),
     "doctor": ("checks", "doctor"),
-    "report": ("reports", "report"),
-    "replay": ("replay", "replay"),
-    "reproduce": ("reproduce", "reproduce"),
+    "report": ("results", "report"),
+    "replay": ("results", "replay"),
+    "reproduce": ("studies", "reproduce"),
     "simulate": ("simulate", "app"),
     "rpc": ("rpc", "app"),
-    "camera": ("camera", "app"),
+    "camera": ("convert", "camera"),
     "rectify": ("rectify", "app"),
     "closerange": ("closerange", "app"),
 }
@@ -92,7 +96,7 @@ class _Commands(Mapping[str, Any]):
 
 
 class _Root(TyperGroup):
-    """The command line; its help needs what the commands say of themselves, not their options."""
+    """The command line; its help needs the help texts of the commands, not their options."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
@@ -110,7 +114,7 @@ class _Root(TyperGroup):
 
 
 app = typer.Typer(
-    name="fg-orient",
+    name=PROGRAM,
     cls=_Root,
     epilog="Exit codes: 0 good, 2 bad input, 3 no solution, 4 solution not trustworthy, 130 interrupted.",
     add_completion=False,  # the command completion writes the script: two options less in every --help
@@ -152,13 +156,32 @@ def root(
                 load_plugin(path)
 
 
+def completion(
+    shell: Annotated[str, typer.Argument(metavar="bash|zsh|fish", help="Shell to complete in.", show_default=False)],
+) -> None:
+    """Print the script that lets a shell complete commands and options.
+
+    bash, zsh: eval "$(fg-orient completion bash)" (or zsh, after compinit) in ~/.bashrc (~/.zshrc). fish: fg-orient
+    completion fish > ~/.config/fish/completions/fg-orient.fish
+    """
+    with outcome(as_json=False):
+        if shell not in SHELLS:
+            raise InputError.of("cli.shell", place="fg-orient completion", value=shell, known=", ".join(SHELLS))
+        from typer._completion_shared import get_completion_script
+
+        typer.echo(get_completion_script(prog_name=PROGRAM, complete_var=VARIABLE, shell=shell))
+
+
 def main() -> NoReturn:
     """Run the command line; the entry point of ``fg-orient``."""
     gc.set_threshold(*COLLECT)
     signal.signal(signal.SIGTERM, _terminate)
-    completion.prepare()
+    if VARIABLE in os.environ:  # the script of a shell asks: typer answers
+        from typer._completion_classes import completion_init
+
+        completion_init()
     try:
-        code = app(prog_name=completion.PROGRAM, standalone_mode=False)
+        code = app(prog_name=PROGRAM, standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
         note("interrupted: nothing was written")
         code = INTERRUPTED
@@ -175,11 +198,11 @@ def _usage_error(error: Exception) -> int:
         raise error
     context = getattr(error, "ctx", None)
     text = explain().rstrip(".").replace("Value error, ", "")  # pydantic's prefix of what the choices of a type refuse
-    found = InputError.of("cli.usage", place=context.command_path if context else "fg-orient", text=text)
+    usage = InputError.of("cli.usage", place=context.command_path if context else PROGRAM, text=text)
     if "--json" in sys.argv:
-        emit_errors(*found.problems)
-    note(f"error: {found}")
-    return found.exit_code
+        emit_errors(*usage.problems)
+    note(f"error: {usage}")
+    return usage.exit_code
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:

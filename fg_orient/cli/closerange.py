@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, number, outcome, table
-from fg_orient.cli.output import emit, say, tell, tell_findings
+from fg_orient.cli.command import command
+from fg_orient.cli.common import Overwrite, command_line
+from fg_orient.cli.output import answer, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress
 from fg_orient.model.errors import InputError
 
@@ -46,6 +46,7 @@ Report = Annotated[
 
 
 @app.command("dlt")
+@command()
 def dlt(
     points: Control,
     distortion: Annotated[
@@ -56,21 +57,17 @@ def dlt(
     out: Out = None,
     report: Report = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Orient photos of unknown cameras by a direct linear transformation."""
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.closerange.job import run_dlt
+    from fg_orient.closerange.job import run_dlt
 
-        record = run_dlt(points, distortion=_words(distortion), sigma=_positive("--sigma", sigma), iterate=not direct,
-                         out=out, report=report, overwrite=overwrite, command=_command())  # fmt: skip
-        _finish(record, as_json, _show_photos)
+    record = run_dlt(points, distortion=_words(distortion), sigma=_positive("sigma", sigma), iterate=not direct,
+                     out=out, report=report, overwrite=overwrite, command=command_line())  # fmt: skip
+    answer(record, _show, record, _show_photos)
 
 
 @app.command("resect")
+@command()
 def resect(
     points: Control,
     camera: Photos,
@@ -78,21 +75,17 @@ def resect(
     out: Out = None,
     report: Report = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Orient photos of known cameras by control points."""
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.closerange.job import run_resect
+    from fg_orient.closerange.job import run_resect
 
-        record = run_resect(points, camera, sigma=_positive("--sigma", sigma), out=out, report=report,
-                            overwrite=overwrite, command=_command())  # fmt: skip
-        _finish(record, as_json, _show_photos)
+    record = run_resect(points, camera, sigma=_positive("sigma", sigma), out=out, report=report,
+                        overwrite=overwrite, command=command_line())  # fmt: skip
+    answer(record, _show, record, _show_photos)
 
 
 @app.command("intersect")
+@command()
 def intersect(
     points: Measured,
     photos: Photos,
@@ -100,21 +93,17 @@ def intersect(
     out: Out = None,
     report: Report = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Intersect points of oriented photos."""
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.closerange.job import run_intersect
+    from fg_orient.closerange.job import run_intersect
 
-        record = run_intersect(points, photos, sigma=_positive("--sigma", sigma), out=out, report=report,
-                               overwrite=overwrite, command=_command())  # fmt: skip
-        _finish(record, as_json, _show_points)
+    record = run_intersect(points, photos, sigma=_positive("sigma", sigma), out=out, report=report,
+                           overwrite=overwrite, command=command_line())  # fmt: skip
+    answer(record, _show, record, _show_points)
 
 
 @app.command("bundle")
+@command()
 def bundle(
     points: Measured,
     photos: Photos,
@@ -158,29 +147,25 @@ def bundle(
     out: Out = None,
     report: Report = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Adjust photos and points together: self-calibration, control points, constraints."""
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.closerange.bundle_job import run_bundle
+    from fg_orient.closerange.bundle_job import run_bundle
 
-        if sigma_control != 0.0:
-            _positive("--sigma-control", sigma_control)
-        with progress() as watch:
-            record = run_bundle(
-                points, photos, control=control, start=start, constraints=constraints,
-                stations=stations, check=check, sigma=_positive("--sigma", sigma), sigma_control_m=sigma_control,
-                unknown=_words(unknown), shared=_words(shared), backend=backend,
-                out=out, report=report, overwrite=overwrite, command=_command(), callback=watch.iteration,
-                stage=watch.stage,
-            )  # fmt: skip
-        _finish(record, as_json, _show_bundle)
+    if sigma_control != 0.0:
+        _positive("sigma_control", sigma_control)
+    with progress() as watch:
+        record = run_bundle(
+            points, photos, control=control, start=start, constraints=constraints,
+            stations=stations, check=check, sigma=_positive("sigma", sigma), sigma_control_m=sigma_control,
+            unknown=_words(unknown), shared=_words(shared), backend=backend,
+            out=out, report=report, overwrite=overwrite, command=command_line(), callback=watch.iteration,
+            stage=watch.stage,
+        )  # fmt: skip
+    answer(record, _show, record, _show_bundle)
 
 
 @app.command("import")
+@command()
 def import_(
     export: Annotated[
         Path, typer.Argument(metavar="EXPORT", show_default=False, help="File or folder of the project.")
@@ -199,30 +184,27 @@ def import_(
         float | None, typer.Option(metavar="PX", show_default=False, help="Of image coordinates, pixels.")
     ] = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Write the tables of the bundle from a project of another program (PhotoModeler)."""
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.closerange.importing import run_import
+    from fg_orient.closerange.importing import run_import
 
-        sigma_px = _positive("--sigma-image", sigma_image)
-        record = run_import(export, source=source, control=control, stations=stations, sigma_image_px=sigma_px,
-                            out=out, overwrite=overwrite)  # fmt: skip
-        if as_json:
-            emit(record)
-            return
-        say(f"{record['photos']} photos, {record['points']} points, {record['image_points']} image points "
-            f"({record['unit']}), {record['control']} control points, {record['stations']} stations")  # fmt: skip
-        if any(record["shift_m"]):
-            moved = ", ".join(f"{v:.4f}" for v in record["shift_m"])
-            say(f"shifted by {moved} m into the system of the control points")
-        say(f"written: {record['out']}")
+    sigma_px = _positive("sigma_image", sigma_image)
+    record = run_import(export, source=source, control=control, stations=stations, sigma_image_px=sigma_px,
+                        out=out, overwrite=overwrite)  # fmt: skip
+    answer(record, _show_imported)
+
+
+def _show_imported(record: dict[str, Any]) -> None:
+    say(f"{record['photos']} photos, {record['points']} points, {record['image_points']} image points "
+        f"({record['unit']}), {record['control']} control points, {record['stations']} stations")  # fmt: skip
+    if any(record["shift_m"]):
+        moved = ", ".join(f"{v:.4f}" for v in record["shift_m"])
+        say(f"shifted by {moved} m into the system of the control points")
+    say(f"written: {record['out']}")
 
 
 @app.command("surface")
+@command()
 def surface(
     points: Annotated[
         Path,
@@ -250,23 +232,14 @@ def surface(
     out: Out = None,
     report: Report = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Fit a sphere, spheroid, ellipsoid or quadric to points."""
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.closerange.job import run_surface
+    from fg_orient.closerange.job import run_surface
 
-        record = run_surface(points, kind, axis=axis, method=method, sigma_m=_positive("--sigma", sigma),
-                             priors=_priors(prior or []), out=out, report=report, overwrite=overwrite,
-                             command=_command())  # fmt: skip
-        _finish(record, as_json, _show_surface)
-
-
-def _command() -> list[str]:
-    return ["fg-orient", *sys.argv[1:]]
+    record = run_surface(points, kind, axis=axis, method=method, sigma_m=_positive("sigma", sigma),
+                         priors=_priors(prior or []), out=out, report=report, overwrite=overwrite,
+                         command=command_line())  # fmt: skip
+    answer(record, _show, record, _show_surface)
 
 
 def _words(text: str) -> list[str]:
@@ -274,11 +247,11 @@ def _words(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
-def _positive(place: str, value: float | None) -> float | None:
+def _positive(option: str, value: float | None) -> float | None:
     from fg_orient.closerange.fitting import require_sigmas
 
     if value is not None:
-        require_sigmas(value, place)
+        require_sigmas(value, f"<{option}>")
     return value
 
 
@@ -297,12 +270,11 @@ def _priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
     return out
 
 
-def _finish(record: dict[str, Any], as_json: bool, show: Any) -> None:
-    if as_json:
-        emit(record)
-        return
+def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> None:
+    """Print a result by ``show``, and then its doubts and files; doubts also under ``--quiet``."""
     show(record)
-    _doubt(record)
+    for text in record["doubts"]:
+        tell("warning", text)
     if record["weights"] == "relative":
         tell("note", "no standard deviations were given: weights are relative, and m0 is the sigma of an observation")
     if record["out"]:
@@ -379,9 +351,3 @@ def _show_surface(record: dict[str, Any]) -> None:
 
 def _short(value: Any) -> str:
     return "-" if value is None else f"{value:.2g}"
-
-
-def _doubt(record: dict[str, Any]) -> None:
-    """Say what the first page of the report doubts; unlike tables it stays under ``--quiet``."""
-    for text in record["doubts"]:
-        tell("warning", text)

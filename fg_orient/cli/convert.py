@@ -1,4 +1,4 @@
-"""Command ``convert``: ground and image points between the formats of other programs."""
+"""Commands ``convert`` and ``camera convert``: points, models and cameras from one format into another."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import Debug, Json, Log, Overwrite, Quiet, outcome, table
-from fg_orient.cli.output import emit, flag, say, tell
-from fg_orient.model.errors import Finding, InputError, Option
+from fg_orient.cli.command import command
+from fg_orient.cli.common import Overwrite
+from fg_orient.cli.output import answer, flag, say, table, tell
+from fg_orient.model.errors import Finding, InputError
 
 if TYPE_CHECKING:
-    from fg_orient.formats.exchange.registry import Format, Settings
-    from fg_orient.formats.exchange.survey import Survey
+    pass
 
 
+@command()
 def convert(
     files: Annotated[
         list[Path] | None,
@@ -65,35 +66,38 @@ def convert(
     ] = False,
     formats: Annotated[bool, typer.Option("--formats", help="List the formats and end.")] = False,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Bring ground and image points from one format into another.
 
     What the new format cannot hold is said, one line each.
     """
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.formats.exchange.convert import Fill, filled, placed, read_survey, write_survey
-        from fg_orient.formats.exchange.registry import Settings, format_named, format_of
-        from fg_orient.formats.exchange.registry import formats as all_formats
+    from fg_orient.formats.exchange.convert import Fill, filled, placed, read_survey, write_survey
+    from fg_orient.formats.exchange.registry import Settings, format_named, format_of
+    from fg_orient.formats.exchange.registry import formats as all_formats
 
-        if formats:
-            _list(as_json)
-            return
-        if not files or not out:
-            raise InputError.of("cli.usage", place="fg-orient convert", text="Give IN, --out and the formats")
-        if sigma_axes not in ("ecef", "enu"):
-            raise InputError.of("options.value", option="sigma_axes", value=sigma_axes, expected="ecef or enu")
-        reader = format_named(source, place=Option("from")) if source else format_of(files[0], place=Option("from"))
-        writer = format_named(target, place=Option("to")) if target else format_of(out[0], place=Option("to"))
-        _require_crs(crs, "crs")
-        _require_crs(to_crs, "to_crs")
-        settings = Settings(crs, image, sigma_axes, _sizes(image_size or []))
-        if reader.read_model is not None and writer.write_model is not None:
-            _convert_model(files, reader, out[0], writer, settings, accept_unverified, overwrite, as_json)
-            return
+    if formats:
+        _list()
+        return
+    if not files or not out:
+        raise InputError.of("cli.usage", place="fg-orient convert", text="Give IN, --out and the formats")
+    if sigma_axes not in ("ecef", "enu"):
+        raise InputError.of("options.value", option="sigma_axes", value=sigma_axes, expected="ecef or enu")
+    reader = format_named(source, place="<from>") if source else format_of(files[0], place="<from>")
+    writer = format_named(target, place="<to>") if target else format_of(out[0], place="<to>")
+    _require_crs(crs, "crs")
+    _require_crs(to_crs, "to_crs")
+    settings = Settings(crs, image, sigma_axes, _sizes(image_size or []))
+    if reader.read_model is not None and writer.write_model is not None:
+        from fg_orient.formats.exchange.models import convert_model
+        from fg_orient.formats.exchange.ties import model_survey
+
+        model, lost = convert_model(
+            files, reader, out[0], writer, settings, accept_unverified=accept_unverified, overwrite=overwrite
+        )
+        survey = replace(model_survey(model), notes=model.notes)
+        written: tuple[Path, ...] = (out[0],)
+        remarks: tuple[Finding, ...] = ()
+    else:
         if writer.write is None and writer.write_model is not None:
             known = ", ".join(name for name, f in all_formats().items() if f.read_model is not None)
             raise InputError.of("interchange.needs_model", file=out[0], option="to", value=writer.name,
@@ -105,7 +109,16 @@ def convert(
         survey = placed(survey, writer, to_crs, str(out[0]))
         settings = Settings(to_crs, image, sigma_axes, settings.image_sizes)
         written, lost = write_survey(survey, out, writer, settings, overwrite=overwrite)
-        _show(survey, [reader.name, writer.name], written, remarks, lost, as_json)
+    counts = {
+        "points": len(survey.ids), "images": len(survey.images), "image_points": len(survey.observed),
+        **{str(role): survey.roles.count(role) for role in dict.fromkeys(survey.roles)},
+    }  # fmt: skip
+    record = {
+        "from": reader.name, "to": writer.name, "out": [str(path) for path in written], **counts,
+        "remarks": [p.as_dict(flag) for p in remarks], "lost": [p.as_dict(flag) for p in lost],
+        "notes": list(map(str, survey.notes)),
+    }  # fmt: skip
+    answer(record, _show, {"note": survey.notes, "remark": remarks, "lost": lost}, counts, written)
 
 
 def _require_crs(crs: str, option: str) -> None:
@@ -117,21 +130,6 @@ def _require_crs(crs: str, option: str) -> None:
             crs_kind(crs)
     except InputError as error:
         raise InputError(*(replace(problem, place="", option=option) for problem in error.problems)) from None
-
-
-def _convert_model(
-    files: list[Path], reader: Format, out: Path, writer: Format, settings: Settings, accept: bool, overwrite: bool,
-    as_json: bool,
-) -> None:  # fmt: skip
-    """Between formats that hold cameras and poses, the whole model."""
-    from fg_orient.formats.exchange.models import convert_model
-    from fg_orient.formats.exchange.ties import model_survey
-
-    model, lost = convert_model(
-        files, reader, out, writer, settings, accept_unverified=accept, overwrite=overwrite
-    )  # fmt: skip
-    survey = replace(model_survey(model), notes=model.notes)
-    _show(survey, [reader.name, writer.name], (out,), (), lost, as_json)
 
 
 def _sizes(words: list[str]) -> dict[str, tuple[int, int]]:
@@ -153,49 +151,73 @@ def _scenes(paths: list[Path]) -> list[Any]:
     return [Scene.from_footprint(path.name, read_sensor(path).footprint()) for path in paths]
 
 
-def _show(
-    survey: Survey,
-    names: list[str],
-    written: tuple[Path, ...],
-    remarks: tuple[Finding, ...],
-    lost: tuple[Finding, ...],
-    as_json: bool,
-) -> None:
-    counts = {
-        "points": len(survey.ids), "images": len(survey.images), "image_points": len(survey.observed),
-        **{str(role): survey.roles.count(role) for role in dict.fromkeys(survey.roles)},
-    }  # fmt: skip
-    if as_json:
-        emit({"from": names[0], "to": names[1], "out": [str(path) for path in written], **counts,
-              "remarks": [p.as_dict(flag) for p in remarks], "lost": [p.as_dict(flag) for p in lost],
-              "notes": list(map(str, survey.notes))})  # fmt: skip
-        return
-    for found in survey.notes:
-        tell("note", found)
-    for found in remarks:
-        tell("remark", found)
-    for found in lost:
-        tell("lost", found)
+def _show(findings: dict[str, tuple[Finding, ...]], counts: dict[str, int], written: tuple[Path, ...]) -> None:
+    for kind, own in findings.items():
+        for one in own:
+            tell(kind, one)
     say(", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items()))
     for path in written:
         say(f"written: {path}")
 
 
-def _list(as_json: bool) -> None:
+def _list() -> None:
     """List the formats with their conventions."""
     from fg_orient.formats.exchange.registry import formats
 
-    found = formats().values()
-    if as_json:
-        emit({"formats": [
-            {"name": f.name, "title": f.title, "files": f.files, "suffixes": f.suffixes, "first_pixel": f.first_pixel,
-             "pixel_axes": f.pixel_axes, "ground_axes": f.ground_axes, "verified": f.verified, "evidence": f.evidence,
-             "holds": sorted(f.holds), "reads": f.read is not None, "writes": f.write is not None}
-            for f in found
-        ]})  # fmt: skip
-        return
-    table("formats", ("name", "files", "first pixel", "verified"), [
+    record = {"formats": [
+        {"name": f.name, "title": f.title, "files": f.files, "suffixes": f.suffixes, "first_pixel": f.first_pixel,
+         "pixel_axes": f.pixel_axes, "ground_axes": f.ground_axes, "verified": f.verified, "evidence": f.evidence,
+         "holds": sorted(f.holds), "reads": f.read is not None, "writes": f.write is not None}
+        for f in formats().values()
+    ]}  # fmt: skip
+    rows = [
         [f.name, ", ".join(f.files), "-" if f.first_pixel is None else "{:g}, {:g}".format(*f.first_pixel),
          "yes" if f.verified else "no"]
-        for f in found
-    ], left=2)  # fmt: skip
+        for f in formats().values()
+    ]  # fmt: skip
+    answer(record, lambda _: table("formats", ("name", "files", "first pixel", "verified"), rows, left=2))
+
+
+camera = typer.Typer(
+    help="Camera files: from one direction of the distortion polynomial to the other.", no_args_is_help=True
+)
+
+
+@camera.callback()
+def camera_group() -> None:
+    """Camera files: from one direction of the distortion polynomial to the other."""
+
+
+@camera.command("convert")
+@command()
+def convert_camera(
+    file: Annotated[Path, typer.Argument(metavar="CAMERA.toml", help="Camera file.", show_default=False)],
+    model: Annotated[
+        str, typer.Option("--to", metavar="MODEL", help="brown_ideal_to_measured or brown_measured_to_ideal.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.toml", help="Camera file to write.")],
+    overwrite: Overwrite = False,
+) -> None:
+    """Fit the distortion polynomial of the other direction over the whole image, and say what is left.
+
+    Neither polynomial inverts the other: the largest and the rms difference in the image are part of the result.
+    """
+    from fg_orient.formats.camera import read_camera, write_camera
+    from fg_orient.sensors.interior import converted
+
+    if out.exists() and (not overwrite or out.samefile(file)):
+        raise InputError.of("output.exists", file=out, option="out")
+    interior = read_camera(file)
+    fitted = converted(interior, model)
+    write_camera(out, fitted.interior)
+    record = {
+        "camera": interior.name, "from": interior.model, "to": model, "max_px": fitted.max_px, "rms_px": fitted.rms_px,
+        "out": str(out),
+    }  # fmt: skip
+    answer(record, _show_camera)
+
+
+def _show_camera(record: dict[str, Any]) -> None:
+    say(f"{record['camera']}: {record['from']} to {record['to']}")
+    say(f"difference over the whole image: {record['max_px']:.3g} px at most, {record['rms_px']:.3g} px rms")
+    say(f"written: {record['out']}")

@@ -1,4 +1,4 @@
-"""Examines the installation: versions, traps of the environment, a self-test."""
+"""Examination of the installation: versions, traps of the environment, a self-test."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pwd
 import stat
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,9 @@ def examine() -> dict[str, Any]:
     Returns
     -------
     dict
-        ``good``; ``versions`` by name (None = missing); ``checks``: list of name, good,
-        detail; ``cache``: folder, owner, rights, files, bytes (None = no cache); ``warnings``, ``findings``.
+        ``good``; ``versions`` by name (None = missing); ``checks``: list of name, good, detail; ``cache``: ``folders``
+        with path, existence, owner and rights of each, ``files`` and ``bytes`` of all (None = no cache);
+        ``warnings``, ``findings``.
     """
     found = versions(REQUIRED)
     missing = [name for name, version in found.items() if version is None]
@@ -35,9 +36,9 @@ def examine() -> dict[str, Any]:
 
     def numba_cache() -> tuple[bool, str]:
         folders = _cache_folders()
-        cache.update(examine_cache(*folders) if folders else {})
+        cache.update(examine_cache(folders) if folders else {})
         findings.extend(cache_findings(*folders))
-        return True, _in_words(cache)
+        return True, _describe(cache)
 
     # the self-test compiles what it calls: the cache is looked at after it
     for name, check in (("PROJ", _proj), ("self-test", _self_test), ("numba cache", numba_cache)):
@@ -84,15 +85,20 @@ def _cache_folders() -> list[Path]:
     return list(dict.fromkeys(Path(cache.cache_path) for cache in opened))
 
 
-def examine_cache(folder: Path, *others: Path) -> dict[str, Any]:
-    """Place, owner and rights of a folder of compiled kernels, which need not exist yet, and the size of all."""
+def examine_cache(folders: Sequence[Path]) -> dict[str, Any]:
+    """Path, owner and rights of folders of compiled kernels, which need not exist yet, and the size of all."""
+    files = [file for folder in folders for file in _inside(folder) if file.suffix in (".nbi", ".nbc")]
+    sizes = [status.st_size for _, status in _readable(files)]
+    return {"folders": list(map(_rights, folders)), "files": len(sizes), "bytes": sum(sizes)}
+
+
+def _rights(folder: Path) -> dict[str, Any]:
+    """Owner and rights of a folder, or of the one above it that exists."""
     there = next(p for p in (folder, *folder.parents) if os.path.exists(p))  # those that may not be read: False
     status = there.stat()
-    files = [file for place in (folder, *others) for file in _inside(place) if file.suffix in (".nbi", ".nbc")]
-    sizes = [found.st_size for _, found in _readable(files)]
     return {
         "folder": str(folder), "exists": there == folder, "owner": _user(status.st_uid),
-        "rights": stat.filemode(status.st_mode)[1:], "files": len(sizes), "bytes": sum(sizes),
+        "rights": stat.filemode(status.st_mode)[1:],
     }  # fmt: skip
 
 
@@ -108,13 +114,14 @@ def _readable(paths: Iterable[Path]) -> Iterator[tuple[Path, os.stat_result]]:
             yield path, path.stat()
 
 
-def _in_words(cache: dict[str, Any]) -> str:
+def _describe(cache: dict[str, Any]) -> str:
     if not cache:
         return "none"
-    owner = f"owner {cache['owner']}, rights {cache['rights']}"
-    if not cache["exists"]:
-        return f"{cache['folder']}, not made yet; above it: {owner}"
-    return f"{cache['folder']}, {owner}, {cache['files']} files, {cache['bytes'] / 1e6:.1f} MB"
+    texts = [
+        f"{one['folder']}, {'' if one['exists'] else 'not made yet; above it: '}owner {one['owner']}, "
+        f"rights {one['rights']}" for one in cache["folders"]
+    ]  # fmt: skip
+    return "; ".join([*texts, f"{cache['files']} files, {cache['bytes'] / 1e6:.1f} MB"])
 
 
 def cache_findings(*folders: Path) -> list[Finding]:

@@ -1,31 +1,26 @@
-"""Commands ``locate``, ``project`` and ``intersect``: geometry with the metadata's or an adjusted orientation."""
+"""Commands ``locate``, ``project``, ``intersect``, ``footprint``: by metadata or adjusted orientation."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fg_orient.cli.command import command
 from fg_orient.cli.common import (
-    Debug,
+    Dem,
     Extrapolate,
-    Json,
-    Log,
     ModelOf,
     Overwrite,
-    Quiet,
     Result,
     VerticalCrs,
-    number,
-    outcome,
+    oriented,
     read_dem,
     read_image,
-    table,
-    with_result,
-    write_records,
 )
-from fg_orient.cli.output import emit, say, tell
+from fg_orient.cli.output import answer, number, say, table, tell, write_records
 from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,6 +28,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from fg_orient.model.block import Image, ImagePoints
+    from fg_orient.model.errors import Finding
     from fg_orient.sensors.surface import RasterDem
 
     Array = npt.NDArray[np.float64]
@@ -51,18 +47,21 @@ PIXEL = ("id", "line", "sample", "inside")
 ImageFile = Annotated[
     Path, typer.Argument(metavar="IMAGE", help="Metadata file of the image (DIMAP, RPC).", show_default=False)
 ]
+Height = Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")]
 Out = Annotated[Path | None, typer.Option("--out", help="Write the points into this CSV file, too.")]
+Sources = Annotated[
+    list[Path], typer.Argument(metavar="IMAGE ... | PROJECT.toml", help="Metadata files, or one project file.")
+]
 Points = Annotated[Path | None, typer.Option("--points", help="CSV file of points; columns see below.")]
 
 
+@command()
 def locate(
     image: ImageFile,
     line: Annotated[float | None, typer.Option("--line", help="Line, pixels; 0 = centre of the first.")] = None,
     sample: Annotated[float | None, typer.Option("--sample", help="Sample, pixels; 0 = centre of the first.")] = None,
-    height: Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")] = None,
-    dem: Annotated[
-        Path | None, typer.Option("--dem", help="DEM, any raster GDAL reads; ellipsoidal unless it says otherwise.")
-    ] = None,
+    height: Height = None,
+    dem: Dem = None,
     dem_vertical_crs: VerticalCrs = "",
     frame: Annotated[bool, typer.Option("--frame", help="Locate the file's own frame points and compare.")] = False,
     points: Points = None,
@@ -71,28 +70,23 @@ def locate(
     result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Image to ground: where a pixel lies, at a height or on a DEM.
 
     Points of a CSV file: columns id,line,sample and, without --height or --dem, height_m.
     """
-    with outcome(as_json, debug, quiet, log):
-        _exclude({"--line": line, "--sample": sample}, {"--points": points}, {"--frame": frame or None})
-        if height is not None and dem is not None:
-            raise InputError.of("cli.two_heights", file=image, option="height, dem")
-        from fg_orient.sensors.ground import frame_records
+    _exclude({"--line": line, "--sample": sample}, {"--points": points}, {"--frame": frame or None})
+    if height is not None and dem is not None:
+        raise InputError.of("cli.two_heights", file=image, option="height, dem")
+    from fg_orient.sensors.ground import frame_records
 
-        sensor = read_image(image, model, extrapolate_attitude, result)
-        surface = read_dem(dem, dem_vertical_crs)
-        if frame:
-            records = frame_records(sensor, height, surface)
-        else:
-            records = _located(sensor, image, points, (line, sample), height, surface)
-        _publish(sensor, records, FRAME if frame else GROUND, out, overwrite, as_json)
+    sensor = read_image(image, model, extrapolate_attitude, result)
+    surface = read_dem(dem, dem_vertical_crs)
+    if frame:
+        records = frame_records(sensor, height, surface)
+    else:
+        records = _located(sensor, image, points, (line, sample), height, surface)
+    _publish(sensor, records, FRAME if frame else GROUND, out, overwrite)
 
 
 def _exclude(*ways: dict[str, object]) -> None:
@@ -135,48 +129,42 @@ def _located(
     return ground_records(ids, lines, samples, sensor.locate(lines, samples, height_m=height_m))
 
 
+@command()
 def project(
     image: ImageFile,
     lon: Annotated[float | None, typer.Option("--lon", help="Longitude, degrees East (WGS84).")] = None,
     lat: Annotated[float | None, typer.Option("--lat", help="Latitude, degrees North (WGS84).")] = None,
-    height: Annotated[float | None, typer.Option("--height", help="Height, m above the ellipsoid.")] = None,
+    height: Height = None,
     points: Points = None,
     model: ModelOf = "auto",
     extrapolate_attitude: Extrapolate = 0.0,
     result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Ground to image: the pixel that sees a point.
 
     Points of a CSV file: columns id,lon_deg,lat_deg,height_m.
     """
-    with outcome(as_json, debug, quiet, log):
-        _exclude({"--lon": lon, "--lat": lat, "--height": height}, {"--points": points})
-        import numpy as np
+    _exclude({"--lon": lon, "--lat": lat, "--height": height}, {"--points": points})
+    import numpy as np
 
-        from fg_orient.geodesy import geodetic_to_ecef
-        from fg_orient.sensors.ground import pixel_records
+    from fg_orient.geodesy import geodetic_to_ecef
+    from fg_orient.sensors.ground import pixel_records
 
-        if points is not None:
-            ids, columns = _columns(points, ("lon_deg", "lat_deg", "height_m"))
-        elif lon is None or lat is None or height is None:
-            raise InputError.of("cli.no_ground", file=image, option="lon, lat, height")
-        else:
-            ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
-        sensor = read_image(image, model, extrapolate_attitude, result)
-        _publish(sensor, pixel_records(sensor, ids, geodetic_to_ecef(*columns)), PIXEL, out, overwrite, as_json)
+    if points is not None:
+        ids, columns = _columns(points, ("lon_deg", "lat_deg", "height_m"))
+    elif lon is None or lat is None or height is None:
+        raise InputError.of("cli.no_ground", file=image, option="lon, lat, height")
+    else:
+        ids, columns = ["1"], [np.array([value]) for value in (lon, lat, height)]
+    sensor = read_image(image, model, extrapolate_attitude, result)
+    _publish(sensor, pixel_records(sensor, ids, geodetic_to_ecef(*columns)), PIXEL, out, overwrite)
 
 
+@command()
 def intersect(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(metavar="IMAGE IMAGE ... | PROJECT.toml", help="Metadata files, or one project file."),
-    ],
+    sources: Sources,
     pixel: Annotated[
         list[str] | None, typer.Option("--pixel", metavar="LINE,SAMPLE", help="Pixel, one per image, in their order.")
     ] = None,
@@ -185,10 +173,6 @@ def intersect(
     result: Result = None,
     out: Out = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Stereo: the ground point where rays of several images meet.
 
@@ -196,33 +180,26 @@ def intersect(
     file are not used. Sigmas of a point are those that its image points give it (--pixel: 1 pixel each), the
     orientation held as free of error.
     """
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.model.block import Image
-        from fg_orient.sensors.ground import intersection_records
+    from fg_orient.sensors.ground import intersection_records
 
-        if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
-            from fg_orient.formats.project import read_project
+    if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
+        from fg_orient.formats.project import read_project
 
-            _exclude({"PROJECT.toml": sources[0]}, {"--pixel": pixel or None})
-            block = read_project(sources[0], extrapolate_attitude_s=extrapolate_attitude or None)
-            images, observations, ids = block.images, block.observations, block.points.ids
-            if result is not None:
-                images = tuple(Image(image.id, with_result(image.sensor, result, image.id)) for image in images)
-        else:
-            images, observations = _pixels_of(sources, pixel or [], model, extrapolate_attitude, result)
-            ids = ("1",)
-        records = intersection_records(images, observations, ids)
-        notes = [text for record in records if (text := _doubt(record))]
-        for text in notes:
-            tell("warning", text)
-        if out is not None:
-            write_records(out, (*GROUND, "miss_m", *SIGMAS), records, overwrite)
-        if as_json:
-            named = {"images": [image.id for image in images], "notes": notes}
-            emit({"points": records, **named, "out": None if out is None else str(out)})
-        else:
-            columns = ("id", "lon_deg", "lat_deg", "height_m", "miss_m", "sigma_up_m")
-            table("", columns, [_for_people(r, columns) for r in records])
+        _exclude({"PROJECT.toml": sources[0]}, {"--pixel": pixel or None})
+        block = read_project(sources[0], extrapolate_attitude_s=extrapolate_attitude or None)
+        images, observations, ids = oriented(block.images, result), block.observations, block.points.ids
+    else:
+        images, observations = _pixels_of(sources, pixel or [], model, extrapolate_attitude, result)
+        ids = ("1",)
+    records = intersection_records(images, observations, ids)
+    notes = [text for record in records if (text := _doubt(record))]
+    for text in notes:
+        tell("warning", text)
+    if out is not None:
+        write_records(out, (*GROUND, "miss_m", *SIGMAS), records, overwrite)
+    record = {"points": records, "images": [image.id for image in images], "notes": notes,
+              "out": None if out is None else str(out)}  # fmt: skip
+    answer(record, _show_points, records, ("id", "lon_deg", "lat_deg", "height_m", "miss_m", "sigma_up_m"), (), out)
 
 
 def _doubt(record: dict[str, Any]) -> str | None:
@@ -287,32 +264,103 @@ def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[li
 
 
 def _publish(
-    sensor: Any, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None,
-    overwrite: bool, as_json: bool,
-) -> None:  # fmt: skip
+    sensor: Any, records: list[dict[str, Any]], columns: tuple[str, ...], out: Path | None, overwrite: bool
+) -> None:
     """Write the CSV file if asked; print JSON or a table."""
     if out is not None:
         write_records(out, columns, records, overwrite)
-    if as_json:
-        where = None if out is None else str(out)
-        emit({"points": records, "image": Path(sensor.file).name, "notes": list(map(str, sensor.notes)), "out": where})
-        return
+    where = None if out is None else str(out)
+    notes = list(map(str, sensor.notes))
+    record = {"points": records, "image": Path(sensor.file).name, "notes": notes, "out": where}
     framed = sensor.metadata.frame_note if columns is FRAME else None
-    for found in (*sensor.notes, *(() if framed is None or framed in sensor.notes else [framed])):
-        tell("note", found)
+    noted = (*sensor.notes, *(() if framed is None or framed in sensor.notes else [framed]))
     shown = SHOWN_FRAME if columns is FRAME else tuple(name for name in columns if name not in ("x_m", "y_m", "z_m"))
-    table("", shown, [_for_people(record, shown) for record in records])
+    answer(record, _show_points, records, shown, noted, out)
+
+
+def _show_points(
+    records: list[dict[str, Any]], columns: tuple[str, ...], notes: tuple[Finding, ...] = (), out: Path | None = None
+) -> None:
+    """Print notes, columns of the points, and the file that holds them."""
+    for one in notes:
+        tell("note", one)
+    table("", columns, [[_cell(name, record[name]) for name in columns] for record in records])
     if out is not None:
         say(f"written: {out}")
 
 
-def _for_people(record: dict[str, Any], columns: tuple[str, ...]) -> list[str]:
-    digits = {"lon_deg": 7, "lat_deg": 7}
-    cells = []
-    for name in columns:
-        value = record[name]
-        if isinstance(value, bool):
-            cells.append("yes" if value else "no")
-        else:
-            cells.append(number(value, digits.get(name, 3)) if isinstance(value, float) else str(value))
-    return cells
+def _cell(name: str, value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    digits = 7 if name in ("lon_deg", "lat_deg") else 3
+    return number(value, digits) if isinstance(value, float) else str(value)
+
+
+@command()
+def footprint(
+    sources: Sources,
+    height: Height = None,
+    dem: Dem = None,
+    dem_vertical_crs: VerticalCrs = "",
+    result: Result = None,
+    model: ModelOf = "auto",
+    extrapolate_attitude: Extrapolate = 0.0,
+    out: Annotated[Path | None, typer.Option("--out", help="Write the footprints into this GeoJSON file.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Footprints, ground sampling distance, incidence; convergence and base to height of pairs.
+
+    On the ground at --height or on --dem.
+    """
+    from fg_orient.sensors.viewing import View, feature_collection, viewing_records
+
+    if (height is None) == (dem is None):
+        code = "cli.no_height" if height is None else "cli.two_heights"
+        raise InputError.of(code, file=sources[0], option="height, dem")
+    if out is not None and out.exists() and not overwrite:
+        raise InputError.of("output.exists", file=out, option="out")
+    surface = read_dem(dem, dem_vertical_crs)
+    images = _images(sources, model, extrapolate_attitude, result)
+    views = [View(image, height or 0.0, surface) for image in images]
+    records = viewing_records(views)
+    if out is not None:
+        from fg_orient.formats.atomic import write_text
+        from fg_orient.run.json import dumps
+
+        write_text(out, dumps(feature_collection(views, records["images"]), indent=1) + "\n")
+    notes = [replace(one, place=f"image {view.image.id}") for view in views for one in view.image.sensor.notes]
+    record = {**records, "notes": list(map(str, notes)), "out": None if out is None else str(out)}
+    answer(record, _show_footprints, records, notes, out)
+
+
+def _images(sources: list[Path], model: str, extrapolate_s: float, result: Path | None) -> tuple[Image, ...]:
+    """Images of a project, or of metadata files, numbered."""
+    if len(sources) == 1 and sources[0].suffix.lower() == ".toml":
+        from fg_orient.formats.project import read_project
+
+        return oriented(read_project(sources[0], extrapolate_attitude_s=extrapolate_s or None).images, result)
+    from fg_orient.model.block import Image
+
+    sensors = [read_image(path, model, extrapolate_s, result) for path in sources]
+    return tuple(Image(str(k), sensor) for k, sensor in enumerate(sensors, start=1))
+
+
+def _show_footprints(records: dict[str, list[dict[str, Any]]], notes: list[Finding], out: Path | None) -> None:
+    for one in notes:
+        tell("note", one)
+    columns = ("image", "GSD line", "GSD sample", "incidence", "azimuth", "height", "km2")
+    table("degrees, m, at the centres of the images", columns, [
+        [r["image"], *(number(r[key], digits) for key, digits in (
+            ("gsd_line_m", 3), ("gsd_sample_m", 3), ("incidence_deg", 2), ("azimuth_deg", 1), ("height_m", 0),
+            ("area_km2", 1)))]
+        for r in records["images"]
+    ])  # fmt: skip
+    pairs = records["pairs"]
+    if pairs:
+        table("at the middle of the common ground", ("pair", "overlap", "convergence", "B/H", "asymmetry"), [
+            [" - ".join(r["images"]), number(r["overlap"], 2), number(r["convergence_deg"], 2),
+             number(r["base_to_height"]), number(r["asymmetry_deg"], 2)]
+            for r in pairs
+        ])  # fmt: skip
+    if out is not None:
+        say(f"written: {out}")

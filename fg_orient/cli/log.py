@@ -2,8 +2,8 @@
 
 Every line holds ``time_utc``, ``run`` (the same for all lines of one command) and ``event``: ``start``, ``stage``,
 ``iteration``, ``progress``, ``warning``, ``note``, ``remark``, ``lost``, ``error``, ``end``. A line is written at once
-and whole, so that several commands may share a file and a killed one leaves what it had said. Nothing goes to
-standard output.
+and whole, so that several commands may share a file and the log of a killed one is complete up to there. Nothing goes
+to standard output.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ import secrets
 import stat
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 from fg_orient.model.errors import InputError
 
-#: What is said when the first kernel is compiled, where compiled kernels can be kept and where they cannot.
-COMPILING: Final = "compiling kernels, once per machine: about 15 s"
+#: Notes at the first kernels to be compiled, where compiled kernels can be kept and where they cannot.
+COMPILING: Final = "compiling kernels, once per machine: up to about 15 s"
 COMPILING_IN_VAIN: Final = (
-    "compiling kernels, in this run and in each one, about 15 s: no folder for compiled code can be written; "
+    "compiling kernels, in this run and in each one, up to about 15 s: no folder for compiled code can be written; "
     "set NUMBA_CACHE_DIR to a folder of yours"
 )
-#: Begin of every line, by which a log is known.
+#: First characters of every line, which identify a log.
 MARK: Final = b'{"time_utc": "'
 
 
@@ -39,7 +39,7 @@ class LogFile:
     Parameters
     ----------
     path : Path
-        A log of earlier commands, or a file that is not there yet.
+        A log of earlier commands, or a file that does not exist yet.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def _open(path: Path) -> int:
 
 @dataclass(frozen=True)
 class Session:
-    """What a command was told about its output.
+    """Output settings of the command that runs.
 
     Parameters
     ----------
@@ -100,11 +100,14 @@ class Session:
     quiet : bool
         No tables and no progress.
     log : LogFile or None
+    flags : mapping
+        Flags of the command's declared options, and of arguments of the library with other names.
     """
 
     as_json: bool = False
     quiet: bool = False
     log: LogFile | None = None
+    flags: Mapping[str, str] = field(default_factory=dict)
 
     def tell(self, event: str, **fields: object) -> None:
         """Put an event into the log, if there is one."""
@@ -121,8 +124,8 @@ def session() -> Session:
 
 
 @contextlib.contextmanager
-def opened(path: Path | None, *, as_json: bool, quiet: bool) -> Iterator[None]:
-    """Begin a session; its log says how it began and ended.
+def opened(path: Path | None, *, as_json: bool, quiet: bool, flags: Mapping[str, str] | None = None) -> Iterator[None]:
+    """Begin a session and log its start and end.
 
     Raises
     ------
@@ -130,11 +133,15 @@ def opened(path: Path | None, *, as_json: bool, quiet: bool) -> Iterator[None]:
         The log cannot be kept.
     """
     begin = time.perf_counter()
-    current = Session(as_json, quiet, None if path is None else LogFile(path))
+    current = Session(as_json, quiet, None if path is None else LogFile(path), flags or {})
     token = _SESSION.set(current)
     code: object = 0
     try:
-        _tell_start(current)
+        if current.log is not None:
+            from fg_orient.model.versions import versions
+
+            current.tell("start", command=["fg-orient", *sys.argv[1:]], folder=str(Path.cwd()), process=os.getpid(),
+                         versions=versions())  # fmt: skip
         yield
     except BaseException as error:
         code = getattr(error, "exit_code", getattr(error, "code", 1))
@@ -144,12 +151,3 @@ def opened(path: Path | None, *, as_json: bool, quiet: bool) -> Iterator[None]:
         _SESSION.reset(token)
         if current.log is not None:
             current.log.close()
-
-
-def _tell_start(current: Session) -> None:
-    if current.log is None:
-        return
-    from fg_orient.model.versions import versions
-
-    current.tell("start", command=["fg-orient", *sys.argv[1:]], folder=str(Path.cwd()), process=os.getpid(),
-                 versions=versions())  # fmt: skip

@@ -1,22 +1,40 @@
-"""What commands print: results, findings with the flags of their options, JSON."""
+"""Output of commands: JSON or words, tables, findings with the flags of their options.
+
+Tables are at most 80 columns wide; no number is broken and no column is lost. Where a terminal is too narrow for the
+numbers of a row, each row becomes a few lines, one for each column.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import csv
+import io
+import os
+import sys
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
 from fg_orient.cli.log import session
 from fg_orient.model.declaration import declared
-from fg_orient.model.errors import Finding, findings_of
+from fg_orient.model.errors import Finding, InputError, findings_of
 from fg_orient.model.options import Options, Reading
 
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
 #: Directions of a block, of which there may be dozens with one cause, and how many of them one line names.
-DIRECTIONS = ("adjust.rank_deficient", "adjust.rank_without_control")
-NAMED = 3
+DIRECTIONS: Final = ("adjust.rank_deficient", "adjust.rank_without_control")
+NAMED: Final = 3
+#: Widest table.
+WIDTH: Final = 80
+#: Longer words of text are folded in a table.
+LONGEST_WORD: Final = 24
 
 
 def printable(text: object) -> str:
@@ -25,7 +43,7 @@ def printable(text: object) -> str:
 
 
 def note(text: object) -> None:
-    """Say something beside the result: on standard error."""
+    """Print a line that is not part of the result, on standard error."""
     typer.echo(printable(text), err=True)
 
 
@@ -36,7 +54,7 @@ def say(text: object = "") -> None:
 
 
 def verdict(text: object, *, good: bool) -> None:
-    """Say how it ended; what is not good also under ``--quiet``."""
+    """Print how the command ended; a bad end also under ``--quiet``."""
     if session().quiet and not good:
         note(text)
     else:
@@ -47,7 +65,8 @@ def flag(option: str) -> str:
     """Name an option as it is written on the command line."""
     name, space, rest = option.partition(" ")
     one = declared(Options, Reading).get(name)
-    return f"{one.flag if one else '--' + name.replace('_', '-')}{space}{rest}"
+    typed = session().flags.get(name) or (one.flag if one else f"--{name.replace('_', '-')}")
+    return f"{typed}{space}{rest}"
 
 
 def tell(kind: str, found: Finding | str, *, as_result: bool = False) -> None:
@@ -65,13 +84,13 @@ def tell_findings(record: Mapping[str, Any], *, as_result: bool = False) -> None
 
 
 def fault(found: Finding) -> None:
-    """Say what is wrong with the input or the solution: on standard error."""
+    """Log and print an error of the input or the solution, on standard error."""
     session().tell("error", **found.as_dict(flag))
     typer.echo(printable(f"error: {found.text(flag)}"), err=True)
 
 
 def folded(problems: Sequence[Finding]) -> list[Finding]:
-    """Faults for people: directions with one cause and one remedy on one line, some of them named."""
+    """Join directions with one cause and one remedy to one line that names some of them."""
     groups: dict[object, list[Finding]] = {}
     for k, p in enumerate(problems):
         groups.setdefault((p.file, p.message, p.remedy) if p.code in DIRECTIONS else k, []).append(p)
@@ -79,7 +98,7 @@ def folded(problems: Sequence[Finding]) -> list[Finding]:
 
 
 def _places(group: Sequence[Finding]) -> str:
-    """Some places, what they begin with alike said once, and how many more there are."""
+    """Some places with their common beginning once, and the number of the others."""
     first = [p.place for p in group[:NAMED]]
     same = takewhile(lambda letters: len(set(letters)) == 1, zip(*first, strict=False))
     alike = "".join(letters[0] for letters in same)
@@ -100,3 +119,110 @@ def emit(record: object) -> None:
 def emit_errors(*problems: Finding) -> None:
     """Print the errors as JSON."""
     emit({"errors": [p.as_dict(flag) for p in problems]})
+
+
+def answer(record: Any, show: Callable[..., None], *shown: Any) -> None:
+    """Print a result: as JSON under ``--json``, else in words by ``show(*shown)``; ``shown`` is usually the record."""
+    if session().as_json:
+        emit(record)
+    else:
+        show(*(shown or (record,)))
+
+
+def number(value: object, digits: int = 3) -> str:
+    """Write a number for people; a dash where there is none."""
+    if not isinstance(value, (int, float)) or value != value:
+        return "-"
+    return f"{round(value, digits) + 0.0:.{digits}f}"  # no minus before a zero
+
+
+def write_records(path: Path, columns: Sequence[str], records: Sequence[dict[str, Any]], overwrite: bool) -> None:
+    """Write records as CSV, numbers to their last digit, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        The file exists and ``overwrite`` is not given, or it cannot be written.
+    """
+    from fg_orient.formats.atomic import write_text
+
+    if path.exists() and not overwrite:
+        raise InputError.of("output.exists", file=path, option="out")
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    for record in records:
+        values = [record[name] for name in columns]
+        writer.writerow(["" if v is None or v != v else str(v).lower() if isinstance(v, bool) else v for v in values])
+    write_text(path, stream.getvalue())
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, left: int = 1) -> None:
+    """Print a table; nothing under ``--quiet``.
+
+    The first ``left`` columns hold text and are aligned to the left, the others hold numbers.
+    """
+    if session().quiet:
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    cells = [[printable(cell) for cell in row] for row in rows]
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"  # not even bold
+    console = Console(file=sys.stdout, highlight=False, color_system=None if plain else "auto")
+    console.width = min(WIDTH, console.width)
+    least = [_least(name, [row[k] for row in cells], text=k < left) for k, name in enumerate(columns)]
+    around = 3 * len(columns) + 1  # a space to both sides, a divider, the edges
+    if title:
+        console.print(Text(title, style="bold"))
+    if sum(least) + around <= console.width:
+        console.print(_table(columns, cells, left, least))
+    else:
+        _print_records(console, columns, cells)
+
+
+def _least(name: str, cells: Sequence[str], *, text: bool) -> int:
+    """Least width of a column: whole numbers; of text, its words."""
+    from rich.cells import cell_len
+
+    if not text:
+        return max(map(cell_len, (name, *cells)))
+    return max((min(cell_len(word), LONGEST_WORD) for cell in (name, *cells) for word in cell.split()), default=1)
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], left: int, least: Sequence[int]) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    out = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
+    for k, (name, width) in enumerate(zip(columns, least, strict=True)):
+        text = k < left
+        out.add_column(
+            Text(name), justify="left" if text else "right", overflow="fold", no_wrap=not text, min_width=width
+        )
+    for row in rows:
+        out.add_row(*map(Text, row))
+    return out
+
+
+def _print_records(console: Console, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print each row on lines of its own: its first cell, then name and value of the others."""
+    from rich.text import Text
+
+    lines = []
+    names = max(map(len, columns[1:]), default=0)
+    for row in rows:
+        lines += [Text(""), Text(f"{columns[0]} {row[0]}".strip())]
+        for name, cell in zip(columns[1:], row[1:], strict=True):
+            begin = f"  {name:<{names}}  "
+            wrapped = textwrap.wrap(cell, max(console.width - len(begin), 1), break_long_words=False)
+            lines += [
+                Text(begin + part if not k else " " * len(begin) + part) for k, part in enumerate(wrapped or [""])
+            ]
+    for line in lines:
+        console.print(line, soft_wrap=True)
+    console.print()

@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fg_orient.cli.common import (
-    Debug,
-    Extrapolate,
-    Json,
-    Log,
-    Overwrite,
-    Quiet,
-    Result,
-    number,
-    outcome,
-    read_image,
-    table,
-)
-from fg_orient.cli.output import emit, say, tell, tell_findings, verdict
+from fg_orient.cli.command import command
+from fg_orient.cli.common import Extrapolate, Overwrite, Result, read_image
+from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
 from fg_orient.cli.progress import progress_bar
 from fg_orient.model.errors import InputError, judged
 from fg_orient.model.names import EXIT_CODE, Status
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from fg_orient.model.names import Progress
     from fg_orient.rpc.fitting import FitOptions
     from fg_orient.sensors.rpc import RpcModel
@@ -55,6 +43,7 @@ FIGURES = ("mean", "rms", "max")
 
 
 @app.command("check")
+@command()
 def check(
     file: File,
     heights: Heights = None,
@@ -70,33 +59,29 @@ def check(
     ] = None,
     order: Order = USUAL_ORDER,
     first_pixel: FirstPixel = None,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Judge an RPC: the file, denominators, its two directions, points, another model.
 
     Residuals are projected minus observed, pixels. Ends with 4 if something is wrong.
     """
-    with outcome(as_json, debug, quiet, log):
-        if heights is not None and dem is not None:
-            raise InputError.of("options.two_ways", option="heights, dem")
-        from fg_orient.rpc.check import check_rpc
-        from fg_orient.rpc.files import open_rpc
-        from fg_orient.rpc.points import read_measured
+    if heights is not None and dem is not None:
+        raise InputError.of("options.two_ways", option="heights, dem")
+    from fg_orient.rpc.check import check_rpc
+    from fg_orient.rpc.files import open_rpc
+    from fg_orient.rpc.points import read_measured
 
-        if dem is not None:
-            from fg_orient.sensors.surface import RasterDem
+    if dem is not None:
+        from fg_orient.sensors.surface import RasterDem
 
-            heights = RasterDem(dem).range_m
-        found = open_rpc(file, order=order, first_pixel=first_pixel)
-        measured = None if points is None else read_measured(points)
-        record = check_rpc(found, heights_m=heights, points=measured, against=against)
-        _end(record, as_json, _show_check)
+        heights = RasterDem(dem).range_m
+    found = open_rpc(file, order=order, first_pixel=first_pixel)
+    measured = None if points is None else read_measured(points)
+    record = check_rpc(found, heights_m=heights, points=measured, against=against)
+    _end(record, _show_check)
 
 
 @app.command("convert")
+@command()
 def convert(
     file: File,
     out: Annotated[
@@ -106,28 +91,24 @@ def convert(
     order: Order = USUAL_ORDER,
     first_pixel: FirstPixel = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Write an RPC in another format, read it back and compare.
 
     Tags go into an existing GeoTIFF, so they need --overwrite; its pixels stay.
     """
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.rpc.files import describe, open_rpc, target_of, write_as
+    from fg_orient.rpc.files import describe, open_rpc, target_of, write_as
 
-        target = target_of(to, out)
-        found = open_rpc(file, order=order, first_pixel=first_pixel)
-        record = {
-            **judged(found.model.notes), "source": describe(found),
-            "out": write_as(found.model, out, target, overwrite=overwrite),
-        }  # fmt: skip
-        _end(record, as_json, _show_convert)
+    target = target_of(to, out)
+    found = open_rpc(file, order=order, first_pixel=first_pixel)
+    record = {
+        **judged(found.model.notes), "source": describe(found),
+        "out": write_as(found.model, out, target, overwrite=overwrite),
+    }  # fmt: skip
+    _end(record, _show_convert)
 
 
 @app.command("refine")
+@command()
 def refine(
     file: File,
     points: Annotated[
@@ -150,30 +131,25 @@ def refine(
     order: Order = USUAL_ORDER,
     first_pixel: FirstPixel = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Remove the bias of an RPC with control points; check points judge, gross errors are named.
 
     The corrected RPC is exact for shift, else refitted with its error stated.
     Ends with 4 if the points do not fit the model.
     """
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.rpc.files import describe, open_rpc, require_free, target_of
-        from fg_orient.rpc.points import read_measured
-        from fg_orient.rpc.refine import refine as refined
+    from fg_orient.rpc.files import describe, open_rpc, require_free, target_of
+    from fg_orient.rpc.points import read_measured
+    from fg_orient.rpc.refine import refine as refined
 
-        target = None if out is None else target_of(to, out)
-        if out is not None:
-            require_free(out, overwrite)
-        found = open_rpc(file, order=order, first_pixel=first_pixel)
-        record = refined(found.model, read_measured(points), compensation, extrapolate=extrapolate)
-        record |= {"source": describe(found), "out": None}
-        if out is not None and target is not None:
-            record["out"] = _written_corrected(found.model, record["values_px"], out, target, overwrite)
-        _end(record, as_json, _show_refine)
+    target = None if out is None else target_of(to, out)
+    if out is not None:
+        require_free(out, overwrite)
+    found = open_rpc(file, order=order, first_pixel=first_pixel)
+    record = refined(found.model, read_measured(points), compensation, extrapolate=extrapolate)
+    record |= {"source": describe(found), "out": None}
+    if out is not None and target is not None:
+        record["out"] = _written_corrected(found.model, record["values_px"], out, target, overwrite)
+    _end(record, _show_refine)
 
 
 def _written_corrected(model: RpcModel, values: list[float], out: Path, target: str, overwrite: bool) -> dict[str, Any]:
@@ -188,6 +164,7 @@ def _written_corrected(model: RpcModel, values: list[float], out: Path, target: 
 
 
 @app.command("fit")
+@command()
 def fit(
     source: Annotated[
         Path,
@@ -238,45 +215,40 @@ def fit(
     out: Annotated[Path | None, typer.Option("--out", help="Write the RPC.")] = None,
     to: To = None,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    log: Log = None,
-    as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Fit an RPC to control points, or to a rigorous model over --heights.
 
     Errors are those of the image, pixels, at points that took no part.
     Ends with 4 if a denominator comes near zero or the points do not carry the coefficients.
     """
-    with outcome(as_json, debug, quiet, log):
-        from fg_orient.rpc.files import require_free, target_of
+    from fg_orient.rpc.files import require_free, target_of
 
-        if out is not None:
-            target_of(to, out)
-            require_free(out, overwrite)
-        of_points = {
-            "equations": equations, "selection": select, "kappa": kappa, "penalty": penalty, "solver": solver,
-            "normalise": None if normalise else False, "folds": folds,
-        }  # fmt: skip
-        given = {name: value for name, value in of_points.items() if value is not None}
-        common = {"degree": degree, "denominators": denominators, "seed": seed}
-        if source.suffix.lower() == ".csv":
-            of_sensor = {"heights": heights, "grid": grid, "result": result}
-            _refuse(source, of_sensor, "control points")
-            with progress_bar("fitting") as progress:
-                model, record = _fit_points(source, common | given, out, progress)
-        else:
-            names = {"selection": "select", "normalise": "no_normalise"}
-            _refuse(source, {names.get(name, name): value for name, value in given.items()}, "a sensor")
-            sensor = read_image(source, "auto", extrapolate_attitude, result)
-            with progress_bar("fitting"):
-                model, record = _fit_image(sensor, source, heights, grid, common)
-        record |= {"file": str(source), "out": None}
-        if out is not None:
-            from fg_orient.rpc.files import write_as
+    if out is not None:
+        target_of(to, out)
+        require_free(out, overwrite)
+    of_points = {
+        "equations": equations, "selection": select, "kappa": kappa, "penalty": penalty, "solver": solver,
+        "normalise": None if normalise else False, "folds": folds,
+    }  # fmt: skip
+    given = {name: value for name, value in of_points.items() if value is not None}
+    common = {"degree": degree, "denominators": denominators, "seed": seed}
+    if source.suffix.lower() == ".csv":
+        of_sensor = {"heights": heights, "grid": grid, "result": result}
+        _refuse(source, of_sensor, "control points")
+        with progress_bar("fitting") as progress:
+            model, record = _fit_points(source, common | given, out, progress)
+    else:
+        names = {"selection": "select", "normalise": "no_normalise"}
+        _refuse(source, {names.get(name, name): value for name, value in given.items()}, "a sensor")
+        sensor = read_image(source, "auto", extrapolate_attitude, result)
+        with progress_bar("fitting"):
+            model, record = _fit_image(sensor, source, heights, grid, common)
+    record |= {"file": str(source), "out": None}
+    if out is not None:
+        from fg_orient.rpc.files import write_as
 
-            record["out"] = write_as(model, out, target_of(to, out), overwrite=overwrite)
-        _end(record, as_json, _show_fit)
+        record["out"] = write_as(model, out, target_of(to, out), overwrite=overwrite)
+    _end(record, _show_fit)
 
 
 def _refuse(source: Path, options: Mapping[str, object], what: str) -> None:
@@ -314,16 +286,17 @@ def _fit_image(
 # --- results -------------------------------------------------------------------------------------
 
 
-def _end(record: dict[str, Any], as_json: bool, show: Any) -> None:
+def _end(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> None:
     """Print a record and end with its exit code."""
-    if as_json:
-        emit(record)
-    else:
-        tell_findings(record)
-        show(record)
-        verdict(record["status"].replace("_", " "), good=record["status"] != Status.NOT_TRUSTWORTHY)
+    answer(record, _show, record, show)
     if record["status"] == Status.NOT_TRUSTWORTHY:
         raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+
+
+def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> None:
+    tell_findings(record)
+    show(record)
+    verdict(record["status"].replace("_", " "), good=record["status"] != Status.NOT_TRUSTWORTHY)
 
 
 def _statistics(title: str, rows: list[tuple[str, Mapping[str, Any] | None]]) -> None:

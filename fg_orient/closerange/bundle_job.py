@@ -30,7 +30,7 @@ from fg_orient.closerange.resection import resect
 from fg_orient.closerange.stations import Station, read_stations, station_sigmas
 from fg_orient.formats.constraints import ConstraintEntry, read_constraints
 from fg_orient.formats.photos import read_photos
-from fg_orient.model.errors import Finding, InputError, Option, finding
+from fg_orient.model.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -90,7 +90,7 @@ def run_bundle(
     tell = stage or (lambda name, count: None)
     tell("reading", 0)
     table = read_image_points(path)
-    own, common = parameters_of(unknown, Option("unknown")), parameters_of(shared, Option("shared"))
+    own, common = parameters_of(unknown, "<unknown>"), parameters_of(shared, "<shared>")
     known, begun = _control(control, sigma_control_m), _control(start, 0.0)
     places = begun | known
     names, ids = list(dict.fromkeys(table.photos)), list(dict.fromkeys((*table.ids, *begun)))
@@ -137,7 +137,7 @@ def _own_sigmas(
     for name, (_, sigma) in known.items():
         if sigma.any():
             own = (str(path), f"control {name}")
-            yield *(("", Option("sigma_control")) if (sigma == sigma_m).all() else own), float(sigma.max())
+            yield *(("", "<sigma_control>") if (sigma == sigma_m).all() else own), float(sigma.max())
 
 
 def _stated(path: Path | None, entries: Sequence[ConstraintEntry]) -> Iterator[tuple[str, str, float]]:

@@ -21,7 +21,7 @@ from fg_orient.formats.exchange.dbat import read_centres, read_control
 from fg_orient.formats.exchange.registry import Settings, format_named
 from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
 from fg_orient.formats.frame_model import FrameModel
-from fg_orient.model.errors import InputError, Option
+from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior as FrameInterior
 
@@ -58,9 +58,9 @@ def run_import(
         A file is faulty, or the camera's distortion leads from ideal to measured coordinates.
     """
     require_free(out, overwrite=overwrite, contents=CONTENTS)
-    format_ = format_named(source, place=Option("from"))
+    format_ = format_named(source, place="<from>")
     if format_.read_model is None:
-        raise InputError.of("closerange.no_model", file=export, place=Option("from"), value=source)
+        raise InputError.of("closerange.no_model", file=export, place="<from>", value=source)
     model = format_.read_model((export,), Settings())
     ids, known = read_control(control) if control else ([], np.empty((0, 6)))
     weighted = np.isfinite(known[:, 3])

@@ -37,7 +37,7 @@ from fg_orient.closerange.surface_fit import Method, Priors, fit_surface
 from fg_orient.formats.atomic import write_text
 from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
 from fg_orient.formats.photos import read_photos
-from fg_orient.model.errors import Finding, InputError, Option, as_record, finding
+from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.versions import versions
 from fg_orient.run.json import dumps
 from fg_orient.run.provenance import sha256_of
@@ -209,7 +209,7 @@ def run_surface(
     """
     table = _begin(path, read_ground_points, out, report, overwrite)
     require_absolute(
-        path, table, sigma_m, [("", Option(f"prior {name}"), value[1]) for name, value in (priors or {}).items()]
+        path, table, sigma_m, [("", f"<prior> {name}", value[1]) for name, value in (priors or {}).items()]
     )
     weights = sigma_m if table.sigma is None else table.sigma
     with one_blas_thread():

@@ -157,7 +157,7 @@ def _blame(found: Finding, overrides: Mapping[str, object]) -> Finding:
     for name, value in overrides.items():
         place = f"{_table_of(name)}.{name}"
         if value is not None and (found.place == place or found.place.startswith(f"{place}[")):
-            found = dataclasses.replace(found, file="", place=found.place.removeprefix(f"{_table_of(name)}."))
+            found = dataclasses.replace(found, file="", option=name, place=found.place.removeprefix(place))
     return found
 
 
@@ -202,7 +202,7 @@ def _options(project: ProjectFile, file: str) -> tuple[Options, list[Finding]]:
         values["eop_set"] = eop_set_number(values["eop_set"])
     except InputError as error:
         values["eop_set"] = Options.eop_set
-        problems += [dataclasses.replace(p, file=file, place="orientation.eop_set") for p in error.problems]
+        problems += [dataclasses.replace(p, file=file, option="", place="orientation.eop_set") for p in error.problems]
     ids = [entry.id for entry in project.images]
     for k, name in enumerate(ids):
         if name in ids[:k]:

@@ -191,7 +191,7 @@ def require_allowed(record: Any) -> None:
     wrong = [one for name, one in declared(type(record)).items() if not one.allows(getattr(record, name))]
     if wrong:
         raise InputError(
-            *(finding("options.value", place=one.name, value=repr(getattr(record, one.name)), expected=one.expected)
+            *(finding("options.value", option=one.name, value=repr(getattr(record, one.name)), expected=one.expected)
               for one in wrong)
         )  # fmt: skip
 

@@ -124,21 +124,21 @@ def _filled(part: str, data: Mapping[str, Any]) -> bool:
     return not any(data[name] in ("", None, []) for name in _fields(part))
 
 
-class Option(str):
-    """Name of an option, and words behind it, where a place is asked for."""
-
-
 def finding(
     code: str, *, file: object = "", place: object = "", value: object = "", option: object = "", **data: object
 ) -> Finding:
-    """Raise the catalogue entry ``code`` with its data.
+    """Finding of the catalogue entry ``code`` with its data.
+
+    A ``place`` that begins with an option, ``"<out>"`` or ``"<compensation> shift"``, is split into option and place.
 
     Raises
     ------
     KeyError
         The code is not in the catalogue.
     """
-    option, place = (place, "") if isinstance(place, Option) else (option, place)
+    begin = _OPTION.match(str(place))
+    if begin:
+        option, place = begin[1], str(place)[begin.end() :].strip()
     text = str(value)
     seen = text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
     plain = {name: _plain(item) for name, item in data.items()}

@@ -72,7 +72,7 @@ def eop_set_number(name: int | str) -> int:
         if text in (str(number), known):
             return number
     names = ", ".join(f"{n} {entry[0]}" for n, entry in EOP_SETS.items())
-    raise InputError.of("parameters.eop_set", place="eop_set", value=name, names=names)
+    raise InputError.of("parameters.eop_set", option="eop_set", value=name, names=names)
 
 
 def with_options(block: Block, caller: str, **given: Any) -> Block:

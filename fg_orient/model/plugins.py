@@ -11,7 +11,7 @@ from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
-from fg_orient.model.errors import FgOrientError, Finding, InputError, Option, finding
+from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
 
 #: Files that were loaded, as tracebacks name them.
 _LOADED: set[str] = set()
@@ -111,4 +111,4 @@ def _line(error: BaseException, path: Path) -> str:
         if trace.tb_frame.f_code.co_filename == str(path):
             lines.append(trace.tb_lineno)
         trace = trace.tb_next
-    return f"line {lines[-1]}" if lines else Option("plugin")
+    return f"line {lines[-1]}" if lines else "<plugin>"

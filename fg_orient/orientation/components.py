@@ -77,7 +77,7 @@ def adjust_with_components(
     """
     require_method(method)
     if block.options.loss != NONE:
-        raise InputError.of("statistics.components_loss", place="loss", value=block.options.loss)
+        raise InputError.of("statistics.components_loss", option="loss", value=block.options.loss)
     groups = block.options.variance_components or USUAL_GROUPS
     require_groups(groups)
     block = replace(block, options=replace(block.options, variance_components=()))

@@ -83,7 +83,7 @@ def folds_of(block: Block, count: int = 0) -> Parts:
     control = block.points.where(Role.CONTROL)
     control = control[np.isin(control, block.observations.point)]
     if count < 0 or count == 1 or len(control) < max(count, 2):
-        raise InputError.of("statistics.folds", place="folds", value=count, control=len(control))
+        raise InputError.of("statistics.folds", option="folds", value=count, control=len(control))
     if count == 0:
         return tuple((int(j),) for j in control)
     order = np.random.default_rng(SEED).permutation(control)

@@ -127,7 +127,7 @@ def adjust(
     require_possible(block.options)
     shared = not (parts is None and workers is None and cluster is None)
     if work_dir is not None and not shared:
-        raise InputError.of("parallel.no_parts", place="work_dir", value=work_dir)
+        raise InputError.of("parallel.no_parts", option="work_dir", value=work_dir)
     execution = _execution(parts, workers or 1, cluster, work_dir) if shared else None
 
     def run(block: Block, begin: State | None) -> Solution:

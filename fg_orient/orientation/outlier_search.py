@@ -83,7 +83,7 @@ def require_possible_search(block: Block) -> None:
         A loss.
     """
     if block.options.loss != NONE:
-        raise InputError.of("statistics.snoop_loss", place="snoop", value=block.options.loss)
+        raise InputError.of("statistics.snoop_loss", option="snoop", value=block.options.loss)
 
 
 @dataclass

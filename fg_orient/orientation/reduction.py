@@ -201,9 +201,9 @@ def reduce_unknowns(
         There is no covariance or no redundancy.
     """
     if direction not in ("backward", "forward"):
-        raise InputError.of("options.value", place="direction", value=direction, expected='"backward" or "forward"')
+        raise InputError.of("options.value", option="direction", value=direction, expected='"backward" or "forward"')
     if not 0.0 < level < 1.0:
-        raise InputError.of("options.value", place="level", value=level, expected="a number above 0 and below 1")
+        raise InputError.of("options.value", option="level", value=level, expected="a number above 0 and below 1")
     run = _Runs(block, options, progress, folds)
     full = run.adjust(())
     every = tuple(dict.fromkeys(name for p in full.problem.parameters for name in p.names))

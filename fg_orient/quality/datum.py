@@ -94,7 +94,7 @@ def _coordinates(null_space: Array, select: Mask) -> Array:
         return out
     s = np.linalg.svd(part, compute_uv=False) if len(part) >= part.shape[1] else np.zeros(1)
     if not len(s) or s[-1] * FIXES <= np.linalg.norm(null_space, 2):
-        raise InputError.of("statistics.datum", place="datum", value=f"{int(select.sum())} unknowns",
+        raise InputError.of("statistics.datum", option="datum", value=f"{int(select.sum())} unknowns",
                             count=null_space.shape[1])  # fmt: skip
     out[:, select] = np.linalg.pinv(part)
     return out

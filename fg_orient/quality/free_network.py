@@ -178,10 +178,10 @@ def datum_points(problem: Problem, names: tuple[str, ...] = ()) -> Mask:
     for name in names:
         found = problem.block.find(name)
         if found is None:
-            raise InputError.of("covariance.no_such", place="datum", value=name)
+            raise InputError.of("covariance.no_such", option="datum", value=name)
         kind, k = found
         if kind != "image" and not problem.active[k]:
-            raise InputError.of("covariance.not_unknown", place="datum", value=name)
+            raise InputError.of("covariance.not_unknown", option="datum", value=name)
         out[columns.image(k) if kind == "image" else columns.point(k)] = True
     return out
 

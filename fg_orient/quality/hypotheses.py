@@ -51,14 +51,14 @@ def require_names(test: str, control: str, level: float) -> None:
     ------
     InputError
     """
-    for place, value, known in (
+    for option, value, known in (
         ("test", test, get_args(OutlierTest)),
         ("control", control, get_args(MultipleTesting)),
     ):
         if value not in known:
-            raise InputError.of("options.value", place=place, value=repr(value), expected=", ".join(known))
+            raise InputError.of("options.value", option=option, value=repr(value), expected=", ".join(known))
     if not 0.0 < level < 1.0:
-        raise InputError.of("options.value", place="level", value=level, expected="a number above 0 and below 1")
+        raise InputError.of("options.value", option="level", value=level, expected="a number above 0 and below 1")
 
 
 def can_be_tested(d: npt.ArrayLike, redundancy: float | Array, test: str) -> npt.NDArray[np.bool_]:

@@ -64,14 +64,14 @@ def require_groups(groups: tuple[str, ...]) -> None:
     wrong = [name for name in groups if name not in GROUPINGS]
     if wrong or not groups:
         raise InputError.of(
-            "statistics.groups", place="variance_components", value=", ".join(wrong) or "none",
+            "statistics.groups", option="variance_components", value=", ".join(wrong) or "none",
             known=", ".join(GROUPINGS),
         )  # fmt: skip
     image = [name for name in groups if name in IMAGE_GROUPINGS]
     control = [name for name in groups if name in ("control", "position", "height")]
     for several in (image if len(image) > 1 else [], control if "control" in control and len(control) > 1 else []):
         if several:
-            raise InputError.of("statistics.groups_overlap", place="variance_components", value=", ".join(several))
+            raise InputError.of("statistics.groups_overlap", option="variance_components", value=", ".join(several))
 
 
 def groups_of(problem: Problem, groups: tuple[str, ...] = USUAL_GROUPS) -> Groups:

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.errors import InputError, Option
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, positive
 
 Array = npt.NDArray[np.float64]
@@ -50,10 +50,10 @@ class MapGrid:
         InputError
             Bounds without area, a resolution that is not above 0, or more than a million pixels along an axis.
         """
-        if finite(Option("bounds"), bounds).shape != (4,):
+        if finite("<bounds>", bounds).shape != (4,):
             raise InputError.of("rectify.numbers", option="bounds", value=f"{len(bounds)} numbers")
         left, bottom, right, top = bounds
-        positive(Option("resolution"), resolution, "units of the map")
+        positive("<resolution>", resolution, "units of the map")
         sides = right - left, top - bottom
         if not all(math.isfinite(side) and 0.0 < side <= LARGEST * resolution for side in sides):
             raise InputError.of("ortho.grid", option="bounds, resolution", value=f"{sides[0]:g} x {sides[1]:g}",

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.formats.folder import require_free, staged_folder, writing
 from fg_orient.formats.tables import Faults, number, read_table
-from fg_orient.model.errors import InputError, Option
+from fg_orient.model.errors import InputError
 from fg_orient.model.versions import versions
 from fg_orient.rectification.arguments import positive
 from fg_orient.rectification.distances import PairDistances, pair_distances
@@ -78,9 +78,9 @@ def rectify_fit(
     InputError, NoSolutionError
         See :func:`fg_orient.rectification.points.read_map_points` and ``fit``.
     """
-    for place, value, unit in (("pixel_size", pixel_size_m, "m"), ("prune_to", prune_to, "the target's unit")):
+    for place, value, unit in (("<pixel_size>", pixel_size_m, "m"), ("<prune_to>", prune_to, "the target's unit")):
         if value is not None:
-            positive(Option(place), value, unit)
+            positive(place, value, unit)
     if out is not None:
         require_free(out, overwrite=overwrite, contents=CONTENTS)
     points = read_map_points(path, crs)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fg_orient.formats import atomic
-from fg_orient.model.errors import InputError, Option
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.grid import MapGrid
 
 #: Edge of the tiles inside a file.
@@ -30,7 +30,7 @@ def staged_file(out: Path, *, overwrite: bool) -> Iterator[Path]:
         raise InputError.of("output.exists", file=out, option="out")
     if out.is_dir() or not out.absolute().parent.is_dir():
         raise InputError.of("output.unwritable", file=out, option="out")
-    with atomic.staged_file(out, place=Option("out"), suffix=".tif") as temporary:
+    with atomic.staged_file(out, place="<out>", suffix=".tif") as temporary:
         yield temporary
 
 

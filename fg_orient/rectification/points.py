@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from fg_orient.formats.tables import Faults, Row, number, read_table
 from fg_orient.geodesy import crs_kind, from_geographic
-from fg_orient.model.errors import InputError, Option
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.fit import Fit, Observations, fit, plain_rmse
 from fg_orient.rectification.models import Model
 
@@ -166,7 +166,7 @@ def require_direction(model: Model, direction: str | None) -> Direction:
             return known
     if direction is None:
         return usual
-    raise InputError.of("rectify.direction", place=Option(f"direction with {model.name}"), value=direction)
+    raise InputError.of("rectify.direction", place=f"<direction> with {model.name}", value=direction)
 
 
 def observations(points: MapPoints, model: Model, direction: Direction) -> Observations:

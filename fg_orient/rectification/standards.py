@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.model.errors import InputError, Option
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import number, positive
 from fg_orient.rectification.fit import plain_rmse
 
@@ -170,10 +170,10 @@ def judge_rmse(
 
     Parameters and errors as in :func:`check_accuracy`; ``n_points`` only adds remarks.
     """
-    for place, value, unit in (("scale", scale, "denominator"), ("class_m", class_m, "m")):
+    for place, value, unit in (("<scale>", scale, "denominator"), ("<class_m>", class_m, "m")):
         if value is not None:
-            positive(Option(place), value, unit)
-    for place, rmse in (("RMSE", rmse_x_m), ("RMSE", rmse_y_m), (Option("check_point_rmse"), check_point_rmse_m)):
+            positive(place, value, unit)
+    for place, rmse in (("RMSE", rmse_x_m), ("RMSE", rmse_y_m), ("<check_point_rmse>", check_point_rmse_m)):
         number(place, rmse, "m", least=0.0)
     unknown = [name for name in standards if name not in NAMES[1:]]
     if unknown:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.model.distributions import f_tail
-from fg_orient.model.errors import InputError, Option
+from fg_orient.model.errors import InputError
 from fg_orient.rectification.arguments import finite, positive, whole
 from fg_orient.rectification.fit import Observations, fit, plain_rmse
 from fg_orient.rectification.models import find_model
@@ -91,7 +91,7 @@ def design_study(
             raise InputError.of("rectify.counts", option="counts", value=count, most=most)
     if seed < 0:
         raise InputError.of("rectify.seed", option="seed", value=seed)
-    whole(Option("layouts"), layouts, 1)
+    whole("<layouts>", layouts, 1)
     rng, out = np.random.default_rng(seed), list[Cell]()
     for count in counts:
         n = 1 if count == most else layouts

@@ -14,7 +14,7 @@ import numpy as np
 from fg_orient.formats.atomic import staged_file, write_text
 from fg_orient.formats.exchange.geopackage import GPKG_OPTIONS
 from fg_orient.formats.letter_case import plain_case
-from fg_orient.model.errors import InputError, Option
+from fg_orient.model.errors import InputError
 from fg_orient.report.layers import Layer, read_layers
 
 CRS: Final = "EPSG:4326"
@@ -114,7 +114,7 @@ def write_geopackage(path: Path, layers: tuple[Layer, ...], made: str) -> None:
     with plain_case():
         import pyogrio
 
-    with staged_file(path, place=Option("export"), suffix=".gpkg") as temporary, plain_case():
+    with staged_file(path, place="<export>", suffix=".gpkg") as temporary, plain_case():
         before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": f"{made[:19]}.000Z"})
         try:

@@ -20,7 +20,7 @@ from factors.cameras import rfm
 from factors.cameras.rfm_equation import COMPENSATION, COMPENSATIONS
 from factors.cameras.rfm_project import RANGE
 from fg_orient.model.distributions import f_quantile
-from fg_orient.model.errors import Finding, InputError, NoSolutionError, Option, finding
+from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.quality.hypotheses import f_statistics
 from fg_orient.quality.rejection import MOST, reject
 from fg_orient.rpc.points import MeasuredPoints
@@ -177,7 +177,7 @@ def _adjusted(
     a, l = design(model, measured, kind), misclosures(model, measured)  # noqa: E741
     n, k = a.shape
     if n < k:
-        raise InputError.of("rpc.few_control", place=Option(f"compensation {kind}"), value=n, least=k)
+        raise InputError.of("rpc.few_control", place=f"<compensation> {kind}", value=n, least=k)
     values, cofactors = np.zeros(COMPENSATION.size), np.zeros((COMPENSATION.size,) * 2)
     free = np.empty((n, 2))
     for axis in (0, 1):
@@ -204,7 +204,7 @@ def _least_squares(a: Array, l: Array, sigma: Array, kind: str) -> tuple[Array, 
     length = np.linalg.norm(rows, axis=0)
     left, size, right = np.linalg.svd(rows / length, full_matrices=False)
     if size[-1] < RANK * size[0]:
-        raise NoSolutionError.of("rpc.control_spread", place=Option(f"compensation {kind}"), value=f"{len(a)} points")
+        raise NoSolutionError.of("rpc.control_spread", place=f"<compensation> {kind}", value=f"{len(a)} points")
     inverse = right.T / size / length[:, None]
     return inverse @ (left.T @ (l / sigma)), inverse @ inverse.T, 1.0 - np.sum(left**2, axis=1)
 

@@ -161,7 +161,7 @@ def require_possible_options(block: Block, project: str | Path, given: Mapping[s
     except InputError as error:
         typed = {name for name, value in given.items() if value is not None}
         problems = [
-            p if p.place in typed else replace(p, file=str(project), place=f"adjustment.{p.place}")
+            p if p.option in typed else replace(p, file=str(project), option="", place=f"adjustment.{p.option}")
             for p in error.problems
         ]
         raise InputError(*problems) from None

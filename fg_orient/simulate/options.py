@@ -117,4 +117,4 @@ def require(holds: bool, option: str, value: object, expected: str) -> None:
         ``holds`` is false.
     """
     if not holds:
-        raise InputError.of("options.value", place=option, value=value, expected=expected)
+        raise InputError.of("options.value", option=option, value=value, expected=expected)

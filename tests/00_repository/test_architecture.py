@@ -139,7 +139,7 @@ PLANTED = [
         "fg_orient.studies.published",
     ),
     (
-        "fg_orient/cli/reproduce.py",
+        "fg_orient/cli/studies.py",
         "def f():\n    from fg_orient.studies.published.tables import load",
         "what computes may not import what was published",
         "fg_orient.studies.published.tables",

@@ -98,7 +98,7 @@ def test_python_has_every_option(name: str) -> None:
     assert getattr(with_options(BLOCK, "adjust", **{name: value}).options, name) == value
     with pytest.raises(InputError) as caught:
         fg.adjust(BLOCK, **{name: object()})
-    assert caught.value.problems[0].place == name
+    assert caught.value.problems[0].option == name
 
 
 @pytest.mark.behaviour
@@ -194,5 +194,5 @@ def test_a_further_option_is_one_edit(repository: Path, tmp_path: Path) -> None:
     assert done.stdout.splitlines() == [
         "4",
         "f, adjustment.further: the value is not allowed (found 10); give a whole number from 1 to 9",
-        "1", f"further: {refused}", f"further: {refused}", "schema name images points observations", "True", "True",
+        "1", *[f"option further: {refused}"] * 2, "schema name images points observations", "True", "True",
     ]  # fmt: skip

@@ -32,7 +32,7 @@ def test_a_wrong_option_is_refused_by_name(name: str, value: object) -> None:
     with pytest.raises(InputError) as caught:
         fg.Options(**{name: value})
     (found,) = caught.value.problems
-    assert (found.code, found.place, found.value) == ("options.value", name, repr(value))
+    assert (found.code, found.option, found.value) == ("options.value", name, repr(value))
     assert declared(Options)[name].expected in found.remedy
     with pytest.raises(InputError):
         dataclasses.replace(fg.Options(), **{name: value})
@@ -41,7 +41,7 @@ def test_a_wrong_option_is_refused_by_name(name: str, value: object) -> None:
 def test_all_wrong_options_are_named_at_once() -> None:
     with pytest.raises(InputError) as caught:
         fg.Options(eop_set=99, max_iterations=-1)
-    assert [p.place for p in caught.value.problems] == ["eop_set", "max_iterations"]
+    assert [p.option for p in caught.value.problems] == ["eop_set", "max_iterations"]
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_options_of_the_file_and_overrides(folder):
         with pytest.raises(InputError) as caught:
             read_project(folder.project, **{name: value})
         (found,) = caught.value.problems
-        assert found.file == "" and found.place.startswith(name), "the option is to blame, not the file"
+        assert found.file == "" and found.option == name, "the option is to blame, not the file"
 
 
 @pytest.mark.behaviour

@@ -333,7 +333,7 @@ def test_choices_that_do_not_go_together(twin: Block, choice: dict[str, str], co
         fg.adjust(twin, **choice)
     (found,) = caught.value.problems
     assert found.code == code
-    assert found.place in choice
+    assert found.option in choice
 
 
 @pytest.mark.behaviour
@@ -349,7 +349,7 @@ def test_too_many_unknowns_are_refused_before_a_matrix_is_made(monkeypatch: pyte
     monkeypatch.setattr("fg_orient.adjustment.dense.assemble", made)
     with pytest.raises(fg.InputError, match=f"more than {n - 1} unknowns .*graph backend") as caught:
         fg.adjust(block, backend="dense")
-    assert (caught.value.problems[0].code, caught.value.problems[0].place) == ("linear.too_large", "backend")
+    assert (caught.value.problems[0].code, caught.value.problems[0].option) == ("linear.too_large", "backend")
     monkeypatch.setattr("fg_orient.adjustment.dense.MAX_UNKNOWNS", n)
     with pytest.raises(AssertionError, match="a matrix was made"):
         fg.adjust(block, backend="dense")

@@ -132,4 +132,4 @@ def test_other_faults_pass(fault: Exception) -> None:
 def test_wrong_kinds_are_refused_in_words(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="this kind of value is not possible") as caught:
         pool.Execution(**wrong)
-    assert caught.value.problems[0].place == next(iter(wrong))
+    assert caught.value.problems[0].option == next(iter(wrong))

@@ -56,7 +56,7 @@ def test_seconds_cover_the_work(run: Any, twin: Path, monkeypatch: pytest.Monkey
     The clock counts the calls of functions in place of seconds, so that the same work is the same on each machine,
     however busy it is. The record as text is in no phase, for it holds the phases: an eighth of the calls.
     """
-    seen: dict[str, list[tuple[int, int]]] = {"load": [], "emit": [], "dumps": []}
+    seen: dict[str, list[tuple[int, int]]] = {"load": [], "answer": [], "dumps": []}
     with counted() as calls:
 
         def noting(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -68,13 +68,13 @@ def test_seconds_cover_the_work(run: Any, twin: Path, monkeypatch: pytest.Monkey
 
             return noted
 
-        for module, name in ((adjust, "load"), (adjust, "emit"), (fg_orient.run, "dumps")):
+        for module, name in ((adjust, "load"), (adjust, "answer"), (fg_orient.run, "dumps")):
             monkeypatch.setattr(module, name, noting(name, getattr(module, name)))
         monkeypatch.setattr(time, "perf_counter", lambda: float(calls.count))
         ended = run("adjust", twin, "--json")
     assert ended.code == 0, ended.stderr
     seconds = dict(ended.json["seconds"])
-    total, work = seconds.pop("total"), seen["emit"][0][0] - seen["load"][0][1]
+    total, work = seconds.pop("total"), seen["answer"][0][0] - seen["load"][0][1]
     assert {"read", "structure", "jit", "solve", "statistics", "record", "write", "report"} == set(seconds)
     assert min(seconds.values()) >= 0.0
     *before, last = (end - begin for begin, end in seen["dumps"])  # the last text holds the total

@@ -41,9 +41,8 @@ def test_doctor(run: Any, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (warning,) = ended.json["warnings"]
     assert "PROJ_LIB" in warning
     status = cache.stat()
-    assert ended.json["cache"] == {
-        "folder": str(cache), "exists": True, "owner": cache.owner(), "rights": "rwxr-xr-x", "files": 2, "bytes": 20,
-    }  # fmt: skip
+    folder = {"folder": str(cache), "exists": True, "owner": cache.owner(), "rights": "rwxr-xr-x"}
+    assert ended.json["cache"] == {"folders": [folder], "files": 2, "bytes": 20}
     assert status.st_uid == os.getuid()
     shown = " ".join(run("doctor").stdout.split())
     assert f"owner {cache.owner()}" in shown and "rights rwxr-xr-x" in shown
@@ -79,8 +78,10 @@ def test_no_cache_is_a_warning_with_a_remedy(run: Any, monkeypatch: pytest.Monke
 def test_caches_without_a_reason_to_warn(cache: Path) -> None:
     """Of the user alone; below a sticky folder, which is as good as /tmp; not made yet."""
     assert doctor.cache_findings(cache) == []
-    found = doctor.examine_cache(cache / "deep" / "er")
-    assert (found["exists"], found["files"], found["bytes"], found["rights"]) == (False, 0, 0, "rwxr-xr-x")
+    found = doctor.examine_cache([cache, cache / "deep" / "er"])
+    assert (found["files"], found["bytes"]) == (2, 20)
+    assert [folder["exists"] for folder in found["folders"]] == [True, False]
+    assert {folder["rights"] for folder in found["folders"]} == {"rwxr-xr-x"}
     assert doctor.cache_findings(cache / "deep" / "er") == []
     cache.parent.chmod(0o1777)
     assert doctor.cache_findings(cache) == []
@@ -97,8 +98,8 @@ def test_cache_that_may_not_be_read(cache: Path, monkeypatch: pytest.MonkeyPatch
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "stat", refused)
-        found, warnings = doctor.examine_cache(cache), doctor.cache_findings(cache)
-    assert (found["exists"], found["files"], warnings) == (False, 0, [])
+        found, warnings = doctor.examine_cache([cache]), doctor.cache_findings(cache)
+    assert (found["folders"][0]["exists"], found["files"], warnings) == (False, 0, [])
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.loop import IterationRecord
-from fg_orient.cli.replay import show
+from fg_orient.cli.results import show_replay as show
 from fg_orient.model.errors import finding
 from fg_orient.run import run_project
 from fg_orient.run.replay import OCCASION, Replay, changed_sources, compare_records, compare_tables

@@ -144,7 +144,7 @@ def test_global_test() -> None:
 def test_impossible_choices_are_refused(test: str, control: str, level: float, place: str) -> None:
     with pytest.raises(InputError) as error:
         hypotheses.require_names(test, control, level)
-    assert error.value.problems[0].place == place
+    assert error.value.problems[0].option == place
 
 
 @pytest.mark.oracle

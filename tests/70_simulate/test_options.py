@@ -41,4 +41,4 @@ def test_impossible_options(options: type, change: dict[str, object], name: str)
     with pytest.raises(InputError) as caught:
         options(**change)
     (problem,) = caught.value.problems
-    assert problem.code == "options.value" and problem.place == name and problem.remedy.startswith("give ")
+    assert problem.code == "options.value" and problem.option == name and problem.remedy.startswith("give ")

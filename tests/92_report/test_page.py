@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fg_orient.cli.common import number
+from fg_orient.cli.output import number
 from fg_orient.model.errors import as_record, finding
 from fg_orient.report import charts, payload, residual_plots, svg
 from fg_orient.report.data import Result, residual_summary

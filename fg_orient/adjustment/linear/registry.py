@@ -98,7 +98,7 @@ def solver(name: str) -> Solver:
     """
     known = solvers()
     if name not in known:
-        raise InputError.of("linear.solver", place="solver", value=name, known=", ".join(known))
+        raise InputError.of("linear.solver", option="solver", value=name, known=", ".join(known))
     return known[name]
 
 

@@ -129,7 +129,7 @@ def image_models(images: Sequence[Image], options: Options) -> tuple[ImageModel,
     every = {known for model in found for known in model.parameters.names}
     wrong = [unknown for unknown in options.image_unknowns if unknown not in every]
     if wrong:
-        raise InputError.of("parameters.unknown", place="image_unknowns", value=", ".join(wrong))
+        raise InputError.of("parameters.unknown", option="image_unknowns", value=", ".join(wrong))
     return tuple(found)
 
 

@@ -64,11 +64,11 @@ def divide(problem: Problem, parts: int) -> list[Index]:
     reason = reason_against(problem.block, problem.models)
     reason = "the block has own observations" if problem.block.extra else reason
     if reason:
-        raise InputError.of("adjust.schur", place="parts", value=reason)
+        raise InputError.of("adjust.schur", option="parts", value=reason)
     o = problem.observations
     seen, rays = np.unique(o.point, return_counts=True)
     if not 1 <= parts <= len(seen):
-        raise InputError.of("parallel.parts", place="parts", value=parts, points=len(seen))
+        raise InputError.of("parallel.parts", option="parts", value=parts, points=len(seen))
     order = np.lexsort((o.image, o.point))
     ends = np.cumsum(rays)
     image = o.image[order]

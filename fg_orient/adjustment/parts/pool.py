@@ -60,17 +60,17 @@ class Execution:
         _require_kind("workers", self.workers, int)
         _require_kind("work_dir", self.work_dir, str, Path, type(None))
         if not (self.cluster is None or isinstance(self.cluster, str) or hasattr(self.cluster, "submit")):
-            raise InputError.of("parallel.kind", place="cluster", value=self.cluster, expected="address or client")
+            raise InputError.of("parallel.kind", option="cluster", value=self.cluster, expected="address or client")
         if self.parts is not None and self.parts < 1:
-            raise InputError.of("parallel.number", place="parts", value=self.parts, low=1, high="the ground points")
+            raise InputError.of("parallel.number", option="parts", value=self.parts, low=1, high="the ground points")
         if not 0 <= self.workers <= MAX_WORKERS:
-            raise InputError.of("parallel.number", place="workers", value=self.workers, low=0, high=MAX_WORKERS)
+            raise InputError.of("parallel.number", option="workers", value=self.workers, low=0, high=MAX_WORKERS)
 
 
-def _require_kind(place: str, value: Any, *kinds: type) -> None:
+def _require_kind(option: str, value: Any, *kinds: type) -> None:
     if isinstance(value, bool) or not isinstance(value, kinds):
         expected = " or ".join("nothing" if kind is type(None) else kind.__name__ for kind in kinds)
-        raise InputError.of("parallel.kind", place=place, value=repr(value), expected=expected)
+        raise InputError.of("parallel.kind", option=option, value=repr(value), expected=expected)
 
 
 class Pool(Protocol):
@@ -219,16 +219,16 @@ def _failures() -> Iterator[None]:
     except FgOrientError:
         raise
     except dask.KilledWorker as error:
-        raise NoSolutionError.of("parallel.killed", place="workers", value=str(error.last_worker)) from error
+        raise NoSolutionError.of("parallel.killed", option="workers", value=str(error.last_worker)) from error
     except (dask.comm.CommClosedError, dask.CancelledError, CancelledError, TimeoutError) as error:
-        raise NoSolutionError.of("parallel.lost", place="scheduler", value=type(error).__name__) from error
+        raise NoSolutionError.of("parallel.lost", option="scheduler", value=type(error).__name__) from error
     except (OSError, RuntimeError) as error:
         # dask's own have no class of their own: no number of the system, or a pool that is closed
         timed_out = isinstance(error, OSError) and error.errno is None
         closed = type(error) is RuntimeError and "closed" in str(error)
         if not (timed_out or closed):
             raise
-        raise NoSolutionError.of("parallel.lost", place="scheduler", value=type(error).__name__) from error
+        raise NoSolutionError.of("parallel.lost", option="scheduler", value=type(error).__name__) from error
 
 
 @contextmanager
@@ -244,7 +244,7 @@ def opened(execution: Execution) -> Iterator[Pool]:
         yield InProcess()
         return
     if find_spec("distributed") is None:
-        raise InputError.of("parallel.dask", place="cluster" if execution.cluster is not None else "workers")
+        raise InputError.of("parallel.dask", option="cluster" if execution.cluster is not None else "workers")
     if execution.cluster is not None and not isinstance(execution.cluster, str):
         yield Cluster(execution.cluster)
         return
@@ -264,7 +264,7 @@ def _connected(address: str) -> Iterator[Any]:
     try:
         client = _distributed().Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        raise InputError.of("parallel.unreachable", place="scheduler", value=address) from error
+        raise InputError.of("parallel.unreachable", option="scheduler", value=address) from error
     with client:
         yield client
 

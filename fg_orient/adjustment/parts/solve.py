@@ -59,9 +59,9 @@ def solve_in_parts(
     """
     options = problem.block.options
     if options.backend not in ("auto", "schur"):
-        raise InputError.of("parallel.backend", place="parts", value=options.backend)
+        raise InputError.of("parallel.backend", option="parts", value=options.backend)
     if problem.ties is not None:
-        raise InputError.of("frame.shared_not", place="parts", value="parts", id=", ".join(problem.ties.ids))
+        raise InputError.of("frame.shared_not", option="parts", value="parts", id=", ".join(problem.ties.ids))
     judged = replace(problem, block=replace(problem.block, options=replace(options, backend="schur")))
     if execution.cluster is None and execution.workers > 1:
         rehearse(judged)

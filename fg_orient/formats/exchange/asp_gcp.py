@@ -24,7 +24,7 @@ from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, re
 from fg_orient.formats.tables import Faults, read_text
 from fg_orient.geodesy import crs_kind, enu_from_ecef
 from fg_orient.geodesy.crs import WGS84, wkt
-from fg_orient.model.errors import Finding, InputError, Option, finding
+from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
 
 Array = npt.NDArray[np.float64]
@@ -46,7 +46,7 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     crs, notes = decided_crs(stated[1] if stated else "", settings.crs, path)
     crs = crs if settings.crs else _WITH_HEIGHTS.get(crs, crs)
     if crs_kind(crs) != "geographic":
-        place = Option("crs") if settings.crs else "WKT"
+        place = "<crs>" if settings.crs else "WKT"
         raise InputError.of("interchange.geographic", file=path, place=place, value=crs)
     gathered = Gathering(faults)
     for n, cells in cells_of(path, faults, "either"):

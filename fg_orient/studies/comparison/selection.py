@@ -28,7 +28,7 @@ def eop_sets(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
         first, dash, last = str(word).partition("-")
         numbers = range(eop_set_number(first), eop_set_number(last if dash else first) + 1)
         if not numbers:
-            raise InputError.of("compare.nothing", place="eop_sets", value=word)
+            raise InputError.of("compare.nothing", option="eop_sets", value=word)
         found += numbers
     return _once(found, "eop_sets", given)
 
@@ -52,7 +52,7 @@ def solver_names(given: str | Iterable[str]) -> tuple[str, ...]:
         elif name in known:
             found.append(name)
         else:
-            raise InputError.of("linear.solver", place="solvers", value=name, known=", ".join(known))
+            raise InputError.of("linear.solver", option="solvers", value=name, known=", ".join(known))
     return _once(found, "solvers", given)
 
 
@@ -67,7 +67,7 @@ def backend_names(given: str | Iterable[str]) -> tuple[str, ...]:
     words = [w.strip() for w in (given.split(",") if isinstance(given, str) else given)]
     for word in words:
         if word not in BACKENDS:
-            raise InputError.of("adjust.backend", place="backends", value=word, known=", ".join(BACKENDS))
+            raise InputError.of("adjust.backend", option="backends", value=word, known=", ".join(BACKENDS))
     return _once([name for name in BACKENDS if name in words], "backends", given)
 
 
@@ -83,7 +83,7 @@ def types(given: str | int | Iterable[int | str]) -> tuple[int, ...]:
     texts = [str(word).strip() for word in words]
     for text in texts:
         if text not in map(str, TYPES):
-            raise InputError.of("compare.type", place="types", value=text)
+            raise InputError.of("compare.type", option="types", value=text)
     return _once([kind for kind in TYPES if str(kind) in texts], "types", given)
 
 
@@ -113,7 +113,7 @@ def target(given: float) -> float:
         Not above zero, or not finite.
     """
     if not (math.isfinite(given) and given > 0.0):
-        raise InputError.of("compare.target", place="target", value=given)
+        raise InputError.of("compare.target", option="target", value=given)
     return given
 
 

@@ -1,0 +1,221 @@
+"""Frame of every command: shared and declared options, exit codes, JSON or words."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import inspect
+import re
+import sys
+import traceback
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+
+from factors._preparation import preparing_seconds, told_of_compilation
+from fg_orient.cli.log import COMPILING, COMPILING_IN_VAIN, opened, session
+from fg_orient.cli.output import emit_errors, fault, flag, folded, note, tell
+from fg_orient.model.declaration import Names, Option, Three, declared
+from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
+
+INTERRUPTED: Final = 130
+#: Keyword argument of a command that receives the declared options that were given, by name.
+GIVEN: Final = "options"
+#: Faults of a user's own file, whose traceback --debug shows.
+PLUGINS: Final = ("plugin.failed", "sensor.own_reader")
+#: Time of compilation, in s, from which a command notes it.
+NOTED_S: Final = 0.5
+_NAMED: Final = re.compile("`([a-z_]+)`")
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no tables: errors and doubts only.")]
+Log = Annotated[
+    Path | None, typer.Option("--log", metavar="FILE", help="Add each event to this file, one JSON object a line.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error of the program itself.")]
+#: Options of every command.
+SHARED: Final = {"quiet": (Quiet, False), "log": (Log, None), "as_json": (Json, False), "debug": (Debug, False)}
+
+
+def command(
+    *records: type, only: Collection[str] = (), named: Mapping[str, str] | None = None
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator: give a command its shared options and exit codes, and the options that dataclasses declare.
+
+    Parameters
+    ----------
+    *records : type
+        Dataclasses of declared options.
+    only : collection of str
+        Names of the declared options; default: all.
+    named : mapping, optional
+        Flags of the command for names of the library's arguments that differ from them.
+    """
+    options = [one for name, one in declared(*records).items() if not only or name in only]
+    flags = {one.name: one.flag for one in options} | dict(named or {})
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(function, eval_str=True)
+
+        @functools.wraps(function)
+        def run(**values: Any) -> None:
+            quiet, log, as_json, debug = (values.pop(name) for name in SHARED)
+            if options:
+                given = {one.name: _value(one, values) for one in options}
+                values[GIVEN] = {name: value for name, value in given.items() if value is not None}
+            with outcome(as_json, debug, quiet, log, flags):
+                function(**values)
+
+        made: list[inspect.Parameter] = []
+        for name, own in signature.parameters.items():
+            made += [p for one in options for p in _parameters(one)] if name == GIVEN else [own]
+        made += [_keyword(name, kind, default) for name, (kind, default) in SHARED.items()]
+        run.__signature__ = signature.replace(parameters=made)  # type: ignore[attr-defined]
+        return run
+
+    return decorate
+
+
+@contextlib.contextmanager
+def outcome(
+    as_json: bool, debug: bool = False, quiet: bool = False, log: Path | None = None,
+    flags: Mapping[str, str] | None = None,
+) -> Iterator[None]:  # fmt: skip
+    """Turn exceptions into one line per problem and an exit code; keep the log.
+
+    Raises
+    ------
+    typer.Exit
+        With the code of the exception: 2 bad input, 3 no solution, 130 interrupted, 1 a bug.
+    """
+    with (
+        _explained(as_json, debug), opened(log, as_json=as_json, quiet=quiet, flags=flags), _explained(as_json, debug),
+        told_of_compilation(_CompilationNote()),
+    ):  # fmt: skip
+        yield
+
+
+class _CompilationNote:
+    """Note, once in a command, that kernels are being compiled; without it while that takes no time to speak of."""
+
+    def __init__(self) -> None:
+        self._begin, self._noted = preparing_seconds(), False
+
+    def __call__(self, kernel: str) -> None:
+        if self._noted or preparing_seconds() - self._begin < NOTED_S:
+            return
+        self._noted = True
+        from factors._compile import cache_folder
+
+        text = COMPILING if cache_folder() is not None else COMPILING_IN_VAIN
+        if session().as_json:
+            session().tell("note", text=text)
+        else:
+            tell("note", text)
+
+
+@contextlib.contextmanager
+def _explained(as_json: bool, debug: bool) -> Iterator[None]:
+    """Turn exceptions into one line per problem and an exit code."""
+    try:
+        yield
+    except typer.Exit:
+        raise
+    except FgOrientError as error:
+        if debug and any(p.code in PLUGINS for p in error.problems):
+            traceback.print_exc()
+        if as_json:
+            emit_errors(*error.problems)
+        for problem in folded(error.problems):
+            fault(problem)
+        raise typer.Exit(error.exit_code) from None
+    except KeyboardInterrupt as stopped:
+        texts = [one.text(flag) for one in stopped.args if isinstance(one, Finding)]
+        note("".join(texts) or str(stopped) or "interrupted: nothing was written")
+        raise typer.Exit(INTERRUPTED) from None
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output has gone
+        raise typer.Exit(1) from None
+    except Exception as error:
+        from fg_orient.model.plugins import fault_of
+
+        if debug:
+            traceback.print_exc()
+        own = fault_of(error)
+        problem = own or internal(error, debug)
+        if as_json:
+            emit_errors(problem)
+        if own:
+            fault(own)
+            raise typer.Exit(InputError.exit_code) from None
+        session().tell("error", **problem.as_dict(flag))
+        note(problem.text(flag))
+        raise typer.Exit(1) from None
+
+
+def internal(error: Exception, debug: bool) -> Finding:
+    """Describe an exception that should not have happened: a fault of the program, not of the input."""
+    hint = "" if debug else " (the same command with --debug shows where)"
+    text = " ".join(str(error).split())[:300]
+    return finding("internal", kind=type(error).__name__, text=text, hint=hint)
+
+
+# --- declared options as options of a command ------------------------------------------------------------------------
+
+
+def _parameters(option: Option) -> Iterator[inspect.Parameter]:
+    """Parameters of a command for an option; None: not given."""
+    kind: Any = option.kind if option.kind in (int, float) and not option.named else str
+    name, flag = option.name, option.flag
+    if option.kind is bool:
+        yield _parameter(option, name, bool, f"{flag}/--no-{flag[2:]}")
+    elif option.usual:
+        yield _parameter(option, _usual(option), bool, flag)
+        yield _parameter(
+            option, name, kind, f"{flag}-of", help=f"The same for these only, such as {','.join(option.usual[:2])}."
+        )
+    else:
+        yield _parameter(option, name, kind, flag)
+
+
+def _parameter(option: Option, name: str, kind: Any, flag: str, help: str = "") -> inspect.Parameter:
+    info = typer.Option(
+        flag, metavar=None if kind is bool else option.metavar, help=help or _help(option), show_default=False,
+        rich_help_panel=option.group.title,
+    )  # fmt: skip
+    return _keyword(name, Annotated[kind | None, info], None)
+
+
+def _keyword(name: str, kind: Any, default: object) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=default, annotation=kind)
+
+
+def _help(option: Option) -> str:
+    """First sentence of the help, options as flags, and the default as it is typed."""
+    own = {option.name: option.flag}
+    text = _NAMED.sub(lambda match: own.get(match[1]) or flag(match[1]), option.short_help)
+    default = ",".join(map(str, option.default)) if option.kind is Three else option.default_text
+    if option.kind is bool:
+        default = option.flag if option.default else ""
+    return f"{text[:-1]}; default: {default}." if default else text
+
+
+def _usual(option: Option) -> str:
+    """Name of the parameter that chooses the usual names of an option."""
+    return f"usual_{option.name}"
+
+
+def _value(option: Option, values: dict[str, Any]) -> Any:
+    """Take the value of an option out of the arguments of a command; None: not given."""
+    value, usual = values.pop(option.name), values.pop(_usual(option), None)
+    if value is None:
+        return option.usual if usual else None
+    if option.kind not in (Names, Three):
+        return value
+    parts = tuple(part.strip() for part in value.split(",") if part.strip())
+    try:
+        return parts if option.kind is Names else tuple(map(float, parts))
+    except ValueError:
+        return parts  # no numbers: refused with all other values

@@ -1,0 +1,185 @@
+"""Commands ``report``, ``replay`` and ``accuracy``: work on the result folder of an adjustment."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from fg_orient.cli.command import command
+from fg_orient.cli.common import Overwrite
+from fg_orient.cli.output import answer, number, say, table, tell, tell_findings, verdict
+from fg_orient.cli.progress import progress, progress_bar
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import EXIT_CODE, Status
+
+if TYPE_CHECKING:
+    from fg_orient.run.replay import Replay
+
+#: Differences shown to people; ``--json`` holds all.
+SHOWN: Final = 20
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Result folder of adjust.", show_default=False)]
+
+
+@command()
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of adjust or closerange.", show_default=False)],
+    truth: Annotated[
+        Path | None, typer.Option("--truth", metavar="TRUTHDIR", help="Folder truth of a simulation, to compare with.")
+    ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Also draw every plot as SVG and PDF, into the folder DIR/figures.")
+    ] = False,
+    figures_out: Annotated[
+        Path | None, typer.Option("--figures-out", metavar="FOLDER", help="Draw them into this folder instead.")
+    ] = None,
+    export: Annotated[
+        Path | None,
+        typer.Option("--export", metavar="FILE", help="Write points, error vectors, footprints: .gpkg or .geojson."),
+    ] = None,
+    vector_scale: Annotated[
+        float | None, typer.Option("--vector-scale", metavar="N", help="Enlarge the error vectors of --export N times.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write report.html of a result folder again; with --truth, compare with the simulated truth."""
+    from fg_orient.closerange.report import is_closerange
+    from fg_orient.closerange.report import write_report as write_closerange
+
+    closerange = is_closerange(folder)
+    if closerange and (truth or export):
+        raise InputError.of("closerange.no_layers", file=folder, option="truth, export", value=truth or export)
+    with progress_bar("writing the report"):
+        if closerange:
+            path, comparison = write_closerange(folder), None
+        else:
+            from fg_orient.report import write_report
+
+            path, comparison = write_report(folder, truth)
+    record: dict[str, Any] = {"report": str(path), "truth": comparison}
+    if figures or figures_out is not None:
+        drawing = import_module("fg_orient.closerange.figures" if closerange else "fg_orient.report.write")
+        with progress_bar("drawing the figures") as callback:
+            drawn, names = drawing.write_figures(folder, figures_out, overwrite=overwrite, progress=callback)
+        record["figures"] = {"folder": str(drawn), "files": names}
+    if export is not None:
+        from fg_orient.report.geofiles import export as write_layers
+
+        with progress_bar("writing the layers"):
+            features = write_layers(folder, export, vector_scale=vector_scale, overwrite=overwrite)
+        record["export"] = {"file": str(export), "features": features}
+    answer(record, _show_report)
+
+
+def _show_report(record: dict[str, Any]) -> None:
+    """Print the comparison with the truth and the written files."""
+    if record["truth"] is not None:
+        rows = [
+            (g["name"], g["n"], number(g["rms_normalised"]), number(g["max_normalised"]))
+            for g in record["truth"]["groups"]
+        ]
+        table("estimated minus true, in predicted standard deviations", ("what", "n", "RMS", "largest"), rows)
+    say(f"report: {record['report']}")
+    if "export" in record:
+        layers = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in record["export"]["features"].items())
+        say(f"layers: {record['export']['file']} ({layers})")
+    if "figures" in record:
+        say(f"figures: {record['figures']['folder']} ({len(record['figures']['files'])} files)")
+
+
+@command()
+def replay(
+    folder: Folder,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Result folder of the repeated run; default: DIR-replay, beside DIR.")
+    ] = None,
+    project: Annotated[
+        Path | None,
+        typer.Option("--project", metavar="PROJECT.toml", help="The project file, if it is not in the folder above."),
+    ] = None,
+    allow_changed: Annotated[
+        bool, typer.Option("--allow-changed", help="Go on although inputs have changed since, and name them.")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Repeat a run from its record, same inputs and options, and compare every value of the result.
+
+    Ends with 0 if all agree to the last bit (all but times), with 4 if any differs.
+    """
+    from fg_orient.cli.adjust import load
+
+    load()
+    from fg_orient.run.replay import replay as repeat
+
+    with progress() as watch:
+        repeated = repeat(
+            folder, out, project=project, allow_changed=allow_changed, overwrite=overwrite,
+            callback=watch.iteration, stage=watch.stage,
+        )  # fmt: skip
+    answer(repeated.as_dict(), show_replay, repeated)
+    if not repeated.equal:
+        raise typer.Exit(EXIT_CODE[Status.NOT_TRUSTWORTHY])
+
+
+def show_replay(repeated: Replay) -> None:
+    """Print changed inputs, differing values and the folder of the repeated result."""
+    for problem in repeated.inputs:
+        tell("warning", f"{problem.file}: {problem.message}")
+    for entry in repeated.versions:
+        say(f"{entry['name']}: {entry['then'] or 'missing'} then, {entry['now'] or 'missing'} now")
+    if repeated.differences:
+        rows = [
+            (d["key"], *("-" if v is None else str(v) for v in (d["then"], d["now"])))
+            for d in repeated.differences[:SHOWN]
+        ]
+        table(f"values that differ: {len(repeated.differences)} of {repeated.n_compared}", ("key", "then", "now"), rows)
+        if len(repeated.differences) > SHOWN:
+            say(f"the first {SHOWN}; --json gives all")
+    for name, same in repeated.tables.items():
+        if not same:
+            say(f"{name} differs")
+    words = f"{repeated.n_compared} values and {len(repeated.tables)} tables are the same, bit by bit"
+    verdict(words if repeated.equal else "the repeated run differs", good=repeated.equal)
+    if repeated.out is not None:
+        say(f"written: {repeated.out}")
+
+
+@command()
+def accuracy(
+    folder: Folder,
+    dem: Annotated[
+        Path,
+        typer.Option("--dem", help="Reference DEM of ellipsoidal heights, any raster GDAL reads.", show_default=False),
+    ],
+    role: Annotated[str | None, typer.Option("--role", help="Only points of this role: control, check or tie.")] = None,
+) -> None:
+    """Compare the heights of adjusted points with a DEM: bias, scatter, and the shift that explains them."""
+    from fg_orient.quality.dem_accuracy import compare_dem, rows_of_role
+    from fg_orient.report.data import read_result
+    from fg_orient.sensors.surface import RasterDem
+
+    points = read_result(folder).points
+    chosen = rows_of_role(points.words["role"], role)
+    with progress_bar("comparing"):
+        record = compare_dem(points.numbers("x_m", "y_m", "z_m")[chosen], RasterDem(dem)).as_dict()
+    answer(record, _show_accuracy)
+
+
+def _show_accuracy(record: dict[str, Any]) -> None:
+    """Print the differences of the heights and the shift."""
+    rows = [(key, str(value) if isinstance(value, int) else number(value)) for key, value in record.items()
+            if isinstance(value, (int, float))]  # fmt: skip
+    table("adjusted minus reference height", ("figure", "value"), rows)
+    shift = record["shift"]
+    if shift is not None:
+        shifts = [
+            (a, number(shift[f"{a}_m"]), number(shift[f"sigma_{a}_m"]), "yes" if a in shift["significant"] else "no")
+            for a in ("east", "north", "up")
+        ]
+        table("shift of the points against the reference, m", ("axis", "shift", "sigma", "significant"), shifts)
+        before, after = number(shift["rmse_before_m"]), number(shift["rmse_after_m"])
+        say(f"RMSE of {shift['n']} points: {before} m, without the shift {after} m")
+    tell_findings(record)

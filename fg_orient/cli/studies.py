@@ -1,0 +1,163 @@
+"""Commands ``compare`` and ``reproduce``: dense against sparse, and published against reproduced values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fg_orient.cli.command import command
+from fg_orient.cli.common import Overwrite, command_line, require_project
+from fg_orient.cli.output import answer, say, table, tell_findings
+from fg_orient.cli.progress import progress_bar
+from fg_orient.model.options import Options
+
+if TYPE_CHECKING:
+    from fg_orient.studies.reproduce.reproduction import Reproduction
+
+
+@command(Options, only=("look_polynomial",), named={"eop_set": "--eop-sets", "cluster": "--scheduler"})
+def compare(
+    project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
+    options: Mapping[str, Any],
+    eop_sets: Annotated[
+        str, typer.Option(metavar="SETS", help="EOP sets: 1-20, or numbers and names such as 5,13,PUA.")
+    ] = "1-20",
+    solvers: Annotated[
+        str, typer.Option(metavar="NAMES", help="all, published, or names of solvers: qr,cholesky_inverse.")
+    ] = "published",
+    backends: Annotated[
+        str, typer.Option(metavar="NAMES", help="Any of faithful (as published), dense, graph.")
+    ] = "faithful,dense,graph",
+    types: Annotated[
+        str, typer.Option(metavar="1,2", help="Pre-adjustments as published: 1 look angles, 2 look angles and EOPs.")
+    ] = "1,2",
+    as_run: Annotated[
+        bool, typer.Option("--as-run", help="The published procedure as the authors' program works.")
+    ] = False,
+    target: Annotated[
+        float | None, typer.Option(metavar="M", help="RMSE to reach, m; default: the distance of the pixels.")
+    ] = None,
+    workers: Annotated[int, typer.Option(metavar="N", help="Processes that share the EOP sets.")] = 0,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Scheduler of a running dask cluster, instead of processes.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the results; default: comparison, beside the project file.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Compare EOP sets, solvers and backends on a block: tables, figures and an HTML report.
+
+    With workers, sets that are done are kept beside the folder until it is written: the same command goes on with them.
+    Without matplotlib (extra "report") the tables come without figures.
+    """
+    options = {
+        "eop_sets": eop_sets, "solvers": solvers, "backends": backends, "types": types, "as_run": as_run,
+        "target_m": target, "workers": workers, "cluster": scheduler, **options,
+    }  # fmt: skip
+    require_project(project)
+    from fg_orient.studies.comparison.folder import compare_project
+
+    with progress_bar("reading the project") as callback:
+        record = compare_project(
+            project, out or project.parent / "comparison", overwrite=overwrite, options=options,
+            callback=callback, command=command_line(),
+        )  # fmt: skip
+    answer(record, _show_comparison)
+
+
+def _show_comparison(record: dict[str, Any]) -> None:
+    """Print warnings, the assessment, one line per solver and the path of the report."""
+    tell_findings(record, as_result=True)
+    say(record["verdict"]["title"])
+    for text in record["verdict"]["text"]:
+        say(f"- {text}")
+    rows = []
+    for line in record["summary"]:
+        name = f"published {line['type']}" if line["backend"] == "faithful" else line["backend"]
+        reached = f"{line['reached']}/{line['tried']}" if line["tried"] else "not tried"
+        rows.append((name, line["label"], reached, _metres(line["worst_control_m"]), _metres(line["worst_check_m"])))
+    say()
+    title = f"EOP sets at the target of {record['target_m']:.3g} m"
+    table(title, ("backend", "solver", "sets", "control m", "check m"), rows, left=2)
+    say("control, check: the worst set with a solution, worst ECEF axis")
+    say(f"report: {Path(record['out']) / 'report.html'}")
+
+
+def _metres(value: float | None) -> str:
+    """Write a length that may be wild."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.2f}" if value < 1e4 else f"{value:.0e}"
+
+
+@command()
+def reproduce(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE", help="terlemezoglu2019, topan2010, ipbuker1994, ayhan1996.", show_default=False
+        ),
+    ],
+    tables: Annotated[
+        str, typer.Option(metavar="TABLES", help="Tables and ranges: 4.3-4.9,4.28; all if not given.")
+    ] = "",
+    seeds: Annotated[int, typer.Option(metavar="N", help="Twins, with the seeds 1 to N.")] = 10,
+    as_run: Annotated[
+        bool,
+        typer.Option("--as-run", help="As the authors' program works, on a twin with radial velocity and attitude."),
+    ] = False,
+    claims: Annotated[bool, typer.Option(help="Judge the claims about the publication, too.")] = True,
+    published: Annotated[
+        Path | None, typer.Option("--published", metavar="DIR", help="Other folder of published tables (CSV).")
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE_OR_FOLDER", help="Control points of SPOT-6 (tables 4.35-4.55)."),
+    ] = None,
+    permutations: Annotated[int, typer.Option(metavar="N", help="Orders of these points, with the seeds 1 to N.")] = 50,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the results; default: reproduced-SOURCE.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Run a published study again on the synthetic twin and compare, table by table."""
+    from fg_orient.studies.reproduce.folder import reproduce_to
+
+    with progress_bar("tables") as callback:
+        found, record = reproduce_to(
+            source, out, overwrite=overwrite, callback=callback, command=command_line(), tables=tables,
+            n_seeds=seeds, as_run=as_run, claims=claims, published=published, data=data, permutations=permutations,
+        )  # fmt: skip
+    answer(record, _show_reproduction, found, Path(record["out"]))
+
+
+def _show_reproduction(found: Reproduction, out: Path) -> None:
+    """Print the assessments by table, the claims and the path of the report."""
+    from fg_orient.studies.reproduce.html import LEGEND, verdict
+
+    words = verdict(found)
+    say(words["title"])
+    say(words["text"])
+    say()
+    rows = [
+        (name, sum(found.counts(name).values()), *(found.counts(name)[kind] or "" for kind in LEGEND))
+        for name in found.titles
+    ]
+    table(
+        "cells by verdict",
+        ("table", "cells", *("not repr." if kind == "not_reproducible" else kind for kind in LEGEND)),
+        rows,
+    )
+    judged = [
+        (c.id, f"{c.passed}/{c.of}", f"{c.interval[0]:.2f}-{c.interval[1]:.2f}", "met" if c.met else "not met",
+         c.reason or c.text)
+        for c in found.claims
+    ]  # fmt: skip
+    if judged:
+        table("claims", ("id", "seeds", "95 %", "", "claim"), judged, left=5)
+    say(f"report: {out / 'report.html'}")
