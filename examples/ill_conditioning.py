@@ -16,7 +16,7 @@ import numpy as np
 
 from factors.cameras.pushbroom import RECORD
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
-from fg_orient.model.parameters import EOP_SETS
+from fg_orient.model.names import EOP_SETS
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from fg_orient.studies.conditions import Conditions
 from fg_orient.studies.study import EXACT, TWIN, Study
@@ -59,7 +59,8 @@ def step_two(studies: list[Study]) -> dict[tuple[int, str], list[float]]:
         finite = values[np.isfinite(values)]
         icp = [s.bundle(eop_set, 1, EXACT[4]).accuracy.icp_max for s in studies]
         print(
-            f"set {eop_set:2d} {EOP_SETS[eop_set][0]:5s} control points {finite.min():8.1e} to {finite.max():8.1e} m, "
+            f"set {eop_set:2d} {EOP_SETS[eop_set].name:5s} "
+            f"control points {finite.min():8.1e} to {finite.max():8.1e} m, "
             f"no solution {np.isnan(values).mean():4.0%}, check points {np.median(icp):.1f} m"
         )
     return out
@@ -132,7 +133,7 @@ def draw_wild(axes, data: dict) -> None:
             axes.semilogy(place, values, "osD^vP"[j], ms=3.5, color=COLOURS[j], label=label, alpha=0.8)
     axes.axhline(5.0, color="black", lw=0.8, ls="--")
     axes.annotate("5 m, one pixel", (0.0, 7.0), fontsize=8)
-    axes.set_xticks(range(len(SETS)), [f"{s} {EOP_SETS[s][0]}" for s in SETS])
+    axes.set_xticks(range(len(SETS)), [f"{s} {EOP_SETS[s].name}" for s in SETS])
     axes.set_xlabel("EOP set")
     axes.set_ylabel("control points, largest RMSE, m")
     axes.set_title(f"One bundle iteration, {TWIN.point_set}, one mark per seed: nothing but amplified rounding")

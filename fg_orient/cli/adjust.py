@@ -209,12 +209,12 @@ def _show_reduction(found: Reduction) -> None:
     say(f"significant: image_unknowns = [{names}]")
     closest = found.closest_set
     if closest is not None:
-        from fg_orient.model.parameters import EOP_SETS
+        from fg_orient.model.names import EOP_SETS
 
         number_, less, more = closest
         differences = [*(f"without {name}" for name in less), *(f"with {name}" for name in more)]
         say(
-            f"closest EOP set: {number_} {EOP_SETS[number_][0]}"
+            f"closest EOP set: {number_} {EOP_SETS[number_].name}"
             + (f", {', '.join(differences)}" if differences else "")
         )
     for criterion, words in (("aic", "AIC"), ("aicc", "AICc"), ("bic", "BIC"), *(

@@ -13,6 +13,7 @@ from fg_orient.cli.command import command
 from fg_orient.cli.common import Overwrite, command_line, require_project
 from fg_orient.cli.output import answer, say, table, tell_findings
 from fg_orient.cli.progress import progress_bar
+from fg_orient.model.names import ALL_SETS
 from fg_orient.model.options import Options
 
 if TYPE_CHECKING:
@@ -24,8 +25,8 @@ def compare(
     project: Annotated[Path, typer.Argument(metavar="PROJECT.toml", help="Project file.", show_default=False)],
     options: Mapping[str, Any],
     eop_sets: Annotated[
-        str, typer.Option(metavar="SETS", help="EOP sets: 1-20, or numbers and names such as 5,13,PUA.")
-    ] = "1-20",
+        str, typer.Option(metavar="SETS", help=f"EOP sets: {ALL_SETS}, or numbers and names such as 5,13,PUA.")
+    ] = ALL_SETS,
     solvers: Annotated[
         str, typer.Option(metavar="NAMES", help="all, published, or names of solvers: qr,cholesky_inverse.")
     ] = "published",

@@ -1,11 +1,12 @@
-"""Enumerations, field names and the one signature shared by all floors."""
+"""Names shared by all floors: roles, statuses, components of the exterior orientation and the EOP sets."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
+from typing import Final, NamedTuple
 
-#: Told how many steps of long work are done, of how many, and which one this was.
+#: Callback of long work: steps done, steps in all, name of this step.
 Progress = Callable[[int, int, str], None]
 
 
@@ -18,7 +19,7 @@ class Role(StrEnum):
 
 
 class Status(StrEnum):
-    """How an adjustment ended."""
+    """End of an adjustment."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = "not_converged"
@@ -32,3 +33,42 @@ EXIT_CODE: dict[Status, int] = {
     Status.RANK_DEFICIENT: 3,
     Status.NOT_TRUSTWORTHY: 4,
 }
+
+COMPONENTS: Final = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")
+POSITION, VELOCITY, ATTITUDE = (0, 1, 2), (3, 4, 5), (6, 7, 8)
+
+
+class EopSet(NamedTuple):
+    """Set of exterior orientation parameters: name, positions in ``COMPONENTS``, degrees in time of each."""
+
+    name: str
+    components: tuple[int, ...]
+    degrees: tuple[int, ...]
+
+
+#: EOP sets by number; a further set is one more row. 1 to 20: Terlemezoğlu 2019, Table 4.2 (1 to 19: Topan & Maktav
+#: 2010, Table 2). PU: position, V: velocity, A: attitude.
+EOP_SETS: Final = dict(enumerate((
+    EopSet("PU", POSITION, (0, 1, 2)),
+    EopSet("PU0", POSITION, (0,)),
+    EopSet("PU1", POSITION, (1,)),
+    EopSet("PU2", POSITION, (2,)),
+    EopSet("V", VELOCITY, (0, 1, 2)),
+    EopSet("V0", VELOCITY, (0,)),
+    EopSet("V1", VELOCITY, (1,)),
+    EopSet("V2", VELOCITY, (2,)),
+    EopSet("A", ATTITUDE, (0, 1, 2)),
+    EopSet("A0", ATTITUDE, (0,)),
+    EopSet("A1", ATTITUDE, (1,)),
+    EopSet("A2", ATTITUDE, (2,)),
+    EopSet("PUV", POSITION + VELOCITY, (0, 1, 2)),
+    EopSet("PUV0", POSITION + VELOCITY, (0,)),
+    EopSet("PUA", POSITION + ATTITUDE, (0, 1, 2)),
+    EopSet("PUA0", POSITION + ATTITUDE, (0,)),
+    EopSet("VA", VELOCITY + ATTITUDE, (0, 1, 2)),
+    EopSet("VA0", VELOCITY + ATTITUDE, (0,)),
+    EopSet("PUVA0", POSITION + VELOCITY + ATTITUDE, (0,)),
+    EopSet("PUVA", POSITION + VELOCITY + ATTITUDE, (0, 1, 2)),
+), start=1))  # fmt: skip
+#: Numbers of all EOP sets, as a range in text.
+ALL_SETS: Final = f"1-{len(EOP_SETS)}"

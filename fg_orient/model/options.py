@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from fg_orient.model.declaration import Group, Names, Three, documented, option, require_allowed
+from fg_orient.model.names import ALL_SETS, EOP_SETS
 
 CheckPoints = Literal["use", "exclude"]
 RpcCompensation = Literal["shift", "shift_drift", "affine"]
@@ -40,7 +41,9 @@ class Options:
     """Choices of one adjustment: values of the project file, replaced by those of the command line."""
 
     # fmt: off
-    eop_set: int = option(15, UNKNOWNS, "EOP set, 1-20 or a name such as PUA.", within=(1, 20), such="PUA")
+    eop_set: int = option(
+        15, UNKNOWNS, f"EOP set, {ALL_SETS} or a name such as PUA.", within=(1, len(EOP_SETS)), such="PUA"
+    )
     look_polynomial: int | None = option(
         None, UNKNOWNS, "Degree of the look-angle correction polynomial.",
         within=(0, 5), left_out="no look-angle unknowns",

@@ -1,10 +1,8 @@
-"""Named parameters of an image: EOP coefficients and look-angle polynomial, and the 20 EOP sets.
+"""Named parameters of an image: EOP coefficients and look-angle polynomial.
 
 Codes are those of ``factors.cameras.pushbroom``: ``3 component + degree`` for the 27 EOP
 coefficients, ``27 + 2 k`` and ``28 + 2 k`` for the coefficients of ``s^k`` in psi_x and
 psi_y. Unknowns are in prior sigmas, coefficients belong to tau in [-1, 1].
-
-Source of the sets: Terlemezoğlu 2019, Table 4.2 (sets 1-19: Topan & Maktav 2010, Table 2).
 """
 
 from __future__ import annotations
@@ -21,12 +19,11 @@ import numpy.typing as npt
 from fg_orient.model.block import Block, Options
 from fg_orient.model.declaration import require_declared
 from fg_orient.model.errors import InputError
+from fg_orient.model.names import ATTITUDE, COMPONENTS, EOP_SETS, POSITION, VELOCITY
 
 Array = npt.NDArray[np.float64]
 
-COMPONENTS = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")
 UNITS = ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
-POSITION, VELOCITY, ATTITUDE = (0, 1, 2), (3, 4, 5), (6, 7, 8)
 N_EOP = 27
 #: Coefficients of a look polynomial of the highest degree, 5.
 N_LOOK = 12
@@ -46,21 +43,9 @@ _TERMS: Final = (
     (re.compile(r"(?P<component>rotation|centre|principal)_(x|y|z|sample|line)(?P<degree>)"), ""),
 )
 
-_KINDS = {"PU": POSITION, "V": VELOCITY, "A": ATTITUDE}
-#: Number, name, kinds and degrees of each set; PU = position, V = velocity, A = attitude.
-EOP_SETS: dict[int, tuple[str, tuple[str, ...], tuple[int, ...]]] = {
-    1: ("PU", ("PU",), (0, 1, 2)), 2: ("PU0", ("PU",), (0,)), 3: ("PU1", ("PU",), (1,)), 4: ("PU2", ("PU",), (2,)),
-    5: ("V", ("V",), (0, 1, 2)), 6: ("V0", ("V",), (0,)), 7: ("V1", ("V",), (1,)), 8: ("V2", ("V",), (2,)),
-    9: ("A", ("A",), (0, 1, 2)), 10: ("A0", ("A",), (0,)), 11: ("A1", ("A",), (1,)), 12: ("A2", ("A",), (2,)),
-    13: ("PUV", ("PU", "V"), (0, 1, 2)), 14: ("PUV0", ("PU", "V"), (0,)),
-    15: ("PUA", ("PU", "A"), (0, 1, 2)), 16: ("PUA0", ("PU", "A"), (0,)),
-    17: ("VA", ("V", "A"), (0, 1, 2)), 18: ("VA0", ("V", "A"), (0,)),
-    19: ("PUVA0", ("PU", "V", "A"), (0,)), 20: ("PUVA", ("PU", "V", "A"), (0, 1, 2)),
-}  # fmt: skip
-
 
 def eop_set_number(name: int | str) -> int:
-    """Number 1-20 of an EOP set given by number or name.
+    """Number of an EOP set given by number or name.
 
     Raises
     ------
@@ -68,10 +53,10 @@ def eop_set_number(name: int | str) -> int:
         There is no such set.
     """
     text = str(name).strip().upper()
-    for number, (known, _, _) in EOP_SETS.items():
-        if text in (str(number), known):
+    for number, one in EOP_SETS.items():
+        if text in (str(number), one.name):
             return number
-    names = ", ".join(f"{n} {entry[0]}" for n, entry in EOP_SETS.items())
+    names = ", ".join(f"{number} {one.name}" for number, one in EOP_SETS.items())
     raise InputError.of("parameters.eop_set", option="eop_set", value=name, names=names)
 
 
@@ -98,8 +83,7 @@ def with_options(block: Block, caller: str, **given: Any) -> Block:
 
 def eop_codes(number: int) -> tuple[int, ...]:
     """Codes of the coefficients in a set, by component, then degree."""
-    _, kinds, degrees = EOP_SETS[number]
-    return tuple(3 * c + k for kind in kinds for c in _KINDS[kind] for k in degrees)
+    return tuple(3 * c + k for c in EOP_SETS[number].components for k in EOP_SETS[number].degrees)
 
 
 @dataclass(frozen=True)

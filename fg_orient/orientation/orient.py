@@ -83,7 +83,7 @@ def adjust(
     ----------
     block : Block
     eop_set : int or str, optional
-        Number 1-20 or name ("PUA").
+        Number or name ("PUA").
     priors, datum, backend, loss, snoop, variance_components : optional
         Options that are used most, see :class:`fg_orient.Options`. None keeps the block's.
     options : Options, optional

@@ -28,8 +28,8 @@ from fg_orient.adjustment.problem import Problem
 from fg_orient.model.block import Block
 from fg_orient.model.distributions import sidak
 from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
-from fg_orient.model.names import Progress
-from fg_orient.model.parameters import EOP_SETS, N_EOP, eop_codes, parameter_name
+from fg_orient.model.names import EOP_SETS, Progress
+from fg_orient.model.parameters import N_EOP, eop_codes, parameter_name
 from fg_orient.orientation.cross_validation import CrossValidation, Parts, cross_validate, folds_of
 from fg_orient.orientation.orient import adjust
 from fg_orient.orientation.solution import Solution
@@ -139,7 +139,7 @@ class Reduction:
         return {
             "direction": self.direction, "level": self.level, "unknowns": list(self.unknowns),
             "closest_eop_set": None if closest is None else {
-                "number": closest[0], "name": EOP_SETS[closest[0]][0], "only_in_set": list(closest[1]),
+                "number": closest[0], "name": EOP_SETS[closest[0]].name, "only_in_set": list(closest[1]),
                 "not_in_set": list(closest[2]),
             },
             "best": {name: self.steps.index(self.best(name)) for name in named},

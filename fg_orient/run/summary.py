@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fg_orient.model.errors import Finding, as_record, finding
-from fg_orient.model.names import Status
-from fg_orient.model.parameters import EOP_SETS
+from fg_orient.model.names import EOP_SETS, Status
 from fg_orient.quality.deficiency import DEFICIENT
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.quality.verdict import DOWN, points_on_one_ray, points_without_ray, turned_down_images
@@ -191,6 +190,6 @@ def _choices(options: Options) -> dict[str, Any]:
              "check_points", "rpc_compensation", "datum")  # fmt: skip
     return {
         **{name: getattr(options, name) for name in names},
-        "eop_set_name": EOP_SETS[options.eop_set][0],
+        "eop_set_name": EOP_SETS[options.eop_set].name,
         "image_unknowns": list(options.image_unknowns) or None,
     }

@@ -19,7 +19,8 @@ from fg_orient.formats.atomic import write_text
 from fg_orient.formats.dimap_write import write_dimap1
 from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
 from fg_orient.formats.points_write import write_observations, write_points, write_project
-from fg_orient.model.parameters import COMPONENTS, UNITS, parameter_name
+from fg_orient.model.names import COMPONENTS
+from fg_orient.model.parameters import UNITS, parameter_name
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -44,7 +44,7 @@ def step_two_only(run: TwoStage, eop_set: int, solver: str) -> StepTwoOnly:
     run : TwoStage
         The misclosures differ from rounding only with the switch ``line_exact``.
     eop_set : int
-        1-20.
+        Number of the set.
     solver : str
         Name in the registry of ``fg_orient.adjustment.linear``.
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from fg_orient.adjustment.linear import conditioning
 from fg_orient.model.cells import CellKey
-from fg_orient.model.names import Role
-from fg_orient.model.parameters import COMPONENTS, EOP_SETS, N_EOP, eop_codes
+from fg_orient.model.names import COMPONENTS, EOP_SETS, Role
+from fg_orient.model.parameters import N_EOP, eop_codes
 from fg_orient.simulate.point_sets import CHECK_COUNT
 from fg_orient.studies.study import ILL_CONDITIONED
 from fg_orient.studies.tables_twin import LEAST_SQUARES, Cells, component_label, labels
@@ -17,6 +17,8 @@ from fg_orient.studies.two_stage import TwoStage
 
 #: Points of the SPOT-6 scene (T sect. 4.3.1).
 SPOT6_POINTS = 99
+#: Sets of Terlemezoğlu (2019); further ones are not in its tables.
+PUBLISHED_SETS = tuple(number for number in EOP_SETS if number <= 20)
 COUNTED_SETS = (1, *ILL_CONDITIONED)
 
 
@@ -57,7 +59,7 @@ def _sets() -> Cells:
         CellKey("4.1", quantity="degree", parameter=component_label(c)): float(per_component - 1)
         for c in range(len(COMPONENTS))
     }
-    for number in EOP_SETS:
+    for number in PUBLISHED_SETS:
         out[CellKey("4.2", str(number), quantity="n_unknowns")] = float(len(eop_codes(number)))
         for place, name in enumerate(labels(number), start=1):
             out[CellKey("4.2", str(number), quantity="order", parameter=name)] = float(place)
@@ -71,7 +73,7 @@ def _text(run: TwoStage) -> Cells:
     values = {
         "n_points_total_spot5": n_gcp + n_icp, "h10_n_gcp": n_gcp, "h10_n_icp": n_icp,
         "n_point_distributions": len(CHECK_COUNT), "n_distributions_homogeneous": len(homogeneous),
-        "n_distributions_grouped": len(CHECK_COUNT) - len(homogeneous), "n_eop_sets": len(EOP_SETS),
+        "n_distributions_grouped": len(CHECK_COUNT) - len(homogeneous), "n_eop_sets": len(PUBLISHED_SETS),
         "n_images_spot5": len(run.block.images), "rfm_coefficients_degree3": rfm_unknowns(3),
         "cond_norm_limit": conditioning.NORM_LIMIT, "cond_spectral_limit": conditioning.SPECTRAL_LIMIT,
         "cond_hadamard_limit": conditioning.HADAMARD_LIMIT,

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.model.cells import CellKey
-from fg_orient.model.parameters import COMPONENTS, EOP_SETS, N_EOP
+from fg_orient.model.names import COMPONENTS, EOP_SETS
+from fg_orient.model.parameters import N_EOP
 from fg_orient.studies.switches import Switches
 from fg_orient.studies.tables_twin import LEAST_SQUARES, Cells, Progress, collect, rmse_cells, twin
 from fg_orient.studies.two_stage import TwoStage

@@ -193,7 +193,7 @@ class TwoStage:
         Parameters
         ----------
         eop_set : int
-            1-20.
+            Number of the set.
         eop : (M, k) array
             Its corrections per image, as :meth:`pre_adjust` gives them.
         """
@@ -213,7 +213,7 @@ class TwoStage:
         image : int
             Position in the block.
         eop_set : int
-            1-20.
+            Number of the set.
         solver : str
             Name in the registry of ``fg_orient.adjustment.linear``.
         polynomial_misclosures : bool
@@ -269,7 +269,7 @@ class TwoStage:
         Parameters
         ----------
         eop_set : int or None
-            1-20; None holds the EOPs ("B" of Topan & Maktav 2010, Table 1).
+            Number of the set; None holds the EOPs ("B" of Topan & Maktav 2010, Table 1).
         kind : 1 or 2
             1 starts from the metadata EOPs, 2 from those of step 2.
         solver : str

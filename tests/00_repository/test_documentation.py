@@ -18,12 +18,13 @@ def blocks(path: Path, language: str) -> list[str]:
     return [code for name, code in BLOCK.findall(path.read_text("utf-8")) if name == language]
 
 
-def test_eop_table_of_the_concepts_page_is_that_of_the_code(repository: Path) -> None:
-    from fg_orient.model.parameters import EOP_SETS
+def test_eop_table_of_the_concepts_page_lists_the_published_sets(repository: Path) -> None:
+    from fg_orient.model.names import EOP_SETS
+    from fg_orient.studies.tables_counts import PUBLISHED_SETS
 
     text = (repository / "docs" / "concepts.md").read_text("utf-8")
     table = {int(n): name for n, name in re.findall(r"\| (\d+) \| `(\w+)`", text)}
-    assert table == {number: entry[0] for number, entry in EOP_SETS.items()}
+    assert table == {number: EOP_SETS[number].name for number in PUBLISHED_SETS}
 
 
 def test_prior_sigmas_of_the_concepts_page_are_the_defaults(repository: Path) -> None:

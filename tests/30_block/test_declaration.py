@@ -184,15 +184,62 @@ print("further : int" in fg.Options.__doc__)
 """
 
 
+def run_edited(code: str, repository: Path, folder: Path) -> list[str]:
+    """Run code that edits a module before it is imported, and give the lines that it prints."""
+    command = [sys.executable, "-c", code, str(repository / "docs" / "options.py")]
+    path = {"PYTHONPATH": str(repository), "COLUMNS": "200"}
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=os.environ | path)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
 @pytest.mark.repository
 def test_a_further_option_is_one_edit(repository: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-c", ONE_EDIT, str(repository / "docs" / "options.py")]
-    path = {"PYTHONPATH": str(repository), "COLUMNS": "200"}
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=os.environ | path)
-    assert done.returncode == 0, done.stderr
     refused = "the value of this option is not allowed (found 0); give a whole number from 1 to 9"
-    assert done.stdout.splitlines() == [
+    assert run_edited(ONE_EDIT, repository, tmp_path) == [
         "4",
         "f, adjustment.further: the value is not allowed (found 10); give a whole number from 1 to 9",
         "1", *[f"option further: {refused}"] * 2, "schema name images points observations", "True", "True",
     ]  # fmt: skip
+
+
+#: Adds one row to the table of EOP sets, and looks for it everywhere.
+ONE_ROW = """
+import importlib.util, inspect, runpy, sys, types
+spec = importlib.util.find_spec("fg_orient.model.names")
+source = open(spec.origin, encoding="utf-8").read()
+end = "), start=1))"
+assert source.count(end) == 1
+module = types.ModuleType("fg_orient.model.names")
+sys.modules["fg_orient.model.names"] = module
+row = "    EopSet('PUV1', POSITION + VELOCITY, (0, 1)),\\n"
+exec(compile(source.replace(end, row + end), spec.origin, "exec"), module.__dict__)
+
+import fg_orient as fg
+from tests.support.command import in_process
+from fg_orient.model.parameters import chosen_codes, eop_set_number
+from fg_orient.studies.comparison.selection import eop_sets
+from fg_orient.studies.tables_counts import PUBLISHED_SETS
+print(chosen_codes(fg.Options(eop_set=21)) == tuple(3 * c + k for c in range(6) for k in (0, 1)))
+default = inspect.signature(fg.compare).parameters["eop_sets"].default
+print(eop_set_number("puv1"), eop_sets("20-PUV1"), eop_sets(default)[-1])
+for wrong in (lambda: fg.Options(eop_set=22), lambda: eop_set_number("PUV9")):
+    try:
+        wrong()
+    except fg.InputError as error:
+        print(error)
+for command in ("adjust", "compare"):
+    print(" ".join(in_process(command, "--help").stdout.split()).count("1-21"))
+print(runpy.run_path(sys.argv[1])["page"](fg.Options).count("EOP set, 1-21 or a name"))
+print(len(PUBLISHED_SETS))
+"""
+
+
+@pytest.mark.repository
+def test_a_further_eop_set_is_one_row(repository: Path, tmp_path: Path) -> None:
+    """Options, names, both commands, the comparison and the reference page have it; the published tables do not."""
+    lines = run_edited(ONE_ROW, repository, tmp_path)
+    assert lines[:2] == ["True", "21 (20, 21) 21"]
+    assert "give a whole number from 1 to 21" in lines[2]
+    assert lines[3].endswith("20 PUVA, 21 PUV1")
+    assert lines[4:] == ["1", "2", "1", "20"]

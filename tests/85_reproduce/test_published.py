@@ -12,8 +12,8 @@ import pytest
 
 from fg_orient.model.cells import CellKey
 from fg_orient.model.errors import InputError
-from fg_orient.model.parameters import EOP_SETS
 from fg_orient.studies.published.tables import PublishedTables, load
+from fg_orient.studies.tables_counts import PUBLISHED_SETS
 
 Printed = dict[str, PublishedTables]
 CONDITIONS = "table-4-03-to-09-ls-conditions-spot5.csv"
@@ -27,7 +27,7 @@ def test_every_table_is_complete(printed: Printed) -> None:
               "4.25-4.27": (25, 27, 252), "4.28-4.34": (28, 34, 504)}  # fmt: skip
     for first, last, cells in series.values():
         assert sum(count[f"4.{k}"] for k in range(first, last + 1)) == cells
-    assert (count["4.1"], count["4.2"], count["s4.2.2"]) == (9, len(EOP_SETS) + 162, 8)
+    assert (count["4.1"], count["4.2"], count["s4.2.2"]) == (9, len(PUBLISHED_SETS) + 162, 8)
     assert sum(count[f"eq4.{k}"] for k in range(1, 7)) == 22
     topan = Counter(cell.key.table for cell in printed["topan2010"].cells)
     assert (topan["1"], topan["2"]) == (63, 399)

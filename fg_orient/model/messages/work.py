@@ -8,7 +8,7 @@ from fg_orient.model.messages.entry import words
 
 WORDS: Final = words("""
 parameters.eop_set: no such EOP set
-    -> give a number from 1 to 20 or a name: {names}
+    -> give a number or a name: {names}
 parameters.unknowns: none of these unknowns is one of this image, which would have nothing to adjust
     -> choose one of {known}
 parameters.unknown: no image of the block has such an unknown

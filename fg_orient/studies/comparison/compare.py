@@ -20,8 +20,7 @@ from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.parts.study import study
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
-from fg_orient.model.names import Progress, Role
-from fg_orient.model.parameters import EOP_SETS
+from fg_orient.model.names import ALL_SETS, EOP_SETS, Progress, Role
 from fg_orient.studies.comparison import selection
 from fg_orient.studies.comparison.engines import Adjustments, Published
 from fg_orient.studies.comparison.model import (
@@ -39,7 +38,7 @@ from fg_orient.studies.comparison.model import (
 def compare(
     block: Block,
     *,
-    eop_sets: str | int | Iterable[int | str] = range(1, 21),
+    eop_sets: str | int | Iterable[int | str] = ALL_SETS,
     solvers: str | Iterable[str] = "all",
     backends: str | Iterable[str] = BACKENDS,
     types: str | int | Iterable[int | str] = TYPES,
@@ -138,7 +137,7 @@ def _shared(
 
     def tell(done: int, of: int, number: int) -> None:
         if callback:
-            callback(done * plan.per_set, of * plan.per_set, f"set {number} {EOP_SETS[number][0]}")
+            callback(done * plan.per_set, of * plan.per_set, f"set {number} {EOP_SETS[number].name}")
 
     found = study(
         partial(_one_set, block, plan), list(numbers), workers=workers, cluster=cluster, folder=folder,
@@ -221,7 +220,7 @@ class _Run:
         self.rows.append(replace(row, reached=reached(row, self._target)))
         if self._callback:
             kind = f" type {row.type}" if row.type else ""
-            what = f"set {row.eop_set} {EOP_SETS[row.eop_set][0]}, {row.backend}{kind}, {row.solver}"
+            what = f"set {row.eop_set} {EOP_SETS[row.eop_set].name}, {row.backend}{kind}, {row.solver}"
             self._callback(len(self.rows), self._total, what)
 
 

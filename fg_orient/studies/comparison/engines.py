@@ -18,8 +18,8 @@ from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.model.block import Block
 from fg_orient.model.errors import FgOrientError, finding
-from fg_orient.model.names import Status
-from fg_orient.model.parameters import EOP_SETS, eop_codes
+from fg_orient.model.names import EOP_SETS, Status
+from fg_orient.model.parameters import eop_codes
 from fg_orient.orientation.orient import adjust
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.accuracy import PointDifferences
@@ -37,7 +37,7 @@ CRAMER_LIMIT = 120
 
 def row(eop_set: int, solver: str, backend: str, kind: int | None = None, **values: Any) -> Row:
     """Make a row."""
-    return Row(eop_set, EOP_SETS[eop_set][0], solver, backend, kind, **values)
+    return Row(eop_set, EOP_SETS[eop_set].name, solver, backend, kind, **values)
 
 
 def one_line(error: FgOrientError) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fg_orient.adjustment.linear.registry import solver
-from fg_orient.model.parameters import EOP_SETS
+from fg_orient.model.names import EOP_SETS
 from fg_orient.report.style import (
     BLUE,
     GREEN,
@@ -190,7 +190,7 @@ def _spectra(comparison: Comparison) -> Figure | None:
     panels = figure.subplots(lines, columns, sharex=False, sharey=True, squeeze=False).ravel()
     for panel, number in zip(panels, sets, strict=False):
         silent = sum(d.held_by == "nothing" for d in comparison.directions if d.eop_set == number)
-        panel.set_title(f"{number} {EOP_SETS[number][0]}" + (f": {silent} silent" if silent else ""))
+        panel.set_title(f"{number} {EOP_SETS[number].name}" + (f": {silent} silent" if silent else ""))
         for key in wanted:
             label, colour, _, line = _SYSTEMS[key]
             for s in comparison.spectra:
@@ -220,7 +220,7 @@ def _l_curves(comparison: Comparison) -> Figure | None:
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
     curves = {found.eop_set: found.curve for found in comparison.curves if found.type == kinds[0]}
     for panel, number in zip(panels, sets, strict=False):
-        panel.set_title(f"{number} {EOP_SETS[number][0]}")
+        panel.set_title(f"{number} {EOP_SETS[number].name}")
         panel.set_xscale("log")
         panel.set_yscale("log")
         if number in curves:
