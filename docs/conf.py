@@ -63,6 +63,7 @@ _INTERNAL = """
     fg_orient/rectification/remarks.py fg_orient/rectification/study.py fg_orient/rectification/synthetic.py
     fg_orient/rectification/adjusted.py fg_orient/rectification/grid.py fg_orient/rectification/lattice.py
     fg_orient/rectification/ortho*.py fg_orient/rectification/output.py fg_orient/report/*.py fg_orient/run
+    fg_orient/result/s*.py fg_orient/result/tables.py fg_orient/result/provenance.py
     fg_orient/simulate/* fg_orient/studies/claims*.py fg_orient/studies/comparison/* fg_orient/studies/published
     fg_orient/studies/reproduce fg_orient/studies/rfm_twin.py fg_orient/studies/study.py
     fg_orient/studies/switch_effects.py fg_orient/studies/tables_*.py

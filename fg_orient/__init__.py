@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from fg_orient.model.names import Role, Status
     from fg_orient.orientation.orient import adjust
     from fg_orient.orientation.solution import Solution
+    from fg_orient.result.record import Result, read_result
     from fg_orient.sensors.initial import intersect
     from fg_orient.studies.comparison.compare import compare
 
@@ -70,6 +71,7 @@ _HOME: Final[dict[str, str]] = {
     "NoSolutionError": "fg_orient.model.errors",
     "Options": "fg_orient.model.block",
     "RankDeficientError": "fg_orient.model.errors",
+    "Result": "fg_orient.result.record",
     "Role": "fg_orient.model.names",
     "Solution": "fg_orient.orientation.solution",
     "Status": "fg_orient.model.names",
@@ -78,6 +80,7 @@ _HOME: Final[dict[str, str]] = {
     "fit_curve": "fg_orient.adjustment.regression",
     "intersect": "fg_orient.sensors.initial",
     "read_project": "fg_orient.formats.project",
+    "read_result": "fg_orient.result.record",
     "read_sensor": "fg_orient.formats.sensor",
     "register_model": "fg_orient.adjustment.models.contract",
     "register_reader": "fg_orient.formats.sensor",
@@ -96,6 +99,7 @@ __all__ = [
     "NoSolutionError",
     "Options",
     "RankDeficientError",
+    "Result",
     "Role",
     "Solution",
     "Status",
@@ -105,6 +109,7 @@ __all__ = [
     "fit_curve",
     "intersect",
     "read_project",
+    "read_result",
     "read_sensor",
     "register_model",
     "register_reader",

@@ -325,7 +325,7 @@ def footprint(
     records = viewing_records(views)
     if out is not None:
         from fg_orient.formats.atomic import write_text
-        from fg_orient.run.json import dumps
+        from fg_orient.result.plain import dumps
 
         write_text(out, dumps(feature_collection(views, records["images"]), indent=1) + "\n")
     notes = [replace(one, place=f"image {view.image.id}") for view in views for one in view.image.sensor.notes]

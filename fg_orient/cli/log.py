@@ -56,7 +56,7 @@ class LogFile:
 
     def write(self, event: str, **fields: object) -> None:
         """Add a line; a log that can no longer be written does not stop the work."""
-        from fg_orient.run.json import dumps
+        from fg_orient.result.plain import dumps
 
         if self._descriptor is None:
             return

@@ -109,7 +109,7 @@ def _places(group: Sequence[Finding]) -> str:
 
 def emit(record: object) -> None:
     """Print one JSON object, nan as null."""
-    from fg_orient.run.json import dumps
+    from fg_orient.result.plain import dumps
 
     for found in findings_of(record) if isinstance(record, dict) else ():
         session().tell("warning", text=found.text(flag))

@@ -158,7 +158,7 @@ def accuracy(
 ) -> None:
     """Compare the heights of adjusted points with a DEM: bias, scatter, and the shift that explains them."""
     from fg_orient.quality.dem_accuracy import compare_dem, rows_of_role
-    from fg_orient.report.data import read_result
+    from fg_orient.result.record import read_result
     from fg_orient.sensors.surface import RasterDem
 
     points = read_result(folder).points

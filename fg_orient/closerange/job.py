@@ -39,8 +39,8 @@ from fg_orient.formats.folder import Contents, require_free, staged_folder, writ
 from fg_orient.formats.photos import read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.versions import versions
-from fg_orient.run.json import dumps
-from fg_orient.run.provenance import sha256_of
+from fg_orient.result.plain import dumps
+from fg_orient.result.provenance import sha256_of
 
 Array = npt.NDArray[np.float64]
 Record = dict[str, Any]

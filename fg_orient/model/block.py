@@ -237,7 +237,7 @@ class Source:
     sha256: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Block:
     """Everything an adjustment starts from.
 
@@ -270,6 +270,10 @@ class Block:
     sources: tuple[Source, ...] = ()
     notes: tuple[Finding, ...] = ()
     extra: tuple[ExtraObservation, ...] = ()
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.images)} images, {len(self.points.ids)} points, {len(self.observations)} image points"
+        return f"<Block {self.name[:60]}: {counts}>"
 
     @property
     def georeferenced(self) -> bool:

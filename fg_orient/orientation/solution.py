@@ -6,8 +6,9 @@ multiplies with the a posteriori variance factor ``sigma0^2``, for reports.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,10 +32,12 @@ from fg_orient.quality.significance import LEVEL as SIGNIFICANCE_LEVEL
 from fg_orient.quality.significance import Significance, significance
 from fg_orient.quality.suspects import Kind
 from fg_orient.quality.variance_components import Method, VarianceComponents, variance_components
+from fg_orient.result.record import Result, html_table, one_line, overview
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
+
+    import pandas
 
     from fg_orient.quality.dem_accuracy import DemComparison
     from fg_orient.quality.free_network import FreeNetwork
@@ -62,7 +65,7 @@ class Seconds:
         return self.read + self.structure + self.jit + self.solve + self.statistics
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Solution(Adjusted):
     """Result of :func:`fg_orient.adjust` (``orientation.orient``); what it has in common: ``orientation.adjusted``.
 
@@ -373,3 +376,59 @@ class Solution(Adjusted):
     def role(self, point: int) -> Role:
         """Role of a ground point."""
         return self.block.points.roles[point]
+
+    @cached_property
+    def result(self) -> Result:
+        """Record of this solution: content of its result folder, tables."""
+        from fg_orient.result.summary import result_of
+        from fg_orient.rpc.corrected import corrected_models
+
+        project = Path(self.block.sources[0].path) if self.block.sources else Path()
+        return result_of(self, corrected_models(self), folder=project.parent)
+
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> Result:
+        """Write the result folder that ``fg-orient adjust`` writes, whole or not at all.
+
+        :func:`fg_orient.read_result` reads it; ``fg-orient replay`` needs a folder of ``fg-orient adjust``.
+
+        Parameters
+        ----------
+        folder : path
+            Folder to be made.
+        overwrite : bool
+            Replace an existing result folder.
+
+        Raises
+        ------
+        InputError
+            The folder exists or cannot be written.
+        """
+        from fg_orient.formats.folder import require_free, staged_folder, writing
+        from fg_orient.report import write_page
+
+        require_free(Path(folder), overwrite=overwrite)
+        result = replace(self.result, record={**self.result.record, "out": Path(folder).name})
+        with staged_folder(folder, overwrite=overwrite) as staging, writing(folder):
+            result.write(staging)
+            write_page(staging, result)
+        return result
+
+    def to_frame(self, table: str = "points") -> pandas.DataFrame:
+        """Give a table as ``pandas.DataFrame``; see :meth:`fg_orient.Result.to_frame`."""
+        return self.result.to_frame(table)
+
+    def to_geo(self) -> dict[str, Any]:
+        """Give the points as a GeoJSON FeatureCollection; see :meth:`fg_orient.Result.to_geo`."""
+        return self.result.to_geo()
+
+    def _overview(self) -> dict[str, Any]:
+        accuracy = {"check": self.accuracy.check.statistics()}
+        return overview({"name": self.block.name, "status": str(self.status), "sigma0": self.sigma0,
+                         "redundancy": self.redundancy, "n_image_points": len(self.problem.observations),
+                         "iterations": self.iterations, "backend": self.backend, "accuracy": accuracy})  # fmt: skip
+
+    def __repr__(self) -> str:
+        return one_line("Solution", self._overview())
+
+    def _repr_html_(self) -> str:
+        return html_table("Solution", self._overview())

@@ -22,6 +22,7 @@ from fg_orient.adjustment.solve import Estimate
 
 if TYPE_CHECKING:
     import gtsam
+    import pandas
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -285,13 +286,23 @@ class GraphCofactors:
         return np.block([[q, cross.T], [cross, own]])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class NamedMatrix:
     """A symmetric matrix with the names and units of its rows."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: Array
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.names)
+        return f"<NamedMatrix {self.values.shape}: {names if len(names) < 200 else names[:200] + ' ...'}>"
+
+    def to_frame(self) -> pandas.DataFrame:
+        """Give the values as ``pandas.DataFrame`` (extra "tables"); rows and columns have the names."""
+        import pandas
+
+        return pandas.DataFrame(self.values, list(self.names), list(self.names))
 
     @property
     def correlations(self) -> Array:

@@ -12,7 +12,7 @@ from fg_orient.model.errors import sentences
 from fg_orient.rectification.figure import residual_figure
 from fg_orient.rectification.points import PointFit
 from fg_orient.report.words import scientific
-from fg_orient.run.json import dumps
+from fg_orient.result.plain import dumps
 
 #: What the folder holds; transformation.json is its mark.
 CONTENTS: Final = Contents(

@@ -1,13 +1,16 @@
 """Reports: one self-contained HTML file made from a result folder.
 
-The report reads the folder only, never the solution in memory, so that it can be made
-again at any time (``fg-orient report DIR``) and shows what was really written.
+The report is made of the record of a result (``fg_orient.result``), never of the solution. The page of a record in
+memory is therefore the page of its folder (``fg-orient report DIR``).
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from fg_orient.result.record import Result
 
 REPORT_FILE: Final = "report.html"
 
@@ -34,22 +37,30 @@ def write_report(folder: str | Path, truth: str | Path | None = None) -> tuple[P
     InputError
         The folder holds no result, or the truth does not belong to it.
     """
-    from fg_orient.formats.atomic import write_text
-    from fg_orient.report.data import nothing_adjusted, read_record, read_result
-    from fg_orient.report.html import render
+    from fg_orient.result.record import read_any_result, read_result
 
-    path = Path(folder) / REPORT_FILE
-    record = read_record(Path(folder))
-    if truth is None and nothing_adjusted(record):
-        from fg_orient.report.deficient import render_deficient
-
-        write_text(path, render_deficient(Path(folder), record))
-        return path, None
-    result = read_result(Path(folder))
     comparison = None
-    if truth is not None:
+    if truth is None:
+        result = read_any_result(Path(folder))
+    else:
         from fg_orient.report.truth import compare
 
+        result = read_result(folder)
         comparison = compare(result, Path(truth))
-    write_text(path, render(result, comparison))
-    return path, comparison
+    return write_page(Path(folder), result, comparison), comparison
+
+
+def write_page(folder: Path, result: Result, comparison: dict[str, Any] | None = None) -> Path:
+    """Write the page of a result into a folder, whole or not at all."""
+    from fg_orient.formats.atomic import write_text
+
+    if result.adjusted:
+        from fg_orient.report.html import render
+
+        text = render(result, comparison)
+    else:
+        from fg_orient.report.deficient import render_deficient
+
+        text = render_deficient(result)
+    write_text(folder / REPORT_FILE, text)
+    return folder / REPORT_FILE

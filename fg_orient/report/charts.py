@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from fg_orient.report.data import Result
 from fg_orient.report.orientation import image_correlations, short_names
 from fg_orient.report.panel import Panel, powers, ticks
 from fg_orient.report.words import signed
+from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
 

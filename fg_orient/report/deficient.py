@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from fg_orient.model.errors import InputError
-from fg_orient.report.data import Columns, Result, read_columns
 from fg_orient.report.extent import view_of
 from fg_orient.report.page import environment
 from fg_orient.report.svg import point_map, singular_values
 from fg_orient.report.words import orientation_words
+from fg_orient.result.record import Result
 
-#: Start values of the points, the only table of such a folder.
-START_POINTS: Final = "start_points.csv"
-START_COLUMNS: Final = ("id", "role", "n_rays", "lon_deg", "lat_deg")
 #: Directions of one cause that the page lists, and those that it shows at once; result.json has all.
 MANY: Final = 100
 FEW: Final = 6
@@ -27,26 +22,9 @@ SECTIONS: Final = (
 )  # fmt: skip
 
 
-def render_deficient(folder: Path, record: dict[str, Any]) -> str:
-    """Give the HTML text of a folder with the status ``rank_deficient``.
-
-    Parameters
-    ----------
-    folder : Path
-        Holds ``start_points.csv``.
-    record : dict
-        Its ``result.json``.
-
-    Raises
-    ------
-    InputError
-        The table of points is missing or damaged.
-    """
-    try:
-        points = read_columns(folder / START_POINTS, *START_COLUMNS)
-    except (OSError, ValueError) as error:
-        raise InputError.of("report.damaged", file=folder / START_POINTS, value=error) from None
-    none = Columns({}, {}, 0)
+def render_deficient(result: Result) -> str:
+    """Give the HTML text of a result with the status ``rank_deficient``."""
+    record, points = result.record, result.points
     block = record["block_observability"]
     spectra = [*record["observability"]]
     if block and block["singular_values"]:
@@ -60,7 +38,7 @@ def render_deficient(folder: Path, record: dict[str, Any]) -> str:
         r=record, what=orientation_words(record), sections=SECTIONS, many=MANY, few=FEW, problems=(),
         verdict=_verdict(record, remedies), groups=[(*key, places) for key, places in groups.items()],
         clipped=view_of(record, points.numbers("lon_deg", "lat_deg")) is not None,
-        point_map=point_map(Result(folder, record, points, none, none, ())),
+        point_map=point_map(result),
         singular=singular_values(spectra), least=_least(spectra),
         without=[name for name, value in zip(points.words["id"], lon.tolist(), strict=True) if math.isnan(value)],
     )  # fmt: skip

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.report.data import Columns, Result, read_result
 from fg_orient.report.orientation import image_correlations, short_names
 from fg_orient.report.residual_plots import normalised
+from fg_orient.result.plain import Table
+from fg_orient.result.record import Result, read_result
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -54,14 +55,14 @@ class Folder:
         return self.result.record
 
     @property
-    def residuals(self) -> Columns:
+    def residuals(self) -> Table:
         """``residuals.csv``."""
         return self.result.residuals
 
     @property
     def images(self) -> list[str]:
         """Ids of the images, in the order of the record."""
-        return [str(image["id"]) for image in self.record["images"]]
+        return self.result.images
 
     @cached_property
     def rows(self) -> dict[str, Index]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from fg_orient.model.errors import DECISIVE, findings_of
 from fg_orient.report.charts import correction_chart, heat_maps, iteration_charts, redundancy_chart
-from fg_orient.report.data import Result, residual_summary
 from fg_orient.report.extent import view_of
 from fg_orient.report.l_curve import l_curve_chart, ranked
 from fg_orient.report.orientation import corrections, unknowns_in_words
@@ -17,6 +16,7 @@ from fg_orient.report.payload import payload
 from fg_orient.report.residual_plots import largest_residuals, normalised, residual_panels
 from fg_orient.report.svg import point_map, singular_values
 from fg_orient.report.words import accuracy_words, orientation_words, verdict
+from fg_orient.result.record import Result
 
 #: Rows of a table, and images, that the page shows; the files hold all.
 MANY: Final = {"rows": 100, "images": 40, "terms": 1500}
@@ -33,7 +33,7 @@ _AXES: Final = (("East", "east"), ("North", "north"), ("Up", "up"), ("ECEF X", "
 
 def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     """Give the HTML text of a result, with the comparison with a truth if there is one."""
-    record, summaries = result.record, residual_summary(result)
+    record, summaries = result.record, result.residual_summary()
     found, kept = verdict(record), record.get("regularisation")
     return environment().get_template("report.html.j2").render(
         r=record, verdict={**found, "text": [found["text"], *accuracy_words(record)]}, axes=_AXES, many=MANY,

@@ -16,9 +16,10 @@ import numpy.typing as npt
 
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.errors import InputError
-from fg_orient.report.data import Columns, Result, read_columns, read_result, residual_summary
 from fg_orient.report.extent import KM_PER_DEGREE
 from fg_orient.report.scale import round_down
+from fg_orient.result.plain import Table
+from fg_orient.result.record import Result, read_result
 from fg_orient.sensors.viewing import polygon_geometry
 
 Array = npt.NDArray[np.float64]
@@ -74,10 +75,7 @@ def read_layers(folder: Path, vector_scale: float | None = None) -> tuple[Layer,
     if vector_scale is not None and not (math.isfinite(vector_scale) and vector_scale > 0.0):
         raise InputError.of("options.value", option="vector_scale", value=vector_scale, expected="a positive number")
     result = read_result(folder)
-    try:
-        table = read_columns(folder / "points.csv")
-    except (OSError, ValueError) as error:
-        raise InputError.of("report.damaged", file=folder / "points.csv", value=error) from None
+    table = result.points
     place = table.numbers("lon_deg", "lat_deg")
     rows = np.flatnonzero(np.isfinite(place).all(axis=1))
     if not len(rows):
@@ -90,7 +88,7 @@ def _point(lon_lat: list[float]) -> dict[str, Any]:
     return {"type": "Point", "coordinates": lon_lat}
 
 
-def _columns(table: Columns, rows: npt.NDArray[np.intp]) -> dict[str, Column]:
+def _columns(table: Table, rows: npt.NDArray[np.intp]) -> dict[str, Column]:
     """The fields of the points that the table holds, of some rows."""
     out: dict[str, Column] = {}
     for name in POINT_FIELDS:
@@ -101,12 +99,12 @@ def _columns(table: Columns, rows: npt.NDArray[np.intp]) -> dict[str, Column]:
     return out
 
 
-def _with_errors(table: Columns) -> npt.NDArray[np.intp]:
+def _with_errors(table: Table) -> npt.NDArray[np.intp]:
     known = table.numbers("lon_deg", "lat_deg", "difference_east_m", "difference_north_m")
     return np.flatnonzero(np.isfinite(known).all(axis=1))
 
 
-def default_scale(table: Columns) -> float:
+def default_scale(table: Table) -> float:
     """Round enlargement with which a large error has a good length on a map of all points; 1 without errors."""
     rows = _with_errors(table)
     lengths = np.hypot(*table.numbers("difference_east_m", "difference_north_m")[rows].T)
@@ -121,7 +119,7 @@ def default_scale(table: Columns) -> float:
     return max(round_down(SHARE * extent_m / float(np.quantile(lengths, 0.9))), 1.0)
 
 
-def error_vectors(table: Columns, scale: float) -> Layer:
+def error_vectors(table: Table, scale: float) -> Layer:
     """Horizontal differences adjusted minus measured, enlarged, from the adjusted point on.
 
     The end of a vector lies in the tangent plane of the point and is put down on the ellipsoid: its azimuth is
@@ -150,7 +148,7 @@ def error_vectors(table: Columns, scale: float) -> Layer:
 def footprints(result: Result) -> Layer:
     """Footprints of the images by their metadata, at height 0 or the mean height of an RPC; corners joined."""
     images = [i for i in result.record["images"] if len(i["footprint_lon_lat_deg"])]
-    found = {row["image"]: row for row in residual_summary(result)}
+    found = {row["image"]: row for row in result.residual_summary()}
     rings = [np.array(i["footprint_lon_lat_deg"], float) for i in images]
     geometries = [polygon_geometry(np.column_stack([np.unwrap(r[:, 0], period=360.0), r[:, 1]])) for r in rings]
     words: dict[str, Column] = {

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.report.data import Result
+from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
 

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from fg_orient.report.data import Result
 from fg_orient.report.extent import KM_PER_DEGREE, view_of
 from fg_orient.report.residual_plots import normalised
+from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from fg_orient.model.distributions import normal_probability, normal_quantile
-from fg_orient.report.data import Result
 from fg_orient.report.panel import Panel, ticks
 from fg_orient.report.scale import round_down
+from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -36,7 +36,7 @@ def residual_panels(result: Result, summaries: list[dict[str, Any]]) -> list[dic
     ----------
     result : Result
     summaries : list of dict
-        See :func:`fg_orient.report.data.residual_summary`.
+        See :meth:`fg_orient.result.record.Result.residual_summary`.
 
     Returns
     -------

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup, escape
 
-from fg_orient.report.data import Result
 from fg_orient.report.extent import KM_PER_DEGREE, view_of
 from fg_orient.report.scale import round_down, thousands
 from fg_orient.report.words import signed
+from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from fg_orient.geodesy import enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.errors import InputError
 from fg_orient.model.parameters import N_EOP, parameter_name
-from fg_orient.report.data import Columns, Result, read_columns
+from fg_orient.result.plain import Table, read_table
+from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
 
@@ -60,20 +61,20 @@ def _group(name: str, ratio: Array) -> dict[str, Any]:
     return {"name": name, "n": len(ratio), "rms_normalised": rms, "max_normalised": largest}
 
 
-def _read(path: Path) -> Columns:
+def _read(path: Path) -> Table:
     try:
-        return read_columns(path)
+        return read_table(path)
     except ValueError as error:
         raise InputError.of("report.no_truth", file=path, value=error) from None
 
 
-def _prior_scale(result: Result, table: Columns) -> Array:
+def _prior_scale(result: Result, table: Table) -> Array:
     """Factors that turn the standard deviations of a table into prior scale."""
     sigma0 = result.record["sigma0"] or np.nan
     return np.array([1.0 / sigma0 if scale == "posterior" else 1.0 for scale in table.words["sigma_scale"]])
 
 
-def _compare_eop(result: Result, truth: Columns, file: str) -> list[dict[str, Any]]:
+def _compare_eop(result: Result, truth: Table, file: str) -> list[dict[str, Any]]:
     words = result.eop.words
     try:
         names = zip(truth.words["image"], truth.words["parameter"], strict=True)
@@ -96,7 +97,7 @@ def _compare_eop(result: Result, truth: Columns, file: str) -> list[dict[str, An
     return out
 
 
-def _compare_points(result: Result, truth: Columns, file: str) -> tuple[dict[str, Any], dict[str, Array]]:
+def _compare_points(result: Result, truth: Table, file: str) -> tuple[dict[str, Any], dict[str, Array]]:
     ids, roles = result.points.words["id"], np.array(result.points.words["role"], dtype=str)
     known = {name: k for k, name in enumerate(truth.words["id"])}
     missing = [name for name in ids if name not in known]

@@ -9,7 +9,7 @@ a cubic polynomial only if both denominators are equal; else one is fitted. Deno
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,10 @@ from factors.cameras.rfm_terms import terms
 from fg_orient.model.errors import finding
 from fg_orient.rpc.points import statistics
 from fg_orient.sensors.rpc import RpcModel
+from fg_orient.sensors.rpc_sensor import RpcSensor
+
+if TYPE_CHECKING:
+    from fg_orient.orientation.solution import Solution
 
 Array = npt.NDArray[np.float64]
 
@@ -76,6 +80,12 @@ def corrected(model: RpcModel, values: Array, *, seed: int = 1) -> Corrected:
     )  # fmt: skip
     exact = common or not values[[COMPENSATION.sample_l, COMPENSATION.line_s]].any()
     return Corrected(new, exact, _errors(model, values, new, seed))
+
+
+def corrected_models(solution: Solution) -> dict[str, Corrected]:
+    """Model of every RPC image of a solution with its compensation put in, by image id."""
+    sensors = {image.id: image.sensor for image in solution.block.images if isinstance(image.sensor, RpcSensor)}
+    return {name: corrected(sensor.model, solution.correction(name)) for name, sensor in sensors.items()}
 
 
 def _nodes(count: int) -> Array:

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.versions import versions
-from fg_orient.run import RESULT_FILE, run_project
-from fg_orient.run.provenance import relative, sha256_of
+from fg_orient.result.provenance import relative, sha256_of
+from fg_orient.result.record import RESULT_FILE
+from fg_orient.run import run_project
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.loop import Callback

@@ -15,7 +15,7 @@ from fg_orient.model.errors import InputError
 from fg_orient.model.options import Options
 from fg_orient.model.parameters import orientation_parameters, term_of
 from fg_orient.rectification.adjusted import _correction
-from fg_orient.run.tables import eop_rows
+from fg_orient.result.tables import eop_rows
 from fg_orient.sensors.correction import Correction
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 

@@ -21,8 +21,7 @@ from fg_orient.formats.points import read_points
 from fg_orient.formats.tables import Faults
 from fg_orient.model.block import Block
 from fg_orient.orientation.orient import adjust
-from fg_orient.report.data import read_columns
-from fg_orient.run.columns import Named, write_columns
+from fg_orient.result.plain import Table, read_table
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.mixed import MixedOptions, mixed_block
 from tests.support.full_statistics import Full
@@ -39,10 +38,9 @@ figures = st.one_of(st.sampled_from([0.0, -0.0, -1.5, float("nan"), float("inf")
 def test_written_bytes_are_those_of_csv_row_by_row(tmp_path: Path, rows: list[tuple[str, float, int, float]]) -> None:
     ids, first, counts, second = zip(*rows, strict=True)
     place = np.arange(len(rows))[::-1]
-    write_columns(tmp_path / "t.csv", {
-        "id": ids, "x,m": np.array(first), "n": np.array(counts, object), "y": np.array(second),
-        "to": Named(ids, place),
-    })  # fmt: skip
+    columns = {"id": ids, "x,m": np.array(first), "n": np.array(counts, object), "y": np.array(second),
+               "to": [ids[k] for k in place]}  # fmt: skip
+    Table(columns).write(tmp_path / "t.csv")
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["id", "x,m", "n", "y", "to"])
@@ -54,22 +52,21 @@ def test_written_bytes_are_those_of_csv_row_by_row(tmp_path: Path, rows: list[tu
 
 @pytest.mark.oracle
 def test_table_longer_than_a_chunk_reads_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fg_orient.run.columns.CHUNK", 7)
-    monkeypatch.setattr("fg_orient.report.data.CHUNK", 5)
+    monkeypatch.setattr("fg_orient.result.plain.CHUNK", 7)
     values, ids = np.random.default_rng(1).normal(size=40), [f"p{k}" for k in range(40)]
     values[3] = np.nan
     ids[39] = 'p"39'
-    write_columns(tmp_path / "t.csv", {"id": ids, "x_m": values})
+    Table({"id": ids, "x_m": values}).write(tmp_path / "t.csv")
     with (tmp_path / "t.csv").open(newline="", encoding="utf-8") as stream:
         rows = list(csv.reader(stream))
     cells = ["" if np.isnan(x) else repr(x) for x in values.tolist()]
     assert rows == [["id", "x_m"], *map(list, zip(ids, cells, strict=True))]
-    table = read_columns(tmp_path / "t.csv")
+    table = read_table(tmp_path / "t.csv")
     assert table.words["id"] == ids and len(table) == 40
     np.testing.assert_array_equal(table.figures["x_m"], values)
     (tmp_path / "t.csv").write_text("id,x_m\na,1\nb\n")
     with pytest.raises(ValueError, match="2 cells"):
-        read_columns(tmp_path / "t.csv")
+        read_table(tmp_path / "t.csv")
 
 
 CELLS = st.sampled_from(["1.5", "7", "-0.4", "-2", "1e3", "", "x", "1,5", " 2 ", "inf", "fixed", "0", '"3"', "a", "b"])

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-import fg_orient.run
+import fg_orient.result.record
 from fg_orient.cli import adjust
-from fg_orient.report.data import read_columns
+from fg_orient.result.plain import read_table
 from tests.support.page import structure
 from tests.support.work import counted
 
@@ -68,7 +68,7 @@ def test_seconds_cover_the_work(run: Any, twin: Path, monkeypatch: pytest.Monkey
 
             return noted
 
-        for module, name in ((adjust, "load"), (adjust, "answer"), (fg_orient.run, "dumps")):
+        for module, name in ((adjust, "load"), (adjust, "answer"), (fg_orient.result.record, "dumps")):
             monkeypatch.setattr(module, name, noting(name, getattr(module, name)))
         monkeypatch.setattr(time, "perf_counter", lambda: float(calls.count))
         ended = run("adjust", twin, "--json")
@@ -121,7 +121,7 @@ def test_rank_deficient_is_exit_3_with_a_report_and_no_coordinates(run: Any, twi
     kept = json.loads((out / "result.json").read_text("utf-8"))
     assert kept["seconds"] == record["seconds"] and kept["provenance"]["inputs"]
     assert [sum(s <= 1e-5 for s in o["singular_values"]) for o in kept["observability"]] == [9, 9]
-    points = read_columns(out / "start_points.csv", "id", "role", "lon_deg", "lat_deg")
+    points = read_table(out / "start_points.csv", "id", "role", "lon_deg", "lat_deg")
     page = (out / "report.html").read_text("utf-8")
     assert page.count('<circle class="check"') - 1 == points.words["role"].count("check") > 0
     assert page.count('<path class="control"') - 1 == points.words["role"].count("control") > 0

@@ -11,8 +11,8 @@ import pytest
 
 import fg_orient
 from fg_orient.cli.selftest import self_test
-from fg_orient.run.json import dumps
-from fg_orient.run.provenance import provenance, relative
+from fg_orient.result.plain import dumps
+from fg_orient.result.provenance import provenance, relative
 from tests.support.command import entry_point
 
 pytestmark = pytest.mark.behaviour

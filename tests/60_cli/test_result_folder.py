@@ -15,6 +15,7 @@ import pytest
 import fg_orient.run as runs
 from fg_orient.formats.folder import staged_folder
 from fg_orient.model.errors import InputError
+from fg_orient.result.record import Result
 
 FILES = {"result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "iterations.jsonl", "arrays.npz",
          "report.html"}  # fmt: skip
@@ -267,7 +268,7 @@ def test_failure_of_the_program_is_short_and_leaves_nothing(
     def fail(*_: object) -> None:
         raise ZeroDivisionError("planted")
 
-    monkeypatch.setattr(runs, "write_tables", fail)
+    monkeypatch.setattr(Result, "write", fail)
     ended = run("adjust", twin, "--out", twin.parent / "a" / "b")
     assert (ended.code, ended.stdout) == (1, "")
     assert len(ended.stderr.splitlines()) == 1
@@ -314,17 +315,17 @@ def test_error_of_the_computation_is_not_blamed_on_the_folder(tmp_path: Path) ->
 
 
 @pytest.mark.behaviour
-@pytest.mark.parametrize("step", ["write_tables", "adjust"])
+@pytest.mark.parametrize("step", ["write", "adjust"])
 def test_only_writing_makes_an_unwritable_output(
     run: Any, twin: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(runs, step, fail)
+    monkeypatch.setattr(Result if step == "write" else runs, step, fail)
     ended = run("adjust", twin, "--json")
     (error,) = ended.json["errors"]
-    expected = (2, "output.unwritable") if step == "write_tables" else (1, "internal")
+    expected = (2, "output.unwritable") if step == "write" else (1, "internal")
     assert (ended.code, error["code"]) == expected
     assert "No space left" in error["value"] + error["message"]
     assert not (twin.parent / "result").exists()

@@ -11,7 +11,7 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.formats.project import read_project
-from fg_orient.run.summary import summary
+from fg_orient.result.summary import summary
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.command import in_process
 

@@ -15,7 +15,7 @@ from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.robust import scaled
 from fg_orient.adjustment.solve import solve
 from fg_orient.adjustment.stages import FROM_RESECTIONS, START, START_STAGES, WIDE, Direct, plan_of
-from fg_orient.run.summary import summary
+from fg_orient.result.summary import summary
 from tests.support.full_statistics import step_of_numpy
 
 from .conftest import adjusted, control_rays, grid, moved, problem_of, spoiled, twin, with_options

@@ -16,7 +16,7 @@ from fg_orient.model.names import Role
 from fg_orient.quality.elimination import eliminated, eliminated_with_own
 from fg_orient.quality.motions import free_motions
 from fg_orient.quality.observability import analyse_block
-from fg_orient.run.summary import deficient_summary
+from fg_orient.result.summary import deficient_summary
 from tests.support.degenerate_blocks import (
     OFF_LINE,
     ON_LINE,

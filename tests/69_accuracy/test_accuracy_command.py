@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.report.data import read_columns
+from fg_orient.result.plain import read_table
 from tests.support.command import in_process
 
 rasterio = pytest.importorskip("rasterio")
@@ -37,7 +37,7 @@ def raster(path: Path, height_m: float, crs: str = "EPSG:4326") -> Path:
 def test_heights_against_a_raster(folder: Path, tmp_path: Path) -> None:
     dem = raster(tmp_path / "dem.tif", 40.0)
     found = in_process("accuracy", folder, "--dem", dem, "--role", "check", "--json").json
-    points = read_columns(folder / "points.csv")
+    points = read_table(folder / "points.csv")
     height = points.figures["height_m"][[role == "check" for role in points.words["role"]]]
     assert found["n"] == len(height)
     assert found["mean_m"] == pytest.approx(np.mean(height - 40.0), abs=1e-6)

@@ -201,7 +201,7 @@ def test_reasons_instead_of_figures() -> None:
 
 @pytest.mark.behaviour
 def test_record_of_the_result() -> None:
-    from fg_orient.run.summary import summary
+    from fg_orient.result.summary import summary
 
     check = summary(solved(1))["accuracy"]["check"]
     assert check["prediction"]["honest"] is True

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fg_orient.report import write_report
-from fg_orient.report.data import Result, read_result
+from fg_orient.result.record import Result, read_result
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from tests.support.browser import VARIABLE, Browser, Page, executable, open_browser
 from tests.support.command import in_process

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from fg_orient.report.data import Result
 from fg_orient.report.html import render
+from fg_orient.result.record import Result
 from tests.support.browser import Page
 from tests.support.page import of_large_images
 

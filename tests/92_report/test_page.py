@@ -17,14 +17,14 @@ from scipy import stats
 from fg_orient.cli.output import number
 from fg_orient.model.errors import as_record, finding
 from fg_orient.report import charts, payload, residual_plots, svg
-from fg_orient.report.data import Result, residual_summary
 from fg_orient.report.extent import first_view
 from fg_orient.report.html import render
 from fg_orient.report.orientation import corrections, correlations, short_names
 from fg_orient.report.page import script
 from fg_orient.report.panel import Panel, powers, ticks
 from fg_orient.report.words import orientation_words, signed
-from tests.support.page import of_large_images, structure
+from fg_orient.result.record import Result
+from tests.support.page import of_large_images, structure, with_columns
 
 
 def elements(text: str) -> list[tuple[str, str]]:
@@ -107,9 +107,9 @@ def test_constant_columns_are_one_value() -> None:
 @pytest.mark.behaviour
 def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
     table = result.residuals
-    figures = {**table.figures, "w_line": table.figures["w_line"].copy()}
+    figures = {**table.columns, "w_line": table.figures["w_line"].copy()}
     figures["w_line"][[3, 50, 90]] = [4.0, -3.5, 9.0]
-    planted = dataclasses.replace(result, residuals=dataclasses.replace(table, figures=figures))
+    planted = with_columns(result, "residuals", figures)
     monkeypatch.setattr(payload, "LIMIT", 20)
     rows, words = payload.chosen_rays(planted)
     assert {3, 50, 90} <= set(rows.tolist()) and len(rows) == 20 == len(set(rows.tolist()))
@@ -146,10 +146,10 @@ def test_histogram_and_quantiles(result: Result) -> None:
 @pytest.mark.behaviour
 def test_what_lies_beyond_the_axis_is_counted(result: Result) -> None:
     table = result.residuals
-    figures = {**table.figures, "w_line": table.figures["w_line"].copy()}
+    figures = {**table.columns, "w_line": table.figures["w_line"].copy()}
     figures["w_line"][:3] = [5.5, -7.0, 40.0]
-    planted = dataclasses.replace(result, residuals=dataclasses.replace(table, figures=figures))
-    panels = residual_plots.residual_panels(planted, residual_summary(planted))
+    planted = with_columns(result, "residuals", figures)
+    panels = residual_plots.residual_panels(planted, planted.residual_summary())
     assert [p["words"] for p in panels] == ["3 beyond ±5 σ", ""]
     worst = residual_plots.largest_residuals(planted)
     assert worst is not None
@@ -161,9 +161,9 @@ def test_what_lies_beyond_the_axis_is_counted(result: Result) -> None:
 def test_without_redundancy_numbers_residuals_are_divided_by_the_given_sigmas(result: Result) -> None:
     table = result.residuals
     figures = {
-        name: column for name, column in table.figures.items() if not name.startswith(("w_", "redundancy", "mdb"))
+        name: column for name, column in table.columns.items() if not name.startswith(("w_", "redundancy", "mdb"))
     }
-    plain = dataclasses.replace(result, residuals=dataclasses.replace(table, figures=figures))
+    plain = with_columns(result, "residuals", figures)
     ratio, tested = residual_plots.normalised(plain, np.arange(94))
     assert not tested
     np.testing.assert_array_equal(ratio[:, 0], figures["v_line_px"] / figures["sigma_line_px"])
@@ -186,9 +186,14 @@ def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
     page = render(result)
     assert "right.y_0" not in page and '<td class="id">right Y</td><td class="id text">right roll</td>' in page
     assert written in maps[1]["drawing"] and 'class="cell m5"' in maps[1]["drawing"]
-    assert charts.heat_maps(dataclasses.replace(result, cofactors={})) == []
-    first = {"fixed": np.zeros((0, 0)), **result.cofactors}  # an image without unknowns moves no other's figures
-    assert charts.heat_maps(dataclasses.replace(result, cofactors=first)) == maps
+    assert charts.heat_maps(dataclasses.replace(result, arrays={})) == []
+    none = {"n_parameters": [0], "image_cofactors": np.zeros((1, *result.arrays["image_cofactors"].shape[1:]))}
+    arrays = {name: np.concatenate([value, result.arrays[name]]) for name, value in none.items()}
+    record = {**result.record, "images": [{"id": "fixed"}, *result.record["images"]]}
+    first = dataclasses.replace(
+        result, record=record, arrays=arrays
+    )  # an image without unknowns moves no other's figures
+    assert charts.heat_maps(first) == maps
 
 
 @pytest.mark.behaviour
@@ -212,9 +217,9 @@ def test_what_is_rounded_to_zero_has_no_sign(result: Result) -> None:
     assert [signed(v) for v in (-0.0004, 0.0004, 0.0, -0.0006, 1.5)] == ["0.000", "0.000", "0.000", "−0.001", "+1.500"]
     assert signed(-0.04, 1) == "0.0"
     assert [number(v) for v in (-0.0004, -0.0, -0.0006)] == ["0.000", "0.000", "-0.001"]
-    points = dict(result.points.figures)
+    points = dict(result.points.columns)
     points["difference_up_m"] = np.where(np.isnan(points["difference_up_m"]), np.nan, -1e-5)
-    drawing = svg.point_map(dataclasses.replace(result, points=dataclasses.replace(result.points, figures=points)))
+    drawing = svg.point_map(with_columns(result, "points", points))
     assert "up 0.000 m" in drawing and "-0.000" not in drawing and "−0.000" not in drawing
 
 
@@ -329,7 +334,7 @@ def test_ticks() -> None:
 
 @pytest.mark.behaviour
 def test_a_folder_without_arrays_has_no_heat_map(result: Result, folder: Path) -> None:
-    page = render(dataclasses.replace(result, cofactors={}))
+    page = render(dataclasses.replace(result, arrays={}))
     assert "Correlations of the unknowns" not in page
     assert "Correlations of the unknowns" in (folder / "report.html").read_text("utf-8")
 

@@ -17,8 +17,8 @@ from fg_orient.formats.folder import RESULT
 from fg_orient.model.errors import InputError
 from fg_orient.report import captions, checks, maps, residuals, style, write
 from fg_orient.report import figure_orientation as orientation
-from fg_orient.report.data import Columns
 from fg_orient.report.figure_data import Folder, read_folder
+from fg_orient.result.plain import Table
 
 NAMES = {plot.name for plot in write.PLOTS}
 #: Of an adjustment without regularisation.
@@ -136,8 +136,8 @@ def test_large_residuals_survive_thinning(folder: Folder, rng: np.random.Generat
     n = 30_000
     v = rng.standard_normal((n, 2))
     figures = {"v_line_px": v[:, 0], "v_sample_px": v[:, 1]}
-    table = Columns({"image": ["left"] * n}, figures, n)
-    many = Folder(dataclasses.replace(folder.result, residuals=table))
+    table = Table({"image": ["left"] * n, **figures})
+    many = Folder(dataclasses.replace(folder.result, tables={**folder.result.tables, "residuals": table}))
     drawn, left_out = residuals.thinned(many, "left")
     assert len(drawn) + left_out == n and len(set(drawn.tolist())) == len(drawn) <= residuals.MAX_VECTORS
     largest = np.argsort(-np.linalg.norm(v, axis=1))[: residuals.MAX_VECTORS // 10]
@@ -213,8 +213,8 @@ def test_share_of_biases_that_are_found(folder: Folder) -> None:
     """A point without a minimal detectable bias is never found: the curve ends below one."""
     mdb = folder.residuals.figures["mdb_sample_px"].copy()
     mdb[:47] = np.nan
-    spoilt = Columns(folder.residuals.words, {**folder.residuals.figures, "mdb_sample_px": mdb}, len(folder.residuals))
-    planted = Folder(dataclasses.replace(folder.result, residuals=spoilt))
+    spoilt = Table({**folder.residuals.columns, "mdb_sample_px": mdb})
+    planted = Folder(dataclasses.replace(folder.result, tables={**folder.result.tables, "residuals": spoilt}))
     axes = checks.redundancy(planted, folder.images).axes[1]
     ends = {line.get_label(): float(line.get_ydata()[-1]) for line in axes.lines}
     assert ends == {"line": 1.0, "sample": pytest.approx(0.5)}

@@ -15,10 +15,10 @@ import pytest
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
 from fg_orient.report import captions, regularisation, style
-from fg_orient.report.data import read_result
 from fg_orient.report.figure_data import Folder, read_folder
 from fg_orient.report.html import render
 from fg_orient.report.l_curve import l_curve_chart, log_ticks, ranked
+from fg_orient.result.record import read_result
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.command import Run
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from fg_orient.report.data import Result
+from fg_orient.result.plain import Table
+from fg_orient.result.record import Result
 
 VOID = {"meta", "br", "img", "link", "input", "hr"}
 
@@ -51,6 +53,11 @@ def structure(path: Path) -> Structure:
     found.close()
     assert found.open == []
     return found
+
+
+def with_columns(result: Result, table: str, columns: dict[str, Any]) -> Result:
+    """The result with other columns of one table."""
+    return dataclasses.replace(result, tables={**result.tables, table: Table(columns)})
 
 
 def of_large_images(result: Result) -> Result:

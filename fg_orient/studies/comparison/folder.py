@@ -14,9 +14,8 @@ from fg_orient.formats.project import read_project
 from fg_orient.model.errors import NoSolutionError, as_record, finding
 from fg_orient.model.names import Progress
 from fg_orient.report.style import available
-from fg_orient.run.json import dumps, plain
-from fg_orient.run.provenance import provenance
-from fg_orient.run.tables import write_csv
+from fg_orient.result.plain import dumps, plain, write_rows
+from fg_orient.result.provenance import provenance
 from fg_orient.studies.comparison import plots, selection
 from fg_orient.studies.comparison.compare import compare
 from fg_orient.studies.comparison.model import COLUMNS, Comparison
@@ -112,14 +111,14 @@ def write_folder(folder: Path, comparison: Comparison, record: Mapping[str, Any]
     """
     records = (row.as_dict() for row in comparison.rows)
     rows = [[_cell(record[name]) for name in COLUMNS] for record in records]
-    write_csv(folder / "compare.csv", COLUMNS, rows)
-    write_csv(folder / "spectra.csv", SPECTRUM_COLUMNS, (
+    write_rows(folder / "compare.csv", COLUMNS, rows)
+    write_rows(folder / "spectra.csv", SPECTRUM_COLUMNS, (
         (s.eop_set, s.system, s.scaling, index, float(value))
         for s in comparison.spectra for index, value in enumerate(s.values)
     ))  # fmt: skip
-    write_csv(folder / "directions.csv", DIRECTION_COLUMNS, (astuple(found) for found in comparison.directions))
+    write_rows(folder / "directions.csv", DIRECTION_COLUMNS, (astuple(found) for found in comparison.directions))
     if comparison.curves:
-        write_csv(folder / "l_curves.csv", CURVE_COLUMNS, _curve_rows(comparison))
+        write_rows(folder / "l_curves.csv", CURVE_COLUMNS, _curve_rows(comparison))
     for name, text in figures.items():
         (folder / name).write_text(text, encoding="utf-8")
     (folder / "result.json").write_text(dumps(record, indent=1) + "\n", encoding="utf-8")

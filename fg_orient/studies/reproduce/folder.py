@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
 from fg_orient.model.versions import versions
-from fg_orient.run.json import dumps, plain
+from fg_orient.result.plain import dumps, plain
 from fg_orient.studies.published.tables import require_source
 from fg_orient.studies.reproduce.html import render
 from fg_orient.studies.reproduce.reproduction import Callback, Reproduction, reproduce

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from fg_orient.report.l_curve import l_curve_chart, ranked
-from fg_orient.run.json import plain
+from fg_orient.result.plain import plain
 from fg_orient.studies.reproduce.reproduction import Reproduction
 
 #: Name of a printed kappa among the rules of a drawing.

@@ -14,27 +14,25 @@ and count neither as observation nor as unknown. The columns ``weight`` are ther
 all weights are 1.
 
 Standard deviations are posterior, ``sqrt(cofactor) sigma0``, where there is redundancy and no loss; else in
-prior scale. The column ``sigma_scale`` says which. Columns of redundancy and reliability
-(``fg_orient.run.statistics``) are there where the option ``statistics`` asks for them.
+prior scale. The column ``sigma_scale`` names the scale. Columns of redundancy and reliability
+(``fg_orient.result.statistics``) exist where the option ``statistics`` asks for them.
 """
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.geometry import ellipsoid
 from fg_orient.quality.accuracy import PointDifferences
-from fg_orient.run import statistics
-from fg_orient.run.columns import Column, Named, write_columns
-from fg_orient.run.outliers import OUTLIER_COLUMNS, outlier_rows
+from fg_orient.result import statistics
+from fg_orient.result.plain import Column, Table, table_of_rows
+from fg_orient.result.record import START_POINTS, TABLES
 
 if TYPE_CHECKING:
+    from fg_orient.adjustment.problem import Problem
     from fg_orient.orientation.solution import Solution
 
 Array = npt.NDArray[np.float64]
@@ -52,43 +50,44 @@ POINT_COLUMNS: Final = (
 RESIDUAL_COLUMNS: Final = (
     "image", "id", "line", "sample", "v_line_px", "v_sample_px", "sigma_line_px", "sigma_sample_px",
 )  # fmt: skip
-ACCURACY_COLUMNS: Final = ("role", "quantity", "value")
 
 
-def write_tables(folder: Path, solution: Solution) -> None:
-    """Write ``eop.csv``, ``points.csv``, ``residuals.csv``, ``accuracy.csv`` and ``arrays.npz``.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing folder.
-    solution : Solution
-    """
-    write_csv(folder / "eop.csv", EOP_COLUMNS, eop_rows(solution))
+def tables_of(solution: Solution) -> dict[str, Table]:
+    """Tables ``eop``, ``points``, ``residuals`` and, after a search, ``outliers``."""
     weights = solution.weights
     of_points, of_rays = ({}, {}) if weights is None else ({"weight": weights.control}, {"weight": weights.image})
-    write_columns(folder / "points.csv", {**point_columns(solution), **statistics.point_columns(solution), **of_points})
-    write_columns(
-        folder / "residuals.csv", {**residual_columns(solution), **statistics.image_columns(solution), **of_rays}
-    )
-    write_csv(folder / "accuracy.csv", ACCURACY_COLUMNS, accuracy_rows(solution))
+    tables = {
+        "eop": table_of_rows(EOP_COLUMNS, eop_rows(solution)),
+        "points": Table({**point_columns(solution), **statistics.point_columns(solution), **of_points}),
+        "residuals": Table({**residual_columns(solution), **statistics.image_columns(solution), **of_rays}),
+    }
     if solution.snooping is not None:
-        write_csv(folder / "outliers.csv", OUTLIER_COLUMNS, outlier_rows(solution))
-    _write_arrays(folder / "arrays.npz", solution)
+        rows = statistics.outlier_rows(solution.snooping)
+        tables["outliers"] = table_of_rows(statistics.OUTLIER_COLUMNS, rows)
+    return tables
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write one table; numbers with the digits that read back to the same double, nan as empty cell."""
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows([_cell(value) for value in row] for row in rows)
+def start_points(problem: Problem) -> dict[str, Table]:
+    """Table of the start values of the points: the only one where nothing was adjusted."""
+    points, ground = problem.block.points, problem.start.ground + problem.origin_m
+    lon, lat, _ = _geodetic_deg(ground, problem.block.georeferenced).T
+    columns = (points.ids, [role.value for role in points.roles], _ray_counts(problem), lon, lat)
+    return {START_POINTS: Table(dict(zip(TABLES[START_POINTS], columns, strict=True)))}
 
 
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return repr(float(value)) if np.isfinite(value) else ""
-    return str(value)
+def _ray_counts(problem: Problem) -> npt.NDArray[np.intp]:
+    """Number of image points of each ground point."""
+    return np.bincount(problem.block.observations.point, minlength=len(problem.block.points.ids))
+
+
+def _geodetic_deg(ground_m: Array, georeferenced: bool) -> Array:
+    """Longitude, latitude (degrees) and height (N, 3) of ECEF coordinates; nan where there are none."""
+    out = np.full_like(ground_m, np.nan)
+    known = np.isfinite(ground_m).all(axis=1)
+    if georeferenced and known.any():
+        out[known] = ellipsoid.geodetic_array(np.ascontiguousarray(ground_m[known]))
+        out[:, :2] = np.degrees(out[:, :2])
+    return out
 
 
 def sigma_scale(solution: Solution) -> tuple[float, str]:
@@ -131,31 +130,28 @@ def eop_rows(solution: Solution) -> list[tuple[object, ...]]:
     return rows
 
 
-def component_and_degree(parameter: str) -> tuple[str, int | str]:
-    """Component and power in tau of an unknown: "roll_1" is degree 1 of roll; "focal" has none ("")."""
+def component_and_degree(parameter: str) -> tuple[str, float]:
+    """Component and power in tau of an unknown: "roll_1" is degree 1 of roll; "focal" has none (nan)."""
     component, _, degree = parameter.rpartition("_")
     power = degree.lstrip("cls")
-    return (component, int(power)) if component and power.isdigit() else (parameter, "")
+    return (component, int(power)) if component and power.isdigit() else (parameter, float("nan"))
 
 
 def point_columns(solution: Solution) -> dict[str, Column]:
     """Adjusted coordinates, their standard deviations and the differences at control and check points."""
     points, ground = solution.block.points, solution.ground_m
-    rays: npt.NDArray[np.intp] = np.bincount(solution.block.observations.point, minlength=len(points.ids))
     known = np.asarray(~np.isnan(ground).any(axis=1))
-    geodetic = np.full_like(ground, np.nan)
-    if solution.block.georeferenced:
-        geodetic[known] = ellipsoid.geodetic_array(np.ascontiguousarray(ground[known]))
-    lon, lat = np.degrees(geodetic[:, 0]), np.degrees(geodetic[:, 1])
     factor, name = sigma_scale(solution)
     sigma = factor * point_sigmas(solution, known)
     enu, ecef, own = (np.full_like(ground, np.nan) for _ in range(3))
     for group in (solution.accuracy.control, solution.accuracy.check):
         enu[group.index], ecef[group.index] = group.enu_m, group.ecef_m
         own[group.index] = group.own_sigma_enu_m
-    scales = Named(("", name), np.asarray(np.isfinite(sigma).all(axis=1), np.intp))
-    coordinates = np.hstack([lon[:, None], lat[:, None], geodetic[:, 2:], ground, sigma])
-    columns: list[Column] = [points.ids, [role.value for role in points.roles], rays, *coordinates.T, scales]
+    complete = np.asarray(np.isfinite(sigma).all(axis=1))
+    scales = [name if whole else "" for whole in complete.tolist()]
+    coordinates = np.hstack([_geodetic_deg(ground, solution.block.georeferenced), ground, sigma])
+    columns: list[Column] = [points.ids, [role.value for role in points.roles], _ray_counts(solution.problem),
+                             *coordinates.T, scales]  # fmt: skip
     return dict(zip(POINT_COLUMNS, [*columns, *enu.T, *ecef.T, *own.T], strict=True))
 
 
@@ -177,23 +173,17 @@ def residual_columns(solution: Solution) -> dict[str, Column]:
     """Observed pixels with residuals v = adjusted minus observed, and their sigmas."""
     o, block = solution.problem.observations, solution.block
     columns: tuple[Column, ...] = (
-        Named([image.id for image in block.images], o.image), Named(block.points.ids, o.point), o.line, o.sample,
-        *solution.residuals_px.T, o.sigma_line_px, o.sigma_sample_px,
+        [block.images[k].id for k in o.image.tolist()], [block.points.ids[k] for k in o.point.tolist()],
+        o.line, o.sample, *solution.residuals_px.T, o.sigma_line_px, o.sigma_sample_px,
     )  # fmt: skip
     return dict(zip(RESIDUAL_COLUMNS, columns, strict=True))
 
 
-def accuracy_rows(solution: Solution) -> list[tuple[object, ...]]:
-    """Every figure of the accuracy assessment, one on a line."""
-    groups = (("control", solution.accuracy.control), ("check", solution.accuracy.check))
-    return [(role, key, value) for role, group in groups for key, value in group.statistics().items()]
-
-
-def _write_arrays(path: Path, solution: Solution) -> None:
+def arrays_of(solution: Solution) -> dict[str, npt.NDArray[Any]]:
     """State, adjusted points and cofactors (prior scale) as plain arrays; no pickle needed.
 
     Where images differ in their unknowns, the arrays of the unknowns have one row per image, filled up with nan
-    (numbers) and "" (names); ``n_parameters`` tells how many count.
+    (numbers) and "" (names); ``n_parameters`` is the number of unknowns of each image.
     """
     problem = solution.problem
     factor, _ = sigma_scale(solution)
@@ -207,12 +197,11 @@ def _write_arrays(path: Path, solution: Solution) -> None:
         names[i, :n], units[i, :n] = parameters.names, parameters.units
     one = len({p.setup.tobytes() + " ".join(p.names).encode() for p in problem.parameters}) == 1
     row = 0 if one else slice(None)
-    np.savez(
-        path, allow_pickle=False,
-        image_ids=np.array([image.id for image in solution.block.images], dtype=str),
-        point_ids=np.array(solution.block.points.ids, dtype=str),
-        parameter_names=names[row], parameter_units=units[row], prior_sigma=sigma[row],
-        n_parameters=np.diff(problem.first), state_image=solution.state.image, state_ground_m=solution.state.ground,
-        origin_m=problem.origin_m, ground_m=solution.ground_m, residuals_px=solution.residuals_px,
-        image_cofactors=cofactors, image_covariance=cofactors * factor**2,
-    )  # fmt: skip
+    return {
+        "image_ids": np.array([image.id for image in solution.block.images], dtype=str),
+        "point_ids": np.array(solution.block.points.ids, dtype=str),
+        "parameter_names": names[row], "parameter_units": units[row], "prior_sigma": sigma[row],
+        "n_parameters": np.diff(problem.first), "state_image": solution.state.image,
+        "state_ground_m": solution.state.ground, "origin_m": problem.origin_m, "ground_m": solution.ground_m,
+        "residuals_px": solution.residuals_px, "image_cofactors": cofactors, "image_covariance": cofactors * factor**2,
+    }  # fmt: skip

@@ -1,33 +1,137 @@
-"""The record of an adjustment: the keys of ``result.json``.
+"""Record of an adjustment: the content of ``result.json``.
 
 The keys are stable (docs/results.md); lengths are metres, times seconds. A figure that does not
-exist is null and a finding says why.
+exist is null, and a finding gives the reason.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fg_orient.model.errors import Finding, as_record, finding
+from fg_orient.formats.rpc_text import format_rpc_text
+from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.model.names import EOP_SETS, Status
-from fg_orient.quality.deficiency import DEFICIENT
+from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability
+from fg_orient.quality.motions import UNOBSERVABLE
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.quality.verdict import DOWN, points_on_one_ray, points_without_ray, turned_down_images
-from fg_orient.run import outliers
-from fg_orient.run.prediction import prediction_records
-from fg_orient.run.statistics import correlation_record, missing, reliability_record
+from fg_orient.result.plain import plain
+from fg_orient.result.provenance import provenance
+from fg_orient.result.record import Result
+from fg_orient.result.statistics import (
+    correlation_record,
+    missing,
+    missing_tests,
+    outlier_records,
+    reliability_record,
+)
+from fg_orient.result.tables import arrays_of, start_points, tables_of
 
 if TYPE_CHECKING:
+    from fg_orient.adjustment.problem import Problem
     from fg_orient.model.block import Block, Options
     from fg_orient.model.errors import RankDeficientError
     from fg_orient.orientation.solution import Solution
     from fg_orient.quality.accuracy import PointDifferences
+    from fg_orient.rpc.corrected import Corrected
 
 
+SCHEMA_VERSION: Final = 1
 #: Image points of least weight that are named.
 MAX_NAMED: Final = 50
+#: Singular values of a block that the record keeps: the smallest ones.
+KEPT: Final = 1000
+
+
+def result_of(
+    solution: Solution, models: Mapping[str, Corrected], *, folder: Path = Path(), out: str = "",
+    command: Sequence[str] = (),
+) -> Result:  # fmt: skip
+    """Make the record of a solution; a run adds what it alone knows, and the times of its phases.
+
+    Parameters
+    ----------
+    solution : Solution
+    models : mapping
+        Corrected RPC by image; see :func:`fg_orient.rpc.corrected.corrected_models`.
+    folder : Path
+        Folder of the project; inputs are named relative to it.
+    out : str
+        Name of the result folder.
+    command : sequence of str
+        Words of the command line.
+    """
+    view, about = solution.block_view, _about(solution.problem, folder, out, command)
+    fitted = [
+        finding("rpc.fitted_correction", place=f"image {name}", line_px=model.errors["max_line_px"],
+                sample_px=model.errors["max_sample_px"])
+        for name, model in models.items() if not model.exact
+    ]  # fmt: skip
+    record = {
+        "schema": SCHEMA_VERSION, "name": solution.block.name, **summary(solution), **about,
+        "notes": [*about["notes"], *map(str, fitted)],
+        "observability": [o.as_dict() for o in solution.observability],
+        "block_observability": None if view is None else view.as_dict(),
+        "seconds": asdict(solution.seconds) | {"total": solution.seconds.total},
+    }  # fmt: skip
+    files = {f"rpc/{stem}_RPC.TXT": format_rpc_text(models[name].model).encode("ascii")
+             for name, stem in _file_stems(models).items()}  # fmt: skip
+    iterations = tuple(plain(asdict(iteration)) for iteration in solution.log)
+    return Result(plain(record), tables_of(solution), iterations, arrays_of(solution), files)
+
+
+def deficient_result(
+    error: RankDeficientError, problem: Problem, folder: Path, out: str, command: Sequence[str]
+) -> Result:
+    """Make the record of a block whose unknowns are not determined: directions, spectra and start values."""
+    evidence = error.evidence
+    assert isinstance(evidence, Evidence)
+    images, view = evidence.observability or judge_observability(evidence.problem), evidence.view
+    block = None
+    if view is not None:
+        block = {**view.as_dict(), "singular_values": view.singular_values[-KEPT:], "limit": UNOBSERVABLE}
+    record = {
+        "schema": SCHEMA_VERSION, "name": problem.block.name, **deficient_summary(error, problem.block),
+        **_about(problem, folder, out, command), "observability": [o.as_dict() for o in images],
+        "block_observability": block,
+    }  # fmt: skip
+    return Result(plain(record), start_points(problem))
+
+
+def _about(problem: Problem, folder: Path, out: str, command: Sequence[str]) -> dict[str, Any]:
+    """Part of a record that describes the block."""
+    block = problem.block
+    return {
+        "out": out,
+        "notes": [
+            str(replace(note, file=note.file.removeprefix(f"{folder.absolute()}/").removeprefix(f"{folder}/")))
+            for note in block.notes
+        ],
+        "images": [
+            {"id": image.id, "file": Path(image.sensor.file).name, "n_lines": image.sensor.n_lines,
+             "n_samples": image.sensor.n_samples, "notes": list(map(str, image.sensor.notes)),
+             "footprint_lon_lat_deg": image.sensor.footprint().tolist(), **model.facts()}
+            for image, model in zip(block.images, problem.models, strict=True)
+        ],
+        "provenance": provenance(block, folder, command),
+    }  # fmt: skip
+
+
+def _file_stems(names: Iterable[str]) -> dict[str, str]:
+    """File name of each image id: characters that file names should not have become ``_``; equal names are numbered."""
+    stems: dict[str, str] = {}
+    for name in names:
+        stem = safe = re.sub(r"[^\w.-]", "_", name)
+        while stem.lower() in map(str.lower, stems.values()):
+            stem = f"{safe}_{len(stems)}"
+        stems[name] = stem
+    return stems
 
 
 def summary(solution: Solution) -> dict[str, Any]:
@@ -40,7 +144,7 @@ def summary(solution: Solution) -> dict[str, Any]:
     Returns
     -------
     dict
-        The keys of ``result.json``; numbers may be nan, which :mod:`fg_orient.run.json`
+        The keys of ``result.json``; numbers may be nan, which :mod:`fg_orient.result.plain`
         turns into null.
     """
     problem, options = solution.problem, solution.block.options
@@ -66,7 +170,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "unobservable": list(solution.unobservable),
         "accuracy": {
             "control": solution.accuracy.control.statistics(),
-            "check": {**_check(solution.accuracy.check), **prediction_records(solution)},
+            "check": {**_check(solution.accuracy.check), **_prediction(solution)},
         },
         "robust": _robust(solution),
         "regularisation": None if solution.regularisation is None else solution.regularisation.as_dict(),
@@ -74,7 +178,7 @@ def summary(solution: Solution) -> dict[str, Any]:
         "resumed_at_iteration": solution.resumed_at or None,
         "us_per_observation_iteration": 1e6 * solution.seconds.solve / work if work else float("nan"),
         "memory": None if solution.memory is None else solution.memory.as_dict(),
-        **outliers.outlier_records(solution),
+        **outlier_records(solution),
         "reliability": reliability_record(solution),
         "correlations": correlation_record(solution),
         **_parallax(solution),
@@ -130,6 +234,18 @@ def _check(points: PointDifferences) -> dict[str, Any]:
     return {**points.statistics(), "suspicious": suspicious, "beyond_3_sigma": beyond, "largest": largest}
 
 
+def _prediction(solution: Solution) -> dict[str, Any]:
+    """Test of the predicted accuracy (null where it is impossible), the reason, and the test of the means."""
+    from fg_orient.quality.prediction_test import bias_test
+
+    test, withheld = None, None
+    try:
+        test = solution.prediction_test().as_dict()
+    except NoSolutionError as error:
+        withheld = str(error)
+    return {"prediction": test, "prediction_withheld": withheld, "bias": bias_test(solution.accuracy.check) or None}
+
+
 def _missing(solution: Solution) -> list[Finding]:
     """Tell why a figure is null."""
     out, interval = [], ["sigma0_interval_99_9"]
@@ -145,7 +261,7 @@ def _missing(solution: Solution) -> list[Finding]:
         out.append(finding("absent.whole_block", figures=["block_observability"]))
     if not solution.problem.n_images * solution.iterations:
         out.append(finding("absent.no_iteration", figures=["us_per_observation_iteration"]))
-    return [*out, *outliers.missing(solution), *missing(solution)]
+    return [*out, *missing_tests(solution), *missing(solution)]
 
 
 def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]:

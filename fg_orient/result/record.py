@@ -1,0 +1,317 @@
+"""Result of an adjustment as one record: ``result.json``, tables, iterations and arrays of a result folder.
+
+A run makes it from a solution (``fg_orient.result.summary.result_of``), writes it to a folder and makes the page of it;
+:func:`read_result` reads it again. The page from the folder is the page from memory.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fg_orient.formats.folder import RESULT
+from fg_orient.model.errors import InputError
+from fg_orient.model.names import Status
+from fg_orient.result.plain import WHOLE, Table, dumps, read_table, table_of_rows
+
+if TYPE_CHECKING:
+    import pandas
+
+Array = npt.NDArray[np.float64]
+
+#: The file by which a result folder is known.
+RESULT_FILE: Final = RESULT.mark
+ITERATIONS_FILE: Final = "iterations.jsonl"
+ARRAYS_FILE: Final = "arrays.npz"
+#: Start values of the points: the only table where nothing was adjusted.
+START_POINTS: Final = "start_points"
+_ENU: Final = ("east_m", "north_m", "up_m")
+#: Tables of a result and the columns that each must have.
+TABLES: Final = {
+    "points": ("id", "role", "lon_deg", "lat_deg", "x_m", "y_m", "z_m", "sigma_scale",
+               *(f"sigma_{axis}" for axis in _ENU), *(f"difference_{axis}" for axis in _ENU)),
+    "residuals": ("image", "id", "line", "sample", "v_line_px", "v_sample_px", "sigma_line_px", "sigma_sample_px"),
+    "eop": ("image", "parameter", "component", "degree", "unit", "value_per_tau", "sigma", "prior_sigma"),
+    START_POINTS: ("id", "role", "n_rays", "lon_deg", "lat_deg"),
+}  # fmt: skip
+#: Beginnings of the figures of the accuracy assessment in the record.
+_ACCURACY: Final = ("n", "rmse_", "mean_", "sd_", "max_", "ce9", "le9")
+
+
+@dataclass(frozen=True, repr=False)
+class Result:
+    """Result of an adjustment.
+
+    Parameters
+    ----------
+    record : dict
+        Content of ``result.json`` (docs/results.md).
+    tables : dict
+        Tables by the names of their files: ``points``, ``residuals``, ``eop`` and, after a search for gross errors,
+        ``outliers``; ``start_points`` alone where nothing was adjusted.
+    iterations : tuple of dict
+        One record per iteration.
+    arrays : dict
+        Content of ``arrays.npz``.
+    files : dict
+        Further files by their names in the folder: corrected RPC.
+    """
+
+    record: dict[str, Any]
+    tables: dict[str, Table]
+    iterations: tuple[dict[str, Any], ...] = ()
+    arrays: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def points(self) -> Table:
+        """Ground points; their start values where nothing was adjusted."""
+        return self.tables["points" if self.adjusted else START_POINTS]
+
+    @property
+    def residuals(self) -> Table:
+        """Image points and their residuals."""
+        return self.tables["residuals"]
+
+    @property
+    def eop(self) -> Table:
+        """Orientation unknowns of the images."""
+        return self.tables["eop"]
+
+    @property
+    def accuracy(self) -> Table:
+        """Figures of the accuracy assessment, one a row."""
+        rows = [(role, name, np.nan if value is None else value)
+                for role, figures in self.record["accuracy"].items()
+                for name, value in figures.items() if name.startswith(_ACCURACY)]  # fmt: skip
+        return table_of_rows(("role", "quantity", "value"), rows)
+
+    @property
+    def adjusted(self) -> bool:
+        """Whether the unknowns were determined; else there are no coordinates and no orientation."""
+        return self.record.get("status") != Status.RANK_DEFICIENT
+
+    @property
+    def images(self) -> list[str]:
+        """Ids of the images."""
+        return [str(image["id"]) for image in self.record["images"]]
+
+    @cached_property
+    def cofactors(self) -> dict[str, Array]:
+        """Cofactors (k, k) of each image's unknowns in physical units, prior scale; empty without ``arrays.npz``."""
+        return self._of_images("image_cofactors")
+
+    def _of_images(self, name: str) -> dict[str, Array]:
+        """Square matrices of the images' unknowns by image."""
+        if not self.arrays:
+            return {}
+        counts, stacked = self.arrays["n_parameters"].tolist(), np.asarray(self.arrays[name], float)
+        return {image: q[:n, :n] for image, n, q in zip(self.images, counts, stacked, strict=True)}
+
+    def residual_summary(self) -> list[dict[str, Any]]:
+        """Root mean square, largest residual (px) and largest v/sigma per image."""
+        table = self.residuals
+        v, sigma = table.numbers("v_line_px", "v_sample_px"), table.numbers("sigma_line_px", "sigma_sample_px")
+        names = list(dict.fromkeys(table.words["image"]))
+        image = table.codes("image", names)
+        out = []
+        for k, name in enumerate(names):
+            rows = np.flatnonzero(image == k)
+            part, ratio = v[rows], np.abs(v[rows] / sigma[rows]).max(axis=1)
+            worst = int(np.argmax(ratio))
+            out.append({
+                "image": name, "n": len(rows), "rms_line_px": float(np.sqrt(np.mean(part[:, 0] ** 2))),
+                "rms_sample_px": float(np.sqrt(np.mean(part[:, 1] ** 2))), "max_px": float(np.abs(part).max()),
+                "max_ratio": float(ratio[worst]), "worst": table.words["id"][int(rows[worst])],
+            })  # fmt: skip
+        return out
+
+    def write(self, folder: Path) -> None:
+        """Write all files but the page into an existing folder."""
+        tables = {**self.tables, "accuracy": self.accuracy} if self.adjusted else self.tables
+        for name, table in tables.items():
+            table.write(folder / f"{name}.csv")
+        if self.adjusted:
+            lines = (dumps(iteration) + "\n" for iteration in self.iterations)
+            (folder / ITERATIONS_FILE).write_text("".join(lines), encoding="utf-8")
+            np.savez(folder / ARRAYS_FILE, allow_pickle=False, **self.arrays)
+        for name, data in self.files.items():
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_bytes(data)
+        write_record(folder, self.record)
+
+    def to_frame(self, table: str = "points") -> pandas.DataFrame:
+        """Give a table as ``pandas.DataFrame`` (extra "tables").
+
+        Parameters
+        ----------
+        table : str
+            ``points``, ``residuals``, ``unknowns`` (``eop``), ``accuracy``, ``outliers``, ``iterations``, or
+            ``covariances``: of the unknowns of each image, indexed by image and parameter.
+
+        Raises
+        ------
+        InputError
+            The result has no such table.
+        """
+        import pandas
+
+        if table == "iterations":
+            return pandas.DataFrame(list(self.iterations))
+        if table == "covariances":
+            words = self.eop.words
+            names = {image: [p for i, p in zip(words["image"], words["parameter"], strict=True) if i == image]
+                     for image in self.images}  # fmt: skip
+            matrices = self._of_images("image_covariance")
+            frames = {image: pandas.DataFrame(q, names[image], names[image]) for image, q in matrices.items()}
+            return pandas.concat(frames, names=["image", "parameter"])
+        found = self.accuracy if table == "accuracy" else self.tables.get({"unknowns": "eop"}.get(table, table))
+        if found is None:
+            known = ", ".join((*self.tables, "unknowns", "accuracy", "iterations", "covariances"))
+            raise InputError.of("options.value", place="table", value=table, expected=known)
+        columns = {**found.words, **found.figures}
+        whole = {name: int for name in WHOLE & found.figures.keys() if np.isfinite(found.figures[name]).all()}
+        return pandas.DataFrame({name: columns[name] for name in found.columns}).astype(whole)
+
+    def to_geo(self) -> dict[str, Any]:
+        """Give the points as a GeoJSON FeatureCollection (RFC 7946): longitude, latitude (degrees, WGS 84).
+
+        The properties are all columns of the table of points. Points without geographic coordinates are left out.
+        """
+        table = self.points
+        rows = np.flatnonzero(np.isfinite(table.numbers("lon_deg", "lat_deg")).all(axis=1)).tolist()
+        columns = {**table.words, **{name: values.tolist() for name, values in table.figures.items()}}
+        columns = {name: columns[name] for name in table.columns}
+        features = [
+            {"type": "Feature", "geometry": {"type": "Point", "coordinates": place},
+             "properties": {name: _none_if_nan(values[k]) for name, values in columns.items()}}
+            for k, place in zip(rows, table.numbers("lon_deg", "lat_deg")[rows].tolist(), strict=True)
+        ]  # fmt: skip
+        return {"type": "FeatureCollection", "features": features}
+
+    def __repr__(self) -> str:
+        return one_line("Result", overview(self.record))
+
+    def _repr_html_(self) -> str:
+        return html_table("Result", overview(self.record))
+
+
+def _none_if_nan(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def overview(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of a record that a reader wants first."""
+    check = (record.get("accuracy") or {}).get("check") or {}
+    rmse = [check.get(f"rmse_{axis}") for axis in _ENU]
+    return {
+        "name": record.get("name"), "status": record.get("status"), "sigma0": record.get("sigma0"),
+        "redundancy": record.get("redundancy"), "image points": record.get("n_image_points"),
+        "iterations": record.get("iterations"), "backend": record.get("backend"),
+        "check points, RMSE (m)": None if None in rmse else " ".join(f"{value:.3g}" for value in rmse),
+    }  # fmt: skip
+
+
+def _texts_of(figures: Mapping[str, Any]) -> dict[str, str]:
+    given = {key: value for key, value in figures.items() if value not in (None, "")}
+    return {key: f"{value:.4g}" if isinstance(value, float) else str(value) for key, value in given.items()}
+
+
+def one_line(kind: str, figures: Mapping[str, Any]) -> str:
+    """Short representation of an object, below 300 characters."""
+    return f"<{kind}: {', '.join(f'{key} {text[:60]}' for key, text in _texts_of(figures).items())}"[:290] + ">"
+
+
+def html_table(kind: str, figures: Mapping[str, Any]) -> str:
+    """Table of two columns for notebooks."""
+    rows = (f"<tr><th>{escape(key)}</th><td>{escape(text)}</td></tr>" for key, text in _texts_of(figures).items())
+    return f"<table><caption>{escape(kind)}</caption>{''.join(rows)}</table>"
+
+
+# --- reading ---------------------------------------------------------------------------------------
+
+
+def write_record(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write ``result.json``."""
+    (folder / RESULT_FILE).write_text(dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """Read ``result.json`` of a result folder.
+
+    Raises
+    ------
+    InputError
+        It is missing or damaged.
+    """
+    path = folder / RESULT_FILE
+    if not path.is_file():
+        raise InputError.of("report.no_result", file=folder, place="DIR", value=f"no {RESULT_FILE}")
+    try:
+        record = json.loads(path.read_text("utf-8"))
+        if not isinstance(record, dict):
+            raise ValueError("no JSON object")
+    except (OSError, ValueError) as error:
+        raise InputError.of("report.damaged", file=path, value=error) from None
+    return record
+
+
+def read_result(folder: str | Path) -> Result:
+    """Read a result folder of ``fg-orient adjust`` or ``Solution.save``.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged, or nothing was adjusted.
+    """
+    result = read_any_result(Path(folder))
+    if not result.adjusted:
+        value = result.record["status"]
+        raise InputError.of("report.nothing_adjusted", file=folder, place=RESULT_FILE, value=value)
+    return result
+
+
+def read_any_result(folder: Path) -> Result:
+    """Read a result folder, also that of a block whose unknowns were not determined.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged.
+    """
+    result = Result(read_record(folder), {})
+    names = [name for name in TABLES if (name == START_POINTS) != result.adjusted]
+    names += ["outliers"] if (folder / "outliers.csv").is_file() else []
+    file = ""
+    try:
+        tables = {name: read_table(folder / (file := f"{name}.csv"), *TABLES.get(name, ())) for name in names}
+        if not result.adjusted:
+            return Result(result.record, tables)
+        lines = (folder / (file := ITERATIONS_FILE)).read_text("utf-8").splitlines()
+        iterations = tuple(json.loads(line) for line in lines)
+        arrays = _read_arrays(folder / (file := ARRAYS_FILE), len(result.images))
+        files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.glob("rpc/*"))}
+        return Result(result.record, tables, iterations, arrays, files)
+    except (OSError, ValueError, KeyError, csv.Error, zipfile.BadZipFile) as error:
+        raise InputError.of("report.damaged", file=folder / file, value=error) from None
+
+
+def _read_arrays(path: Path, n_images: int) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of a result; none where there is no such file."""
+    if not path.is_file():
+        return {}
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = dict(stored)
+    if len(arrays["n_parameters"]) != n_images or len(arrays["image_cofactors"]) != n_images:
+        raise ValueError(f"not of {n_images} images")
+    return arrays
