@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.formats.bal import read_bal
+from fg_orient.formats.exchange.bal import read_bal
 from fg_orient.simulate.frames import pinhole_block
 
 Array = npt.NDArray[np.float64]

@@ -57,8 +57,8 @@ _INTERNAL = """
     fg_orient/__main__.py fg_orient/adjustment/*.py fg_orient/adjustment/models fg_orient/adjustment/parts/*
     fg_orient/cli fg_orient/closerange/*job.py fg_orient/closerange/bundle_record.py fg_orient/closerange/importing.py
     fg_orient/closerange/report*.py fg_orient/formats/assemble.py fg_orient/formats/atomic.py
-    fg_orient/formats/*_checks.py fg_orient/formats/folder.py fg_orient/formats/rasters.py
-    fg_orient/formats/rpc_fields.py fg_orient/formats/schema.py fg_orient/kernels/batch* fg_orient/model/cells.py
+    fg_orient/formats/*_checks.py fg_orient/formats/gdal.py fg_orient/formats/toml.py
+    fg_orient/formats/rpc/fields.py fg_orient/formats/schema.py fg_orient/kernels/batch* fg_orient/model/cells.py
     fg_orient/model/messages fg_orient/rectification/job.py fg_orient/rectification/record.py
     fg_orient/rectification/remarks.py fg_orient/rectification/study.py fg_orient/rectification/synthetic.py
     fg_orient/rectification/adjusted.py fg_orient/rectification/grid.py fg_orient/rectification/lattice.py

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.models.contract import register_model
     from fg_orient.adjustment.regression import fit_curve
     from fg_orient.formats.project import read_project
-    from fg_orient.formats.sensor import read_sensor, register_reader
+    from fg_orient.formats.registry import Format, register_format
+    from fg_orient.formats.sensor import read_sensor
     from fg_orient.model.block import Block, ExtraObservation, GroundPoints, Image, ImagePoints, Options
     from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
     from fg_orient.model.names import Role, Status
@@ -62,6 +63,7 @@ _require_own_factors()
 _HOME: Final[dict[str, str]] = {
     "Block": "fg_orient.model.block",
     "ExtraObservation": "fg_orient.model.block",
+    "Format": "fg_orient.formats.registry",
     "FgOrientError": "fg_orient.model.errors",
     "GroundPoints": "fg_orient.model.block",
     "Image": "fg_orient.model.block",
@@ -82,8 +84,8 @@ _HOME: Final[dict[str, str]] = {
     "read_project": "fg_orient.formats.project",
     "read_result": "fg_orient.result.record",
     "read_sensor": "fg_orient.formats.sensor",
+    "register_format": "fg_orient.formats.registry",
     "register_model": "fg_orient.adjustment.models.contract",
-    "register_reader": "fg_orient.formats.sensor",
     "register_solver": "fg_orient.adjustment.linear.registry",
 }
 
@@ -91,6 +93,7 @@ __all__ = [
     "Block",
     "ExtraObservation",
     "FgOrientError",
+    "Format",
     "GroundPoints",
     "Image",
     "ImagePoints",
@@ -111,8 +114,8 @@ __all__ = [
     "read_project",
     "read_result",
     "read_sensor",
+    "register_format",
     "register_model",
-    "register_reader",
     "register_solver",
 ]
 

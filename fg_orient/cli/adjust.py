@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 #: Modules loaded before the clock starts: ``seconds`` measure the work, not Python's imports.
 WORKING = ("fg_orient.run", "fg_orient.adjustment.schur", "fg_orient.report", "fg_orient.formats.schema",
-           "fg_orient.formats.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
+           "fg_orient.formats.metadata.dimap", "fg_orient.sensors.projection", "jinja2")  # fmt: skip
 #: The same, of one backend.
 OF_BACKEND = {
     "graph": ("gtsam", "fg_orient.adjustment.graph", "fg_orient.quality.covariance"),

@@ -15,7 +15,7 @@ from fg_orient.model.errors import FgOrientError, Finding, InputError
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.memory import Need
-    from fg_orient.formats.exchange.registry import Format, Settings
+    from fg_orient.formats.registry import Format, Settings
     from fg_orient.model.block import Block
 
 
@@ -41,7 +41,7 @@ def validate(
     project = sources[0]
     if len(sources) > 1:
         raise InputError.of("cli.one_project", file=sources[1], place="PROJECT.toml", value=f"{len(sources)} files")
-    from fg_orient.formats.validate import checked_project
+    from fg_orient.formats.project import checked_project
 
     block, problems = checked_project(project)
     impossible = [] if block is None else _impossible(block, project)
@@ -79,7 +79,7 @@ def _validate_points(paths: list[Path], format_name: str, crs: str) -> None:
 
     The files of a format that has several are one survey; of the others each is one.
     """
-    from fg_orient.formats.exchange.registry import Settings, format_named
+    from fg_orient.formats.registry import Settings, format_named
 
     format_ = format_named(format_name, place="<format>")
     surveys = [paths] if len(format_.files) > 1 else [[path] for path in paths]

@@ -56,7 +56,7 @@ def require_project(path: Path) -> None:
         It does not exist, or is a folder.
     """
     if not path.is_file():
-        from fg_orient.formats.project import no_project_file
+        from fg_orient.formats.toml import no_project_file
 
         raise no_project_file(path)
 

@@ -72,8 +72,8 @@ def convert(
     What the new format cannot hold is said, one line each.
     """
     from fg_orient.formats.exchange.convert import Fill, filled, placed, read_survey, write_survey
-    from fg_orient.formats.exchange.registry import Settings, format_named, format_of
-    from fg_orient.formats.exchange.registry import formats as all_formats
+    from fg_orient.formats.registry import Settings, format_named, format_of
+    from fg_orient.formats.registry import formats as all_formats
 
     if formats:
         _list()
@@ -88,7 +88,7 @@ def convert(
     _require_crs(to_crs, "to_crs")
     settings = Settings(crs, image, sigma_axes, _sizes(image_size or []))
     if reader.read_model is not None and writer.write_model is not None:
-        from fg_orient.formats.exchange.models import convert_model
+        from fg_orient.formats.exchange.convert import convert_model
         from fg_orient.formats.exchange.ties import model_survey
 
         model, lost = convert_model(
@@ -162,12 +162,12 @@ def _show(findings: dict[str, tuple[Finding, ...]], counts: dict[str, int], writ
 
 def _list() -> None:
     """List the formats with their conventions."""
-    from fg_orient.formats.exchange.registry import formats
+    from fg_orient.formats.registry import formats
 
     record = {"formats": [
-        {"name": f.name, "title": f.title, "files": f.files, "suffixes": f.suffixes, "first_pixel": f.first_pixel,
-         "pixel_axes": f.pixel_axes, "ground_axes": f.ground_axes, "verified": f.verified, "evidence": f.evidence,
-         "holds": sorted(f.holds), "reads": f.read is not None, "writes": f.write is not None}
+        {**{name: getattr(f, name) for name in (
+            "name", "title", "help", "files", "suffixes", "first_pixel", "pixel_axes", "ground_axes", "verified",
+            "evidence")}, "holds": sorted(f.holds), "reads": f.read is not None, "writes": f.write is not None}
         for f in formats().values()
     ]}  # fmt: skip
     rows = [
@@ -202,7 +202,7 @@ def convert_camera(
 
     Neither polynomial inverts the other: the largest and the rms difference in the image are part of the result.
     """
-    from fg_orient.formats.camera import read_camera, write_camera
+    from fg_orient.formats.metadata.frame import read_camera, write_camera
     from fg_orient.sensors.interior import converted
 
     if out.exists() and (not overwrite or out.samefile(file)):

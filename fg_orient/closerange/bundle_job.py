@@ -28,8 +28,7 @@ from fg_orient.closerange.job import (
 from fg_orient.closerange.photo import Interior, Photo
 from fg_orient.closerange.resection import resect
 from fg_orient.closerange.stations import Station, read_stations, station_sigmas
-from fg_orient.formats.constraints import ConstraintEntry, read_constraints
-from fg_orient.formats.photos import read_photos
+from fg_orient.formats.closerange import ConstraintEntry, read_constraints, read_photos
 from fg_orient.model.errors import Finding, InputError, finding
 
 Array = npt.NDArray[np.float64]

@@ -13,7 +13,7 @@ from factors._contract import Equation
 from factors.conditions import circles, constraints, surfaces
 from fg_orient.adjustment.network import Observation, Variable
 from fg_orient.closerange.surface_fit import fit_surface
-from fg_orient.formats.photos import LARGEST, SMALLEST
+from fg_orient.formats.closerange import LARGEST, SMALLEST
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]

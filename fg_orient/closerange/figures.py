@@ -13,7 +13,7 @@ import numpy.typing as npt
 from fg_orient.closerange.report import read_record
 from fg_orient.closerange.report_maps import AXES, VIEWS, Scene, scene_of
 from fg_orient.closerange.report_plots import band_factor, by_photo, y_down
-from fg_orient.formats.folder import require_free
+from fg_orient.formats.atomic import require_free
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress
 from fg_orient.report import style

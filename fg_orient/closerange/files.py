@@ -14,12 +14,12 @@ import numpy.typing as npt
 
 from factors.cameras.image_corrections import NAMES
 from fg_orient.closerange.photo import Interior, Photo
-from fg_orient.formats.photos import LARGEST, SMALLEST
+from fg_orient.formats.closerange import LARGEST, SMALLEST
 from fg_orient.formats.tables import Faults, Row, Table, number, read_table
 from fg_orient.model.errors import InputError
 
 if TYPE_CHECKING:
-    from fg_orient.formats.photos import Photos
+    from fg_orient.formats.closerange import Photos
 
 Array = npt.NDArray[np.float64]
 

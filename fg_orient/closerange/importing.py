@@ -17,10 +17,10 @@ import numpy.typing as npt
 
 from fg_orient.closerange.files import GROUND, IMAGE, SIGMA_GROUND, SIGMA_IMAGE, photo_text
 from fg_orient.closerange.photo import Interior, Photo
+from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.exchange.dbat import read_centres, read_control
-from fg_orient.formats.exchange.registry import Settings, format_named
-from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
 from fg_orient.formats.frame_model import FrameModel
+from fg_orient.formats.registry import Settings, format_named
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL
 from fg_orient.sensors.interior import Interior as FrameInterior

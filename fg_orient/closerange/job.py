@@ -34,9 +34,8 @@ from fg_orient.closerange.report_words import doubts
 from fg_orient.closerange.resection import Resection, resect
 from fg_orient.closerange.surface import Kind
 from fg_orient.closerange.surface_fit import Method, Priors, fit_surface
-from fg_orient.formats.atomic import write_text
-from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
-from fg_orient.formats.photos import read_photos
+from fg_orient.formats.atomic import Contents, require_free, staged_folder, write_text, writing
+from fg_orient.formats.closerange import read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
 from fg_orient.model.versions import versions
 from fg_orient.result.plain import dumps

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from fg_orient.closerange.axes import rotation_from_aerial
 from fg_orient.closerange.files import GROUND, SIGMA_GROUND
-from fg_orient.formats.photos import LARGEST, SMALLEST
+from fg_orient.formats.closerange import LARGEST, SMALLEST
 from fg_orient.formats.tables import Faults, Row, number, read_table
 
 Array = npt.NDArray[np.float64]

@@ -32,7 +32,7 @@ from fg_orient.closerange.fitting import (
 from fg_orient.closerange.profile import followed, held, reach
 from fg_orient.closerange.surface import Kind, Surface
 from fg_orient.closerange.surface_models import Model, models_of
-from fg_orient.formats.photos import LARGEST, SMALLEST
+from fg_orient.formats.closerange import LARGEST, SMALLEST
 from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError
 
 Array = npt.NDArray[np.float64]

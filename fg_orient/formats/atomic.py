@@ -1,12 +1,20 @@
-"""Files written whole or not at all: a temporary name beside the target, then a rename."""
+"""Files and folders written whole or not at all: a hidden sibling is filled, then renamed.
+
+An existing folder is kept until the new one is complete. Only a folder that holds an output of ours and nothing else
+may be replaced: neither ``out`` pointing at a home directory by mistake, nor a result kept inside a simulated project,
+may cost data.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import secrets
-from collections.abc import Iterator
-from pathlib import Path
+import shutil
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import Final
 
 from fg_orient.model.errors import InputError
 
@@ -75,3 +83,145 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, *, durable: bool = Tr
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write UTF-8 text atomically, line ends unchanged; see :func:`write_bytes`."""
     write_bytes(path, text.encode("utf-8"))
+
+
+def write_lines(path: str | os.PathLike[str], lines: Iterable[str]) -> None:
+    """Write the lines of a UTF-8 text file atomically; see :func:`write_bytes`."""
+    write_text(path, "\n".join([*lines, ""]))
+
+
+# --- folders -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a kind of output folder holds.
+
+    Parameters
+    ----------
+    mark : str
+        A file that only our own output has.
+    names : tuple of str
+        Every file we write, relative to the folder, with ``*`` for any name.
+    """
+
+    mark: str
+    names: tuple[str, ...]
+
+    def first_foreign(self, folder: Path) -> str:
+        """Name the first file or folder that is not ours; "" if there is none."""
+        for path in sorted(folder.rglob("*")):
+            name = path.relative_to(folder)
+            is_folder = path.is_dir() and not path.is_symlink()
+            wanted = [p for pattern in self.names for p in (PurePath(pattern).parents if is_folder else [pattern])]
+            if not any(len(PurePath(w).parts) == len(name.parts) and name.match(str(w)) for w in wanted):
+                return name.as_posix()
+        return ""
+
+
+#: Result folder of ``adjust``.
+RESULT: Final = Contents(
+    "result.json",
+    ("result.json", "eop.csv", "points.csv", "residuals.csv", "accuracy.csv", "outliers.csv", "iterations.jsonl",
+     "arrays.npz", "start_points.csv", "report.html", "rpc/*_RPC.TXT", "figures/*.svg", "figures/*.pdf",
+     "figures/captions.md"),
+)  # fmt: skip
+
+
+def require_free(out: Path, *, overwrite: bool, contents: Contents = RESULT) -> None:
+    """Refuse an output folder that may not be written; ask before computing anything.
+
+    Parameters
+    ----------
+    out : Path
+        The folder to come.
+    overwrite : bool
+        Allow an existing folder that is empty, or holds the mark and nothing of others.
+    contents : Contents
+        What our output holds.
+
+    Raises
+    ------
+    InputError
+        It exists and may not be replaced; the first file that is not ours is named.
+    """
+    if not (out.exists() or out.is_symlink()):
+        return
+    if out.is_symlink() or not out.is_dir():
+        raise InputError.of("output.not_a_folder", file=out, option="out")
+    if not overwrite:
+        raise InputError.of("output.exists", file=out, option="out")
+    foreign = contents.first_foreign(out)
+    unmarked = any(out.iterdir()) and not (out / contents.mark).is_file()
+    if foreign or unmarked:
+        value = foreign or f"no {contents.mark}"
+        raise InputError.of("output.foreign", file=out, option="out", value=value, mark=contents.mark)
+
+
+@contextlib.contextmanager
+def writing(out: str | Path) -> Iterator[None]:
+    """Turn an OSError of writing into an InputError that names the output; for short blocks that only write."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError.of("output.unwritable", file=out, option="out", value=error.strerror or error) from error
+
+
+@contextlib.contextmanager
+def staged_folder(out: str | Path, *, overwrite: bool = False, contents: Contents = RESULT) -> Iterator[Path]:
+    """Give a temporary folder that becomes ``out`` if the block ends well, else vanishes.
+
+    Parameters
+    ----------
+    out : path
+        The folder to come; missing parents are made.
+    overwrite : bool
+        Replace an existing folder of ours once the new one is complete.
+    contents : Contents
+        What our output holds.
+
+    Yields
+    ------
+    Path
+        An empty folder beside ``out``.
+
+    Raises
+    ------
+    InputError
+        ``out`` exists and may not be replaced, or cannot be written. Exceptions of the block
+        pass unchanged.
+    """
+    target = Path(out).absolute()
+    require_free(target, overwrite=overwrite, contents=contents)
+    made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
+    staging = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.tmp")
+    done = False
+    try:
+        with writing(out):
+            staging.mkdir(parents=True)
+        yield staging
+        require_free(target, overwrite=overwrite, contents=contents)  # somebody else may have been faster
+        with writing(out):
+            _replace(target, staging)
+        done = True
+    finally:
+        if not done:
+            shutil.rmtree(staging, ignore_errors=True)
+            for folder in made:
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+
+
+def _replace(target: Path, staging: Path) -> None:
+    """Rename the complete folder to its name; the old one goes last."""
+    if not target.exists():
+        staging.rename(target)
+        return
+    old = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.old")
+    target.rename(old)
+    try:
+        staging.rename(target)
+    except BaseException:
+        old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)

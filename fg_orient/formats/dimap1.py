@@ -42,7 +42,6 @@ from fg_orient.model.errors import Finding, OutOfTimeRange, finding
 from fg_orient.sensors.metadata import (
     AngleAttitude,
     Ephemeris,
-    FramePoint,
     LineTiming,
     LookAngleTable,
     PushbroomMetadata,
@@ -66,7 +65,7 @@ def read_dimap1(root: XmlNode) -> PushbroomMetadata:
     Parameters
     ----------
     root : XmlNode
-        Root of the document; :func:`fg_orient.formats.dimap.read_dimap` has checked its profile.
+        Root of the document; :func:`fg_orient.formats.metadata.dimap.read_dimap` has checked its profile.
 
     Raises
     ------
@@ -96,7 +95,7 @@ def read_dimap1(root: XmlNode) -> PushbroomMetadata:
         ephemeris=_ephemeris(root, epoch),
         attitude=attitude,
         look=look,
-        frame_points=_frame_points(root),
+        frame_points=checks.frame_points(root.maybe("Dataset_Frame"), _FRAME_TAGS, "Scene_Center", FRAME_HEIGHT_M),
         notes=attitude_notes + look_notes + ((frame_note,) if frame_note else ()),
         frame_note=frame_note,
     )
@@ -187,16 +186,6 @@ def straight_line(sample: Array, psi_x_rad: Array, psi_y_rad: Array) -> LookAngl
 def _band(node: XmlNode) -> str:
     index = node.maybe("BAND_INDEX")
     return index.text() if index else "not given"
-
-
-def _frame_points(root: XmlNode) -> tuple[FramePoint, ...]:
-    frame = root.maybe("Dataset_Frame")
-    if frame is None:
-        return ()
-    corners = [(f"corner {k}", v) for k, v in enumerate(frame.every("Vertex", 4), start=1)]
-    centre = frame.maybe("Scene_Center")
-    nodes = corners + ([("centre", centre)] if centre else [])
-    return tuple(checks.frame_point(v, id_, _FRAME_TAGS, FRAME_HEIGHT_M) for id_, v in nodes)
 
 
 # --- attitude --------------------------------------------------------------------------------

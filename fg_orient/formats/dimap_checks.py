@@ -90,14 +90,36 @@ def require_unit_quaternions(nodes: Sequence[XmlNode], quaternion: Array) -> Non
         )
 
 
-def frame_point(vertex: XmlNode, id_: str, names: tuple[str, str, str, str], height_m: float | None) -> FramePoint:
-    """Frame point from a vertex; ``names`` are the tags of row, column, longitude, latitude."""
+def frame_points(
+    frame: XmlNode | None, names: tuple[str, str, str, str], centre: str, height_m: float | None
+) -> tuple[FramePoint, ...]:
+    """Corners of a frame and its centre, if it has one.
+
+    Parameters
+    ----------
+    frame : XmlNode or None
+        Parent of the elements ``Vertex``.
+    names : tuple of str
+        Tags of row, column, longitude, latitude.
+    centre : str
+        Tag of the centre.
+    height_m : float or None
+        Height of the points; None if the file gives none.
+    """
+    if frame is None:
+        return ()
+    nodes = [(f"corner {k}", vertex) for k, vertex in enumerate(frame.every("Vertex", 4), start=1)]
+    middle = frame.maybe(centre)
+    nodes += [("centre", middle)] if middle else []
     row, column, lon, lat = names
-    return FramePoint(
-        id_,
-        vertex.one(row).number(low=-MAX_IMAGE_SIZE, high=MAX_IMAGE_SIZE) - DIMAP_FIRST_PIXEL,
-        vertex.one(column).number(low=-MAX_IMAGE_SIZE, high=MAX_IMAGE_SIZE) - DIMAP_FIRST_PIXEL,
-        vertex.one(lon).number(DEGREES, -360.0, 360.0),
-        vertex.one(lat).number(DEGREES, -90.0, 90.0),
-        height_m,
-    )
+
+    def pixel(vertex: XmlNode, tag: str) -> float:
+        return vertex.one(tag).number(low=-MAX_IMAGE_SIZE, high=MAX_IMAGE_SIZE) - DIMAP_FIRST_PIXEL
+
+    return tuple(
+        FramePoint(
+            id_, pixel(v, row), pixel(v, column), v.one(lon).number(DEGREES, -360.0, 360.0),
+            v.one(lat).number(DEGREES, -90.0, 90.0), height_m,
+        )
+        for id_, v in nodes
+    )  # fmt: skip

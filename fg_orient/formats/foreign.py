@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.exchange.convert import Fill, filled, read_survey
-from fg_orient.formats.exchange.registry import Holds, Settings, format_named
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.observations import ObservationFile, remarks_on_sigmas
 from fg_orient.formats.points import PointFile, Record, located, point_file
+from fg_orient.formats.registry import Holds, Settings, format_named
 from fg_orient.formats.tables import Faults, did_you_mean
 from fg_orient.model.block import Coordinates, GroundPoints, ImagePoints
 from fg_orient.model.errors import Finding, InputError

@@ -6,18 +6,19 @@ whole or not at all (:mod:`fg_orient.formats.atomic`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.atomic import write_text
+from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.observations import COLUMNS
 from fg_orient.formats.points import FIXED, SIGMA_COLUMNS
+from fg_orient.formats.toml import entries
 from fg_orient.geodesy import COORDINATE_COLUMNS, Kind
 from fg_orient.model.block import Options
-from fg_orient.model.declaration import declared, toml
+from fg_orient.model.declaration import declared
 from fg_orient.model.names import Role
 
 Array = npt.NDArray[np.float64]
@@ -149,23 +150,24 @@ def write_project(
     InputError
         The file cannot be written.
     """
-    lines = [*_comments(comments), "schema = 1", f"name = {toml(name)}"]
-    for image, metadata in images:
-        lines += ["", "[[images]]", f"id = {toml(image)}", f"metadata = {toml(metadata)}"]
-    lines += ["", "[points]", f"file = {toml(points)}", f"crs = {toml(crs)}"]
-    lines += ["", "[observations]", f"file = {toml(observations)}", "", "[orientation]"]
-    lines += [*_entries(options or Options(), "orientation"), "", "[adjustment]"]
-    lines += _entries(options or Options(), "adjustment")
-    lines += [f"points_seen_once = {toml(points_seen_once)}", ""]
-    write_text(path, "\n".join(lines))
+    lines = [*_comments(comments), *entries({"schema": 1, "name": name})]
+    tables: list[tuple[str, Mapping[str, object]]] = [
+        *(("[[images]]", {"id": image, "metadata": metadata}) for image, metadata in images),
+        ("[points]", {"file": points, "crs": crs}), ("[observations]", {"file": observations}),
+        ("[orientation]", _options(options or Options(), "orientation")),
+        ("[adjustment]", {**_options(options or Options(), "adjustment"), "points_seen_once": points_seen_once}),
+    ]  # fmt: skip
+    for head, values in tables:
+        lines += ["", head, *entries(values)]
+    write_lines(path, lines)
 
 
 # --- text ----------------------------------------------------------------------------------------
 
 
 def _write(path: str | Path, header: Sequence[str], records: Iterable[Sequence[str]], comments: Sequence[str]) -> None:
-    lines = [*_comments(comments), ",".join(header), *(",".join(cells) for cells in records), ""]
-    write_text(path, "\n".join(lines))
+    lines = [*_comments(comments), ",".join(header), *(",".join(cells) for cells in records)]
+    write_lines(path, lines)
 
 
 def _comments(comments: Sequence[str]) -> list[str]:
@@ -187,7 +189,6 @@ def _numbers(values: Iterable[float]) -> list[str]:
     return [""] * len(row) if np.isnan(row).all() else [repr(v) for v in row]
 
 
-def _entries(options: Options, table: str) -> list[str]:
-    """Lines of a table of the project file; an option that is None is left out."""
-    values = [(name, getattr(options, name)) for name, one in declared(Options).items() if one.group.table == table]
-    return [f"{name} = {toml(value)}" for name, value in values if value is not None]
+def _options(options: Options, table: str) -> dict[str, object]:
+    """Options of a table of the project file by name."""
+    return {name: getattr(options, name) for name, one in declared(Options).items() if one.group.table == table}

@@ -8,24 +8,23 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from fg_orient.formats.assemble import assemble
-from fg_orient.formats.exchange.registry import format_named
+from fg_orient.formats.assemble import assemble, geometry_remarks
 from fg_orient.formats.foreign import Table, read_foreign_observations, read_foreign_points
-from fg_orient.formats.geometry import geometry_remarks
 from fg_orient.formats.observations import ObservationFile, read_observations
 from fg_orient.formats.points import LOSES_IDS, PointFile, read_points
+from fg_orient.formats.registry import format_named
 from fg_orient.formats.scenes import Scene
 from fg_orient.formats.tables import Faults
+from fg_orient.formats.toml import parse_toml
 from fg_orient.geodesy import crs_kind
 from fg_orient.model.block import Block, Image, Options, Source
 from fg_orient.model.declaration import declared, require_declared
-from fg_orient.model.errors import FgOrientError, Finding, InputError, finding
+from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.options import Reading
 from fg_orient.model.parameters import eop_set_number
 
@@ -105,6 +104,30 @@ def read_project_with_remarks(path: str | Path, **overrides: object) -> tuple[Bl
     return _navigated(block, project, folder, str(path)), remarks
 
 
+def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None, list[Finding]]:
+    """Read a project with all its files and list what is found.
+
+    Parameters
+    ----------
+    path : str or Path
+        The project file.
+    **overrides
+        Options as for :func:`read_project`.
+
+    Returns
+    -------
+    block : Block or None
+        None with errors.
+    problems : list of Finding
+        Either failures, with which ``adjust`` would refuse the project, or notes; empty if all is well.
+    """
+    try:
+        block, remarks = read_project_with_remarks(path, **overrides)
+    except InputError as error:
+        return None, list(error.problems)
+    return block, list(remarks)
+
+
 def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> Block:
     """The block with what was observed on board of its frame images, if the project names it."""
     entry = project.navigation
@@ -159,39 +182,6 @@ def _blame(found: Finding, overrides: Mapping[str, object]) -> Finding:
         if value is not None and (found.place == place or found.place.startswith(f"{place}[")):
             found = dataclasses.replace(found, file="", option=name, place=found.place.removeprefix(place))
     return found
-
-
-def no_project_file(path: Path) -> FgOrientError:
-    """Error of a path that does not exist, or is a folder; then with a project file in it."""
-    if path.is_dir():
-        inside = next(iter(sorted(path.glob("*.toml"))), path / "project.toml")
-        return InputError.of("project.folder", file=path, inside=inside)
-    return InputError.of("project.missing_file", file=path, folder="the current folder")
-
-
-def parse_toml(path: Path) -> dict[str, Any]:
-    """Content of a TOML file.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or is no TOML.
-    """
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except (FileNotFoundError, IsADirectoryError):
-        raise no_project_file(path) from None
-    except OSError as error:
-        raise InputError.of("project.unreadable", file=path, value=error.strerror) from None
-    except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        byte = f"byte 0x{error.object[error.start]:02x}"
-        raise InputError.of("project.encoding", file=path, place=f"line {line}", value=byte) from None
-    try:
-        return tomllib.loads(text.replace("\r\n", "\n"))
-    except tomllib.TOMLDecodeError as error:
-        message, _, place = str(error).rstrip(")").rpartition(" (at ")
-        raise InputError.of("project.syntax", file=path, place=place, value=message or place) from None
 
 
 def _options(project: ProjectFile, file: str) -> tuple[Options, list[Finding]]:

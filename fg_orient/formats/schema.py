@@ -7,16 +7,18 @@ declaration (``fg_orient.model.options``).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
 from fg_orient.formats.tables import did_you_mean
+from fg_orient.formats.toml import parse_toml
 from fg_orient.model import declaration as option_types
 from fg_orient.model.declaration import Option, declared, toml
-from fg_orient.model.errors import Finding, finding
+from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.options import Options, Reading
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation
 
@@ -26,20 +28,23 @@ Three = tuple[Positive, Positive, Positive]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Row = tuple[Number, Number, Number]
 Switch = Annotated[bool, Field(strict=True)]
+Model = TypeVar("Model", bound=BaseModel)
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
+    """A table of a TOML file: unknown keys, nan and infinity are refused."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class ImageEntry(_Table):
+class ImageEntry(Table):
     """One ``[[images]]`` table."""
 
     id: Text = Field(description='a name in quotes, such as "left"')
     metadata: Text = Field(description="the path of the metadata file in quotes")
 
 
-class _Foreign(_Table):
+class _Foreign(Table):
     """What a table says of a file of another program."""
 
     format: Text = Field(default="csv", description='the name of a format, such as "metashape-xml" (docs/formats)')
@@ -74,7 +79,7 @@ def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None
     return value
 
 
-class NavigationEntry(_Table):
+class NavigationEntry(Table):
     """The ``[navigation]`` table: what a receiver and an inertial unit observed on board of frame images."""
 
     file: Text = Field(description="the path of the navigation table in quotes")
@@ -112,20 +117,20 @@ def _entry(option: Option) -> Any:
     return kind | None if option.optional else kind, Field(default=option.default, description=option.expected + name)
 
 
-def options_table(table: str, *records: type) -> type[_Table]:
+def options_table(table: str, *records: type) -> type[Table]:
     """Model of a table of the project file that holds the declared options of its groups."""
     entries = {name: _entry(one) for name, one in declared(*records).items() if one.group.table == table}
-    return create_model(table.title(), __base__=_Table, **entries)
+    return create_model(table.title(), __base__=Table, **entries)
 
 
 if TYPE_CHECKING:
-    Orientation = _Table
-    Adjustment = _Table
+    Orientation = Table
+    Adjustment = Table
 else:
     Orientation, Adjustment = (options_table(table, Options, Reading) for table in ("orientation", "adjustment"))
 
 
-class ProjectFile(_Table):
+class ProjectFile(Table):
     """A whole project file."""
 
     schema_: Literal[1] = Field(alias="schema", description="schema = 1")
@@ -151,6 +156,20 @@ def validate(content: dict[str, Any], file: str) -> ProjectFile | tuple[Finding,
         return ProjectFile.model_validate(content)
     except ValidationError as error:
         return problems_of(error, file, ProjectFile)
+
+
+def read_toml(path: str | Path, model: type[Model]) -> Model:
+    """Read a TOML file as a pydantic model.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or every fault of it.
+    """
+    try:
+        return model.model_validate(parse_toml(Path(path)))
+    except ValidationError as error:
+        raise InputError(*problems_of(error, str(path), model)) from None
 
 
 def problems_of(error: ValidationError, file: str, root: type[BaseModel]) -> tuple[Finding, ...]:

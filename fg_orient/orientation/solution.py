@@ -403,7 +403,7 @@ class Solution(Adjusted):
         InputError
             The folder exists or cannot be written.
         """
-        from fg_orient.formats.folder import require_free, staged_folder, writing
+        from fg_orient.formats.atomic import require_free, staged_folder, writing
         from fg_orient.report import write_page
 
         require_free(Path(folder), overwrite=overwrite)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from fg_orient.formats.folder import Contents
+from fg_orient.formats.atomic import Contents
 from fg_orient.model.errors import sentences
 from fg_orient.rectification.figure import residual_figure
 from fg_orient.rectification.points import PointFit

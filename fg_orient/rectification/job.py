@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.linear.threads import one_blas_thread
-from fg_orient.formats.folder import require_free, staged_folder, writing
+from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.tables import Faults, number, read_table
 from fg_orient.model.errors import InputError
 from fg_orient.model.versions import versions

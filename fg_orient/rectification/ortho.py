@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.rasters import rasterio_of
+from fg_orient.formats.gdal import rasterio_of
 from fg_orient.kernels.resampling import BILINEAR, CUBIC, LIMITS, NEAREST, REACH, pixel_positions, resample
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from fg_orient.formats.rasters import rasterio_of
+from fg_orient.formats.gdal import rasterio_of
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress

@@ -13,7 +13,7 @@ import numpy as np
 
 from fg_orient.formats.atomic import staged_file, write_text
 from fg_orient.formats.exchange.geopackage import GPKG_OPTIONS
-from fg_orient.formats.letter_case import plain_case
+from fg_orient.formats.gdal import plain_case
 from fg_orient.model.errors import InputError
 from fg_orient.report.layers import Layer, read_layers
 

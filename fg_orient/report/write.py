@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
+from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Progress
 from fg_orient.report import captions, checks, maps, regularisation, residuals, style

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.folder import RESULT
+from fg_orient.formats.atomic import RESULT
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Status
 from fg_orient.result.plain import WHOLE, Table, dumps, read_table, table_of_rows

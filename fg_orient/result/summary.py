@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fg_orient.formats.rpc_text import format_rpc_text
+from fg_orient.formats.rpc.text import format_rpc_text
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.model.names import EOP_SETS, Status
 from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from factors.cameras import rfm
 from factors.cameras.rfm_project import RANGE
 from factors.geometry import ellipsoid
-from fg_orient.formats.rpc_dimap import AGREEMENT_PX
+from fg_orient.formats.rpc.dimap import AGREEMENT_PX
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import Finding, InputError, finding, judged
 from fg_orient.rpc.compensate import residuals

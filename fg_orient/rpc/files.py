@@ -12,21 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.cameras.rfm_project import RANGE
-from fg_orient.formats.rpc import FORMATS, read_rpc
-from fg_orient.formats.rpc_fields import USUAL_ORDER
+from fg_orient.formats.registry import formats
+from fg_orient.formats.rpc import read_rpc, rpc_writer
+from fg_orient.formats.rpc.fields import USUAL_ORDER
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
 Array = npt.NDArray[np.float64]
 
-#: Names of formats that can be written, as given by users.
-TARGETS: Final = {
-    "rpc-txt": "_RPC.TXT", "rpb": "RPB", "dimap": "DIMAP 2 or 3 RPC XML", "geotiff-tags": "GeoTIFF",
-}  # fmt: skip
-#: The same by the end of a file's name.
-SUFFIXES: Final = {
-    ".TXT": "rpc-txt", ".RPB": "rpb", ".XML": "dimap", ".TIF": "geotiff-tags", ".TIFF": "geotiff-tags",
-}  # fmt: skip
 #: Ends of the names of RPC files that GDAL prefers to the tags of the image beside them.
 SIDECARS: Final = ("_RPC.TXT", "_rpc.txt", ".RPB", ".rpb")
 #: Values per axis of the cube of normalised coordinates in which two models are compared.
@@ -71,12 +64,10 @@ def target_of(name: str | None, out: Path) -> str:
         No such format, or the name of the file does not say one.
     """
     if name is None:
-        found = SUFFIXES.get(out.suffix.upper())
-        if found is None:
-            raise InputError.of("rpc.target", file=out, value=out.name)
-        return found
-    if name not in TARGETS:
-        raise InputError.of("rpc.target_name", option="to", value=name, known=", ".join(TARGETS))
+        return rpc_writer(out).name
+    known = [f.name for f in formats("rpc").values() if f.write_rpc]
+    if name not in known:
+        raise InputError.of("rpc.target_name", option="to", value=name, known=", ".join(known))
     return name
 
 
@@ -101,7 +92,7 @@ def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False
     out : Path
         For "geotiff-tags" an existing image, whose tags are replaced.
     target : str
-        Of ``TARGETS``.
+        Name of a format.
     overwrite : bool
         Replace an existing file.
 
@@ -119,9 +110,9 @@ def write_as(model: RpcModel, out: Path, target: str, *, overwrite: bool = False
     require_free(out, overwrite)
     if target == "geotiff-tags":
         _require_no_sidecar(out)
-    form = next(f for f in FORMATS if f.name == TARGETS[target])
-    assert form.write is not None
-    form.write(out, model)
+    write = formats("rpc")[target].write_rpc
+    assert write is not None
+    write(out, model)
     back = open_rpc(out)
     line, sample = np.abs(projected_differences(model, back.model)).max(axis=0)
     return {

@@ -6,8 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from fg_orient.formats.camera import write_camera
-from fg_orient.formats.frame_file import write_frame_file
+from fg_orient.formats.metadata.frame import write_camera, write_frame_file
 from fg_orient.formats.rpc import write_rpc
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.frame import FrameSensor

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.rasters import rasterio_of
+from fg_orient.formats.gdal import rasterio_of
 from fg_orient.geodesy import ecef_to_geodetic
 from fg_orient.kernels.rendering import RAY, TO_MAP, corners, expose
 from fg_orient.kernels.resampling import SCALING

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.rasters import rasterio_of
+from fg_orient.formats.gdal import rasterio_of
 from fg_orient.geodesy import from_geographic
 
 Array = npt.NDArray[np.float64]

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.dimap import read_dimap
 from fg_orient.formats.dimap_write import write_dimap1, write_dimap2
+from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.metadata import (
     AngleAttitude,

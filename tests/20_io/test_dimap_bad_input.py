@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_orient.formats.dimap import read_dimap
+from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.model.errors import Finding, InputError
 from fg_orient.sensors.metadata import PushbroomMetadata
 

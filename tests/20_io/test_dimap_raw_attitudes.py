@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.dimap import read_dimap
 from fg_orient.formats.dimap1 import SPEED_HOLD_S, straight_line
+from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.model.errors import Finding, OutOfTimeRange
 from fg_orient.sensors.metadata import AngleAttitude, PushbroomMetadata
 

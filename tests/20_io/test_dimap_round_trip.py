@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_orient.formats.dimap import read_dimap
 from fg_orient.formats.dimap_write import write_dimap1, write_dimap2
+from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.metadata import (
     AngleAttitude,

@@ -12,9 +12,14 @@ import numpy as np
 import pytest
 
 from factors.cameras.rfm_terms import permutation
-from fg_orient.formats import rpc_dimap, rpc_geom, rpc_raster, rpc_rpb, rpc_text
-from fg_orient.formats.rpc import FORMATS, read_rpc, rpc_format, write_rpc
-from fg_orient.formats.rpc_fields import POLYNOMIALS
+from fg_orient.formats.registry import formats
+from fg_orient.formats.rpc import dimap as rpc_dimap
+from fg_orient.formats.rpc import gdal as rpc_raster
+from fg_orient.formats.rpc import geom as rpc_geom
+from fg_orient.formats.rpc import read_rpc, rpc_format, write_rpc
+from fg_orient.formats.rpc import rpb as rpc_rpb
+from fg_orient.formats.rpc import text as rpc_text
+from fg_orient.formats.rpc.fields import POLYNOMIALS
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
@@ -416,10 +421,15 @@ def test_each_format_is_told_from_all_others(tmp_path: Path, model: RpcModel) ->
     (tmp_path / "a.vrt").write_text(vrt_text(model))
     files = ("a.tif", "a.vrt", "a.XML", "v1.XML", "isd.XML", "a.RPB", "a_RPC.TXT", "a.geom", "list.txt")
     found = [rpc_format(tmp_path / name) for name in files]
-    assert [form.name for form in found if form] == [form.name for form in FORMATS]
+    titles = ("GeoTIFF", "GDAL VRT or .aux.xml", "DIMAP 2 or 3 RPC XML", "PHR_DIMAP", "DigitalGlobe XML", "RPB",
+              "_RPC.TXT", "OSSIM .geom", "list of 90 numbers")  # fmt: skip
+    assert [form.title for form in found if form] == list(titles)
+    known = formats("rpc")
+    assert len(known) == len(titles)
     for path in tmp_path.glob("a*"):
         head = path.read_bytes()[:65536].decode("latin-1")
-        assert sum(form.is_one(head) for form in FORMATS) == 1 or path.name.endswith(".aux.xml")
+        claims = [form.name for form in known.values() if form.sniff is not None and form.sniff(path, head)]
+        assert len(claims) == 1 or path.name.endswith(".aux.xml")
     assert isinstance(read_sensor(tmp_path / "a_RPC.TXT"), RpcSensor)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fg_orient.formats.exchange.asp_gcp import read, write
-from fg_orient.formats.exchange.registry import Settings
+from fg_orient.formats.registry import Settings
 from fg_orient.geodesy import ecef_to_geodetic, to_ecef
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.registry import Settings, formats
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.registry import Settings, formats
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role

@@ -11,7 +11,7 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.formats.exchange.convert import read_survey, write_survey
-from fg_orient.formats.exchange.registry import Settings, format_named
+from fg_orient.formats.registry import Settings, format_named
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role

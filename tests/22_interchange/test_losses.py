@@ -11,8 +11,8 @@ import pytest
 
 from fg_orient.formats.exchange.convert import read_survey, write_survey
 from fg_orient.formats.exchange.ground import transformed
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, format_of, formats, register
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.registry import Format, Holds, Settings, format_of, formats, register_format
 from fg_orient.geodesy import ecef_to_geodetic, to_ecef
 from fg_orient.geodesy.crs import from_ecef
 from fg_orient.model.errors import InputError
@@ -219,7 +219,7 @@ def test_formats_say_their_conventions() -> None:
 def test_two_formats_cannot_have_one_name() -> None:
     other: Format = replace(formats()["odm"], title="another")
     with pytest.raises(ValueError, match="registered already"):
-        register(other)
+        register_format(other)
 
 
 @pytest.mark.behaviour

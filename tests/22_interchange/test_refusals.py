@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fg_orient.formats.exchange.convert import Fill, filled, read_survey, write_survey
-from fg_orient.formats.exchange.registry import Settings, formats
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.registry import Settings, formats
 from fg_orient.formats.scenes import Scene
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role

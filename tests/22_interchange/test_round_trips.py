@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fg_orient.formats.exchange.convert import read_survey, write_survey
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, formats
+from fg_orient.formats.registry import Format, Holds, Settings, formats
 from fg_orient.model.errors import InputError
 from tests.support.survey import assert_same, random_survey
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fg_orient.formats.exchange.micmac_csv import FORMAT, read_image
-from fg_orient.formats.exchange.registry import Settings
 from fg_orient.formats.exchange.ties import tie_survey
+from fg_orient.formats.registry import Settings
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError
 from tests.support.work import counted

@@ -10,7 +10,7 @@ import pytest
 
 from fg_orient.formats.exchange import dbat, photomodeler
 from fg_orient.formats.exchange.photomodeler import read_photomodeler, read_points_2d
-from fg_orient.formats.exchange.registry import Settings
+from fg_orient.formats.registry import Settings
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
 from tests.support.format_files import PHOTOMODELER as EXPORT

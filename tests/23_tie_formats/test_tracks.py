@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fg_orient.formats.exchange.tracks import Tracks, conflicts, join
+from fg_orient.formats.exchange.ties import Tracks, conflicts, join
 from tests.support.work import counted
 
 

@@ -12,10 +12,9 @@ import pytest
 from fg_orient import geodesy
 from fg_orient.formats.points import read_points
 from fg_orient.formats.points_write import write_points
-from fg_orient.formats.project import read_project
+from fg_orient.formats.project import checked_project, read_project
 from fg_orient.formats.schema import Adjustment, Orientation
 from fg_orient.formats.tables import Faults
-from fg_orient.formats.validate import validate_project
 from fg_orient.model.block import Options
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
@@ -182,7 +181,7 @@ def test_the_same_points_in_another_crs(folder, crs, names, kind):
 
 
 def codes(folder) -> list[str]:
-    found = validate_project(folder.project)
+    found = checked_project(folder.project)[1]
     assert all(p.severity == "note" for p in found)
     return [p.code for p in found]
 
@@ -203,7 +202,7 @@ def test_remark_on_control_along_a_line(folder):
                      ("32.00,41.44", "31.90,41.443")):  # fmt: skip
         text = text.replace(old, new)
     folder.points.write_text(text)
-    found = {p.code: p for p in validate_project(folder.project)}
+    found = {p.code: p for p in checked_project(folder.project)[1]}
     assert "remark.control_line" in found and "4 control" in found["remark.control_line"].value
 
 
@@ -223,7 +222,7 @@ def test_remark_on_clustered_control_and_on_one_image(folder):
 def test_remarks_on_odd_units_of_sigmas(folder):
     folder.change("points.csv", "0.06,0.07,1.0", "1e-7,0.07,1.0")
     folder.change("observations.csv", "left,01,1000,1200,0.3,0.3", "left,01,1000,1200,1e5,0.3")
-    found = {p.code: p for p in validate_project(folder.project)}
+    found = {p.code: p for p in checked_project(folder.project)[1]}
     assert "line 4" in found["remark.sigma_ground"].place and "1e-07" in found["remark.sigma_ground"].value
     assert "line 2" in found["remark.sigma_image"].place and "100000" in found["remark.sigma_image"].value
 

@@ -15,7 +15,7 @@ from rasterio.transform import RPCTransformer
 
 from factors.cameras import rfm
 from factors.geometry import ellipsoid
-from fg_orient.formats.dimap import read_dimap
+from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.formats.rpc import read_rpc, rpc_format
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.dimap import read_dimap
+from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.formats.rpc import read_rpc
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import geodetic_to_ecef

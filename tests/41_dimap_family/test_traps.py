@@ -10,7 +10,7 @@ import pyproj
 import pytest
 
 from fg_orient.cli.common import Extrapolate
-from fg_orient.formats.dimap import read_dimap
+from fg_orient.formats.metadata.dimap import read_dimap
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError, OutOfImage, OutOfTimeRange
 from fg_orient.sensors.ground import frame_records

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.earth_orientation import read_earth_orientation
+from fg_orient.formats.metadata.pushbroom import read_earth_orientation
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.model.errors import InputError, OutOfTimeRange
 from fg_orient.sensors.pushbroom import PushbroomSensor

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_orient.formats.earth_orientation import read_earth_orientation
+from fg_orient.formats.metadata.pushbroom import read_earth_orientation
 from fg_orient.geodesy import geodetic_to_ecef
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.earth_rotation import EarthRotation

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.solve import solve
-from fg_orient.formats.bal import read_bal, read_bal_data
+from fg_orient.formats.exchange.bal import read_bal, read_bal_data
 from fg_orient.model.errors import InputError
 
 

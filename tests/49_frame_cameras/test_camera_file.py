@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
-from fg_orient.formats.bal import read_bal
-from fg_orient.formats.camera import read_camera, write_camera
+from fg_orient.formats.exchange.bal import read_bal
+from fg_orient.formats.metadata.frame import read_camera, write_camera
 from fg_orient.model.errors import InputError
 from fg_orient.sensors import initial
 from fg_orient.sensors.frame import (

@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fg_orient as fg
-from fg_orient.formats.camera import write_camera
-from fg_orient.formats.frame_file import read_frame_file, write_frame_file
+from fg_orient.formats.metadata.frame import read_frame_file, write_camera, write_frame_file
 from fg_orient.formats.points_write import write_observations, write_points, write_project
 from fg_orient.formats.sensor import read_sensor
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import fg_orient as fg
-from fg_orient.formats.bal import read_bal
+from fg_orient.formats.exchange.bal import read_bal
 
 pytestmark = pytest.mark.truth
 

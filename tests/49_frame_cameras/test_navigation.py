@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import fg_orient as fg
 from factors.conditions.navigation import ANTENNA_POSITION, INERTIAL_ATTITUDE, rotation_vector
-from fg_orient.formats.camera import write_camera
-from fg_orient.formats.frame_file import write_frame_file
+from fg_orient.formats.metadata.frame import write_camera, write_frame_file
 from fg_orient.formats.points_write import write_observations, write_points, write_project
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Block

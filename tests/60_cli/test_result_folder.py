@@ -13,7 +13,7 @@ import pyproj
 import pytest
 
 import fg_orient.run as runs
-from fg_orient.formats.folder import staged_folder
+from fg_orient.formats.atomic import staged_folder
 from fg_orient.model.errors import InputError
 from fg_orient.result.record import Result
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pyproj
 import pytest
 
-from fg_orient.formats.project import read_project
-from fg_orient.formats.validate import validate_project
+from fg_orient.formats.project import checked_project, read_project
 from fg_orient.model.errors import Finding, InputError
 from tests.support.command import in_process
 from tests.support.project_folder import ProjectFolder
@@ -116,7 +115,7 @@ def refused(folder: ProjectFolder) -> tuple[Finding, ...]:
         read_project(folder.project)
     found = caught.value.problems
     assert caught.value.exit_code == 2
-    assert validate_project(folder.project) == list(found)
+    assert checked_project(folder.project)[1] == list(found)
     assert len(str(caught.value).splitlines()) == len(found)
     for p in found:
         assert p.file and p.message and p.remedy and p.remedy in str(p).replace("  ", " ")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from fg_orient.formats.folder import RESULT
+from fg_orient.formats.atomic import RESULT
 from fg_orient.model.errors import InputError
 from fg_orient.report import captions, checks, maps, residuals, style, write
 from fg_orient.report import figure_orientation as orientation

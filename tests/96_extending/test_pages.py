@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import json
 import shutil
 import sys
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from fg_orient.adjustment.linear.kappa import Given, choose_kappa
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.adjustment.models import contract
-from fg_orient.formats import sensor as sensor_reader
+from fg_orient.formats import registry as format_registry
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block
 from fg_orient.model.plugins import load_plugin
@@ -32,18 +33,25 @@ from tests.support.command import in_process
 from tests.support.pages import Fence
 
 #: Pages, and the name that each gives its file.
-PAGES = {"sensor": "parallel", "equation": "distance", "solver": "cgls", "kappa-rule": "mallows", "loss": "fair"}
+PAGES = {
+    "format": "xyz",
+    "sensor": "parallel",
+    "equation": "distance",
+    "solver": "cgls",
+    "kappa-rule": "mallows",
+    "loss": "fair",
+}
 
 
 @pytest.fixture(scope="module")
 def registries() -> Iterator[pytest.MonkeyPatch]:
     """Copies of all registries, of the modules and their path: what a page adds goes with them."""
     registry.solvers(), kappa.kappa_rules(), losses.losses()  # all loaded before the copies
+    format_registry.formats("image"), format_registry.formats("rpc"), format_registry.formats()
     with pytest.MonkeyPatch.context() as patch:
-        for module in (_contract, registry, kappa, losses):
+        for module in (_contract, registry, kappa, losses, format_registry):
             patch.setattr(module, "_REGISTRY", dict(module._REGISTRY))
         patch.setattr(contract, "_OWN", {})
-        patch.setattr(sensor_reader, "_READERS", {})
         patch.setattr(sys, "path", list(sys.path))
         yield patch
         for name in PAGES.values():
@@ -118,6 +126,55 @@ def test_commands_and_further_blocks_of_the_page(
     assert pages.run_page(found, names, repository, lambda _: True) >= 1
     if page == "equation":
         assert names["solution"].redundancy == names["before"].redundancy + 1
+
+
+# --- a file format -------------------------------------------------------------------------------
+
+
+@pytest.mark.behaviour
+def test_format_in_a_project_file(files: dict[str, Path], twin: Path, tmp_path: Path) -> None:
+    """The control points of a block come from a file of the page's format; the command finds it by its suffix, too."""
+    folder = tmp_path / "own"
+    shutil.copytree(twin.parent, folder)
+    lines = [line for line in (folder / "points.csv").read_text("utf-8").splitlines() if not line.startswith("#")]
+    rows = list(csv.DictReader(lines))
+    known = [row for row in rows if row["role"] != "tie"]
+    words = [[row["id"], row["lon_deg"], row["lat_deg"], row["height_m"]] for row in known]
+    (folder / "ground.xyz").write_text("\n".join(" ".join(cells) for cells in words), "utf-8")
+    text = (folder / "project.toml").read_text("utf-8")
+    sigma, check = [0.5, 0.5, 0.5], [row["id"] for row in known if row["role"] == "check"]
+    own = f'file = "ground.xyz"\nformat = "docs-xyz"\nsigma_m = {sigma}\ncheck = {check}\n'.replace("'", '"')
+    (folder / "project.toml").write_text(text.replace('file = "points.csv"\n', own), "utf-8")
+    load_plugin(files["format"])
+    given, ours = fg.read_project(folder / "project.toml").points, fg.read_project(twin).points
+    place = [given.ids.index(name) for name in ours.ids]
+    assert [given.roles[k] for k in place] == list(ours.roles)
+    np.testing.assert_array_equal(given.known.ecef_m[place], ours.known.ecef_m)
+    listed = in_process("--plugin", files["format"], "convert", "--formats", "--json").json["formats"]
+    (entry,) = (one for one in listed if one["name"] == "docs-xyz")
+    assert entry["reads"] and entry["writes"] and entry["help"].startswith("Points between blanks")
+
+
+@pytest.mark.behaviour
+def test_rpc_format_of_a_user(tmp_path: Path, registries: pytest.MonkeyPatch) -> None:
+    """A reader of RPC in JSON and its sniffing function are enough for every command that takes an image."""
+    (tmp_path / "docs_rpc.py").write_text(
+        "import json\nimport fg_orient as fg\nfrom fg_orient.sensors.rpc import RpcModel\n"
+        "def read(path, reading):\n    return RpcModel(**json.loads(path.read_text()), file=str(path), format='json')\n"
+        "fg.register_format(fg.Format(name='docs-rpc', title='RPC in JSON', read_rpc=read,\n"
+        "                             sniff=lambda path, head: head.startswith('{\"offsets\"')))\n"
+    )
+    one = [1.0] + [0.0] * 19
+    line, sample = [0.0, 0.0, -1.0] + [0.0] * 17, [0.0, 1.0] + [0.0] * 18
+    model = {"offsets": [500.0, 400.0, 31.0, 41.0, 100.0], "scales": [500.0, 400.0, 0.1, 0.1, 500.0],
+             "coefficients": [line, one, sample, one]}  # fmt: skip
+    (tmp_path / "image.json").write_text(json.dumps(model))
+    words = ("project", tmp_path / "image.json", "--lon", 31.05, "--lat", 41.02, "--height", 100, "--json")
+    ended = in_process("--plugin", tmp_path / "docs_rpc.py", *words)
+    sys.modules.pop("docs_rpc", None)
+    assert ended.code == 0, ended.stderr
+    (point,) = ended.json["points"]
+    assert (point["line"], point["sample"]) == (pytest.approx(400.0, abs=1e-6), pytest.approx(600.0, abs=1e-6))
 
 
 # --- a sensor ------------------------------------------------------------------------------------

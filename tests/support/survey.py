@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fg_orient.formats.exchange.registry import Format, Holds
 from fg_orient.formats.exchange.survey import Survey, no_image_points
+from fg_orient.formats.registry import Format, Holds
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.names import Role
 

@@ -16,11 +16,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.atomic import write_text
+from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain, sigma
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import Faults, read_text
 from fg_orient.geodesy import crs_kind, enu_from_ecef
 from fg_orient.geodesy.crs import WGS84, wkt
@@ -105,18 +105,18 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[
         lon, lat, height = survey.coordinates[k]
         ground = [survey.ids[k], *map(digits, (lat, lon, height, *_ecef(survey, k, settings.sigma_axes)))]
         lines.append(" ".join([*ground, *marks.get(k, [])]))
-    write_text(path, "\n".join([*lines, ""]))
+    write_lines(path, lines)
     given = survey.sigma_enu_m[survey.located]
     turned = 0 if settings.sigma_axes == "enu" else int((np.ptp(given, axis=1) > 0.0).sum())
     return (finding("lost.sigma_axes", file=path, value=f"{turned} point(s)"),) if turned else ()
 
 
-FORMAT = register(
+FORMAT = register_format(
     Format(
         name="asp-gcp",
         title="Ames Stereo Pipeline .gcp",
+        help=__doc__,
         suffixes=(".gcp",),
-        files=("points",),
         first_pixel=(0.0, 0.0),
         pixel_axes="column, row (pixels)",
         ground_axes="latitude, longitude (degrees), height (m)",

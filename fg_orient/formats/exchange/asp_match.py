@@ -20,10 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.atomic import write_bytes
-from fg_orient.formats.exchange.files import make_folder
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.text import make_folder
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings, register_format
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -164,17 +164,16 @@ def _plain(images: Sequence[str], k: int) -> str:
     return images[k]
 
 
-FORMAT = register(
+FORMAT = register_format(
     Format(
         name="asp-match",
         title="ASP interest point matches (.match)",
+        help=__doc__,
         suffixes=(".match",),
         files=("matches",),
         first_pixel=(0.0, 0.0),
         pixel_axes="x column, y row (pixels, single precision)",
-        ground_axes="none",
-        holds=frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES}),
-        needs=frozenset(),
+        holds=TIES_ONLY,
         read=read,
         write=write,
     )

@@ -14,12 +14,11 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from fg_orient.formats.atomic import write_bytes
-from fg_orient.formats.bal import BalData
-from fg_orient.formats.exchange.bal import bal_data_of, bundle_survey, sized_model
-from fg_orient.formats.exchange.files import read_lines, require_free
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.exchange.bal import BalData, bal_data_of, bundle_survey, sized_model
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.text import read_lines, require_free
 from fg_orient.formats.frame_model import FrameModel
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings, register_format
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
@@ -178,19 +177,17 @@ def write_model(out: Path, model: FrameModel, overwrite: bool) -> tuple[str, ...
     return lost
 
 
-FORMAT: Final = register(
+FORMAT: Final = register_format(
     Format(
         name="bundler",
         title="Bundler (bundle.out, v0.3)",
+        help=__doc__,
         suffixes=(".out",),
         files=("bundle", "list"),
-        first_pixel=None,
         pixel_axes="x right, y up from the middle of the image (pixels)",
         ground_axes="local x, y, z (left out)",
-        holds=frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES}),
-        needs=frozenset(),
+        holds=TIES_ONLY,
         read=read,
-        write=None,
         read_model=read_model,
         write_model=write_model,
     )

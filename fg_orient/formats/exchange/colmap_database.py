@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.atomic import staged_file
-from fg_orient.formats.exchange.colmap_cameras import FIRST_PIXEL, MODEL_IDS, interior_of, parameters_of
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.exchange.colmap_text import FIRST_PIXEL, MODEL_IDS, interior_of, parameters_of
 from fg_orient.formats.exchange.survey import Survey
 from fg_orient.formats.exchange.ties import matched_survey, pairs_of
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings, register_format
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.interior import Interior
 
@@ -261,17 +261,16 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[
     return (finding("lost.single", file=paths[0], value=f"up to {rounding:.1g} px", format=FORMAT.name),)
 
 
-FORMAT: Final = register(
+FORMAT: Final = register_format(
     Format(
         name="colmap-database",
         title="COLMAP database (SQLite)",
+        help=__doc__,
         suffixes=(".db",),
         files=("database",),
         first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
         pixel_axes="x column, y row (pixels, single precision)",
-        ground_axes="none",
-        holds=frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES}),
-        needs=frozenset(),
+        holds=TIES_ONLY,
         read=read,
         write=write,
         evidence="databases written by pycolmap 4.2; ours are read by it",

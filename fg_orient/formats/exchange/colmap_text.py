@@ -1,4 +1,4 @@
-"""Text models of COLMAP: cameras.txt, images.txt and points3D.txt in one folder, read and written.
+"""Text models of COLMAP: cameras.txt, images.txt and points3D.txt in one folder, read and written; its camera models.
 
 A pose leads from ground to camera axes (quaternion w x y z, then translation t = -R C); the axes are those of
 ``fg_orient.sensors.frame``. Pixels are (x, y) with (0.5, 0.5) in the centre of the first one. Each image has two
@@ -8,7 +8,7 @@ lines, of which the second may be empty: its keypoints, -1 where they belong to 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -16,26 +16,99 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from fg_orient.formats.atomic import write_text
-from fg_orient.formats.exchange.colmap_cameras import FIRST_PIXEL, interior_of, parameters_of
-from fg_orient.formats.exchange.files import make_folder, read_lines, require_free, whole
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.text import make_folder, read_lines, require_free, whole
 from fg_orient.formats.exchange.ties import model_survey
 from fg_orient.formats.frame_model import FrameModel, Pose
+from fg_orient.formats.registry import TIES_ONLY, Format, Settings, register_format
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError, finding
-from fg_orient.sensors.interior import Interior
+from fg_orient.sensors.frame import IDEAL_TO_MEASURED
+from fg_orient.sensors.interior import Interior, converted
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
+#: Coordinate of the centre of the first pixel in COLMAP's files.
+FIRST_PIXEL: Final = 0.5
+#: Names of the parameters of the models that are read, in the order of the files.
+MODELS: Final = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+}
+#: Number of a model in databases.
+MODEL_IDS: Final = {0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV", 6: "FULL_OPENCV"}
+#: Coefficients in the order of ``Interior.distortion``.
+_BROWN: Final = ("k1", "k2", "k3", "p1", "p2")
 FILES: Final = ("cameras.txt", "images.txt", "points3D.txt")
 #: Point id of a keypoint without a point: -1, or the same as an unsigned number.
 NO_POINT: Final = -1.0
 _UNSIGNED_NO_POINT: Final = 2.0**64
 #: Quaternions are normalised; further from 1 than this they are none.
 NORM: Final = 1e-3
+
+
+def interior_of(
+    model: str, size: tuple[int, int], parameters: Sequence[float], name: str, *, file: str = "", place: str = ""
+) -> Interior:  # fmt: skip
+    """Camera of COLMAP as an interior orientation.
+
+    Parameters
+    ----------
+    model : str
+        Name as in cameras.txt.
+    size : (int, int)
+        Width and height, px.
+    parameters : sequence of float
+        In COLMAP's order.
+    name : str
+        Of the camera.
+    file, place : str
+        For messages.
+
+    Raises
+    ------
+    InputError
+        The model or a parameter has no counterpart, the number of parameters is wrong, or a value is impossible.
+    """
+    if model not in MODELS:
+        raise InputError.of("colmap.model", file=file, place=place, value=model, known=", ".join(MODELS))
+    if len(parameters) != len(MODELS[model]):
+        needed = f"{model} with {' '.join(MODELS[model])}"
+        raise InputError.of("colmap.cells", file=file, place=place, value=f"{len(parameters)} numbers", needed=needed)
+    value = dict(zip(MODELS[model], parameters, strict=True))
+    focal = value.get("f", value.get("fx", 0.0))
+    beyond = {key: value[key] for key in ("k4", "k5", "k6") if value.get(key, 0.0) != 0.0}
+    if value.get("fy", focal) != focal:
+        beyond = {"fx": focal, "fy": value["fy"], **beyond}
+    if beyond:
+        shown = " ".join(f"{key} {number:g}" for key, number in beyond.items())
+        raise InputError.of("colmap.camera", file=file, place=place, value=shown)
+    principal = np.array([value["cy"], value["cx"]]) - FIRST_PIXEL
+    distortion = np.array([value.get(key, 0.0) for key in _BROWN])
+    return Interior(size[1], size[0], focal, principal, distortion, name=name)
+
+
+def parameters_of(interior: Interior) -> tuple[str, tuple[float, ...], float]:
+    """Camera for COLMAP: the smallest model that holds it, its parameters, and the largest error in px.
+
+    The error is 0 unless the polynomial leads from measured to ideal coordinates: it is then fitted the other way
+    round (``fg_orient.sensors.interior.converted``).
+    """
+    turned = converted(interior, IDEAL_TO_MEASURED)
+    own = turned.interior
+    value = dict(zip(_BROWN, own.distortion.tolist(), strict=True))
+    cy, cx = (own.principal_px + FIRST_PIXEL).tolist()
+    value |= dict.fromkeys(("f", "fx", "fy"), float(own.focal_px)) | {"cx": cx, "cy": cy}
+    needed = {key for key in _BROWN if value[key] != 0.0}
+    names = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+    model = next(name for name in names if needed <= set(MODELS[name]))
+    return model, tuple(value.get(key, 0.0) for key in MODELS[model]), turned.max_px
 
 
 def read_colmap_text(folder: str | Path) -> FrameModel:
@@ -187,9 +260,9 @@ def write_colmap_text(folder: str | Path, model: FrameModel, *, overwrite: bool 
     place = np.empty(len(order), np.intp)  # of an image point among those of its image
     place[order] = np.arange(len(order)) - np.searchsorted(model.image[order], model.image[order])
     make_folder(folder)
-    write_text(paths[0], "\n".join(["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *cameras, ""]))
-    write_text(paths[1], "\n".join([*_IMAGE_HEAD, *_image_lines(model, order), ""]))
-    write_text(paths[2], "\n".join([_POINT_HEAD, *_point_lines(model, place), ""]))
+    write_lines(paths[0], ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *cameras])
+    write_lines(paths[1], [*_IMAGE_HEAD, *_image_lines(model, order)])
+    write_lines(paths[2], [_POINT_HEAD, *_point_lines(model, place)])
     return lost
 
 
@@ -242,19 +315,17 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     return model_survey(read_colmap_text(paths[0]))
 
 
-FORMAT: Final = register(
+FORMAT: Final = register_format(
     Format(
         name="colmap-text",
         title="COLMAP text model (folder of cameras.txt, images.txt, points3D.txt)",
-        suffixes=(),
+        help=__doc__,
         files=("model",),
         first_pixel=(FIRST_PIXEL, FIRST_PIXEL),
         pixel_axes="x column, y row (pixels)",
         ground_axes="local x, y, z (left out)",
-        holds=frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES}),
-        needs=frozenset(),
+        holds=TIES_ONLY,
         read=read,
-        write=None,
         read_model=lambda paths, settings: read_colmap_text(paths[0]),
         write_model=lambda out, model, overwrite: write_colmap_text(out, model, overwrite=overwrite),
         evidence="models written by pycolmap 4.2; ours are read by it",

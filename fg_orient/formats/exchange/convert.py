@@ -1,23 +1,26 @@
-"""Reading any format, writing any other, and saying what is lost on the way."""
+"""Conversion between formats of points and frame models; information that is lost is counted before writing."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from fg_orient.formats.exchange.ground import check_ground, transformed
-from fg_orient.formats.exchange.losses import losses
-from fg_orient.formats.exchange.registry import Format, Holds, Settings
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.registry import Format, Holds, Settings
 from fg_orient.formats.scenes import Scene
 from fg_orient.geodesy.crs import WGS84
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role
+
+if TYPE_CHECKING:
+    from fg_orient.formats.frame_model import FrameModel
 
 Three = tuple[float, float, float]
 Two = tuple[float, float]
@@ -216,3 +219,120 @@ def _require(survey: Survey, format_: Format, file: str) -> None:
             name = survey.ids[k] if noun == "point" else survey.ids[int(o.point[k])]
             value = f"{int(rows.sum())} without"
             raise InputError.of(code, file=file, place=f"{noun} {name}", value=value, what=f"format {format_.name}")
+
+
+def convert_model(
+    paths: Sequence[Path], reader: Format, out: Path, writer: Format, settings: Settings, *,
+    accept_unverified: bool = False, overwrite: bool = False,
+) -> tuple[FrameModel, tuple[Finding, ...]]:  # fmt: skip
+    """Read a frame model and write it in another format.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files of the format that is read.
+    reader, writer : Format
+        The one has ``read_model``, the other ``write_model``.
+    out : Path
+        File or folder to write.
+    settings : Settings
+        ``image_sizes`` for formats that do not hold them.
+    accept_unverified, overwrite : bool
+
+    Returns
+    -------
+    model : FrameModel
+    lost : tuple of Finding
+        What the new format cannot hold.
+
+    Raises
+    ------
+    InputError
+        A file is unusable, the new format cannot hold a camera, or the output exists.
+    """
+    if reader.read_model is None or writer.write_model is None:
+        raise InputError.of("interchange.no_writer", file=out, option="to", value=writer.name)
+    require_accepted(paths, reader, accept_unverified)
+    model = reader.read_model(tuple(paths), settings)
+    settings.require_images([pose.name for pose in model.poses], paths[0])
+    told = writer.write_model(out, model, overwrite)
+    return model, tuple(finding("lost.model", file=out, value=text, format=writer.name) for text in told)
+
+
+# --- losses --------------------------------------------------------------------------------------
+
+
+def losses(survey: Survey, format_: Format, file: str) -> tuple[Finding, ...]:
+    """List what the survey holds and the format does not.
+
+    Parameters
+    ----------
+    survey : Survey
+        To be written.
+    format_ : Format
+        To write it in.
+    file : str
+        For messages.
+    """
+    found = []
+    for what, (code, count) in _COUNTED.items():
+        implied = _IMPLIED.get(what)
+        if what is Holds.IDS and Holds.NUMBERS in format_.holds:
+            count = _no_numbers
+        n = 0 if what in format_.holds or (implied and implied not in format_.holds) else count(survey)
+        if n:
+            found.append(finding(code, file=file, value=f"{n} points" if n > 1 else "1 point", format=format_.name))
+    if Holds.CRS not in format_.holds and Holds.GROUND in format_.holds and survey.crs:
+        found.append(finding("lost.crs", file=file, value=survey.crs, format=format_.name))
+    elif Holds.HEIGHTS in format_.holds and Holds.VERTICAL_CRS not in format_.holds and "+" in survey.crs:
+        found.append(finding("lost.vertical_crs", file=file, value=survey.crs, format=format_.name))
+    return tuple(found)
+
+
+def _measured(survey: Survey) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.bincount(survey.observed.point, minlength=len(survey.ids)) > 0)
+
+
+def _numbered(survey: Survey) -> bool:
+    """Tell whether numbering the image points in their order gives the ids that the points have."""
+    _, first = np.unique(survey.observed.point, return_index=True)
+    order = survey.observed.point[np.sort(first)]
+    return [survey.ids[k] for k in order] == [str(k + 1) for k in range(len(survey.ids))]
+
+
+def _no_numbers(survey: Survey) -> int:
+    """Count the ids, unless all are whole numbers as they are printed."""
+    return 0 if all(name.isdecimal() and name == str(int(name)) for name in survey.ids) else len(survey.ids)
+
+
+def _weighted(survey: Survey) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.isfinite(survey.sigma_enu_m).all(axis=1))
+
+
+def _unequal(survey: Survey, first: int, second: int) -> int:
+    rows = survey.sigma_enu_m[_weighted(survey)]
+    return int((rows[:, first] != rows[:, second]).sum())
+
+
+#: Losses that are none of their own if something greater is lost.
+_IMPLIED: Final = {
+    Holds.BARE_TIES: Holds.TIES, Holds.UNMEASURED: Holds.GROUND, Holds.ROLES: Holds.GROUND,
+    Holds.HEIGHTS: Holds.GROUND, Holds.SIGMA_GROUND: Holds.GROUND, Holds.FIXED: Holds.GROUND,
+    Holds.SIGMA_EAST_NORTH: Holds.SIGMA_GROUND, Holds.SIGMA_UP: Holds.SIGMA_GROUND, Holds.SIGMA_IMAGE: Holds.IMAGE,
+}  # fmt: skip
+#: Message and count of each kind of information.
+_COUNTED: Final[dict[Holds, tuple[str, Callable[[Survey], int]]]] = {
+    Holds.GROUND: ("lost.ground", lambda s: int(s.located.sum())),
+    Holds.IMAGE: ("lost.image", lambda s: len(s.observed)),
+    Holds.IDS: ("lost.ids", lambda s: 0 if _numbered(s) else len(s.ids)),
+    Holds.UNMEASURED: ("lost.unmeasured", lambda s: int((s.located & ~_measured(s)).sum())),
+    Holds.BARE_TIES: ("lost.bare_ties", lambda s: int((~s.located & ~_measured(s)).sum())),
+    Holds.TIES: ("lost.ties", lambda s: int((~s.located).sum())),
+    Holds.ROLES: ("lost.roles", lambda s: int((s.of_role(Role.CHECK) & s.located).sum())),
+    Holds.HEIGHTS: ("lost.heights", lambda s: int((s.located & np.isfinite(s.coordinates[:, 2])).sum())),
+    Holds.SIGMA_GROUND: ("lost.sigma_ground", lambda s: int(_weighted(s).sum())),
+    Holds.SIGMA_EAST_NORTH: ("lost.sigma_east_north", lambda s: _unequal(s, 0, 1)),
+    Holds.SIGMA_UP: ("lost.sigma_up", lambda s: _unequal(s, 0, 2)),
+    Holds.SIGMA_IMAGE: ("lost.sigma_image", lambda s: int(np.isfinite(s.observed.sigma_line_px).sum())),
+    Holds.FIXED: ("lost.fixed", lambda s: int(s.fixed.sum())),
+}

@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.exchange.files import read_lines
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.text import read_lines
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import finite
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import InputError
@@ -145,20 +145,18 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     return Survey(settings.crs, tuple(ids), roles, table[:, :3], table[:, 3:], fixed, tuple(image_ids), observed)
 
 
-FORMAT: Final = register(
+FORMAT: Final = register_format(
     Format(
         name="dbat",
         title="Damped Bundle Adjustment Toolbox: marks and control points",
-        suffixes=(),
+        help=__doc__,
         files=("marks", "control"),
         first_pixel=(0.0, 0.0),
         pixel_axes="x right, y down (pixels)",
         ground_axes="X, Y, Z of any system",
         holds=frozenset({Holds.IMAGE, Holds.TIES, Holds.GROUND, Holds.HEIGHTS, Holds.SIGMA_GROUND, Holds.SIGMA_UP,
                          Holds.SIGMA_EAST_NORTH, Holds.SIGMA_IMAGE, Holds.FIXED}),
-        needs=frozenset(),
         read=read,
-        write=None,
         evidence="the examples published with DBAT; the pixel origin is an assumption",
     )
 )  # fmt: skip

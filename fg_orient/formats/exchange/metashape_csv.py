@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.atomic import write_text
+from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import UNKNOWN, Gathering, Survey
 from fg_orient.formats.exchange.text import delimited, digits, named, numbers, row_of, separator_of, sigma
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import Faults, Row, read_text
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import InputError, finding
@@ -114,17 +114,16 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     ):
         cells = [digits(v) if located and np.isfinite(v) else "" for v in (*xyz, *sigmas)]
         lines.append(row_of([name, "0" if role is Role.CHECK else "1", *cells]))
-    write_text(paths[0], "\n".join([*lines, ""]))
+    write_lines(paths[0], lines)
 
 
-FORMAT = register(
+FORMAT = register_format(
     Format(
         name="metashape-csv",
         title="Metashape reference table of markers (CSV)",
+        help=__doc__,
         suffixes=(".csv",),
         files=("markers",),
-        first_pixel=None,
-        pixel_axes="none",
         ground_axes="longitude or easting, latitude or northing, height (m), by column name",
         holds=frozenset(Holds) - {Holds.IMAGE, Holds.IMAGES, Holds.SIGMA_IMAGE, Holds.FIXED},
         needs=frozenset({Holds.HEIGHTS}),

@@ -11,11 +11,19 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.atomic import write_text
+from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import Gathering, Survey
-from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain, sigma
+from fg_orient.formats.exchange.text import (
+    digits,
+    horizontal_sigma,
+    numbers,
+    read_marks,
+    read_rows,
+    require_plain,
+    sigma,
+)
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import Faults
 from fg_orient.model.names import Role
 
@@ -28,28 +36,14 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     crs, _ = decided_crs("", settings.crs, paths[0])
     faults = Faults(str(paths[0]))
     gathered = Gathering(faults)
-    for n, cells in cells_of(paths[0], faults, "blank"):
-        if len(cells) not in (4, 6):
-            faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected="4 or 6")
-            continue
-        row = named(n, cells, POINT)
+    for row in read_rows(paths[0], faults, "blank", POINT, (4, 6)):
         across, up = (sigma(row, column, "m", faults) for column in POINT[4:])
-        gathered.point(row.cells["name"], Role.CONTROL, numbers(row, POINT[1:4], faults), (across, across, up), line=n)
+        xyz = numbers(row, POINT[1:4], faults)
+        gathered.point(row.cells["name"], Role.CONTROL, xyz, (across, across, up), line=row.line)
     faults.raise_if_any()
     if len(paths) > 1:
-        _read_marks(paths[1], gathered)
+        read_marks(paths[1], gathered, "blank", MARK, (4,))
     return gathered.finished(crs)
-
-
-def _read_marks(path: Path, gathered: Gathering) -> None:
-    faults = gathered.faults = Faults(str(path))
-    for n, cells in cells_of(path, faults, "blank"):
-        if len(cells) != len(MARK):
-            faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected="4")
-            continue
-        row = named(n, cells, MARK)
-        x, y = numbers(row, ("x", "y"), faults)
-        gathered.measure(row.cells["image"], row.cells["name"], y, x, line=n)
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
@@ -58,22 +52,23 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     lines = [f"# {' '.join(POINT)}"]
     for k in np.flatnonzero(survey.located).tolist():
         east, north, up = survey.sigma_enu_m[k].tolist()
-        across = east if east == north else float(np.hypot(east, north) / np.sqrt(2.0))
-        lines.append(" ".join([survey.ids[k], *map(digits, (*survey.coordinates[k], across, up))]))
-    write_text(paths[0], "\n".join([*lines, ""]))
+        values = (*survey.coordinates[k], horizontal_sigma(east, north), up)
+        lines.append(" ".join([survey.ids[k], *map(digits, values)]))
+    write_lines(paths[0], lines)
     o = survey.observed
     if len(o):
         marks = [
             f"{survey.ids[p]} {survey.images[i]} {digits(sample)} {digits(line)}"
             for i, p, line, sample in zip(o.image, o.point, o.line, o.sample, strict=True)
         ]
-        write_text(paths[1], "\n".join([f"# {' '.join(MARK)}", *marks, ""]))
+        write_lines(paths[1], [f"# {' '.join(MARK)}", *marks])
 
 
-FORMAT = register(
+FORMAT = register_format(
     Format(
         name="micmac",
         title="MicMac control points (two text files)",
+        help=__doc__,
         suffixes=(".txt",),
         files=("points", "images"),
         first_pixel=(0.0, 0.0),

@@ -14,11 +14,11 @@ from typing import Final, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.atomic import write_text
-from fg_orient.formats.exchange.files import make_folder
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
+from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.text import make_folder
 from fg_orient.formats.exchange.ties import tie_survey
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError
 
@@ -114,20 +114,18 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
         own = np.flatnonzero(o.image == k)
         cells = zip(o.sample[own].tolist(), o.line[own].tolist(), o.point[own].tolist(), strict=True)
         rows = [f"{x!r},{y!r},{names[p]}" for x, y, p in cells]
-        write_text(paths[0] / f"{PREFIX}{image}.csv", "\n".join([HEADER, *rows, ""]))
+        write_lines(paths[0] / f"{PREFIX}{image}.csv", [HEADER, *rows])
 
 
-FORMAT = register(
+FORMAT = register_format(
     Format(
         name="micmac-ties",
         title="MicMac multi-image tie points (folder of PMUL-*.csv)",
-        suffixes=(),
+        help=__doc__,
         files=("tie points",),
         first_pixel=(0.0, 0.0),
         pixel_axes="Pt.x sample, Pt.y line (pixels)",
-        ground_axes="none",
         holds=frozenset({Holds.IMAGE, Holds.IMAGES, Holds.NUMBERS, Holds.TIES}),
-        needs=frozenset(),
         read=read,
         write=write,
         evidence="230 218 image points of a SPOT 7 pair published with MicMac; the pixel origin is by description",

@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.atomic import write_text
+from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, require_plain
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import Faults, Row
 from fg_orient.model.errors import InputError, finding
 from fg_orient.model.names import Role
@@ -85,20 +85,19 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
             east, north, height = survey.coordinates[p]
             ground = [digits(east), digits(north), "NaN" if np.isnan(height) else digits(height)]
             lines.append(" ".join([*ground, digits(sample), digits(line), survey.images[i], survey.ids[p]]))
-    write_text(path, "\n".join([*lines, ""]))
+    write_lines(path, lines)
 
 
-FORMAT = register(
+FORMAT = register_format(
     Format(
         name="odm",
         title="OpenDroneMap gcp_list.txt",
+        help=__doc__,
         suffixes=("gcp_list.txt",),
-        files=("points",),
         first_pixel=(0.0, 0.0),
         pixel_axes="x, y (pixels)",
         ground_axes="longitude or easting, latitude or northing, height (m)",
         holds=frozenset({Holds.GROUND, Holds.IMAGE, Holds.IDS, Holds.IMAGES, Holds.HEIGHTS, Holds.CRS}),
-        needs=frozenset(),
         read=read,
         write=write,
     )

@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 
 from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import Survey, no_image_points
 from fg_orient.formats.observations import COLUMNS, read_observations
 from fg_orient.formats.points import read_point_table
 from fg_orient.formats.points_write import write_observations, write_points
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import Faults, read_table, read_text
 from fg_orient.geodesy import crs_kind
 from fg_orient.model.errors import InputError
@@ -62,10 +62,11 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
         )  # fmt: skip
 
 
-FORMAT = register(
+FORMAT = register_format(
     Format(
         name="csv",
         title="fg_orient tables",
+        help=__doc__,
         suffixes=(".csv",),
         files=("points", "observations"),
         first_pixel=(0.0, 0.0),

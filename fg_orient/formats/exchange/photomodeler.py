@@ -16,11 +16,11 @@ from typing import Final, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.formats.exchange.files import read_lines
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import Survey
+from fg_orient.formats.exchange.text import read_lines
 from fg_orient.formats.exchange.ties import model_survey, tie_survey
 from fg_orient.formats.frame_model import FrameModel, Pose
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import finite
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.frame import MEASURED_TO_IDEAL, rotation_of_opk
@@ -170,19 +170,17 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     return read_points_2d(paths[0])
 
 
-FORMAT: Final = register(
+FORMAT: Final = register_format(
     Format(
         name="photomodeler",
         title="PhotoModeler text export, or table of 2D points",
-        suffixes=(),
+        help=__doc__,
         files=("export",),
         first_pixel=(0.0, 0.0),
         pixel_axes="x right, y down (pixels)",
         ground_axes="local X, Y, Z (left out: they are results)",
         holds=frozenset({Holds.IMAGE, Holds.TIES}),
-        needs=frozenset(),
         read=read,
-        write=None,
         read_model=lambda paths, settings: read_photomodeler(paths[0]),
         evidence="the projects published with DBAT; the pixel origin is an assumption",
     )

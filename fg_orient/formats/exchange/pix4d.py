@@ -12,11 +12,19 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.atomic import write_text
+from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import Gathering, Survey
-from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, row_of, sigma
+from fg_orient.formats.exchange.text import (
+    digits,
+    horizontal_sigma,
+    numbers,
+    read_marks,
+    read_rows,
+    row_of,
+    sigma,
+)
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import Faults
 from fg_orient.geodesy.crs import north_first
 from fg_orient.model.names import Role
@@ -33,30 +41,15 @@ def read(paths: tuple[Path, ...], settings: Settings) -> Survey:
     faults = Faults(str(paths[0]))
     gathered = Gathering(faults)
     backwards = north_first(crs)
-    for n, cells in cells_of(paths[0], faults, "comma"):
-        if len(cells) not in (4, 5, 6):
-            faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected="4 to 6")
-            continue
-        row = named(n, cells, POINT)
+    for row in read_rows(paths[0], faults, "comma", POINT, (4, 5, 6)):
         first, second, height = numbers(row, POINT[1:4], faults)
         across, up = (sigma(row, column, "m", faults) for column in POINT[4:])
         east, north = (second, first) if backwards else (first, second)
-        gathered.point(row.cells["label"], Role.CONTROL, (east, north, height), (across, across, up), line=n)
+        gathered.point(row.cells["label"], Role.CONTROL, (east, north, height), (across, across, up), line=row.line)
     faults.raise_if_any()
     if len(paths) > 1:
-        _read_marks(paths[1], gathered)
+        read_marks(paths[1], gathered, "comma", MARK, (4, 5), CENTRE_PX)
     return gathered.finished(crs)
-
-
-def _read_marks(path: Path, gathered: Gathering) -> None:
-    faults = gathered.faults = Faults(str(path))
-    for n, cells in cells_of(path, faults, "comma"):
-        if len(cells) not in (4, 5):
-            faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected="4 or 5")
-            continue
-        row = named(n, cells, MARK)
-        x, y = numbers(row, ("x", "y"), faults)
-        gathered.measure(row.cells["image"], row.cells["label"], y - CENTRE_PX, x - CENTRE_PX, line=n)
 
 
 def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
@@ -65,23 +58,24 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> None:
     lines = []
     for k in np.flatnonzero(survey.located).tolist():
         east, north, up = survey.sigma_enu_m[k].tolist()
-        accuracy = [] if np.isnan(up) else [digits(east if east == north else np.hypot(east, north) / np.sqrt(2.0))]
+        accuracy = [] if np.isnan(up) else [digits(horizontal_sigma(east, north))]
         accuracy += [digits(up)] if accuracy else []
         lines.append(row_of([survey.ids[k], *map(digits, survey.coordinates[k, order]), *accuracy]))
-    write_text(paths[0], "\n".join([*lines, ""]))
+    write_lines(paths[0], lines)
     o = survey.observed
     if len(o):
         marks = [
             row_of([survey.images[i], survey.ids[p], digits(sample + CENTRE_PX), digits(line + CENTRE_PX)])
             for i, p, line, sample in zip(o.image, o.point, o.line, o.sample, strict=True)
         ]
-        write_text(paths[1], "\n".join([*marks, ""]))
+        write_lines(paths[1], [*marks])
 
 
-FORMAT = register(
+FORMAT = register_format(
     Format(
         name="pix4d",
         title="Pix4D ground control points and marks (CSV)",
+        help=__doc__,
         suffixes=(".csv",),
         files=("points", "marks"),
         first_pixel=(CENTRE_PX, CENTRE_PX),

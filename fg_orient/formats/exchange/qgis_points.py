@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from fg_orient.formats.atomic import write_text
+from fg_orient.formats.atomic import write_lines
 from fg_orient.formats.exchange.ground import decided_crs
-from fg_orient.formats.exchange.registry import Format, Holds, Settings, register
 from fg_orient.formats.exchange.survey import Gathering, Survey
 from fg_orient.formats.exchange.text import cells_of, digits, named, numbers, row_of
+from fg_orient.formats.registry import Format, Holds, Settings, register_format
 from fg_orient.formats.tables import Faults, Row, read_text
 from fg_orient.geodesy.crs import wkt
 from fg_orient.model.errors import Finding, InputError, finding
@@ -87,22 +87,21 @@ def write(survey: Survey, paths: tuple[Path, ...], settings: Settings) -> tuple[
             pixel = digits(sample + CENTRE_PX), digits(-(line + CENTRE_PX))
             enable = "0" if survey.roles[p] is Role.CHECK else "1"
             lines.append(row_of([*map(digits, survey.coordinates[p, :2]), *pixel, enable, "0", "0", "0"]))
-    write_text(paths[0], "\n".join([*lines, ""]))
+    write_lines(paths[0], lines)
     others = int((o.image != mine).sum())
     return (finding("lost.images", file=paths[0], value=f"{others} points", format=FORMAT.name),) if others else ()
 
 
-FORMAT = register(
+FORMAT = register_format(
     Format(
         name="qgis-points",
         title="QGIS georeferencer .points",
+        help=__doc__,
         suffixes=(".points",),
-        files=("points",),
         first_pixel=(-CENTRE_PX, CENTRE_PX),
         pixel_axes="sourceX (column), sourceY (minus the row), pixels",
         ground_axes="longitude or easting, latitude or northing; no height",
         holds=frozenset({Holds.GROUND, Holds.IMAGE, Holds.ROLES, Holds.CRS}),
-        needs=frozenset(),
         read=read,
         write=write,
     )

@@ -1,4 +1,4 @@
-"""What the text formats share: lines to cells, cells to numbers, and cells written so that they read back.
+"""Shared parts of text formats: lines to cells, cells to numbers, cells written so that they read back, output paths.
 
 Numbers are written with the fewest digits that read back to the same double.
 """
@@ -6,12 +6,13 @@ Numbers are written with the fewest digits that read back to the same double.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 
+from fg_orient.formats.exchange.survey import Gathering
 from fg_orient.formats.tables import Faults, Row, number, read_text
 from fg_orient.model.errors import InputError
 
@@ -38,7 +39,7 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
     if text is None:
         return []
     kept = [(n, line) for n, line in enumerate(text.split("\n"), start=1) if line.strip() and line[:1] != "#"]
-    mark = _mark(kept[0][1]) if kept else ","
+    mark = separator_of(kept[0][1]) if kept else ","
     out = []
     for n, line in kept:
         if separator == "blank" or (separator == "either" and "," not in line):
@@ -49,7 +50,7 @@ def cells_of(path: Path, faults: Faults, separator: Separator) -> list[tuple[int
     return out
 
 
-def _mark(line: str) -> str:
+def separator_of(line: str) -> str:
     """Separator of a delimited file, told by one of its lines: decimal commas do not hide a semicolon or tab."""
     return next((mark for mark in ("\t", ";") if mark in line), ",")
 
@@ -66,9 +67,46 @@ def delimited(line: str, n: int, mark: str, faults: Faults) -> list[str] | None:
     return cells
 
 
-def separator_of(line: str) -> str:
-    """Separator of the line that names the columns."""
-    return _mark(line)
+def read_rows(
+    path: Path, faults: Faults, separator: Separator, columns: Sequence[str], counts: Sequence[int]
+) -> Iterator[Row]:
+    """Records of a file without header, with cells known by place.
+
+    Parameters
+    ----------
+    path, faults, separator
+        See :func:`cells_of`.
+    columns : sequence of str
+        Names of the cells, in their order.
+    counts : sequence of int
+        Allowed numbers of cells; other records are left out, and noted.
+    """
+    expected = f"{counts[0]} to {counts[-1]}" if len(counts) > 2 else " or ".join(map(str, counts))
+    for n, cells in cells_of(path, faults, separator):
+        if len(cells) in counts:
+            yield named(n, cells, columns)
+        else:
+            faults.add("interchange.cell_count", place=f"line {n}", value=f"{len(cells)} cells", expected=expected)
+
+
+def read_marks(
+    path: Path, gathered: Gathering, separator: Separator, columns: Sequence[str], counts: Sequence[int],
+    centre_px: float = 0.0,
+) -> None:  # fmt: skip
+    """Take the image points of a file: columns ``image``, ``x``, ``y``, and ``label`` or ``name`` of the point.
+
+    ``centre_px`` is the coordinate of the centre of the first pixel; other parameters as in :func:`read_rows`.
+    """
+    faults = gathered.faults = Faults(str(path))
+    label = "label" if "label" in columns else "name"
+    for row in read_rows(path, faults, separator, columns, counts):
+        x, y = numbers(row, ("x", "y"), faults)
+        gathered.measure(row.cells["image"], row.cells[label], y - centre_px, x - centre_px, line=row.line)
+
+
+def horizontal_sigma(east: float, north: float) -> float:
+    """One horizontal standard deviation: the root mean square, if east and north differ."""
+    return east if east == north else float(np.hypot(east, north) / np.sqrt(2.0))
 
 
 def named(n: int, cells: Sequence[str], names: Sequence[str]) -> Row:
@@ -120,3 +158,52 @@ def require_plain(names: Iterable[str], what: str, path: Path) -> None:
     for name in names:
         if not name or name[:1] == "#" or any(c.isspace() or c in ',"' for c in name):
             raise InputError.of("interchange.name", file=path, place=what, value=name)
+
+
+# --- files of bundle programs --------------------------------------------------------------------
+
+
+def read_lines(path: Path) -> list[str]:
+    """Lines of a UTF-8 file, without their ends.
+
+    Raises
+    ------
+    InputError
+        The file does not exist, cannot be read, or is no text.
+    """
+    faults = Faults(path.name)
+    text = read_text(path, faults)
+    faults.raise_if_any()
+    return (text or "").split("\n")
+
+
+def whole(cell: str) -> int | None:
+    """Whole number above zero of ASCII digits alone; None for others (``int`` would take 1_0)."""
+    return int(cell) if cell.isascii() and cell.isdigit() and 0 < len(cell) < 19 and int(cell) > 0 else None
+
+
+def require_free(*paths: Path, overwrite: bool) -> None:
+    """Refuse to replace files.
+
+    Raises
+    ------
+    InputError
+        One exists and ``overwrite`` is False.
+    """
+    for path in paths:
+        if path.exists() and not overwrite:
+            raise InputError.of("output.exists", file=path, option="out")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder that may exist.
+
+    Raises
+    ------
+    InputError
+        It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError.of("output.unwritable", file=folder, value=error.strerror or error) from None

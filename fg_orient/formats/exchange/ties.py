@@ -1,14 +1,21 @@
-"""Tie points of other programs as surveys: image points without coordinates on the ground."""
+"""Tie points of other programs as surveys, and matches of image pairs joined into tie points (tracks).
+
+Two matched keypoints show one ground point, and so do all keypoints matched with either: a track is a connected
+component of the graph of keypoints. Wrong matches chain different ground points: a chain with two places in one image
+is a conflict. The matches do not show which link is wrong, so the whole chain is left out, counted and named.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from fg_orient.formats.exchange.survey import Survey
-from fg_orient.formats.exchange.tracks import conflicts, join
 from fg_orient.formats.frame_model import FrameModel
 from fg_orient.model.block import ImagePoints
 from fg_orient.model.errors import Finding, finding
@@ -47,7 +54,7 @@ def tie_survey(
 def matched_survey(
     images: Sequence[str], image: Index, line: Array, sample: Array, matches: Index, notes: Sequence[Finding] = ()
 ) -> Survey:
-    """Make the survey of matched keypoints; see :func:`fg_orient.formats.exchange.tracks.join`.
+    """Make the survey of matched keypoints; see :func:`fg_orient.formats.exchange.ties.join`.
 
     Tie points are named by numbers from 1; those with two places in one image are left out, and a note says so.
     """
@@ -95,3 +102,117 @@ def model_survey(model: FrameModel) -> Survey:
         tuple(pose.name for pose in model.poses), model.point_ids, model.image, model.point, model.line, model.sample,
         (*model.notes, left_out),
     )  # fmt: skip
+
+
+# --- tracks --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Tie points made of matches.
+
+    Parameters
+    ----------
+    keypoint, track : (n,) int arrays
+        Rows of the given keypoints and their tie points, counted from 0 in the order of the first keypoint of
+        each; sorted by tie point, then image. Keypoints without a match, and all of a conflict, are not here.
+    n_tracks : int
+    conflict_keypoint, conflict : (k,) int arrays
+        Keypoints that were left out, and which conflict each belongs to, counted from 0.
+    n_conflicts : int
+    """
+
+    keypoint: Index
+    track: Index
+    n_tracks: int
+    conflict_keypoint: Index
+    conflict: Index
+    n_conflicts: int
+
+    @property
+    def rays(self) -> npt.NDArray[np.intp]:
+        """Number of images (n_tracks,) of each tie point."""
+        return np.bincount(self.track, minlength=self.n_tracks)
+
+
+def join(image: Index, line: Array, sample: Array, matches: Index) -> Tracks:
+    """Join matches to tie points.
+
+    Parameters
+    ----------
+    image : (n,) int array
+        Image of each keypoint.
+    line, sample : (n,) arrays
+        Its pixel. Keypoints of one image at equal pixels are one (detectors give a place several orientations).
+    matches : (m, 2) int array
+        Rows of matched keypoints.
+
+    Raises
+    ------
+    ValueError
+        A match names no keypoint, or two of one image: readers refuse these with their place in the file.
+    """
+    image, matches = np.asarray(image, np.intp), np.asarray(matches, np.intp).reshape(-1, 2)
+    if matches.size and not (0 <= matches.min() and matches.max() < len(image)):
+        raise ValueError("a match names a keypoint that does not exist")
+    if np.any(image[matches[:, 0]] == image[matches[:, 1]]):
+        raise ValueError("a match joins two keypoints of one image")
+    place = _places(image, np.asarray(line, float), np.asarray(sample, float))
+    used = np.unique(place[matches])
+    edges = np.searchsorted(used, place[matches])
+    graph = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(len(used), len(used)))
+    label = connected_components(graph, directed=False)[1].astype(np.intp)
+    order = np.lexsort((image[used], label))
+    keypoint, label = used[order], label[order]
+    twice = (label[1:] == label[:-1]) & (image[keypoint][1:] == image[keypoint][:-1])
+    bad = np.isin(label, label[1:][twice])
+    track, n_tracks = _numbered(keypoint[~bad], label[~bad])
+    conflict, n_conflicts = _numbered(keypoint[bad], label[bad])
+    good, worse = np.argsort(track, kind="stable"), np.argsort(conflict, kind="stable")
+    return Tracks(
+        keypoint[~bad][good], track[good], n_tracks, keypoint[bad][worse], conflict[worse], n_conflicts
+    )  # fmt: skip
+
+
+def conflicts(tracks: Tracks, names: Sequence[str], image: Index, line: Array, sample: Array) -> tuple[Finding, ...]:
+    """Tell how many tie points were left out, and show the first; nothing if there was no conflict.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    names : sequence of str
+        Of the images.
+    image, line, sample : arrays
+        As given to :func:`join`.
+    """
+    if not tracks.n_conflicts:
+        return ()
+    first = tracks.conflict_keypoint[tracks.conflict == 0]
+    doubled = int(np.flatnonzero(image[first][1:] == image[first][:-1])[0])
+    places = [(line[k], sample[k]) for k in first[doubled : doubled + 2]]
+    n = tracks.n_conflicts
+    return (
+        finding("points.conflicts", n=n, total=n + tracks.n_tracks, image_points=len(tracks.conflict_keypoint),
+                first=places[0], second=places[1], image=names[int(image[first[doubled]])]),
+    )  # fmt: skip
+
+
+def _places(image: Index, line: Array, sample: Array) -> Index:
+    """For each keypoint (n,) the first one of its image at the same pixel."""
+    order = np.lexsort((sample, line, image))
+    i, y, x = image[order], line[order], sample[order]
+    new = np.ones(len(order), bool)
+    new[1:] = (i[1:] != i[:-1]) | (y[1:] != y[:-1]) | (x[1:] != x[:-1])
+    out = np.empty(len(order), np.intp)
+    out[order] = order[new][np.cumsum(new) - 1] if len(order) else order
+    return out
+
+
+def _numbered(keypoint: Index, label: Index) -> tuple[Index, int]:
+    """Labels (n,) renumbered from 0 in the order of the first keypoint of each, and how many there are."""
+    known, inverse = np.unique(label, return_inverse=True)
+    first = np.full(len(known), np.iinfo(np.intp).max)
+    np.minimum.at(first, inverse, keypoint)
+    rank = np.empty(len(known), np.intp)
+    rank[np.argsort(first)] = np.arange(len(known))
+    return rank[inverse], len(known)

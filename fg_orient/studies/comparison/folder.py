@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from factors._preparation import working_clock
-from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
+from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.formats.project import read_project
 from fg_orient.model.errors import NoSolutionError, as_record, finding
 from fg_orient.model.names import Progress

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from fg_orient.formats.folder import Contents, require_free, staged_folder, writing
+from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
 from fg_orient.model.versions import versions
 from fg_orient.result.plain import dumps, plain
 from fg_orient.studies.published.tables import require_source

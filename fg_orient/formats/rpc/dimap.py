@@ -7,15 +7,29 @@ Pléiades Neo names them ImagetoGround_Values and GroundtoImage_Values.
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from lxml import etree
 
 from factors.cameras.rfm_project import RANGE
 from factors.cameras.rfm_terms import permutation
-from fg_orient.formats.rpc_fields import AXES, USUAL_ORDER, Reading, RpcFields, build, require_order, validity
+from fg_orient.formats.atomic import write_bytes
+from fg_orient.formats.registry import Format, register_format, xml_root
+from fg_orient.formats.rpc.fields import (
+    AXES,
+    POLYNOMIALS,
+    USUAL_ORDER,
+    Reading,
+    RpcFields,
+    build,
+    printed,
+    require_order,
+    validity,
+)
 from fg_orient.formats.xml import XmlNode, read_xml
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.rpc import RpcModel
@@ -44,6 +58,8 @@ V1_AXES: Final = {"LINE": "Row", "SAMP": "Col", "LONG": "Lon", "LAT": "Lat", "HE
 V1_PAIRS: Final = {"LINE": "F_ROW", "SAMP": "F_COL"}
 V1_DIRECT: Final = ("F_LON", "F_LAT")
 V1_NAME: Final = "DIMAP 1 PHR_DIMAP"
+#: Version and profile of models that come from another format: pixels counted from 1.
+USUAL: Final = ("2.15", "PHR_SENSOR")
 
 
 def read_rpc_dimap(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
@@ -178,3 +194,112 @@ def read_rpc_dimap1(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     first, domain_first = FIRST_PIXEL["PHR"]
     read = build(fields, reading, V1_NAME, first, {"direct": _of_unit_constant(rows, direct)})
     return _with_domain(read, ranges, DOMAINS["2"], domain_first)
+
+
+# --- writing -------------------------------------------------------------------------------------
+
+
+def format_rpc_dimap(model: RpcModel) -> bytes:
+    """Give a model as a DIMAP file of the version and profile it was read from, else of Pléiades.
+
+    Coefficients to the ground are written if the model has them; all digits are kept.
+    """
+    if model.format == V1_NAME:
+        return _format_1(model)
+    words = model.format.split()
+    version, profile = words[1:3] if words[:1] == ["DIMAP"] else USUAL
+    prefix = next((p for p in FIRST_PIXEL if profile.upper().startswith(p)), None)
+    if prefix is None:
+        (version, profile), prefix = USUAL, "PHR"
+    v, (first, domain_first) = version[0], FIRST_PIXEL[prefix]
+    root = etree.Element("Dimap_Document")
+    head = etree.SubElement(root, "Metadata_Identification")
+    etree.SubElement(head, "METADATA_FORMAT", version=version).text = "DIMAP"
+    _texts(head, METADATA_PROFILE=profile, METADATA_SUBPROFILE="RPC", METADATA_LANGUAGE="en")
+    rfm = etree.SubElement(root, "Rational_Function_Model")
+    reference = etree.SubElement(rfm, "Resource_Reference")
+    etree.SubElement(reference, "RESOURCE_TITLE", version="2.1").text = "NITF"
+    _texts(reference, RESOURCE_ID=USUAL_ORDER)
+    body = etree.SubElement(rfm, "Global_RFM")
+    if model.direct is not None:
+        _coefficients(etree.SubElement(body, DIRECT[v]), model.direct, DIRECT_STEMS[v])
+    _coefficients(etree.SubElement(body, INVERSE[v]), model.coefficients, POLYNOMIALS)
+    ranges = etree.SubElement(body, "RFM_Validity")
+    _domains(ranges, model, DOMAINS[v], domain_first)
+    for k, axis in enumerate(AXES):
+        shift = first if k < 2 else 0.0
+        _texts(ranges, **{
+            f"{axis}_SCALE": printed(model.scales[k]), f"{axis}_OFF": printed(model.offsets[k] + shift),
+        })  # fmt: skip
+    return _bytes(root)
+
+
+def _texts(parent: etree._Element, **texts: str) -> None:
+    for tag, text in texts.items():
+        etree.SubElement(parent, tag).text = text
+
+
+def _coefficients(parent: etree._Element, rows: Array, stems: tuple[str, ...]) -> None:
+    for stem, row in zip(stems, rows, strict=True):
+        _texts(parent, **{f"{stem}_COEFF_{k}": printed(value) for k, value in enumerate(row, 1)})
+
+
+def _domains(parent: etree._Element, model: RpcModel, names: tuple[str, str], first: float) -> None:
+    v = model.validity
+    image, ground = (etree.SubElement(parent, name) for name in names)
+    for k, end in enumerate(("FIRST", "LAST")):
+        _texts(image, **{f"{end}_ROW": printed(v.line[k] + first), f"{end}_COL": printed(v.sample[k] + first)})
+        _texts(ground, **{f"{end}_LON": printed(v.lon_deg[k]), f"{end}_LAT": printed(v.lat_deg[k])})
+
+
+def _format_1(model: RpcModel) -> bytes:
+    """Give the RPC part of a PHR_DIMAP file."""
+    first, domain_first = FIRST_PIXEL["PHR"]
+    root = etree.Element("PHR_Dimap_Document")
+    head = etree.SubElement(root, "Metadata_Identification")
+    etree.SubElement(head, "METADATA_PROFILE", version="1.4").text = "PHR_SYSTEM_RECTIFIED_PRODUCT"
+    _texts(head, METADATA_FORMAT="DIMAP_PHR")
+    body = root
+    for tag in ("Geoposition", "Rational_Sensor_Model", "Global_RFM"):
+        body = etree.SubElement(body, tag)
+    if model.direct is not None:
+        _pairs(etree.SubElement(body, "Direct_Model"), V1_DIRECT, model.direct)
+    _pairs(etree.SubElement(body, "Inverse_Model"), tuple(V1_PAIRS.values()), model.coefficients)
+    ranges = etree.SubElement(body, "RFM_Validity")
+    _domains(ranges, model, DOMAINS["2"], domain_first)
+    for k, axis in enumerate(AXES):
+        pair = etree.SubElement(ranges, V1_AXES[axis])
+        _texts(pair, A=printed(model.scales[k]), B=printed(model.offsets[k] + (first if k < 2 else 0.0)))
+    return _bytes(root)
+
+
+def _pairs(parent: etree._Element, tags: tuple[str, ...], rows: Array) -> None:
+    for tag, pair in zip(tags, rows.reshape(2, 40), strict=True):
+        _texts(parent, **{tag: " ".join(printed(value) for value in pair)})
+
+
+def _bytes(root: etree._Element) -> bytes:
+    return bytes(etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True))
+
+
+def is_rpc(head: str) -> bool:
+    """Tell whether a file that begins with ``head`` is a DIMAP RPC file of version 2 or 3."""
+    if xml_root(head) != "Dimap_Document":
+        return False
+    sub = re.search(r"<METADATA_SUBPROFILE>\s*(\w+)", head)
+    return sub[1] == "RPC" if sub else "<Rational_Function_Model" in head
+
+
+FORMAT = register_format(
+    Format(
+        name="dimap", title="DIMAP 2 or 3 RPC XML", help=__doc__, suffixes=(".xml",),
+        sniff=lambda _, head: is_rpc(head), read_rpc=read_rpc_dimap,
+        write_rpc=lambda path, model: write_bytes(path, format_rpc_dimap(model)),
+    )
+)  # fmt: skip
+PHR_FORMAT = register_format(
+    Format(
+        name="phr-dimap", title="PHR_DIMAP", help=__doc__, read_rpc=read_rpc_dimap1,
+        sniff=lambda _, head: xml_root(head) == "PHR_Dimap_Document",
+    )
+)  # fmt: skip

@@ -6,7 +6,8 @@ import os
 import re
 from typing import Any, Final
 
-from fg_orient.formats.rpc_fields import AXES, Reading, RpcFields, build, read_text, require_order
+from fg_orient.formats.registry import Format, has_line, register_format
+from fg_orient.formats.rpc.fields import AXES, Reading, RpcFields, build, read_text, require_order
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.sensors.rpc import RpcModel
 
@@ -16,19 +17,10 @@ FIRST_PIXEL: Final = 0.0
 SPOT_FIRST_PIXEL: Final = -1.0
 NAME: Final = "OSSIM .geom"
 _LINE = re.compile(r"([\w.]+):[ \t]*(.*)")
-_SIGN = re.compile(r"^\s*(?:line_num_coeff_0?0|line_den_coeff_0?0|polynomial_format)\s*:", re.MULTILINE)
 _PARAMETER = re.compile(r"adjustment_\d+\.adj_param_\d+\.parameter")
 _COEFFICIENT = re.compile(r"(line|samp)_(num|den)_coeff_(\d+)")
 _SCALAR = {f"{axis}_{word}".lower(): f"{axis}_{word}" for axis in AXES for word in ("OFF", "SCALE")}
 _SCALAR |= {"bias_error": "ERR_BIAS", "rand_error": "ERR_RAND"}
-
-
-def is_geom(head: str) -> bool:
-    """Tell a keyword list with RPC from its first bytes."""
-    return (
-        re.search(r"^\s*(?:line_num_coeff_0?0|line_den_coeff_0?0|polynomial_format)\s*:", head, re.MULTILINE)
-        is not None
-    )
 
 
 def read_rpc_geom(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
@@ -82,9 +74,15 @@ def _spot_origin(fields: RpcFields, other: dict[str, tuple[str, str]]) -> tuple[
 
 
 def _adjustment(other: dict[str, tuple[str, str]]) -> tuple[Finding, ...]:
-    values = [
-        text for key, (text, _) in other.items() if re.fullmatch(r"adjustment_\d+\.adj_param_\d+\.parameter", key)
-    ]
+    values = [text for key, (text, _) in other.items() if _PARAMETER.fullmatch(key)]
     if any(text.strip("0.+-") for text in values):
         return (finding("rpc.adjustment_ignored"),)
     return ()
+
+
+FORMAT = register_format(
+    Format(
+        name="ossim-geom", title=NAME, help=__doc__, read_rpc=read_rpc_geom,
+        sniff=has_line("(?:line_num_coeff_0?0|line_den_coeff_0?0|polynomial_format)\\s*:"),
+    )
+)  # fmt: skip

@@ -1,7 +1,8 @@
-"""Photo files of close range: TOML with cameras, oriented or not.
+"""Photo files and constraint files of close range, in TOML; docs/closerange.md describes them.
 
 One ``[[photos]]`` table per photo: either ``focal`` with ``principal`` and ``y_axis`` (and, once it is oriented,
-``rotation`` and ``centre_m``), or the ``matrix`` of a DLT with its ``origin_m``; docs/closerange.md describes it.
+``rotation`` and ``centre_m``), or the ``matrix`` of a DLT with its ``origin_m``. One
+``[[constraints]]`` table per constraint.
 """
 
 from __future__ import annotations
@@ -11,11 +12,9 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from fg_orient.formats.project import parse_toml
-from fg_orient.formats.schema import Text, problems_of
-from fg_orient.formats.schema import _Table as Table
+from fg_orient.formats.schema import Table, Text, read_toml
 from fg_orient.model.errors import InputError, finding
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
 
@@ -91,12 +90,8 @@ def read_photos(path: Path) -> Photos:
     InputError
         All faults of the file; a name that occurs twice, a rotation that is none.
     """
-    try:
-        found = PhotoFile.model_validate(parse_toml(path))
-    except ValidationError as error:
-        raise InputError(*problems_of(error, str(path), PhotoFile)) from None
     entries: dict[str, PhotoEntry] = {}
-    for k, entry in enumerate(found.photos):
+    for k, entry in enumerate(read_toml(path, PhotoFile).photos):
         if entry.name in entries:
             raise InputError(finding("project.image_twice", file=path, place=f"photos[{k + 1}].name", value=entry.name))
         _require_rotation(entry, f"photos[{k + 1}].rotation of {entry.name}", path)
@@ -112,3 +107,35 @@ def _require_rotation(entry: PhotoEntry, place: str, path: Path) -> None:
     if away > ORTHONORMAL:
         raise InputError.of("closerange.camera", file=path, place=place, value=not_a_rotation(away),
                             expected="rows that are unit vectors at right angles, right-handed")  # fmt: skip
+
+
+# --- constraints ---------------------------------------------------------------------------------
+
+
+class ConstraintEntry(Table):
+    """One ``[[constraints]]`` table."""
+
+    kind: Text = Field(description='what it is, such as "distance" or "horizontal circle"')
+    members: tuple[Text, ...] = Field(min_length=1, description='ids of points (or names of photos): ["1", "2"]')
+    value_m: Positive | None = Field(default=None, description="a distance or base, m")
+    sigma: Positive | None = Field(default=None, description="m (rad for angles) above 0; without it it is hard")
+    observed: dict[str, tuple[Positive, Positive]] = Field(default={}, description="name = [value, sigma], m, above 0")
+    axis: Text = Field(default="y", description='"x", "y" or "z"')
+    offset: tuple[Three, Three, Three] | None = Field(default=None, description="three rows of three numbers")
+
+
+class ConstraintFile(Table):
+    """A whole constraint file."""
+
+    constraints: tuple[ConstraintEntry, ...] = Field(min_length=1, description="at least one [[constraints]] table")
+
+
+def read_constraints(path: Path) -> tuple[ConstraintEntry, ...]:
+    """Read a constraint file.
+
+    Raises
+    ------
+    InputError
+        All faults of the file.
+    """
+    return read_toml(path, ConstraintFile).constraints

@@ -1,8 +1,13 @@
-"""RPC in images: GeoTIFF tag 50844, or what GDAL finds beside the image (extra ``geo``)."""
+"""RPC of GDAL: GeoTIFF tag 50844, or files beside the image (extra ``geo``); metadata domain ``RPC`` of .vrt, .aux.xml.
+
+The XML of a virtual raster is read, not the raster: it can name any file or address as its source. RPC count from the
+centre of the first pixel, as RPC00B does.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import shutil
 import warnings
@@ -10,21 +15,18 @@ from pathlib import Path
 from typing import Any, Final
 
 from factors.cameras.rfm_project import RANGE
-from fg_orient.formats.rpc_fields import AXES, POLYNOMIALS, Reading, RpcFields, build, printed
+from fg_orient.formats.gdal import rasterio_of
+from fg_orient.formats.registry import Format, register_format, xml_root
+from fg_orient.formats.rpc.fields import AXES, POLYNOMIALS, Reading, RpcFields, build, printed
+from fg_orient.formats.xml import read_xml
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel
 
-#: The tag follows RPC00B: it counts from the centre of the first pixel.
 FIRST_PIXEL: Final = 0.0
 NAME: Final = "GeoTIFF RPC"
-
-
-def _rasterio(file: str) -> Any:
-    try:
-        import rasterio
-    except ImportError as error:
-        raise InputError.of("rpc.no_rasterio", file=file) from error
-    return rasterio
+VRT_NAME: Final = "GDAL RPC metadata"
+_SCALARS: Final = {f"{axis}_{word}" for axis in AXES for word in ("OFF", "SCALE")} | {"ERR_BIAS", "ERR_RAND"}
+_TIFF: Final = ("II*\0", "MM\0*", "II+\0", "MM\0+")
 
 
 def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
@@ -36,7 +38,7 @@ def read_rpc_raster(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
         rasterio is missing, GDAL cannot read the image, or it holds no RPC.
     """
     file = os.fspath(path)
-    rasterio = _rasterio(file)
+    rasterio = rasterio_of(file, "rpc.no_rasterio")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
@@ -68,7 +70,7 @@ def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
         There is no such image, or it cannot be written.
     """
     file, target = os.fspath(path), Path(path)
-    rasterio = _rasterio(file)
+    rasterio = rasterio_of(file, "rpc.no_rasterio")
     if not target.is_file():
         raise InputError.of("rpc.tags_target", file=file)
     offsets = model.offsets.copy()
@@ -91,3 +93,43 @@ def write_rpc_raster(path: str | os.PathLike[str], model: RpcModel) -> None:
         raise InputError.of("output.unwritable", file=file, value=error) from error
     finally:
         copy.unlink(missing_ok=True)
+
+
+def read_rpc_vrt(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
+    """Read the RPC domain of a virtual raster.
+
+    Raises
+    ------
+    InputError
+        There is no RPC domain, or a field is missing or no number.
+    """
+    root = read_xml(path)
+    domain = next((n for n in root.every("Metadata", 0) if n.element.get("domain") == "RPC"), None)
+    if domain is None:
+        raise InputError.of("rpc.no_tags", file=root.file)
+    fields = RpcFields(root.file)
+    for node in domain.every("MDI"):
+        key = node.element.get("key", "")
+        if key in _SCALARS:
+            fields.add(key, node.text(), node.place)
+        elif key.removesuffix("_COEFF") in POLYNOMIALS:
+            fields.add_group(key.removesuffix("_COEFF"), node.text().split(), node.place)
+    extra: dict[str, Any] = {}
+    for name, attribute in (("n_lines", "rasterYSize"), ("n_samples", "rasterXSize")):
+        text = root.element.get(attribute, "")
+        extra[name] = int(text) if re.fullmatch(r"[1-9][0-9]{0,6}", text) else None
+    return build(fields, reading, VRT_NAME, FIRST_PIXEL, extra)
+
+
+FORMAT = register_format(
+    Format(
+        name="geotiff-tags", title="GeoTIFF", help=__doc__, suffixes=(".tif", ".tiff"),
+        sniff=lambda _, head: head.startswith(_TIFF), read_rpc=read_rpc_raster, write_rpc=write_rpc_raster,
+    )
+)  # fmt: skip
+VRT_FORMAT = register_format(
+    Format(
+        name="vrt", title="GDAL VRT or .aux.xml", help=__doc__, read_rpc=read_rpc_vrt,
+        sniff=lambda _, head: xml_root(head) in ("VRTDataset", "PAMDataset"),
+    )
+)  # fmt: skip

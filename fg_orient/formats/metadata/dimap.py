@@ -1,17 +1,20 @@
-"""Reading a DIMAP metadata file: what it is, and which reader takes it.
+"""DIMAP metadata files of pushbroom images: recognition of the version, and the reader to use.
 
-Read: DIMAP 1.1 of SPOT 1 to 5 at level 1A, DIMAP 2.x sensor products of Pléiades
-1A/1B and SPOT 6/7, and the PHR_DIMAP of CNES. Everything else that is recognised is named in the message together
-with what is needed instead.
+Read: DIMAP 1.1 of SPOT 1 to 5 at level 1A, DIMAP 2.x sensor products of Pléiades 1A/1B and SPOT 6/7, and the PHR_DIMAP
+of CNES. For other recognised files, the message names the file and the product that is needed instead.
 """
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
-from fg_orient.formats import dimap1, dimap2, dimap_phr
+from fg_orient.formats import dimap1, dimap2
+from fg_orient.formats.registry import Format, register_format, xml_root
+from fg_orient.formats.rpc.dimap import is_rpc
 from fg_orient.formats.xml import MAX_BYTES, XmlNode, read_xml
 from fg_orient.sensors.metadata import PushbroomMetadata
+from fg_orient.sensors.pushbroom import PushbroomSensor
 
 _ROOTS = {
     "isd": "a DigitalGlobe ISD file",
@@ -48,8 +51,8 @@ def read_dimap(path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES) -> P
         Angular speeds (SPOT 1 to 4) leave more than 0.2 s of the image open.
     """
     root = read_xml(path, max_bytes=max_bytes)
-    if root.tag == dimap_phr.ROOT:
-        return dimap_phr.read_dimap_phr(root)
+    if root.tag == dimap2.PHR_ROOT:
+        return dimap2.read_dimap_phr(root)
     if root.tag != "Dimap_Document":
         raise root.fault("dimap.other_format", _ROOTS.get(root.tag, f"root element {root.tag}"))
     if root.maybe("Metadata_Id") is not None:
@@ -94,3 +97,24 @@ def _require_version_2(root: XmlNode) -> None:
 def _seen(form: str, version: str, profile: str) -> str:
     names = [name for prefix, name in _PROFILE_PREFIXES.items() if profile.upper().startswith(prefix)]
     return f"{form} {version or 'without version'}, profile {profile}" + (f" ({names[0]})" if names else "")
+
+
+def _is_rigorous(path: Path, head: str) -> bool:
+    """Tell a file of the rigorous model; a PHR_DIMAP may hold it in addition to its RPC."""
+    root = xml_root(head)
+    if root == dimap2.PHR_ROOT:
+        return read_xml(path).maybe(dimap2.PHR_MODEL) is not None
+    return root == "Dimap_Document" and not is_rpc(head)
+
+
+def read_sensor(path: Path, *, extrapolate_attitude_s: float = 0.0) -> PushbroomSensor:
+    """Sensor of a DIMAP file; see :func:`read_dimap`."""
+    return PushbroomSensor(read_dimap(path), extrapolate_attitude_s=extrapolate_attitude_s)
+
+
+FORMAT = register_format(
+    Format(
+        name="dimap-metadata", title="DIMAP metadata", help=__doc__, sniff=_is_rigorous, read_image=read_sensor,
+        extrapolates=True,
+    )
+)  # fmt: skip

@@ -7,7 +7,9 @@ import re
 from typing import Final
 
 from factors.cameras.rfm_project import RANGE
-from fg_orient.formats.rpc_fields import (
+from fg_orient.formats.atomic import write_bytes
+from fg_orient.formats.registry import Format, has_line, register_format
+from fg_orient.formats.rpc.fields import (
     AXES,
     POLYNOMIALS,
     UNITS,
@@ -28,16 +30,6 @@ LIST_NAME: Final = "list of 90 numbers"
 _LIST_AXES = ("LINE", "SAMP", "LAT", "LONG", "HEIGHT")
 _LINE = re.compile(r"\s*([A-Z][A-Z0-9_]*)\s*:\s*(\S+)(?:\s+[A-Za-z/]+)?\s*")
 _NUMBERS = re.compile(r"\s*(?:[-+.0-9eEdD]+\s+){20,}")
-
-
-def is_text(head: str) -> bool:
-    """Tell a ``_RPC.TXT`` from its first bytes."""
-    return re.search(r"^\s*(?:LINE|SAMP|LAT|LONG|HEIGHT)_(?:OFF|SCALE)\s*:", head, re.MULTILINE) is not None
-
-
-def is_list(head: str) -> bool:
-    """Tell a plain list of numbers from its first bytes."""
-    return _NUMBERS.match(head) is not None
 
 
 def read_rpc_text(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
@@ -108,3 +100,18 @@ def read_rpc_list(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
     for k, stem in enumerate(POLYNOMIALS):
         fields.add_group(stem, words[10 + 20 * k : 30 + 20 * k], f"numbers {11 + 20 * k} to {30 + 20 * k}")
     return build(fields, reading, LIST_NAME, reading.first_pixel)
+
+
+FORMAT = register_format(
+    Format(
+        name="rpc-txt", title=NAME, help=__doc__, suffixes=(".txt",),
+        sniff=has_line("(?:LINE|SAMP|LAT|LONG|HEIGHT)_(?:OFF|SCALE)\\s*:"), read_rpc=read_rpc_text,
+        write_rpc=lambda path, model: write_bytes(path, format_rpc_text(model).encode("ascii")),
+    )
+)  # fmt: skip
+LIST_FORMAT = register_format(
+    Format(
+        name="rpc-list", title=LIST_NAME, help=__doc__, sniff=lambda _, head: _NUMBERS.match(head) is not None,
+        read_rpc=read_rpc_list,
+    )
+)  # fmt: skip

@@ -11,7 +11,6 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy.typing as npt
 
 from factors.cameras.rfm_project import RANGE
 from factors.cameras.rfm_terms import EXPONENTS, N_TERMS, permutation
+from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel, RpcValidity
 
@@ -166,29 +166,9 @@ def validity(model_offsets: Array, model_scales: Array, domain: Mapping[str, tup
     return RpcValidity(line, sample, domain["lon"], domain["lat"], (float(low[4]), float(high[4])))
 
 
-def read_bytes(path: str | os.PathLike[str], size: int = MAX_BYTES) -> bytes:
-    """Give the first bytes of a file.
-
-    Raises
-    ------
-    InputError
-        It does not exist or cannot be read.
-    """
-    file = os.fspath(path)
-    if not Path(path).exists():
-        raise InputError.of("xml.missing_file", file=file, base=Path.cwd())
-    if not Path(path).is_file():
-        raise InputError.of("xml.not_a_file", file=file)
-    try:
-        with Path(path).open("rb") as stream:
-            return stream.read(size)
-    except OSError as error:
-        raise InputError.of("rpc.unreadable", file=file, value=error.strerror) from error
-
-
 def read_text(path: str | os.PathLike[str]) -> str:
     """Give a text file; bytes beyond ASCII can only be remarks."""
-    return read_bytes(path).decode("latin-1")
+    return read_bytes(path, MAX_BYTES).decode("latin-1")
 
 
 def printed(value: float) -> str:

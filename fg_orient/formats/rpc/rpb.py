@@ -7,7 +7,9 @@ import re
 from typing import Final
 
 from factors.cameras.rfm_project import RANGE
-from fg_orient.formats.rpc_fields import POLYNOMIALS, Reading, RpcFields, build, printed, read_text, require_order
+from fg_orient.formats.atomic import write_bytes
+from fg_orient.formats.registry import Format, has_line, register_format, xml_root
+from fg_orient.formats.rpc.fields import AXES, POLYNOMIALS, Reading, RpcFields, build, printed, read_text, require_order
 from fg_orient.formats.xml import read_xml
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel
@@ -25,11 +27,6 @@ _KEYS = {
 }  # fmt: skip
 _GROUPS = dict(zip(("lineNumCoef", "lineDenCoef", "sampNumCoef", "sampDenCoef"), POLYNOMIALS, strict=True))
 _ENTRY = re.compile(r'^[ \t]*(\w+)[ \t]*=\s*(\([^)]*\)|"[^"\n]*"|[^;\n("]*);', re.MULTILINE)
-
-
-def is_rpb(head: str) -> bool:
-    """Tell an RPB file from its first bytes."""
-    return re.search(r"^\s*(?:lineOffset|lineNumCoef)\s*=", head, re.MULTILINE) is not None
 
 
 def read_rpc_rpb(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
@@ -58,8 +55,8 @@ def format_rpc_rpb(model: RpcModel) -> str:
     """Give a model as the text of an RPB file; all digits are kept, unknown errors are 0."""
     offsets = model.offsets.copy()
     offsets[RANGE.image] += FIRST_PIXEL
-    values = dict(zip([f"{name}_OFF" for name in ("LINE", "SAMP", "LONG", "LAT", "HEIGHT")], offsets, strict=True))
-    values |= zip([f"{name}_SCALE" for name in ("LINE", "SAMP", "LONG", "LAT", "HEIGHT")], model.scales, strict=True)
+    values = dict(zip([f"{name}_OFF" for name in AXES], offsets, strict=True))
+    values |= zip([f"{name}_SCALE" for name in AXES], model.scales, strict=True)
     values |= {"ERR_BIAS": model.err_bias_m or 0.0, "ERR_RAND": model.err_rand_m or 0.0}
     lines = ['satId = "";', 'bandId = "";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
     lines += [f"\t{key} = {printed(values[name])};" for key, name in _KEYS.items()]
@@ -96,3 +93,18 @@ def read_rpc_isd(path: str | os.PathLike[str], reading: Reading) -> RpcModel:
         size = root.maybe(f"IMD/{tag}")
         extra[name] = None if size is None else size.integer(1, 10**7)
     return build(fields, reading, ISD_NAME, FIRST_PIXEL, extra)
+
+
+FORMAT = register_format(
+    Format(
+        name="rpb", title=NAME, help=__doc__, suffixes=(".rpb",), sniff=has_line("(?:lineOffset|lineNumCoef)\\s*="),
+        read_rpc=read_rpc_rpb,
+        write_rpc=lambda path, model: write_bytes(path, format_rpc_rpb(model).encode("ascii")),
+    )
+)  # fmt: skip
+ISD_FORMAT = register_format(
+    Format(
+        name="digitalglobe-xml", title="DigitalGlobe XML", help=__doc__, read_rpc=read_rpc_isd,
+        sniff=lambda _, head: xml_root(head) == "isd",
+    )
+)  # fmt: skip

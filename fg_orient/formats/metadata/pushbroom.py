@@ -6,24 +6,24 @@
 from __future__ import annotations
 
 import datetime
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from factors.geometry import kepler
 from factors.geometry.attitude import sign_aligned
-from fg_orient.formats.earth_orientation import read_earth_orientation
-from fg_orient.formats.project import parse_toml
-from fg_orient.formats.schema import Positive, Switch, Text, problems_of
-from fg_orient.formats.schema import _Table as Table
+from fg_orient.formats.registry import Format, register_format
+from fg_orient.formats.schema import Number, Positive, Switch, Table, Text, read_toml
 from fg_orient.formats.tables import Faults, number, read_table
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.sensors.earth_rotation import DAY_S, EarthRotation, neglected
+from fg_orient.sensors.earth_rotation import DAY_S, EarthOrientation, EarthRotation, neglected
 from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation, not_a_rotation
+from fg_orient.sensors.general import GeneralPushbroom
 from fg_orient.sensors.general_metadata import (
     Attitude,
     AttitudeFrame,
@@ -39,7 +39,6 @@ from fg_orient.sensors.general_metadata import (
 from fg_orient.sensors.metadata import LineTiming
 
 Array = npt.NDArray[np.float64]
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Three = tuple[Number, Number, Number]
 Coefficients = Annotated[tuple[Number, ...], Field(min_length=1, max_length=12)]
 Count = Annotated[int, Field(strict=True, ge=2, le=10_000_000)]
@@ -53,6 +52,11 @@ _STATE: Final = ("time_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
 _ANGLES: Final = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
 _QUATERNION: Final = ("time_s", "q0", "q1", "q2", "q3")
 _DIRECTIONS: Final = ("sample", "tan_forward", "tan_left")
+_KIND: Final = re.compile(r"""^\s*kind\s*=(?!\s*["']pushbroom["'])""", re.MULTILINE)
+_ARC_SECOND: Final = np.pi / 180.0 / 3600.0
+_RECORD: Final = re.compile(r"^\s*\d{4}\s+\d{1,2}\s+\d{1,2}\s")
+#: Largest pole coordinate (arc seconds) and UT1 - UTC (s) that can be right.
+_LIMITS: Final = (1.0, 1.0, 1.0)
 
 
 class ImageTable(Table):
@@ -148,10 +152,7 @@ def read_sensor_file(path: str | Path) -> GeneralMetadata:
         All faults of the description, or those of a table.
     """
     path = Path(path)
-    try:
-        found = SensorFile.model_validate(parse_toml(path))
-    except ValidationError as error:
-        raise InputError(*problems_of(error, str(path), SensorFile)) from None
+    found = read_toml(path, SensorFile)
     epoch, timing = _timing(found.time, path)
     orbit, attitude = _orbit(found.orbit, path), _attitude(found.attitude, path)
     earth, notes = _earth(found, epoch, orbit, attitude, path)
@@ -286,3 +287,60 @@ def _earth(
         return EarthRotation(epoch, span, frame), (neglected(ground_side),)
     series = read_earth_orientation(path.parent / found.earth.orientation)
     return EarthRotation(epoch, span, frame, series), series.notes
+
+
+# --- IERS C04 ------------------------------------------------------------------------------------
+
+
+def read_earth_orientation(path: str | Path) -> EarthOrientation:
+    """Read a C04 file, or a part of one with at least two days.
+
+    Celestial pole offsets that refer to the equinox (columns dPsi, dEps, against IAU 1980) are left out, with a note:
+    against IAU 2006/2000A they are below 1 mas, 3 cm on the ground.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, holds no such records, has gaps, or a value that cannot be right.
+    """
+    try:
+        text = Path(path).read_bytes().decode("latin-1")
+    except OSError as error:
+        raise InputError.of("earth.unreadable", file=path, value=error.strerror) from None
+    lines = text.replace("\r\n", "\n").split("\n")
+    found = [(n, line.split()) for n, line in enumerate(lines, 1) if _RECORD.match(line)]
+    if len(found) < 2:
+        raise InputError.of("earth.no_records", file=path, value=f"{len(found)} records")
+    # year, month, day (, hour), MJD, x, y, UT1 - UTC; then LOD, dX, dY, or since C04 20 dX, dY at once
+    hours = _c04_number(path, *found[0], 3) < 100.0
+    columns = (4, 5, 6, 7, 8, 9) if hours else (3, 4, 5, 6, 8, 9)
+    table = np.array([[_c04_number(path, n, words, k) for k in columns] for n, words in found])
+    gaps = np.flatnonzero(np.abs(np.diff(table[:, 0]) - 1.0) > 1e-9)
+    if len(gaps):
+        raise InputError.of("earth.gap", file=path, place=f"line {found[gaps[0] + 1][0]}", value=table[gaps[0] + 1, 0])
+    bad = np.flatnonzero((np.abs(table[:, 1:4]) > _LIMITS).any(axis=1))
+    if len(bad):
+        raise InputError.of("earth.value", file=path, place=f"line {found[bad[0]][0]}", value=table[bad[0], 1:4])
+    offset, notes = table[:, 4:6] * _ARC_SECOND, tuple[Finding, ...]()
+    if "dpsi" in text[:5000].lower():
+        offset, notes = 0.0 * offset, (finding("image.pole_offsets"),)
+    return EarthOrientation(str(path), table[:, 0], table[:, 1:3] * _ARC_SECOND, table[:, 3], offset, notes)
+
+
+def _c04_number(path: str | Path, line: int, words: list[str], k: int) -> float:
+    try:
+        value = float(words[k])
+    except (IndexError, ValueError):
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError.of("earth.record", file=path, place=f"line {line}", value=" ".join(words)[:60])
+    return value
+
+
+FORMAT = register_format(
+    Format(
+        name="pushbroom", title='sensor description (TOML, kind = "pushbroom")', help=__doc__, suffixes=(".toml",),
+        sniff=lambda path, head: path.suffix.lower() == ".toml" and _KIND.search(head) is None,
+        read_image=lambda path: GeneralPushbroom(read_sensor_file(path)),
+    )
+)  # fmt: skip

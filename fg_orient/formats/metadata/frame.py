@@ -1,0 +1,178 @@
+"""Frame images in TOML: files of one image with its exterior orientation, and the camera files that they name.
+
+docs/frame-cameras.md describes both. A camera file states the direction of its polynomial. Coefficients have the form
+that the programs print: ``brown_ideal_to_measured`` with OpenCV's p1 and p2 and no unit,
+``brown_measured_to_ideal`` with the photogrammetric P1 and P2 (y up) in the file's unit of length.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from fg_orient.formats.atomic import write_lines
+from fg_orient.formats.registry import Format, register_format
+from fg_orient.formats.schema import Number, Positive, Table, Text, read_toml
+from fg_orient.formats.toml import entries
+from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, to_ecef
+from fg_orient.model.errors import InputError
+from fg_orient.sensors.frame import MEASURED_TO_IDEAL, FrameSensor, rotation_of_opk
+from fg_orient.sensors.interior import Interior
+
+Array = npt.NDArray[np.float64]
+Three = tuple[Number, Number, Number]
+Count = Annotated[int, Field(strict=True, gt=0)]
+_KIND: Final = re.compile(r"""^\s*kind\s*=\s*["']frame["']""", re.MULTILINE)
+
+
+class CameraFile(Table):
+    """A whole camera file."""
+
+    schema_: Literal[1] = Field(alias="schema", description="schema = 1")
+    name: Text = Field(description='a name in quotes, such as "Olympus C4040Z"')
+    model: Literal["brown_ideal_to_measured", "brown_measured_to_ideal"] = Field(
+        description='"brown_ideal_to_measured" (OpenCV, COLMAP, BAL, Metashape) or "brown_measured_to_ideal" (DBAT)'
+    )
+    lines: Count = Field(description="number of lines of the image")
+    samples: Count = Field(description="number of samples of the image")
+    pixel_mm: Positive | None = Field(
+        default=None, description="size of a pixel, mm: focal length, principal point and coefficients are then in mm"
+    )
+    focal: Positive = Field(description="focal length in pixels, or in mm beside pixel_mm")
+    principal: tuple[Number, Number] = Field(description="x (right) and y (down) of the principal point")
+    first_pixel: Number = Field(default=0.0, description="coordinates of the first pixel's centre, px: 0, 0.5 or 1")
+    k1: Number = Field(default=0.0, description="a number")
+    k2: Number = Field(default=0.0, description="a number")
+    k3: Number = Field(default=0.0, description="a number")
+    p1: Number = Field(default=0.0, description="a number")
+    p2: Number = Field(default=0.0, description="a number")
+    aspect: Number = Field(default=0.0, description="a number; 0 with brown_ideal_to_measured")
+
+
+def read_camera(path: str | Path) -> Interior:
+    """Read a camera file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a value is missing or not possible: all faults at once.
+    """
+    file = read_toml(path, CameraFile)
+    px = 1.0 if file.pixel_mm is None else 1.0 / file.pixel_mm
+    x, y = file.principal
+    corrects = file.model == MEASURED_TO_IDEAL
+    # y up, x: P1 (r^2 + 2 x^2) + 2 P2 x y becomes y down, x: 2 p1 x y + p2 (r^2 + 2 x^2)
+    p = (-file.p2, file.p1) if corrects else (file.p1, file.p2)
+    return Interior(
+        file.lines, file.samples, file.focal * px, np.array([y, x]) * px - file.first_pixel,
+        np.array([file.k1, file.k2, file.k3, *p]), file.model, px if corrects else None, file.aspect, file.name,
+    )  # fmt: skip
+
+
+def write_camera(path: str | Path, interior: Interior) -> None:
+    """Write a camera file in pixels, the first pixel's centre being 0; with the polynomial's unit as 1 mm.
+
+    Every number is written with all its digits: reading gives the same camera.
+    """
+    corrects = interior.model == MEASURED_TO_IDEAL
+    px = float(interior.unit_px or interior.focal_px) if corrects else 1.0
+    line, sample = interior.principal_px.tolist()
+    k1, k2, k3, p1, p2 = interior.distortion.tolist()
+    p = (p2, -p1) if corrects else (p1, p2)
+    values = {
+        "schema": 1, "name": interior.name, "model": interior.model, "lines": interior.n_lines,
+        "samples": interior.n_samples, "pixel_mm": 1.0 / px if corrects else None,
+        "focal": float(interior.focal_px) / px, "principal": (sample / px, line / px), "first_pixel": 0.0,
+        "k1": k1, "k2": k2, "k3": k3, "p1": p[0], "p2": p[1], "aspect": interior.aspect,
+    }  # fmt: skip
+    write_lines(path, [*entries(values)])
+
+
+# --- images --------------------------------------------------------------------------------------
+
+
+class FrameFile(Table):
+    """A whole frame image."""
+
+    schema_: Literal[1] = Field(alias="schema", description="schema = 1")
+    kind: Literal["frame"] = Field(description='kind = "frame"')
+    camera: Text = Field(description="the path of the camera file in quotes")
+    crs: Text = Field(description='an EPSG code in quotes, such as "EPSG:4979"')
+    centre: Three = Field(description="three numbers: the projection centre in the order of a point table of this CRS")
+    omega_phi_kappa_deg: Three | None = Field(default=None, description="three numbers, degrees")
+    rotation: tuple[Three, Three, Three] | None = Field(default=None, description="three rows of three numbers")
+    sigma: dict[str, Annotated[Positive, Field(description="a number above zero")]] = Field(
+        default_factory=dict, description="a table [sigma] of unknowns with their prior sigmas"
+    )
+    shared: dict[str, Text] = Field(default_factory=dict, description="a table [shared] of unknowns with a name each")
+
+
+def read_frame_file(path: str | Path) -> FrameSensor:
+    """Read a frame image and its camera.
+
+    Parameters
+    ----------
+    path : str or Path
+        The TOML file; the path of the camera is relative to it.
+
+    Raises
+    ------
+    InputError
+        One of the files cannot be read, or a value is missing or not possible.
+    """
+    path = Path(path)
+    found = read_toml(path, FrameFile)
+    if (found.omega_phi_kappa_deg is None) == (found.rotation is None):
+        raise InputError.of("frame.angles", file=path, place="omega_phi_kappa_deg, rotation")
+    interior = read_camera(path.parent / found.camera)
+    try:
+        centre = to_ecef(found.crs, *(np.array([value]) for value in found.centre))[0]
+        camera = interior.camera(_rotation(found, centre), centre, found.sigma, found.shared)
+    except InputError as error:
+        raise InputError(*(replace(p, file=str(path)) for p in error.problems)) from None
+    return FrameSensor(camera, interior.n_lines, interior.n_samples, file=str(path))
+
+
+def _rotation(found: FrameFile, centre_m: Array) -> Array:
+    """Camera axes from Earth-fixed ones; angles turn East, North, Up at the projection centre."""
+    if found.rotation is not None:
+        return np.array(found.rotation)
+    lon, lat, _ = ecef_to_geodetic(centre_m[None])
+    assert found.omega_phi_kappa_deg is not None  # or the rotation
+    return np.asarray(rotation_of_opk(*np.radians(found.omega_phi_kappa_deg)) @ enu_from_ecef(lon, lat)[0])
+
+
+def write_frame_file(path: str | Path, sensor: FrameSensor, camera: str) -> None:
+    """Write a frame image in Earth-fixed coordinates, with all digits of its orientation.
+
+    Parameters
+    ----------
+    path : str or Path
+    sensor : FrameSensor
+        Georeferenced, its first pixel being (0, 0).
+    camera : str
+        Path of its camera file, relative to ``path`` (:func:`write_camera`).
+    """
+    own = sensor.camera
+    head = {
+        "schema": 1, "kind": "frame", "camera": camera, "crs": "EPSG:4978", "centre": tuple(own.centre_m.tolist()),
+        "rotation": tuple(map(tuple, own.rotation.tolist())),
+    }  # fmt: skip
+    sigma = {name: float(value) for name, value in own.sigma.items()}
+    lines = [*entries(head), "", "[sigma]", *entries(sigma), "", "[shared]", *entries(own.shared)]
+    write_lines(path, lines)
+
+
+FORMAT = register_format(
+    Format(
+        name="frame", title='frame image (TOML, kind = "frame")', help=__doc__, suffixes=(".toml",),
+        sniff=lambda path, head: path.suffix.lower() == ".toml" and _KIND.search(head) is not None,
+        read_image=read_frame_file,
+    )
+)  # fmt: skip

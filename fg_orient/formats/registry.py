@@ -1,0 +1,311 @@
+"""Registry of file formats: one record per format, made by the module that reads and writes it.
+
+A module of ``formats.exchange`` (points, frame models), ``formats.rpc`` or ``formats.metadata`` (images) calls
+:func:`register_format`, and so does a user's own file. The modules of these packages are found without a list.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from codecs import BOM_UTF8
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from enum import StrEnum
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from fg_orient.formats.tables import did_you_mean
+from fg_orient.model.errors import Finding, InputError
+
+if TYPE_CHECKING:
+    from fg_orient.formats.exchange.survey import Survey
+    from fg_orient.formats.frame_model import FrameModel
+    from fg_orient.formats.rpc.fields import Reading
+    from fg_orient.sensors.rpc import RpcModel
+
+#: Packages of formats, by the contents of their files.
+Contents = Literal["points", "rpc", "image"]
+_PACKAGES: Final[dict[Contents, str]] = {
+    "points": "fg_orient.formats.exchange", "rpc": "fg_orient.formats.rpc", "image": "fg_orient.formats.metadata",
+}  # fmt: skip
+#: Bytes at the beginning of a file from which its format is recognised.
+HEAD_BYTES: Final = 2**16
+_ROOT: Final = re.compile(r"<([A-Za-z_][\w.-]*)")
+
+
+class Holds(StrEnum):
+    """Information that a format can hold. Other information is reported as lost."""
+
+    GROUND = "ground points"
+    IMAGE = "image points"
+    IDS = "ids of points"
+    NUMBERS = "ids that are whole numbers"
+    IMAGES = "several images"
+    UNMEASURED = "ground points that no image shows"
+    TIES = "points without coordinates"
+    BARE_TIES = "points with neither coordinates nor image points"
+    ROLES = "roles"
+    HEIGHTS = "heights"
+    SIGMA_GROUND = "standard deviations of ground points"
+    SIGMA_UP = "a standard deviation of the height of its own"
+    SIGMA_EAST_NORTH = "different standard deviations to the east and north"
+    SIGMA_IMAGE = "standard deviations of image points"
+    FIXED = "points without uncertainty"
+    CRS = "the CRS"
+    VERTICAL_CRS = "the vertical CRS"
+
+
+#: Contents of files of tie points alone.
+TIES_ONLY: Final = frozenset({Holds.IMAGE, Holds.IMAGES, Holds.TIES})
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Information from the user where a file lacks it.
+
+    Parameters
+    ----------
+    crs : str
+        CRS of the coordinates, ``EPSG:n`` or ``EPSG:n+m``; "" if the file states it.
+    image : str
+        Image of a format that holds one image without its name.
+    sigma_axes : str
+        "ecef" or "enu": axes of the standard deviations in ASP's .gcp.
+    image_sizes : mapping of str to (n_lines, n_samples)
+        Sizes of the images, for formats that count from another corner or from the middle.
+    """
+
+    crs: str = ""
+    image: str = ""
+    sigma_axes: str = "ecef"
+    image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=lambda: MappingProxyType({}))
+
+    def require_images(self, names: Sequence[str], file: object) -> None:
+        """Refuse sizes of images that a file does not have.
+
+        Raises
+        ------
+        InputError
+            Names the first one.
+        """
+        for name in self.image_sizes:
+            if name not in names:
+                known = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
+                raise InputError.of("interchange.no_image", file=file, option="image_size", value=name, known=known)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """Registration record of a format.
+
+    Parameters
+    ----------
+    name : str
+        For options and project files; unique.
+    title : str
+        In words, with the program it belongs to.
+    help : str
+        Description of the files; usually the docstring of the module.
+    suffixes : tuple of str
+        Lower-case ends of its file names. They identify the format if no other format has them.
+    sniff : callable, optional
+        ``sniff(path, head)`` recognises a file by its name and its first 64 kB as text (bytes one to one; "" if there
+        is no such file). It must not raise. None: the suffix is sufficient.
+    files : tuple of str
+        Contents of each of its files; the second is named after the first and this word.
+    first_pixel : tuple of float or None
+        Line and sample of the centre of the first pixel in the format; None if it holds no image points.
+    pixel_axes, ground_axes : str
+        Order, direction and unit of the coordinates in words.
+    holds : frozenset of Holds
+        Information that it can hold.
+    needs : frozenset of Holds
+        Information that it requires for every point with coordinates, or image point.
+    evidence : str
+        Foreign files that the reader was tried on; "" makes the format unverified.
+    crs : str
+        The CRS that the format demands; "" if any is allowed.
+    read, write : callables, optional
+        Reader and writer of points: files and settings to survey; survey, files and settings to further losses.
+    read_model, write_model : callables, optional
+        The same of a whole frame model. The writer takes the path, the model and whether to overwrite; it gives the
+        losses in words.
+    read_rpc, write_rpc : callables, optional
+        Path and ``Reading`` to ``RpcModel``; path and model.
+    read_image : callable, optional
+        Path to the sensor of an image; the keyword ``extrapolate_attitude_s`` is passed if ``extrapolates``.
+    extrapolates : bool
+        ``read_image`` takes the keyword ``extrapolate_attitude_s``.
+    """
+
+    name: str
+    title: str
+    help: str = ""
+    suffixes: tuple[str, ...] = ()
+    sniff: Callable[[Path, str], bool] | None = None
+    files: tuple[str, ...] = ("points",)
+    first_pixel: tuple[float, float] | None = None
+    pixel_axes: str = "none"
+    ground_axes: str = "none"
+    holds: frozenset[Holds] = frozenset()
+    needs: frozenset[Holds] = frozenset()
+    evidence: str = ""
+    crs: str = ""
+    read: Callable[[tuple[Path, ...], Settings], Survey] | None = None
+    write: Callable[[Survey, tuple[Path, ...], Settings], Sequence[Finding] | None] | None = None
+    read_model: Callable[[tuple[Path, ...], Settings], FrameModel] | None = None
+    write_model: Callable[[Path, FrameModel, bool], tuple[str, ...]] | None = None
+    read_rpc: Callable[[Path, Reading], RpcModel] | None = None
+    write_rpc: Callable[[Path, RpcModel], None] | None = None
+    read_image: Callable[..., Any] | None = None
+    extrapolates: bool = False
+
+    @property
+    def verified(self) -> bool:
+        """Whether a foreign file was read, or a file of ours by another program."""
+        return bool(self.evidence)
+
+    @property
+    def contents(self) -> frozenset[Contents]:
+        """Contents of its files."""
+        points = self.read or self.write or self.read_model or self.write_model
+        given: dict[Contents, object] = {
+            "points": points, "rpc": self.read_rpc or self.write_rpc, "image": self.read_image,
+        }  # fmt: skip
+        return frozenset(kind for kind, function in given.items() if function)
+
+    def paths(self, first: Path) -> tuple[Path, ...]:
+        """Names of all files of the format: ``scene.csv``, ``scene_observations.csv``."""
+        others = (first.with_name(f"{first.stem}_{word}{first.suffix}") for word in self.files[1:])
+        return (first, *others)
+
+
+_REGISTRY: dict[str, Format] = {}
+
+
+def register_format(format_: Format) -> Format:
+    """Add a format.
+
+    Raises
+    ------
+    ValueError
+        Another format has its name.
+    """
+    present = _REGISTRY.get(format_.name, format_)
+    if present != format_ and (present.title, _sources(present)) != (format_.title, _sources(format_)):
+        raise ValueError(f"a format named {format_.name!r} is registered already")
+    _REGISTRY[format_.name] = format_
+    return format_
+
+
+def _sources(format_: Format) -> list[tuple[str, str]]:
+    """Module and name of each function: they stay when a user's file is loaded again."""
+    values = (getattr(format_, f.name) for f in fields(format_) if f.name.startswith(("read", "write")))
+    return [(value.__module__, value.__qualname__) for value in values if value is not None]
+
+
+def formats(contents: Contents = "points") -> dict[str, Format]:
+    """All formats of files with these contents by name, in alphabetical order."""
+    return dict(sorted((f.name, f) for f in _each(contents)))
+
+
+def _each(contents: Contents) -> Iterator[Format]:
+    """Formats with these contents: users' own, then ours; a module is imported when its turn comes."""
+    seen: set[str] = set()
+    package = import_module(_PACKAGES[contents])
+    for module in ("", *sorted(info.name for info in iter_modules(package.__path__))):
+        if module:
+            import_module(f"{package.__name__}.{module}")
+        for name, one in list(_REGISTRY.items()):
+            own = not _sources(one)[0][0].startswith("fg_orient.")
+            if contents in one.contents and name not in seen and (module or own):
+                seen.add(name)
+                yield one
+
+
+def format_named(name: str, contents: Contents = "points", *, place: object = "format") -> Format:
+    """Find a format by its name.
+
+    Raises
+    ------
+    InputError
+        There is no such format.
+    """
+    known = formats(contents)
+    if name not in known:
+        raise InputError.of("interchange.format", place=place, value=name, hint=did_you_mean(name, list(known)))
+    return known[name]
+
+
+def format_of(path: Path, *, place: object) -> Format:
+    """Find the only format of points whose files end like this one; the longer end wins.
+
+    Raises
+    ------
+    InputError
+        No format or several formats have this end.
+    """
+    name, known = path.name.lower(), formats()
+    fit = {f: max((len(s) for s in f.suffixes if name.endswith(s)), default=0) for f in known.values()}
+    longest = [f for f, length in fit.items() if length and length == max(fit.values())]
+    if len(longest) != 1:
+        names = ", ".join(f.name for f in (longest or known.values()))
+        raise InputError.of("interchange.which", file=path, place=place, value=path.suffix or path.name, known=names)
+    return longest[0]
+
+
+def format_claiming(path: Path, contents: Contents) -> Format | None:
+    """First format that recognises a file; None if there is none.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    head = read_bytes(path, HEAD_BYTES).removeprefix(BOM_UTF8).decode("latin-1") if path.is_file() else ""
+    for one in _each(contents):
+        if one.sniff(path, head) if one.sniff else path.name.lower().endswith(one.suffixes):
+            return one
+    return None
+
+
+# --- recognition by content ----------------------------------------------------------------------
+
+
+def read_bytes(path: str | os.PathLike[str], size: int) -> bytes:
+    """First bytes of a file.
+
+    Raises
+    ------
+    InputError
+        It does not exist or cannot be read.
+    """
+    file = os.fspath(path)
+    if not Path(path).exists():
+        raise InputError.of("xml.missing_file", file=file, base=Path.cwd())
+    if not Path(path).is_file():
+        raise InputError.of("xml.not_a_file", file=file)
+    try:
+        with Path(path).open("rb") as stream:
+            return stream.read(size)
+    except OSError as error:
+        raise InputError.of("rpc.unreadable", file=file, value=error.strerror) from error
+
+
+def xml_root(head: str) -> str:
+    """Name of the root element of an XML file, "" if the file is not XML."""
+    if not head.lstrip().startswith("<"):
+        return ""
+    bare = re.sub(r"<\?.*?\?>|<!--.*?-->", "", head, flags=re.DOTALL)
+    match = _ROOT.search(bare)
+    return match[1] if match else ""
+
+
+def has_line(pattern: str) -> Callable[[Path, str], bool]:
+    """Sniffing function of a text format: a line begins with the pattern, blanks aside."""
+    compiled = re.compile(rf"^\s*{pattern}", re.MULTILINE)
+    return lambda _, head: "\0" not in head and compiled.search(head) is not None
