@@ -22,10 +22,10 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from fg_orient.adjustment.allocation import calm_memory
 from fg_orient.adjustment.graph import GraphBackend, image_key, point_key
 from fg_orient.adjustment.problem import Problem, compile_problem
 from fg_orient.adjustment.rows import linearised
+from fg_orient.adjustment.runtime import calm_memory
 from fg_orient.model.block import Block
 from fg_orient.simulate.block import BlockOptions, grid_block
 

@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import Equation, NotFiniteError, check_blocks, evaluate
+from factors._contract import Equation, check_blocks, evaluate
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.registry import solver as find_solver
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS, LinearSystem
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.problem import ExtraArgument, Problem, State
 from fg_orient.adjustment.robust import Robust, control_squares, squares
-from fg_orient.adjustment.rows import linearised, residuals, rows_by_image
+from fg_orient.adjustment.rows import linearised, refuse, residuals, rows_by_image
 from fg_orient.model.block import ExtraObservation
 from fg_orient.model.errors import InputError
 
@@ -112,11 +112,11 @@ def _image_rows(problem: Problem, state: State, columns: Columns, jacobian: bool
     """Two rows per image point."""
     if not jacobian:
         residual = residuals(problem, state)
-        _require_finite(problem, residual)
+        _require_finite(problem, state, residual)
         return residual.ravel(), np.zeros((0, len(columns)))
     residual, d_image, d_ground = linearised(problem, state)
     for values in (residual, d_image, d_ground):
-        _require_finite(problem, values)
+        _require_finite(problem, state, values)
     n, o, size = len(residual), problem.observations, np.diff(problem.first)
     out = np.zeros((n, 2, len(columns)))
     for k, rows in enumerate(rows_by_image(problem)):
@@ -127,11 +127,11 @@ def _image_rows(problem: Problem, state: State, columns: Columns, jacobian: bool
     return residual.ravel(), out.reshape(2 * n, -1)
 
 
-def _require_finite(problem: Problem, values: Array) -> None:
-    """Refuse what no solver may get; GTSAM factors do the same in their callbacks."""
+def _require_finite(problem: Problem, state: State, values: Array) -> None:
+    """Refuse rows that are not finite, as GTSAM factors do in their callbacks."""
     bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
     if bad.any():
-        raise NotFiniteError(f"{problem.label(int(np.argmax(bad)))}: residual or Jacobian is not finite")
+        refuse(problem, state, int(np.argmax(bad)))
 
 
 def _control_rows(problem: Problem, state: State, columns: Columns, jacobian: bool) -> tuple[Array, Array]:

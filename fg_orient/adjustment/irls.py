@@ -1,16 +1,16 @@
 """Reweighted least squares whose weights are no loss: the original Danish method, least absolute values.
 
-Each cycle solves the least-squares problem with the weights of the last and gives new ones from the whitened norms t
-of its residuals. Priors and own observations keep weight 1.
+Each cycle solves the least-squares problem with the weights of the last cycle, and computes new weights from the
+whitened norms t of the residuals. Priors and extra observations keep weight 1.
 
 Danish method (Krarup, Juhl & Kubik 1980): with r = t / sigma0 (a posteriori, 1 at least) a weight is multiplied by
 ``exp(-0.05 r^4.4)`` in the first three cycles and by ``exp(-0.05 r^3)`` afterwards where r exceeds its limit. The
-exponent depends on the cycle and weights never rise again, so no cost belongs to it: the result depends on the way.
-:mod:`factors.losses.standard` has the form that has one.
+exponent depends on the cycle and weights never increase again. The method therefore has no cost function, and the
+result depends on the sequence of cycles. :mod:`factors.losses.standard` has the form with a cost function.
 
 Least absolute values: ``w = 1 / max(t, eps)`` minimises the sum of t (Schlossmacher 1973; for 2 and 3 numbers the sum
-of lengths, Weiszfeld 1937). There is no constant to choose: its efficiency at the normal distribution is 2/pi, pi/4
-and 8/(3 pi) in 1, 2 and 3 dimensions.
+of lengths, Weiszfeld 1937). It has no constant: its efficiency at the normal distribution is 2/pi, pi/4 and 8/(3 pi)
+in 1, 2 and 3 dimensions.
 """
 
 from __future__ import annotations
@@ -22,23 +22,25 @@ from typing import Final, Generic, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.linear.threads import one_blas_thread
+from fg_orient.adjustment.loop import OPTIMIZERS, Callback, Carried
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.robust import CONTROL, FLOOR, IMAGE, Weights, control_squares, inlier_limit
+from fg_orient.adjustment.robust import CONTROL, FLOOR, IMAGE, FixedWeights, Weights, control_squares, inlier_limit
 from fg_orient.adjustment.rows import residuals
 from fg_orient.model.distributions import chi_square_probability
 
 Array = npt.NDArray[np.float64]
 S = TypeVar("S")
 
-#: Limit of the Danish method in one dimension; others keep its probability.
+#: Limit of the Danish method in one dimension. In other dimensions the limit has the same probability.
 DANISH_LIMIT: Final = 2.5
 DANISH_FACTOR: Final = 0.05
 DANISH_EXPONENTS: Final = (4.4, 3.0)
 #: Cycles with the first exponent.
 DANISH_FIRST: Final = 3
-#: Least absolute values: norms below this, in sigmas, count as this.
+#: Lower bound of the norms of the least absolute values, in sigmas.
 EPSILON: Final = 1e-3
-#: Cycles end when no whitened norm has changed by more. Weiszfeld's steps shrink slowly: the last digits cost much.
+#: Cycles end when no whitened norm has changed by more. Weiszfeld's steps shrink slowly: further digits are expensive.
 TOLERANCE: Final = 1e-2
 CYCLES: Final = 200
 
@@ -54,7 +56,7 @@ class Rule(Protocol):
 
 
 def danish_limit(dimension: int) -> float:
-    """Norm that a good observation exceeds as seldom as one number exceeds 2.5 sigmas."""
+    """Norm that a good observation exceeds with the probability of 2.5 sigmas in one dimension."""
     return inlier_limit(float(chi_square_probability(1.0, DANISH_LIMIT**2)), dimension)
 
 
@@ -78,7 +80,7 @@ DIMENSIONS: Final = (IMAGE, CONTROL)
 
 @dataclass(frozen=True)
 class Reweighted(Generic[S]):
-    """End of the cycles: last fit, the weights it was made with, number of cycles, whether they had settled."""
+    """End of the cycles: last fit and its weights, number of cycles, whether the norms had converged."""
 
     fit: S
     weights: tuple[Array, ...]
@@ -99,8 +101,8 @@ def reweight(
     Parameters
     ----------
     fit : callable
-        Least squares with weights, one array per group of observations, beginning at the last fit (None: the first,
-        whose weights are empty and mean 1).
+        Least squares with weights, one array per group of observations, starting at the last fit. The first call has
+        no fit (None) and no weights, which means 1.
     norms : callable
         Whitened norms of the residuals, one array per group.
     sigma0 : callable
@@ -109,17 +111,18 @@ def reweight(
     dimensions : tuple of int
         Residuals behind each norm, by group.
     """
-    found = fit((), None)
-    now = norms(found)
-    weights = tuple(np.ones_like(t) for t in now)
+    last_fit = fit((), None)
+    norm = norms(last_fit)
+    weights = tuple(np.ones_like(t) for t in norm)
     for cycle in range(1, max_cycles + 1):
-        groups, unit, last = zip(weights, now, dimensions, strict=True), sigma0(found), now
+        groups, before = zip(weights, norm, dimensions, strict=True), norm
+        unit = sigma0(last_fit)
         weights = tuple(rule(w, t, cycle, d, unit) for w, t, d in groups)
-        found = fit(weights, found)
-        now = norms(found)
-        if all(np.abs(a - b).max(initial=0.0) < TOLERANCE for a, b in zip(now, last, strict=True)):
-            return Reweighted(found, weights, cycle, settled=True)
-    return Reweighted(found, weights, max_cycles, settled=False)
+        last_fit = fit(weights, last_fit)
+        norm = norms(last_fit)
+        if all(np.abs(a - b).max(initial=0.0) < TOLERANCE for a, b in zip(norm, before, strict=True)):
+            return Reweighted(last_fit, weights, cycle, settled=True)
+    return Reweighted(last_fit, weights, max_cycles, settled=False)
 
 
 def norms_at(problem: Problem, state: State) -> tuple[Array, Array]:
@@ -134,3 +137,35 @@ def weights_of(problem: Problem, groups: tuple[Array, ...]) -> Weights:
         return Weights(np.ones(len(problem.observations)), control)
     control[problem.observed] = groups[1]
     return Weights(groups[0], control)
+
+
+@dataclass(frozen=True)
+class CycleResult:
+    """End of a cycle: state and weighted sum of squares."""
+
+    state: State
+    chi2: float
+
+
+def cycles_on_arrays(
+    problem: Problem, callback: Callback
+) -> Callable[[tuple[Array, ...], CycleResult | None], CycleResult]:
+    """Weighted least squares on the Schur backend for :func:`reweight`.
+
+    The problem is compiled once: compiling takes many times as long as the two or three iterations of a cycle. The
+    weights of a cycle multiply the rows as the weights of a loss do. ``callback`` receives each iteration.
+    """
+    from fg_orient.adjustment.schur import SchurBackend
+
+    backend, options = SchurBackend(problem), problem.block.options
+    structure = backend.structure
+
+    def fit(groups: tuple[Array, ...], last: CycleResult | None) -> CycleResult:
+        weights = weights_of(problem, groups)
+        backend.robust = FixedWeights(weights.image[structure.row], weights.control[structure.observed])
+        start: Carried[State] = Carried(problem.start if last is None else last.state)
+        with one_blas_thread():
+            result = OPTIMIZERS[options.optimizer](backend, start, options.max_iterations, callback)
+        return CycleResult(result.state, 2.0 * result.error)
+
+    return fit

@@ -127,7 +127,7 @@ class Carried(Generic[S]):
     begun_at : int
         Iterations of earlier stages.
     mu : float
-        Stage of graduated non-convexity (``fg_orient.adjustment.gnc``); nan without.
+        Stage of graduated non-convexity (``fg_orient.adjustment.stages``); nan without.
     image_scale, control_scale : float
         Units of the losses of the stage, in sigmas.
     """

@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 
 from factors.cameras import pushbroom
+from fg_orient.adjustment.cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.models.contract import image_models
-from fg_orient.adjustment.point_cofactors import CHUNK, WHOLE_LIMIT, full_statistics
 from fg_orient.adjustment.schur_structure import ALL_KEPT, LEAST_CHUNKS
 from fg_orient.adjustment.solve import suitable_backend
 from fg_orient.model.block import Block
@@ -90,7 +90,7 @@ def need_of(block: Block, *, elsewhere: bool = False) -> Need:
     n, u = len(block.observations), sum(sizes)
     records = 8 * (pushbroom.RECORD.size + options.curve_intervals)
     common = n * (2 * records + 48) + len(block.points.ids) * 8 * PER_POINT
-    backend = suitable_backend(block, models)
+    backend = suitable_backend(block)
     working = {"schur": _schur, "graph": _graph, "dense": _dense}[backend](block, n, u, max(sizes))
     if backend == "schur" and elsewhere:
         working -= n * SCHUR

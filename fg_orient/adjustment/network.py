@@ -6,28 +6,35 @@ correlates (Helmert; Ayhan 1996, eqs. 107-110):
     [N + d I  C^T] [x]   [-J^T r]
     [C        0  ] [k] = [-c    ]
 
-``network_graph`` gives the same conditions to GTSAM. Both are driven by ``adjustment.loop``. What it judges is the
-augmented Lagrangian ``r^T r/2 + k^T c + rho c^T c/2`` with the correlates of the step: the decrease that the linear
-model predicts is ``|J x|^2/2 + d |x|^2 + rho |c|^2/2``, never negative, so that a step which only mends conditions is
-taken although the sum of squares grows.
+The graph backend adds the same conditions to GTSAM as factors of sigma 0. GTSAM's constrained optimisers do not accept
+Python factors: here GTSAM eliminates by QR, conditions first.
+
+``adjustment.loop`` drives both backends. It compares values of the augmented Lagrangian
+``r^T r/2 + k^T c + rho c^T c/2`` with the correlates of the step. The decrease that the linear model predicts is
+``|J x|^2/2 + d |x|^2 + rho |c|^2/2``. It is never negative: a step that only corrects conditions is accepted although
+the sum of squares increases.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from factors._contract import Equation, NotFiniteError, check_blocks
 
+if TYPE_CHECKING:
+    import gtsam
+
 Array = npt.NDArray[np.float64]
 
-#: A hard condition whose row depends on the others to this part of its length says nothing new, or contradicts them.
+#: A row of a hard condition is dependent if less than this part of its length is orthogonal to the rows before it.
 DEPENDENT: Final = 1e-10
 
 
@@ -80,7 +87,7 @@ class Observation:
 
 
 @dataclass(frozen=True)
-class Rows:
+class NetworkRows:
     """Residuals and derivatives at a state: soft ones (n,), (n, u), hard ones (h,), (h, u)."""
 
     residual: Array
@@ -140,7 +147,7 @@ class Network:
         """Where a variable stands in a state."""
         return slice(self.first[k], self.first[k + 1])
 
-    def rows(self, state: Array, *, jacobian: bool = True) -> Rows:
+    def rows(self, state: Array, *, jacobian: bool = True) -> NetworkRows:
         """Evaluate all observations; without ``jacobian`` the derivatives are (0, u).
 
         Raises
@@ -155,7 +162,7 @@ class Network:
             out[o.hard][1].append(design)
         none, empty = np.zeros(0), np.zeros((0, self.n_unknowns))
         (r, j), (c, b) = out[False], out[True]
-        return Rows(np.concatenate([none, *r]), np.vstack([empty, *j]), np.concatenate([none, *c]),
+        return NetworkRows(np.concatenate([none, *r]), np.vstack([empty, *j]), np.concatenate([none, *c]),
                     np.vstack([empty, *b]))  # fmt: skip
 
     def evaluated(self, o: Observation, state: Array, *, jacobian: bool) -> tuple[Array, Array]:
@@ -188,27 +195,20 @@ Solve = Callable[[float], Array]
 
 
 class Merit:
-    """What both backends judge steps by; see the module docstring."""
+    """Augmented Lagrangian by which both backends compare steps; see the module docstring."""
 
     def __init__(self, network: Network) -> None:
         self.network = network
         self.correlates: Array = np.zeros(network.n_hard)
         self.rho: Array = np.zeros(network.n_hard)
 
-    def __call__(self, rows: Rows) -> float:
-        """The augmented Lagrangian with the correlates of the last step."""
+    def __call__(self, rows: NetworkRows) -> float:
+        """Value with the correlates of the last step."""
         c = rows.condition
         return 0.5 * float(rows.residual @ rows.residual) + float(self.correlates @ c + 0.5 * (self.rho * c) @ c)
 
-    def at(self, state: Array) -> float:
-        """Its value at a trial state; inf outside the model."""
-        try:
-            return self(self.network.rows(state, jacobian=False))
-        except NotFiniteError:
-            return float("inf")
-
-    def weigh(self, rows: Rows) -> None:
-        """Weights of the conditions: the curvature of the squares along them."""
+    def weigh(self, rows: NetworkRows) -> None:
+        """Set the weights of the conditions: the curvature of the sum of squares along them."""
         squares = np.sum(rows.border**2, axis=1)
         self.rho = np.sum((rows.design @ rows.border.T) ** 2, axis=0) / np.where(squares > 0.0, squares, 1.0) ** 2
 
@@ -216,7 +216,7 @@ class Merit:
 class NetworkSystem:
     """One linearisation; see ``loop.System``."""
 
-    def __init__(self, merit: Merit, rows: Rows, solve: Solve) -> None:
+    def __init__(self, merit: Merit, rows: NetworkRows, solve: Solve) -> None:
         self._merit, self.rows, self._solve = merit, rows, solve
 
     @property
@@ -233,6 +233,8 @@ class NetworkSystem:
             The equations are singular.
         """
         rows, x = self.rows, self._solve(damping)
+        if not np.isfinite(x).all():
+            raise RuntimeError("singular normal equations")
         after = rows.residual + rows.design @ x
         if len(rows.condition):
             gradient = rows.design.T @ after + damping * x
@@ -240,19 +242,36 @@ class NetworkSystem:
         return NetworkStep(x, float(np.abs(x).max()), 0.5 * float(after @ after), self._merit.correlates)
 
 
-class NetworkBackend:
+class NetworkBackend(ABC):
     """A network driven by ``fg_orient.adjustment.loop``; the state is the vector (u,)."""
 
     def __init__(self, network: Network) -> None:
         self.network, self.merit = network, Merit(network)
 
+    def linearise(self, state: Array) -> NetworkSystem:
+        """Linearise at a state."""
+        rows = self.network.rows(state)
+        self.merit.weigh(rows)
+        return NetworkSystem(self.merit, rows, self.solver(state, rows))
+
     def error(self, state: Array) -> float:
-        """See :class:`Merit`."""
-        return self.merit.at(state)
+        """Value of :class:`Merit` at a trial state; inf outside the model."""
+        try:
+            return self.merit(self.network.rows(state, jacobian=False))
+        except NotFiniteError:
+            return float("inf")
 
     def retract(self, state: Array, step: NetworkStep) -> Array:
         """State after a step."""
         return np.asarray(state + step.data)
+
+    @abstractmethod
+    def solver(self, state: Array, rows: NetworkRows) -> Solve:
+        """Solver of the equations linearised at a state."""
+
+    @abstractmethod
+    def cofactors(self, state: Array) -> list[Array]:
+        """Cofactors (k, k) of each variable."""
 
 
 class DenseNetwork(NetworkBackend):
@@ -260,25 +279,87 @@ class DenseNetwork(NetworkBackend):
 
     name = "dense"
 
-    def linearise(self, state: Array) -> NetworkSystem:
-        """Linearise at a state."""
-        rows = self.network.rows(state)
-        self.merit.weigh(rows)
-        return NetworkSystem(self.merit, rows, lambda damping: bordered_step(rows, damping))
+    def solver(self, state: Array, rows: NetworkRows) -> Solve:
+        """See :class:`NetworkBackend`."""
+        return lambda damping: bordered_step(rows, damping)
 
     def cofactors(self, state: Array) -> list[Array]:
-        """Cofactors (k, k) of each variable."""
+        """See :class:`NetworkBackend`."""
         whole = bordered_inverse(self.network.rows(state))
         parts = [self.network.part(k) for k in range(len(self.network.variables))]
         return [whole[p, p] for p in parts]
 
 
-def _bordered(rows: Rows, damping: float) -> tuple[Array, Array]:
+class GraphNetwork(NetworkBackend):
+    """A network as a GTSAM graph; hard conditions are factors of sigma 0.
+
+    Cofactors are marginals of single variables only: a joint marginal of variables that one hard condition links
+    counts this condition as an observation of sigma 1 (GTSAM 4.3; tests/79_closebundle).
+    """
+
+    name = "graph"
+
+    def __init__(self, network: Network) -> None:
+        import gtsam
+
+        from factors.graph import factor
+
+        super().__init__(network)
+        self.graph = gtsam.NonlinearFactorGraph()
+        for o in network.observations:
+            sizes = [len(u) if isinstance(u, np.ndarray) else len(network.variables[u].start) for u in o.unknowns]
+            self.graph.add(factor(o.equation, list(o.unknowns), sizes, o.record, o.setup, label=o.label,
+                                  n_residuals=o.n_residuals, hard=o.hard))  # fmt: skip
+        self.ordering = gtsam.Ordering()
+        every = range(len(network.variables))
+        for k in sorted(every, key=lambda k: not network.variables[k].is_point):
+            self.ordering.push_back(k)
+
+    def values(self, state: Array) -> gtsam.Values:
+        """GTSAM values of a state."""
+        import gtsam
+
+        values = gtsam.Values()
+        for k, variable in enumerate(self.network.variables):
+            insert = values.insertPoint3 if variable.is_point else values.insert
+            insert(k, state[self.network.part(k)])
+        return values
+
+    def solver(self, state: Array, rows: NetworkRows) -> Solve:
+        """See :class:`NetworkBackend`."""
+        linear = self.graph.linearize(self.values(state))
+        return lambda damping: self._step(linear, damping)
+
+    def _step(self, undamped: gtsam.GaussianFactorGraph, damping: float) -> Array:
+        import gtsam
+
+        linear = gtsam.GaussianFactorGraph()
+        linear.push_back(undamped)
+        if damping > 0.0:
+            for k, variable in enumerate(self.network.variables):
+                n = len(variable.start)
+                unit = gtsam.noiseModel.Unit.Create(n)
+                linear.add(gtsam.JacobianFactor(k, np.sqrt(damping) * np.eye(n), np.zeros(n), unit))
+        try:
+            delta = linear.optimize(self.ordering, gtsam.EliminateQR)
+        except RuntimeError as error:  # GTSAM's message: a page about its own variable numbers
+            raise RuntimeError("singular normal equations") from error
+        return np.concatenate([delta.at(k) for k in range(len(self.network.variables))])
+
+    def cofactors(self, state: Array) -> list[Array]:
+        """See :class:`NetworkBackend`."""
+        import gtsam
+
+        marginals = gtsam.Marginals(self.graph, self.values(state))
+        return [np.asarray(marginals.marginalCovariance(k)) for k in range(len(self.network.variables))]
+
+
+def _bordered(rows: NetworkRows, damping: float) -> tuple[Array, Array]:
     """Normal matrix bordered by the conditions, scaled to a unit diagonal, and the scale of all its columns."""
     u, h = rows.design.shape[1], len(rows.condition)
     normal = rows.design.T @ rows.design
-    # figures that only hard conditions know have no diagonal: the length of their condition then, and not the damping,
-    # whose root would make columns of 1e6 and more, in which the points are lost in rounding
+    # unknowns of hard conditions only have no diagonal: they take the length of their condition. The damping's root
+    # would make columns of 1e6 and more, in which the points are lost in rounding.
     known = np.where(normal.diagonal() > 0.0, normal.diagonal(), np.sum(rows.border**2, axis=0))
     normal += damping * np.eye(u)
     across = 1.0 / np.sqrt(np.where(known > 0.0, known, 1.0))
@@ -292,7 +373,7 @@ def _bordered(rows: Rows, damping: float) -> tuple[Array, Array]:
     return out, scale
 
 
-def bordered_step(rows: Rows, damping: float) -> Array:
+def bordered_step(rows: NetworkRows, damping: float) -> Array:
     """Step (u,) of the bordered normal equations.
 
     Raises
@@ -306,12 +387,10 @@ def bordered_step(rows: Rows, damping: float) -> Array:
         x = np.linalg.solve(matrix, right * scale) * scale
     except np.linalg.LinAlgError as error:
         raise RuntimeError("singular normal equations") from error
-    if not np.isfinite(x).all():
-        raise RuntimeError("singular normal equations")
     return np.asarray(x[: rows.design.shape[1]])
 
 
-def bordered_inverse(rows: Rows) -> Array:
+def bordered_inverse(rows: NetworkRows) -> Array:
     """Cofactors (u, u) of all unknowns: the upper left part of the inverse of the bordered matrix."""
     matrix, scale = _bordered(rows, 0.0)
     u = rows.design.shape[1]
@@ -319,16 +398,11 @@ def bordered_inverse(rows: Rows) -> Array:
     return np.asarray(0.5 * (inverse + inverse.T))
 
 
-def dependent(network: Network, rows: Rows) -> str:
+def dependent(network: Network, rows: NetworkRows) -> str:
     """Label of the first hard observation whose rows depend on those before it; "" if none does."""
     labels = [o.label for o in network.observations if o.hard for _ in range(o.n_residuals)]
     length = np.linalg.norm(rows.border, axis=1)
-    basis: Array = np.zeros((0, rows.border.shape[1]))
-    for label, row, size in zip(labels, rows.border, length, strict=True):
-        unit = row / size if size > 0.0 else row
-        rest: Array = unit - basis.T @ (basis @ unit)
-        rest = rest - basis.T @ (basis @ rest)  # twice is enough (Kahan)
-        if np.linalg.norm(rest) <= DEPENDENT:
-            return label
-        basis = np.asarray(np.vstack([basis, rest / np.linalg.norm(rest)]), float)
-    return ""
+    triangle = np.asarray(np.linalg.qr((rows.border / np.where(length > 0.0, length, 1.0)[:, None]).T, mode="r"))
+    independent = np.zeros(len(labels))  # more rows than unknowns: the last ones are dependent
+    independent[: len(triangle)] = np.abs(triangle.diagonal())
+    return next((labels[k] for k in np.flatnonzero(independent <= DEPENDENT)), "")

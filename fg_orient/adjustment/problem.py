@@ -386,6 +386,11 @@ def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArra
         raise InputError.of("block.not_finite", file=block.name, place=f"point {point}", value=f"{len(bad)} value(s)")
 
 
+def schur_possible(block: Block) -> bool:
+    """Whether the Schur backend takes a block: each extra observation names one image and no ground point."""
+    return all(len(extra.unknowns) == 1 and extra.unknowns[0].startswith("image:") for extra in block.extra)
+
+
 def participates(block: Block) -> npt.NDArray[np.bool_]:
     """Tell which image points (n,) enter the adjustment: all, or those of other than check points."""
     if block.options.check_points == "use":

@@ -1,12 +1,23 @@
-"""Robust losses on an adjustment: what a backend weights its rows with.
+"""Robust losses of an adjustment: weights of the rows, and the scale of the residuals.
 
-The cost is the sum of rho(t) over image points (t: whitened norm of 2 residuals) and control points (3), half the
-squares of priors and own observations. Rows times the root of their weight give Gauss-Newton steps that are those of
-iteratively reweighted least squares (Holland & Welsch 1977); the gradient is that of the cost.
+The cost is the sum of rho(t) over image points (t: whitened norm of 2 residuals) and control points (3), plus half the
+sum of squares of priors and extra observations. Rows multiplied by the root of their weight give the Gauss-Newton steps
+of iteratively reweighted least squares (Holland & Welsch 1977). Their gradient is the gradient of the cost.
 
-Each loss is mixed with :data:`FLOOR` parts of the square, so that a ground point whose rays have lost all weight keeps
-a place: the rays' own intersection. With the weights held fixed the problem is an ordinary one
-(:func:`weighted_problem`); covariances are those of that one.
+Each loss contains the share :data:`FLOOR` of the square. A ground point whose image points have lost all weight is
+therefore still determined: by the intersection of its rays. With fixed weights the problem is an ordinary least-squares
+problem (:func:`weighted_problem`); covariances under a loss are the covariances of that problem.
+
+:func:`robust_scale` measures by how many times the residuals exceed the sigmas, from their median. A residual is
+smaller than its error, because the unknowns absorb a part. With ground points free and the orientation of each image
+free (the others held fixed), image point i keeps ``Q_i = Q_g - Q_g B N_k^-1 B^T Q_g``, ``Q_g = I - C M_j^-1 C^T``
+(B, C: whitened Jacobians of image and point; M_j, N_k: their normal matrices). Without gross errors
+``T_i = v^T Q_i^+ v`` is nearly chi-square of rank d, and::
+
+    scale^2 = median over i of T_i / median(chi2_d)
+
+For d = 1 this is the square of 1.4826 median|v| (Hampel 1974); for two dimensions the factor is 0.8493, for three
+0.6501. Image points and control points have one scale each.
 """
 
 from __future__ import annotations
@@ -20,24 +31,29 @@ import numpy.typing as npt
 from factors.conditions.control import POINT
 from factors.losses import ALIASES, Curve, Loss, find, losses
 from fg_orient.adjustment.problem import Problem, State, whitened_records
-from fg_orient.adjustment.rows import residuals
-from fg_orient.model.block import ImagePoints, Options
-from fg_orient.model.distributions import chi_square_quantile
+from fg_orient.adjustment.rows import image_rows, residuals, rows_by_image
+from fg_orient.model.distributions import chi_square_median, chi_square_quantile
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: Share of the square in every loss: an observation 1000 sigmas off pulls like one of 0.001 sigma. Smaller, and the
-#: cofactors of a point with one good ray drown in rounding (its pivots differ by this factor).
+#: Share of the square in every loss: a residual of 1000 sigmas has the effect of 0.001 sigma. With a smaller share,
+#: rounding dominates the cofactors of a point with one good ray (its pivots differ by this factor).
 FLOOR: Final = 1e-6
 IMAGE, CONTROL = 2, 3
 NONE: Final = "none"
-#: Weights that are no loss but an iteration of their own (``fg_orient.adjustment.irls``).
+#: Weightings without a cost function, iterated in cycles (``fg_orient.adjustment.irls``).
 IN_CYCLES: Final = ("danish_original", "lad")
-#: Of these the rules whose weights are no share of the information of an observation: 1/t, above 1 or below.
+#: Of these the rules whose weights, 1/t, are not shares of an observation's information: they may exceed 1.
 UNWEIGHED: Final = ("lad",)
-#: Scales of image points and control points: residuals are judged in sigmas.
+#: Scales of image points and control points: 1 sigma.
 A_PRIORI: Final = (1.0, 1.0)
+#: Directions that keep a smaller share of their error are left out of the scale: their share is approximate.
+CHECKED: Final = 0.1
+#: With fewer residuals the scale is 1.
+LEAST: Final = 10
+#: Lower bound of the scale: residuals of zero would down-weight every other observation.
+LOWEST: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -68,20 +84,20 @@ class ScaledLoss:
 
 @dataclass(frozen=True)
 class Robust:
-    """The losses of an adjustment: of image points and of control points."""
+    """Losses of an adjustment: of image points and of control points."""
 
     image: ScaledLoss
     control: ScaledLoss
 
     def weigh(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array, float]:
-        """Weights of image points (n,) and control points (m,) from their squared norms, and the cost of both."""
+        """See :class:`Weighing`."""
         image, control = np.sqrt(image_squares), np.sqrt(control_squares)
         cost = float(np.sum(self.image.costs(image)) + np.sum(self.control.costs(control)))
         return self.image.weights(image), self.control.weights(control), cost
 
 
 class Weighing(Protocol):
-    """What a backend weights its rows with."""
+    """Weights of the rows of a backend."""
 
     def weigh(self, image_squares: Array, control_squares: Array) -> tuple[Array, Array, float]:
         """Weights of image points (n,) and control points (m,) from their squared norms, and the cost of both."""
@@ -89,10 +105,10 @@ class Weighing(Protocol):
 
 
 @dataclass(frozen=True)
-class Given:
-    """Weights that do not follow the residuals: of image points (n,), in the order of the backend, control points (m,).
+class FixedWeights:
+    """Weights that do not depend on the residuals; the cost is half the weighted sum of squares.
 
-    The cost is half the weighted squares.
+    ``image`` (n,) in the order of the backend, ``control`` (m,) of the observed control points.
     """
 
     image: Array
@@ -108,7 +124,7 @@ S_contra = TypeVar("S_contra", contravariant=True)
 
 
 class RobustBackend(Protocol[S_contra]):
-    """A backend that weights its rows."""
+    """Backend that weights its rows."""
 
     robust: Robust | None
 
@@ -119,9 +135,9 @@ class RobustBackend(Protocol[S_contra]):
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights at a state: of image points (n,) and, 1 for all others, control points (N,).
+    """Weights at a state, of image points (n,) and of ground points (N,), which are 1 except at control points.
 
-    ``scale``: unit of the losses of both, in sigmas.
+    ``scale``: units of the losses of image points and of control points, in sigmas.
     """
 
     image: Array
@@ -130,7 +146,7 @@ class Weights:
 
 
 def are_information(loss: str, weights: Weights) -> bool:
-    """Tell whether cofactors with these weights mean something: none may make an observation better than its sigma."""
+    """Whether cofactors with these weights are meaningful: no weight may be above 1."""
     largest = max(float(weights.image.max(initial=0.0)), float(weights.control.max(initial=0.0)))
     return loss not in UNWEIGHED and largest <= 1.0 + 1e-12
 
@@ -141,7 +157,7 @@ def find_loss(name: str) -> Loss:
     Raises
     ------
     InputError
-        There is none of this name.
+        There is no loss of this name.
     """
     loss = find(name)
     if loss is None:
@@ -150,19 +166,14 @@ def find_loss(name: str) -> Loss:
     return loss
 
 
-def robust_of(options: Options) -> Robust | None:
-    """Losses with their constants for 95 % efficiency; None for least squares."""
-    return None if options.loss == NONE else scaled(find_loss(options.loss))
-
-
 def scaled(loss: Loss, scale: tuple[float, float] = A_PRIORI) -> Robust:
-    """Give a loss for image points and control points, its constants in units of these scales."""
+    """Losses of image points and control points for 95 % efficiency, with constants in units of these scales."""
     constants = (loss.constant(d) * s for d, s in zip((IMAGE, CONTROL), scale, strict=True))
     return Robust(*(ScaledLoss(loss.weight, loss.cost, c) for c in constants))
 
 
 def inlier_limit(probability: float, dimension: int) -> float:
-    """Whitened norm that a good observation keeps with this probability: root of the chi-square quantile."""
+    """Whitened norm that a good observation does not exceed with this probability: root of the chi-square quantile."""
     return float(np.sqrt(chi_square_quantile(dimension, probability)))
 
 
@@ -177,7 +188,7 @@ def squares(problem: Problem, state: State) -> tuple[Array, Array]:
 
 
 def weights_at(problem: Problem, state: State, robust: Robust) -> tuple[Weights, float]:
-    """Weights at a state, in the order of the problem; excess of the cost over half the weighted squares."""
+    """Weights at a state, in the order of the problem; cost minus half the weighted sum of squares."""
     image_squares, observed_squares = squares(problem, state)
     image, observed, cost = robust.weigh(image_squares, observed_squares)
     control = np.ones(len(problem.observed))
@@ -186,10 +197,59 @@ def weights_at(problem: Problem, state: State, robust: Robust) -> tuple[Weights,
 
 
 def weighted_problem(problem: Problem, weights: Weights) -> Problem:
-    """The problem whose least squares has these weights: sigmas divided by their roots, the same whitening else."""
+    """Problem whose least squares has these weights: sigmas are divided by their roots."""
     o, root = problem.observations, np.sqrt(weights.image)
-    scaled = ImagePoints(o.image, o.point, o.line, o.sample, o.sigma_line_px / root, o.sigma_sample_px / root)
+    weighted = replace(o, sigma_line_px=o.sigma_line_px / root, sigma_sample_px=o.sigma_sample_px / root)
     control = problem.control_records.copy()
     control[:, POINT.whitening] *= np.sqrt(weights.control)[:, None]
-    records = whitened_records(problem.models, scaled, problem.start.ground + problem.origin_m, problem.origin_m)
-    return replace(problem, observations=scaled, records=records, control_records=control)
+    records = whitened_records(problem.models, weighted, problem.start.ground + problem.origin_m, problem.origin_m)
+    return replace(problem, observations=weighted, records=records, control_records=control)
+
+
+def robust_scale(problem: Problem, state: State) -> tuple[float, float]:
+    """Scales of image points and of control points at a state, in sigmas; 1 with fewer than :data:`LEAST` ratios."""
+    blocks = [
+        (rows, *image_rows(problem, state, k, rows, jacobian=True)) for k, rows in enumerate(rows_by_image(problem))
+    ]
+    ground = _ground_cofactors(problem, [(rows, c) for rows, _, _, c in blocks])
+    squares = [_of_image(problem, ground, *block) for block in blocks if len(block[0])]
+    return _scale(np.concatenate(squares)), _scale(_of_control(problem, state, ground))
+
+
+def _ground_cofactors(problem: Problem, blocks: list[tuple[npt.NDArray[np.intp], Array]]) -> Array:
+    """Cofactors (N, 3, 3) of the unknown ground points, orientation held fixed; zero for all others."""
+    rows, c = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    normal = problem.point_normals(problem.observations.point[rows], c)
+    out = np.zeros_like(normal)
+    out[problem.active] = np.linalg.pinv(normal[problem.active], rcond=1e-14, hermitian=True)
+    return out
+
+
+def _of_image(problem: Problem, ground: Array, rows: npt.NDArray[np.intp], v: Array, b: Array, c: Array) -> Array:
+    """Ratios of T to the median of its chi-square, of the image points of one image."""
+    q = np.eye(2) - np.einsum("nri,nij,nsj->nrs", c, ground[problem.observations.point[rows]], c)
+    kept = np.einsum("nrs,nsu->nru", q, b)
+    prior = np.eye(b.shape[2]) if problem.block.options.priors else 0.0
+    orientation = np.linalg.pinv(np.einsum("nru,nrw->uw", b, kept) + prior, rcond=1e-14, hermitian=True)
+    return _ratios(v, q - np.einsum("nru,uw,nsw->nrs", kept, orientation, kept))
+
+
+def _of_control(problem: Problem, state: State, ground: Array) -> Array:
+    """Ratios of the control points."""
+    rows = np.flatnonzero(problem.observed)
+    w, v = problem.control_weights(rows), problem.control_residuals(state, rows)
+    return _ratios(v, np.eye(3) - np.einsum("nij,njk,nlk->nil", w, ground[rows], w))
+
+
+def _ratios(v: Array, q: Array) -> Array:
+    """Ratios of ``v^T Q^+ v`` to the median of chi-square of the rank of Q, where the rank is not zero."""
+    size, axes = np.linalg.eigh(q)
+    checked = size > CHECKED
+    part = np.einsum("nij,ni->nj", axes, v)
+    t = np.sum(np.where(checked, part**2 / np.where(checked, size, 1.0), 0.0), axis=1)
+    d = checked.sum(axis=1)
+    return np.asarray(t[d > 0] / chi_square_median(d[d > 0]))
+
+
+def _scale(ratios: Array) -> float:
+    return 1.0 if len(ratios) < LEAST else max(float(np.sqrt(np.median(ratios))), LOWEST)

@@ -1,18 +1,17 @@
-"""Whitened residuals and Jacobians of image points, through the batches of ``fg_orient.kernels.batch``.
+"""Whitened residuals and Jacobians of image points, by the compiled loops of ``fg_orient.kernels.batch``.
 
-The only evaluation of image points outside the solvers' own loops: there is no Python call per image point. An equation
-without a batch is evaluated row by row.
+The only evaluation of image points outside the solvers' own loops: there is no Python call per image point.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import evaluate
-from fg_orient.kernels.batch import batch, has_batch
+from factors._contract import NotFiniteError, check_blocks
+from fg_orient.kernels.batch import batch
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem, State
@@ -60,12 +59,6 @@ def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian:
     model, n = problem.models[k], len(rows)
     ground = np.ascontiguousarray(state.ground[problem.observations.point[rows]])
     x, records = problem.unknowns(state, k), problem.records[rows]
-    if not has_batch(model.equation):
-        found, blocks = evaluate(
-            model.equation, records, [model.parameters.setup] * n, [x] * n, ground, jacobian=jacobian
-        )
-        d_x, d_point = (np.array(b).reshape(n, 2, -1 if jacobian and n else 0) for b in blocks)
-        return found.reshape(n, 2), d_x, d_point
     kernel, columns = batch(model.equation, model.parameters.setup, records)
     basis, own = columns.values(records), np.arange(n, dtype=np.int32)
     wide = np.zeros((1, basis.shape[1] * columns.n_components))
@@ -78,6 +71,24 @@ def image_rows(problem: Problem, state: State, k: int, rows: Index, *, jacobian:
     if not jacobian:
         return value, np.empty((n, 2, 0)), np.empty((n, 2, 0))
     return value, d_image[:, :, columns.component] * (basis[:, columns.basis] * columns.scale)[:, None], d_ground
+
+
+def refuse(problem: Problem, state: State, row: int) -> NoReturn:
+    """Raise an error that says what is wrong with the rows of an image point, from the scalar kernel of its equation.
+
+    Raises
+    ------
+    NotFiniteError
+        A residual or Jacobian is not finite.
+    ValueError
+        The kernel returns arrays of the wrong shape or type.
+    """
+    o, label = problem.observations, problem.label(row)
+    model, ground = problem.models[o.image[row]], np.ascontiguousarray(state.ground[o.point[row]])
+    x, setup = problem.unknowns(state, int(o.image[row])), model.parameters.setup
+    blocks = model.equation.kernel(problem.records[row], setup, x, ground, True)
+    check_blocks(model.equation.name, label, blocks, (len(x), 3), 2)
+    raise NotFiniteError(f"{label}: residual or Jacobian is not finite")
 
 
 def residuals(problem: Problem, state: State) -> Array:

@@ -1,9 +1,8 @@
 """The Schur backend: the problem as arrays, ground points eliminated by compiled kernels.
 
-The same normal equations as the graph's, with no Python work per observation: linearise, 3 x 3 point blocks, reduced
-camera system, solution (``fg_orient.adjustment.schur_reduced``), back-substitution. Priors and control points are those
-of ``factors.conditions.control``. Sums run in an order that does not depend on the number of threads: the same bits for
-any.
+It solves the same normal equations as the graph, with no Python work per observation: linearise, 3 x 3 point blocks,
+reduced camera system, solution (``fg_orient.adjustment.schur_reduced``), back-substitution. The order of all sums is
+independent of the number of threads, so that results are too, to the last bit.
 """
 
 from __future__ import annotations
@@ -11,27 +10,21 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.conditions.control import POINT
+from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.loop import share_at_radius
-from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.problem import Problem, State, schur_possible
 from fg_orient.adjustment.robust import Weighing
-from fg_orient.adjustment.schur_own import OwnOfImages, SchurStep
+from fg_orient.adjustment.runtime import Index, Workers
 from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems, Singular
-from fg_orient.adjustment.schur_rows import Buffers, Rows, row_arrays
-from fg_orient.adjustment.schur_stages import Stages
-from fg_orient.adjustment.schur_structure import (
-    SERIAL_LIMIT,
-    Structure,
-    Tile,
-    compile_structure,
-    reason_against,
-)
-from fg_orient.adjustment.threads import Index, Workers
+from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows
+from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Structure, Tile, compile_structure
 from fg_orient.kernels.batch_gather import gather_blocks, gather_gradients
 from fg_orient.kernels.batch_ground import control_squares, move
 from fg_orient.kernels.batch_pairs import image_gradients
@@ -41,20 +34,45 @@ from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: More threads are of no use: memory is shared.
+#: More threads bring no gain: memory bandwidth is the limit.
 MAX_THREADS: Final = 2
 
 
+@dataclass(frozen=True)
+class SchurStep:
+    """A step; see ``loop.Step``. ``image`` (u,) prior sigmas, ``ground`` (P, 3) m, the states before and after it."""
+
+    image: Array
+    ground: Array
+    length: float
+    predicted_error: float
+    before: State
+    after: State
+
+    @property
+    def data(self) -> tuple[Array, Array]:
+        """Both parts."""
+        return self.image, self.ground
+
+    @property
+    def norm(self) -> float:
+        """Euclidean norm."""
+        return float(np.sqrt(np.sum(self.image**2) + np.sum(self.ground**2)))
+
+
 class SchurSystem:
-    """One linearisation; see ``loop.System``. It shares memory with its backend and is renewed when it has lost it."""
+    """One linearisation; see ``loop.System``.
+
+    Its rows are in the buffers of the backend. They are computed again when another linearisation has replaced them.
+    """
 
     def __init__(self, backend: SchurBackend, state: State) -> None:
         self._backend, self.state = backend, state
-        self._name = object()  # in the buffers; with the system there, both would wait for the garbage collector
+        self._name = object()  # owner of the buffers; the system itself there would be a reference cycle
         self._newton: SchurStep | None = None
         self._robust, self._excess = backend.robust, 0.0
         self._eliminated_at: float | None = None
-        self._own = backend.own.rows(state)
+        self._extras = ImageExtras(backend.problem, state)
         self._fill()
         self.error = self._excess + backend.half_squares(backend.buffers.value, state, backend.buffers.control)
 
@@ -68,7 +86,7 @@ class SchurSystem:
         b.held, b.root_weight, b.owner, self._eliminated_at = None, np.ones(0), self._name, None
         b.control = backend.problem.control_records
         if self._robust is None and backend.last_damping == 0.0:
-            # Gauss-Newton eliminates next: at once, while the rows are near
+            # Gauss-Newton eliminates next: now, while the rows are in the cache
             with contextlib.suppress(Singular):
                 self._eliminate(0.0, fresh=True)
                 return
@@ -79,7 +97,7 @@ class SchurSystem:
             self._weigh(self._robust, b)
 
     def _weigh(self, robust: Weighing, b: Buffers) -> None:
-        """Multiply all rows by the roots of their weights; keep by how much the cost exceeds half their squares."""
+        """Multiply all rows by the roots of their weights; keep the cost minus half their sum of squares."""
         observed = self._backend.structure.observed
         control_squares = self._backend.control_squares(self.state)
         image_squares = np.einsum("ni,ni->n", b.value, b.value)
@@ -94,18 +112,18 @@ class SchurSystem:
         b.control = b.control.copy()
         b.control[observed, POINT.whitening] *= np.sqrt(control)[:, None]
 
-    def _scale(self, rows: Rows, root_weight: Array) -> None:
+    def _scale(self, rows: TileRows, root_weight: Array) -> None:
         part = root_weight[slice(*rows.tile.points)]
         self._backend.workers.run(scale_rows, len(part), part, rows.value, rows.d_image, rows.d_ground)
 
     def buffers(self) -> Buffers:
-        """Arrays that hold this linearisation."""
+        """Arrays of this linearisation."""
         if self._backend.buffers.owner is not self._name:
             self._fill()
         return self._backend.buffers
 
-    def rows(self, tile: Tile) -> Rows:
-        """The whitened, weighted rows of a tile; those that are not kept are lost with the next tile."""
+    def rows(self, tile: Tile) -> TileRows:
+        """Whitened, weighted rows of a tile; the next tile overwrites rows that are not kept."""
         b = self.buffers()
         rows = b.rows(tile)
         if not tile.kept and b.held is not tile:
@@ -113,18 +131,6 @@ class SchurSystem:
             if len(b.root_weight):
                 self._scale(rows, b.root_weight)
             b.held = tile
-        return rows
-
-    def rays(self, place: int) -> Rows:
-        """The rows of one ground point, by its place; in memory of their own."""
-        s, root_weight = self.structure, self.buffers().root_weight
-        points = int(s.first[place]), int(s.first[place + 1])
-        n = points[1] - points[0]
-        d_image, d_ground = row_arrays(n, int(s.n_components.max()))
-        rows = Rows(Tile(points, (place, place + 1), (0, 0), False), np.empty((n, 2)), d_image, d_ground)
-        self._backend.evaluate(rows, self.state, want=True)
-        if len(root_weight):
-            self._scale(rows, root_weight)
         return rows
 
     def reduced(self, damping: float) -> Reduced:
@@ -140,7 +146,7 @@ class SchurSystem:
     def partial(self, damping: float) -> tuple[Array, Array]:
         """Eliminate the points: blocks (B, k, k) without priors and damping of the images, and gradient (u,).
 
-        They are what these points add to the reduced normal equations of a larger block.
+        These are the contributions of the points to the reduced normal equations of a larger block.
 
         Raises
         ------
@@ -159,7 +165,7 @@ class SchurSystem:
             gather_blocks, s.block_begin, s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, b.sums,
             s.wide, s.scale, s.size, s.n_basis, s.n_components, b.blocks,
         )  # fmt: skip
-        self._own.add_blocks(b.blocks)
+        self._extras.add_blocks(s, b.blocks)
         return b.blocks
 
     def _eliminate(self, damping: float, *, fresh: bool = False) -> None:
@@ -175,7 +181,7 @@ class SchurSystem:
     def _share_out(
         self, tile: Tile, stage: Callable[..., None], cuts: int | Index, wide: Array, *more: Any, fresh: bool = False
     ) -> None:  # fmt: skip
-        """Run a stage over the chunks of a tile; it computes rows that are not there, or all if ``fresh``."""
+        """Run a stage over the chunks of a tile; it computes missing rows, or all rows if ``fresh``."""
         b = self._backend.buffers
         there = not fresh and (tile.kept or b.held is tile)
         at = (b.rows(tile), self.state, None if there else wide, *more)
@@ -184,7 +190,7 @@ class SchurSystem:
 
     def _gathered_gradient(self) -> Array:
         """Gradient (u,) of the image unknowns, from those of the chunks."""
-        s, problem, own = self.structure, self._backend.problem, self._own.gradient.copy()
+        s, problem, own = self.structure, self._backend.problem, self._extras.gradient.copy()
         gather_gradients(
             s.block_begin, s.block_slots, s.slot_own, s.block_row, s.block_column, self.buffers().gradients,
             s.wide, s.scale, s.size, s.n_components, own,
@@ -210,7 +216,7 @@ class SchurSystem:
         return step
 
     def substitute(self, image: Array) -> SchurStep:
-        """Step of the points after one (u,) of the images; the points must have been eliminated last."""
+        """Complete a step (u,) of the images by the points; the last operation must have eliminated the points."""
         backend, s, b = self._backend, self.structure, self.buffers()
         ground, wide = np.zeros((len(s.number), 3)), s.widened(backend.problem.image_matrix(image))
         own = s.widened(self.state.image)
@@ -224,7 +230,7 @@ class SchurSystem:
         newton = self.solve(0.0)
         if newton.norm <= radius:
             return newton
-        image, ground = self._steepest()
+        image, ground = self.steepest()
         squares = np.sum(image**2) + np.sum(ground**2)
         length = float(np.sqrt(squares))
         if length >= radius:
@@ -235,8 +241,8 @@ class SchurSystem:
         share = share_at_radius(across, dot, length, radius)
         return self.given(image + share * d_image, ground + share * d_ground)
 
-    def _steepest(self) -> tuple[Array, Array]:
-        """Minimum along the negative gradient."""
+    def steepest(self) -> tuple[Array, Array]:
+        """Step (u,), (P, 3) to the minimum of the linear model along the negative gradient."""
         image, ground = self.gradient()
         factor = -float((np.sum(image**2) + np.sum(ground**2)) / self.curvature(image, ground))
         return image * factor, ground * factor
@@ -258,7 +264,7 @@ class SchurSystem:
 
     def curvature(self, image: Array, ground: Array) -> float:
         """Squares of the whitened Jacobian times a direction (u,), (P, 3)."""
-        own = self._backend.prior * np.sum(image**2) + self._own.squares_along(image, 0.0)
+        own = self._backend.prior * np.sum(image**2) + self._extras.squares_along(image, 0.0)
         return float(self._squares_along(image, ground, 0.0) + own + self._whitened_squares(ground))
 
     def _squares_along(self, image: Array, ground: Array, share: float) -> float:
@@ -280,13 +286,13 @@ class SchurSystem:
         return float(np.sum(np.einsum("nij,nj->ni", w, ground[s.free == 2]) ** 2))
 
     def given(self, image: Array, ground: Array) -> SchurStep:
-        """The step (u,), (P, 3) with what the linear model predicts after it."""
+        """A given step (u,), (P, 3), with the error that the linear model predicts after it."""
         return self._step(image, ground, self._squares_along(image, ground, 1.0))
 
     def _step(self, image: Array, ground: Array, squares: float) -> SchurStep:
         backend = self._backend
         moved = backend.moved(self.state, image, ground)
-        own = self._own.squares_along(image, 1.0)
+        own = self._extras.squares_along(image, 1.0)
         error = self._excess + backend.half_linear(moved, self.buffers().control) + 0.5 * (squares + own)
         length = max(float(np.abs(image).max()), float(np.abs(ground).max(initial=0.0)))
         return SchurStep(image, ground, length, error, self.state, moved)
@@ -307,15 +313,15 @@ class SchurBackend:
     Raises
     ------
     InputError
-        Own observations name ground points or several images, or a sensor's equation has no batch.
+        Extra observations name ground points or several images.
     """
 
     name = "schur"
 
     def __init__(self, problem: Problem, threads: int | None = None, reduced: str = "auto") -> None:
-        reason = reason_against(problem.block, problem.models)
-        if reason:
-            raise InputError.of("adjust.schur", option="backend", value=reason)
+        if not schur_possible(problem.block):
+            value = "extra observations name ground points or several images"
+            raise InputError.of("adjust.schur", option="backend", value=value)
         if reduced not in REDUCED:
             raise ValueError(f"reduced = {reduced!r}: one of {', '.join(REDUCED)}")
         self.problem, self.structure = problem, compile_structure(problem)
@@ -323,7 +329,6 @@ class SchurBackend:
         automatic = available if len(problem.observations) >= SERIAL_LIMIT else 1
         self.workers = Workers(automatic if threads is None else threads)
         self.prior = 1.0 if problem.block.options.priors else 0.0
-        self.own = OwnOfImages(problem, self.structure)
         self.reduced = ReducedSystems(self.structure, problem.first, reduced, problem.ties)
         self.stages = Stages(problem, self.structure)
         self.buffers = Buffers(self.structure, problem.control_records)
@@ -349,7 +354,7 @@ class SchurBackend:
         if self.robust is None:
             return self.half_rest(state) + 0.5 * sum(float(np.vdot(v, v)) for v in self._values(state))
         _, _, cost = self.robust.weigh(*self.squares(state))
-        return cost + 0.5 * self.prior * self.problem.prior_squares(state) + self.own.half_squares(state)
+        return cost + 0.5 * self.prior * self.problem.prior_squares(state) + self._half_extras(state)
 
     def squares(self, state: State) -> tuple[Array, Array]:
         """See ``robust.RobustBackend``; image points in the order of the structure."""
@@ -361,7 +366,7 @@ class SchurBackend:
         for tile in self.structure.tiles:
             space = self.buffers.rows(tile)
             value = self.buffers.trial[: tile.points[1] - tile.points[0]]
-            self.evaluate(Rows(tile, value, space.d_image, space.d_ground), state, want=False)
+            self.evaluate(TileRows(tile, value, space.d_image, space.d_ground), state, want=False)
             yield value
 
     def control_squares(self, state: State) -> Array:
@@ -378,7 +383,7 @@ class SchurBackend:
         move(self.structure.number, ground, moved)
         return State(state.image + self.problem.image_matrix(image), moved)
 
-    def evaluate(self, rows: Rows, state: State, *, want: bool) -> None:
+    def evaluate(self, rows: TileRows, state: State, *, want: bool) -> None:
         """Write the residuals of a tile's image points and, if wanted, their Jacobians.
 
         Raises
@@ -402,8 +407,13 @@ class SchurBackend:
         )
 
     def half_rest(self, state: State, records: Array | None = None) -> float:
-        """Half the weighted sum of squares of control points, priors and own observations."""
-        return self.half_linear(state, records) + self.own.half_squares(state)
+        """Half the weighted sum of squares of control points, priors and extra observations."""
+        return self.half_linear(state, records) + self._half_extras(state)
+
+    def _half_extras(self, state: State) -> float:
+        """Half the sum of squares of the extra observations."""
+        extras = (extra_blocks(self.problem, e, state, jacobian=False)[0] for e in self.problem.block.extra)
+        return 0.5 * sum(float(r @ r) for r in extras)
 
     def half_linear(self, state: State, records: Array | None = None) -> float:
         """Half the weighted sum of squares of control points and priors."""

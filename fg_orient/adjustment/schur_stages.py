@@ -1,32 +1,92 @@
-"""What one thread of the Schur backend computes of its share of the points: rows, point blocks, sums over pairs.
+"""Stages of the Schur backend for a range of points: rows, point blocks, sums over pairs; and their memory.
 
-Threads meet after a share, not after each kernel: to hand over takes up to 50 us, and rows that were just written are
-still near the processor when they are used.
+A thread runs all stages of its range before threads synchronise: a synchronisation takes up to 50 us, and rows that
+were just written are still in the cache when they are used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from factors._contract import NotFiniteError
+from fg_orient.adjustment.dense import extra_blocks
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.rows import refuse
 from fg_orient.adjustment.schur_reduced import Singular
-from fg_orient.adjustment.schur_rows import Buffers, Rows
-from fg_orient.adjustment.schur_structure import ALL_KEPT, Small, Structure
+from fg_orient.adjustment.schur_structure import ALL_KEPT, Structure, Tile
 from fg_orient.kernels.batch_pairs import pair_blocks
 from fg_orient.kernels.batch_points import point_blocks
 from fg_orient.kernels.batch_steps import back_substitute
 from fg_orient.kernels.batch_weights import scale_rows
+from fg_orient.kernels.vectors import SLACK, padded
 
 Array = npt.NDArray[np.float64]
 
+#: Bytes of a cache line.
+CACHE_LINE: Final = 64
+
+
+@dataclass(frozen=True)
+class TileRows:
+    """Rows of the image points of a tile: residuals (n, 2), Jacobians (n, 2, c) and (n, 2, 3)."""
+
+    tile: Tile
+    value: Array
+    d_image: Array
+    d_ground: Array
+
+
+class Buffers:
+    """Arrays of one linearisation, reused by the next: allocating memory costs more than computing in it.
+
+    Tiles that are not kept share one space; ``held`` is the tile whose rows it contains.
+    """
+
+    def __init__(self, s: Structure, control_records: Array) -> None:
+        n, p, slots, c = len(s.row), len(s.number), len(s.slot_own), int(s.n_components.max())
+        kept = max((t.points[1] for t in s.tiles if t.kept), default=0)
+        largest = max((t.points[1] - t.points[0] for t in s.tiles), default=0)
+        again = max((t.points[1] - t.points[0] for t in s.tiles if not t.kept), default=0)
+        self.owner: object = None
+        self.value, self.trial, self.root_weight = np.empty((n, 2)), np.empty((largest, 2)), np.ones(0)
+        self._kept, self._again = row_arrays(kept, c), row_arrays(again, c)
+        self.held: Tile | None = None
+        self.scaled = _aligned(largest, 8)
+        self.root, self.gradient, self.squares = np.empty((p, 6)), np.empty((p, 3)), np.empty(len(s.chunks) - 1)
+        self.sums = _aligned(slots, int(s.n_basis.max()) ** 2, padded(c * c))
+        self.gradients = np.zeros((slots, int(s.n_basis.max()), (c + 7) // 8 * 8))
+        self.blocks = np.zeros((len(s.block_row), s.wide.shape[1], s.wide.shape[1]))
+        self.control = control_records  # under a loss a copy with weights: see SchurSystem
+
+    def rows(self, tile: Tile) -> TileRows:
+        """Space for the rows of a tile."""
+        lo, hi = tile.points
+        d_image, d_ground = self._kept if tile.kept else self._again
+        at = slice(lo, hi) if tile.kept else slice(0, hi - lo)
+        return TileRows(tile, self.value[lo:hi], d_image[at], d_ground[at])
+
+
+def _aligned(*shape: int) -> Array:
+    """Uninitialised array at the start of a cache line: vectors across two lines are half as fast (measured)."""
+    n = int(np.prod(shape))
+    space = np.empty(n + CACHE_LINE // 8)
+    skip = -space.ctypes.data % CACHE_LINE // 8
+    return space[skip : skip + n].reshape(shape)
+
+
+def row_arrays(n: int, c: int) -> tuple[Array, Array]:
+    """Jacobians of n image points; the first has padding at its end, see ``fg_orient.kernels.vectors``."""
+    space = np.empty(2 * n * c + SLACK)
+    space[2 * n * c :] = 0.0
+    return space[: 2 * n * c].reshape(n, 2, c), np.empty((n, 2, 3))
+
 
 class Stages:
-    """The stages of one problem; they write to disjoint parts of the memory given, for disjoint shares.
+    """Stages of one problem; for disjoint ranges they write to disjoint parts of the arrays.
 
     Parameters
     ----------
@@ -36,46 +96,37 @@ class Stages:
 
     def __init__(self, problem: Problem, structure: Structure) -> None:
         self.problem, self.structure = problem, structure
-        self._records, self._row = _in_order(problem.records, structure)
+        # in the order of the input, records cost 40 ns more per image point and iteration (measured at 1e5)
+        self._records, self._row = problem.records, structure.row
+        if len(structure.row) <= ALL_KEPT:
+            self._records, self._row = problem.records[structure.row], np.arange(len(structure.row), dtype=np.int32)
         largest = max((t.points[1] - t.points[0] for t in structure.tiles), default=0)
         self._all = np.arange(largest, dtype=np.int32)
 
-    def rows(self, lo: int, hi: int, rows: Rows, state: State, wide: Array, want: bool) -> None:
+    def rows(self, lo: int, hi: int, rows: TileRows, state: State, wide: Array, want: bool) -> None:
         """Write the residuals of image points lo to hi, all of one tile, and, if wanted, their Jacobians.
 
-        Parameters
-        ----------
-        wide : (M, w) array
-            The image unknowns of the state, see ``Structure.widened``.
-
-        Raises
-        ------
-        NotFiniteError
-            A residual or Jacobian is nan or inf; names the observation.
+        ``wide`` (M, w) are the image unknowns of the state, see ``Structure.widened``. Raises NotFiniteError for a
+        residual or Jacobian that is not finite.
         """
         s, (start, end) = self.structure, rows.tile.points
         at = slice(start, end)
         for group in s.groups:
             members, part = self._all, (lo - start, hi - start)
             if group.members is not None:
-                found = np.searchsorted(group.members, (lo, hi))
-                members, part = group.members[found[0] : found[1]] - np.int32(start), (0, int(found[1] - found[0]))
-            kernel: Callable[..., Any] = group.rows
-            a = kernel(
+                first, end_of_part = np.searchsorted(group.members, (lo, hi))
+                members, part = group.members[first:end_of_part] - np.int32(start), (0, int(end_of_part - first))
+            a = group.rows(
                 *part, members, self._records, self._row[at], s.image[at], s.point[at], group.columns.setup,
                 group.n_basis, s.basis[at], wide, state.ground, rows.value, rows.d_image, rows.d_ground, want,
             )  # fmt: skip
             if a >= 0:
-                label = self.problem.label(int(s.row[start + a]))
-                raise NotFiniteError(f"{label}: residual or Jacobian is not finite")
+                refuse(self.problem, state, int(s.row[start + a]))
 
-    def points(self, lo: int, hi: int, rows: Rows, state: State, damping: float, b: Buffers) -> None:
+    def points(self, lo: int, hi: int, rows: TileRows, state: State, damping: float, b: Buffers) -> None:
         """Write the blocks of the ground points at places lo to hi, and the rows reduced by them.
 
-        Raises
-        ------
-        Singular
-            A ground point is not determined.
+        Raises Singular for a ground point that is not determined.
         """
         s, problem = self.structure, self.problem
         p = point_blocks(
@@ -86,14 +137,9 @@ class Stages:
             raise Singular(f"point {problem.block.points.ids[s.number[p]]} is not determined by its rays")
 
     def chunks(
-        self, lo: int, hi: int, rows: Rows, state: State, wide: Array | None, damping: float, b: Buffers
+        self, lo: int, hi: int, rows: TileRows, state: State, wide: Array | None, damping: float, b: Buffers
     ) -> None:  # fmt: skip
-        """Eliminate the ground points of chunks lo to hi; with ``wide``, their rows are first computed and weighted.
-
-        Raises
-        ------
-        NotFiniteError, Singular
-        """
+        """Eliminate the ground points of chunks lo to hi; with ``wide``, their rows are first computed and weighted."""
         s = self.structure
         if wide is not None:
             self._weighted_rows(lo, hi, rows, state, wide, b)
@@ -104,14 +150,9 @@ class Stages:
         )  # fmt: skip
 
     def substituted(
-        self, lo: int, hi: int, rows: Rows, state: State, wide: Array | None, step: Array, b: Buffers, ground: Array
+        self, lo: int, hi: int, rows: TileRows, state: State, wide: Array | None, step: Array, b: Buffers, ground: Array
     ) -> None:  # fmt: skip
-        """Write the steps (P, 3) of the points of chunks lo to hi after one (M, w) of the images; ``wide``: as above.
-
-        Raises
-        ------
-        NotFiniteError
-        """
+        """Write the steps (P, 3) of the points of chunks lo to hi after a step (M, w) of the images."""
         s = self.structure
         if wide is not None:
             self._weighted_rows(lo, hi, rows, state, wide, b)
@@ -120,8 +161,8 @@ class Stages:
             rows.value, rows.d_image, rows.d_ground, b.root, b.gradient, ground, b.squares,
         )  # fmt: skip
 
-    def _weighted_rows(self, lo: int, hi: int, rows: Rows, state: State, wide: Array, b: Buffers) -> None:
-        """Rows of the image points of chunks lo to hi, times the roots of their weights."""
+    def _weighted_rows(self, lo: int, hi: int, rows: TileRows, state: State, wide: Array, b: Buffers) -> None:
+        """Compute the rows of the image points of chunks lo to hi, multiplied by the roots of their weights."""
         s = self.structure
         points = [int(s.first[s.chunk_places[k]]) for k in (lo, hi)]
         self.rows(points[0], points[1], rows, state, wide, True)
@@ -131,11 +172,34 @@ class Stages:
             scale_rows(*part, b.root_weight[start:end], rows.value, rows.d_image, rows.d_ground)
 
 
-def _in_order(records: Array, s: Structure) -> tuple[Array, Small]:
-    """Records and the row of each sorted image point: copied in that order where all rows are kept.
+class ImageExtras:
+    """Extra observations of single images, linearised at a state: J^T J is added to the block of their image.
 
-    In the order of the input they cost 40 ns more per image point and iteration (measured at 1e5).
+    Elimination and back-substitution of the ground points do not depend on them.
     """
-    if len(s.row) > ALL_KEPT:
-        return records, s.row
-    return records[s.row], np.arange(len(s.row), dtype=np.int32)
+
+    def __init__(self, problem: Problem, state: State) -> None:
+        self._problem = problem
+        self._rows: list[tuple[int, Array, Array]] = []
+        for extra in problem.block.extra:
+            residual, [(argument, jacobian)] = extra_blocks(problem, extra, state, jacobian=True)
+            self._rows.append((argument.index, residual, jacobian))
+
+    def add_blocks(self, structure: Structure, blocks: Array) -> None:
+        """Add ``J^T J`` to the blocks (B, k, k) of the reduced system."""
+        for k, _, j in self._rows:
+            blocks[structure.own_block[k], : j.shape[1], : j.shape[1]] += j.T @ j
+
+    @cached_property
+    def gradient(self) -> Array:
+        """``J^T r`` (w,) of the unknowns of all images, one image after the other."""
+        out = np.zeros(self._problem.n_image_unknowns)
+        for k, r, j in self._rows:
+            out[self._problem.first[k] : self._problem.first[k + 1]] += j.T @ r
+        return out
+
+    def squares_along(self, image: Array, share: float) -> float:
+        """Sum of squares of ``share`` of the residuals plus their Jacobian times a step (u,) of the images."""
+        step = self._problem.image_matrix(image)
+        parts = (share * r + j @ step[k, : j.shape[1]] for k, r, j in self._rows)
+        return sum(float(v @ v) for v in parts)

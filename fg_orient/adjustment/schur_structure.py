@@ -8,22 +8,19 @@ together in memory. The layout is that of ``fg_orient.kernels.batch``, ``fg_orie
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.models.contract import ImageModel, groups
+from fg_orient.adjustment.models.contract import groups
 from fg_orient.adjustment.problem import Problem
 from fg_orient.kernels import batch_sort
-from fg_orient.kernels.batch import Columns, batch, has_batch
+from fg_orient.kernels.batch import Columns, batch
 from fg_orient.kernels.batch_gather import widen
-
-if TYPE_CHECKING:
-    from fg_orient.model.block import Block
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -50,14 +47,6 @@ ALL_KEPT: Final = 300_000
 KEPT_SHARE: Final = 0.28
 #: Records that are copied at once.
 RECORDS: Final = 32_768
-
-
-def reason_against(block: Block, models: Sequence[ImageModel]) -> str:
-    """Why the Schur backend cannot take a block; empty if it can."""
-    if any(len(extra.unknowns) > 1 or not extra.unknowns[0].startswith("image:") for extra in block.extra):
-        return "own observations name ground points or several images"
-    unknown = sorted({m.equation.name for m in models if not has_batch(m.equation)})
-    return f"no batch for the equation {', '.join(unknown)}" if unknown else ""
 
 
 @dataclass(frozen=True)
@@ -161,6 +150,12 @@ class Structure:
         """Largest number of wide numbers of an image."""
         return int((self.n_basis * self.n_components).max())
 
+    @cached_property
+    def own_block(self) -> dict[int, int]:
+        """Block of each image with itself."""
+        own = np.flatnonzero(self.block_row == self.block_column)
+        return dict(zip(self.block_row[own].tolist(), own.tolist(), strict=True))
+
     def widened(self, image: Array) -> Array:
         """Wide numbers (M, w) of unknowns (M, k), in the units of the components."""
         out = np.zeros((len(image), self.width))
@@ -169,7 +164,7 @@ class Structure:
 
 
 def compile_structure(problem: Problem) -> Structure:
-    """Sort and index a problem that :func:`reason_against` has nothing against."""
+    """Sort and index a problem."""
     row, image, point, first = _sorted(problem)
     number = point[first[:-1]]
     free = np.where(problem.active[number], np.where(problem.observed[number], 2, 1), 0).astype(np.int8)

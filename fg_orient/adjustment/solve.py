@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,11 +14,8 @@ import numpy.typing as npt
 from factors._contract import NotFiniteError
 from factors._preparation import working_clock
 from factors.losses import losses
-from fg_orient.adjustment.allocation import calm_memory
 from fg_orient.adjustment.checkpoint import Checkpoint
-from fg_orient.adjustment.cycles import Fit, fits_on_arrays
-from fg_orient.adjustment.gnc import PLAIN, SCHEDULES
-from fg_orient.adjustment.irls import DIMENSIONS, RULES, norms_at, reweight, weights_of
+from fg_orient.adjustment.irls import DIMENSIONS, RULES, CycleResult, cycles_on_arrays, norms_at, reweight, weights_of
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import (
     OPTIMIZERS,
@@ -31,21 +28,29 @@ from fg_orient.adjustment.loop import (
     IterationRecord,
     LoopResult,
 )
-from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.problem import Problem, State, schur_possible
 from fg_orient.adjustment.resection import METHODS, resection_start
-from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, Weights, find_loss, weighted_problem, weights_at
-from fg_orient.adjustment.robust_scale import robust_scale
-from fg_orient.adjustment.stages import FROM_RESECTIONS, plan_of, run_stages
+from fg_orient.adjustment.robust import (
+    A_PRIORI,
+    NONE,
+    Robust,
+    Weights,
+    find_loss,
+    robust_scale,
+    weighted_problem,
+    weights_at,
+)
+from fg_orient.adjustment.runtime import calm_memory
+from fg_orient.adjustment.stages import FROM_RESECTIONS, PLAIN, SCHEDULES, plan_of, run_stages
 from fg_orient.model.block import Block, Options
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.options import Backend
 
 if TYPE_CHECKING:
+    from fg_orient.adjustment.cofactors import SummedSystem
     from fg_orient.adjustment.dense import DenseSystem
     from fg_orient.adjustment.graph import GraphBackend, GraphSystem
-    from fg_orient.adjustment.models.contract import ImageModel
     from fg_orient.adjustment.schur import SchurSystem
-    from fg_orient.adjustment.schur_summed import SummedSystem
 
 Array = npt.NDArray[np.float64]
 S = TypeVar("S")
@@ -147,23 +152,16 @@ def solve(
         raise NoSolutionError.of("adjust.broken_down", place=problem.block.name, why=first_sentence(error)) from error
 
 
-def chosen_backend(problem: Problem) -> Backend:
-    """See :func:`suitable_backend`."""
-    return suitable_backend(problem.block, problem.models)
+def suitable_backend(block: Block) -> Backend:
+    """Backend of the options; for "auto" the Schur backend where possible, else the graph.
 
-
-def suitable_backend(block: Block, models: Sequence[ImageModel]) -> Backend:
-    """Backend of the options; for "auto" the Schur complement if it can take the block, else the graph.
-
-    Without priors the graph is taken: its QR does not square the condition.
+    Blocks without priors get the graph: its QR does not square the condition number.
     """
     options = block.options
     if options.backend != "auto":
         return options.backend
-    from fg_orient.adjustment.schur_structure import reason_against
-
     regular = options.priors or options.datum == "free"
-    possible = regular and options.optimizer in OPTIMIZERS and not reason_against(block, models)
+    possible = regular and options.optimizer in OPTIMIZERS and schur_possible(block)
     return "schur" if possible else "graph"
 
 
@@ -220,7 +218,7 @@ class _Job:
         self.problem, self.options = problem, problem.block.options
         self._callback, self._checkpoint, self._plan = callback, checkpoint, plan_of(self.options)
         found = None if checkpoint is None else checkpoint.read(problem)
-        self.backend = chosen_backend(problem) if found is None else found[0]
+        self.backend = suitable_backend(problem.block) if found is None else found[0]
         self._found = None if found is None else found[1]
         self._start, self._scale = start, A_PRIORI
         self._marks = [working_clock()]
@@ -321,37 +319,36 @@ def _run(job: _Job, schur: Callable[[Problem], Any] | None) -> Estimate:
 
 
 def _in_cycles(problem: Problem, callback: Callback | None, parted: bool) -> Estimate:
-    """Least squares again and again with the weights of a rule; no checkpoint is kept."""
+    """Repeated least squares with the weights of a rule; no checkpoint is kept."""
     options = problem.block.options
     if parted:
         raise InputError.of("adjust.cycles", option="parts", value=options.loss, known=", ".join(losses()))
-    plain = replace(problem.block, options=replace(options, loss=NONE, backend=chosen_backend(problem)))
+    plain = replace(options, loss=NONE, backend=suitable_backend(problem.block))
+    own, begin = replace(problem, block=replace(problem.block, options=plain)), working_clock()
     log: list[IterationRecord] = []
 
-    def told(record: IterationRecord) -> None:
-        log.append(replace(record, iteration=len(log) + 1))
+    def record(iteration: IterationRecord) -> None:
+        log.append(replace(iteration, iteration=len(log) + 1))
         if callback is not None:
             callback(log[-1])
 
-    own, begin = replace(problem, block=plain), working_clock()
-
-    def anew(groups: tuple[Array, ...], start: State | None, tell: Callback | None) -> Estimate:
+    def solved(groups: tuple[Array, ...], start: State | None, callback: Callback | None) -> Estimate:
         weighted = weighted_problem(own, weights_of(problem, groups)) if groups else own
-        return _run(_Job(weighted, tell, None, start), None)
+        return _run(_Job(weighted, callback, None, start), None)
 
-    def fit(groups: tuple[Array, ...], last: Fit | None) -> Fit:
-        found = anew(groups, None if last is None else last.state, told)
-        return Fit(found.state, found.chi2)
+    def fit(groups: tuple[Array, ...], last: CycleResult | None) -> CycleResult:
+        estimate = solved(groups, None if last is None else last.state, record)
+        return CycleResult(estimate.state, estimate.chi2)
 
-    found = reweight(
-        fits_on_arrays(own, told) if plain.options.backend == "schur" else fit, lambda f: norms_at(problem, f.state),
+    cycles = reweight(
+        cycles_on_arrays(own, record) if plain.backend == "schur" else fit, lambda f: norms_at(problem, f.state),
         lambda f: math.sqrt(f.chi2 / max(problem.redundancy, 1)), RULES[options.loss], DIMENSIONS,
     )  # fmt: skip
-    end = anew(found.weights, found.fit.state, None)
-    done = end.end if found.settled else finding("loop.weights", cycles=found.cycles)
+    end = solved(cycles.weights, cycles.fit.state, None)
+    reason = end.end if cycles.settled else finding("loop.weights", cycles=cycles.cycles)
     return replace(
-        end, converged=end.converged and found.settled, end=done, log=tuple(log), iterations=len(log),
-        weights=weights_of(problem, found.weights), solve_s=working_clock() - begin - end.structure_s,
+        end, converged=end.converged and cycles.settled, end=reason, log=tuple(log), iterations=len(log),
+        weights=weights_of(problem, cycles.weights), solve_s=working_clock() - begin - end.structure_s,
     )  # fmt: skip
 
 

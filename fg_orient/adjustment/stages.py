@@ -1,79 +1,97 @@
-"""The way to a robust loss in stages: from least squares, over Huber's loss or a schedule, to the loss itself.
+"""Stages before a robust loss: least squares, then Huber's loss, resections or a schedule of surrogates.
 
-Metadata are off by many sigmas, where bounded losses see nothing: the first stage is plain least squares. A loss whose
-influence falls again has several minima; it starts from the minimum of Huber's, which has one (Huber 1981, ch. 7.8), or
-from resections (:mod:`fg_orient.adjustment.resection`). Resections are good to some sigmas, so the loss is eight
-times as wide at first, then four, two times and as it is: Huber's in between would forget them, since it ends at its
-only minimum wherever it begins.
+Metadata orientations are wrong by many sigmas, where bounded losses have no gradient. The first stage is therefore
+plain least squares. A redescending loss has several minima. It starts from the minimum of Huber's loss, which has one
+(Huber 1981, ch. 7.8), or from resections (:mod:`fg_orient.adjustment.resection`). Resections are accurate to a few
+sigmas, so the loss is first eight times as wide, then four times, twice and once. Huber's loss would not keep the
+resections: it ends at its only minimum, wherever it starts.
 
-A scale of the residuals (``robust_scale = "mad"``) is taken at the end of each stage and fixed while the next one runs,
-so that every stage has a cost. Huber's stage is repeated until the scale has settled; the last stage keeps that scale
-(as MM-estimators do, Yohai 1987): were it to follow the residuals of a redescending loss, it could shrink with every
-observation that is turned down.
+The scale of the residuals (``robust_scale = "mad"``) is measured at the end of each stage and fixed during the next, so
+that every stage has a cost. Huber's stage is repeated until the scale has converged. The last stage keeps this scale
+(as MM-estimators do, Yohai 1987): a scale that follows the residuals of a redescending loss could shrink with every
+observation that is down-weighted.
+
+Graduated non-convexity (Yang, Antonante, Tzoumas & Carlone 2020) replaces a bounded loss by surrogates with a parameter
+mu. The first surrogate is so wide that it excludes no residual of the least-squares stage. Each stage is steeper than
+the last by a factor of 1.4 and starts from its state. Yang et al. hold the weights fixed within a stage; here weights
+follow each step, which minimises the same cost. The limit between inliers and outliers is a quantile of chi-square, so
+residuals must be in sigmas.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from factors.losses import Loss
-from factors.losses.standard import HUBER
-from fg_orient.adjustment.gnc import EXACT, PLAIN, Graduated, half_square
+from factors.losses import Curve, Loss, losses
+from factors.losses.standard import GEMAN_MCCLURE, HUBER
 from fg_orient.adjustment.loop import STEP_TOLERANCE, Backend, Carried, LoopResult
-from fg_orient.adjustment.robust import A_PRIORI, NONE, Robust, RobustBackend, ScaledLoss, find_loss, scaled
+from fg_orient.adjustment.robust import (
+    A_PRIORI,
+    CONTROL,
+    IMAGE,
+    NONE,
+    Robust,
+    RobustBackend,
+    ScaledLoss,
+    find_loss,
+    inlier_limit,
+    scaled,
+)
 from fg_orient.model.options import Options
 
 Array = npt.NDArray[np.float64]
 Scale = tuple[float, float]
 S = TypeVar("S")
 
-#: Stages with Huber's loss: the first, the one after it, ... (PLAIN is -1, surrogates count from 0).
+#: Values of mu: least squares, surrogates (from 0), the loss itself.
+PLAIN: Final = -1.0
+EXACT: Final = math.inf
+#: Values of mu for stages with Huber's loss: the first, then one less each.
 START: Final = -2.0
-#: At most so many, until the scale changes by less than this share.
+#: Maximum number of these stages, and the relative change of the scale that ends them.
 START_STAGES: Final = 8
 SETTLED: Final = 0.01
-#: Iterations of one of them: it need not be gone to the end of.
-START_ITERATIONS: Final = 30
-#: A stage before the last ends at this scaled step.
-STAGE_STEP: Final = 1e-3
-PLAIN_ITERATIONS: Final = 5
-#: Stages after resections: WIDE - k has the loss 2^k times as wide.
+#: Values of mu after resections: WIDE - k has the loss 2^k times as wide.
 WIDE: Final = -100.0
 FROM_RESECTIONS: Final = WIDE - 3.0
+#: Scaled step that ends a stage before the last, and maximum numbers of iterations of these stages.
+STAGE_STEP: Final = 1e-3
+PLAIN_ITERATIONS: Final = 5
+START_ITERATIONS: Final = 30
 WIDE_ITERATIONS: Final = 10
+STAGE_ITERATIONS: Final = 5
+#: Ratio of steepness between two surrogates (Yang et al. 2020, remark 5).
+FACTOR: Final = 1.4
+#: Above this mu truncated least squares and their surrogate differ only for residuals within 1e-4 of the limit.
+LARGEST_MU: Final = 1e4
 
 
 class Plan(Protocol):
-    """Stages on the way to a loss, from PLAIN to EXACT."""
+    """Stages before a loss, from PLAIN to EXACT."""
 
     def robust(self, mu: float, scale: Scale = A_PRIORI) -> Robust:
         """Losses of a stage in units of these scales."""
         ...
 
     def iterations(self, mu: float) -> int:
-        """Iterations of a stage other than the last."""
+        """Maximum number of iterations of a stage before the last."""
         ...
 
     def following(self, mu: float, squares: tuple[Array, Array], settled: bool = True) -> float:
-        """Stage after the one that ended with these squared norms, and a scale that has settled or not."""
+        """The mu after a stage, from the squared norms at its end and whether the scale has converged."""
         ...
 
 
 @dataclass(frozen=True)
 class Direct:
-    """A loss after plain least squares and, if it begins there, Huber's.
-
-    Parameters
-    ----------
-    loss : Loss
-    from_huber : bool
-    """
+    """A loss after least squares and, if ``from_huber``, Huber's loss."""
 
     loss: Loss
     from_huber: bool
@@ -102,8 +120,150 @@ class Direct:
         return EXACT if settled or mu <= START - START_STAGES + 1.0 else mu - 1.0
 
 
+class Schedule(Protocol):
+    """Surrogates of a bounded loss; ``excess`` (n,) is the square of the residuals divided by their limits."""
+
+    def first(self, largest: float) -> float:
+        """First mu, for the largest excess; EXACT if no surrogate is needed."""
+        ...
+
+    def next(self, mu: float, excess: Array) -> float:
+        """The mu after a stage that ended with these excesses; EXACT for the loss itself."""
+        ...
+
+    def curves(self, mu: float) -> tuple[Curve, Curve]:
+        """Weight and cost of the surrogate, as functions of u = residual / limit."""
+        ...
+
+
+class GemanMcClure:
+    """Surrogate ``mu u^2 / (2 (mu + u^2))``, mu from twice the largest excess down to 1 (Yang et al. 2020, eq. 9)."""
+
+    def first(self, largest: float) -> float:
+        """See :class:`Schedule`."""
+        return 2.0 * largest if 2.0 * largest > 1.0 else EXACT
+
+    def next(self, mu: float, excess: Array) -> float:
+        """See :class:`Schedule`."""
+        return mu / FACTOR if mu > FACTOR else EXACT
+
+    def curves(self, mu: float) -> tuple[Curve, Curve]:
+        """See :class:`Schedule`."""
+        return partial(_geman_mcclure_weight, mu), partial(_geman_mcclure_cost, mu)
+
+
+class TruncatedLeastSquares:
+    """Surrogate with a band of falling weights, narrower as mu grows (Yang et al. 2020, eqs. 11, 14)."""
+
+    def first(self, largest: float) -> float:
+        """See :class:`Schedule`."""
+        return 1.0 / (2.0 * largest - 1.0) if largest > 1.0 else EXACT
+
+    def next(self, mu: float, excess: Array) -> float:
+        """See :class:`Schedule`; EXACT if no residual lies in the band."""
+        inside = (excess > mu / (mu + 1.0)) & (excess < (mu + 1.0) / mu)
+        return mu * FACTOR if inside.any() and mu < LARGEST_MU else EXACT
+
+    def curves(self, mu: float) -> tuple[Curve, Curve]:
+        """See :class:`Schedule`."""
+        return partial(_truncated_weight, mu), partial(_truncated_cost, mu)
+
+
+#: Losses with surrogates.
+SCHEDULES: Final[dict[str, Schedule]] = {"tls": TruncatedLeastSquares(), "geman_mcclure": GemanMcClure()}
+
+
+@dataclass(frozen=True)
+class Graduated:
+    """Graduated non-convexity for a loss.
+
+    Parameters
+    ----------
+    loss : str
+        A key of :data:`SCHEDULES`.
+    image_limit, control_limit : float
+        Whitened norms that separate inliers from outliers among image points and control points.
+    """
+
+    loss: str
+    image_limit: float
+    control_limit: float
+
+    @classmethod
+    def of(cls, options: Options) -> Graduated:
+        """With limits from the inlier probability of the options."""
+        limits = [inlier_limit(options.inlier_probability, d) for d in (IMAGE, CONTROL)]
+        return cls(options.loss, *limits)
+
+    def robust(self, mu: float, scale: Scale = A_PRIORI) -> Robust:
+        """Losses of a stage; the limits are in sigmas."""
+        if mu == EXACT:
+            weight, cost = losses()[self.loss].weight, losses()[self.loss].cost
+        elif mu == PLAIN:
+            weight, cost = np.ones_like, half_square
+        else:
+            weight, cost = SCHEDULES[self.loss].curves(mu)
+        return Robust(ScaledLoss(weight, cost, self.image_limit), ScaledLoss(weight, cost, self.control_limit))
+
+    def excess(self, squares: tuple[Array, Array]) -> Array:
+        """Squared norms divided by squared limits, of image points, then control points."""
+        image, control = squares
+        return np.concatenate([image / self.image_limit**2, control / self.control_limit**2])
+
+    def iterations(self, mu: float) -> int:
+        """See :class:`Plan`."""
+        return STAGE_ITERATIONS
+
+    def following(self, mu: float, squares: tuple[Array, Array], settled: bool = True) -> float:
+        """See :class:`Plan`."""
+        schedule, excess = SCHEDULES[self.loss], self.excess(squares)
+        return schedule.first(float(excess.max(initial=0.0))) if mu == PLAIN else schedule.next(mu, excess)
+
+
+# curves are functions of this module with mu bound, so that worker processes can receive them
+
+
+def _geman_mcclure_weight(mu: float, u: Array) -> Array:
+    return GEMAN_MCCLURE.weight(u / math.sqrt(mu))
+
+
+def _geman_mcclure_cost(mu: float, u: Array) -> Array:
+    return mu * GEMAN_MCCLURE.cost(u / math.sqrt(mu))
+
+
+def _band(mu: float) -> tuple[float, float, float]:
+    """Ends of the band of falling weights, and the constant of its slope."""
+    return math.sqrt(mu / (mu + 1.0)), math.sqrt((mu + 1.0) / mu), math.sqrt(mu * (mu + 1.0))
+
+
+def _truncated_weight(mu: float, u: Array) -> Array:
+    low, high, root = _band(mu)
+    return np.asarray(np.where(u <= low, 1.0, np.where(u < high, root / np.maximum(u, low) - mu, 0.0)))
+
+
+def _truncated_cost(mu: float, u: Array) -> Array:
+    low, high, root = _band(mu)
+    band = 2.0 * root * u - mu * (1.0 + u**2)
+    return np.asarray(0.5 * np.where(u <= low, u**2, np.where(u < high, band, 1.0)))
+
+
+def half_square(u: Array) -> Array:
+    """Cost of least squares."""
+    return np.asarray(0.5 * u**2)
+
+
+def stages_left(mus: Sequence[float]) -> int | None:
+    """Maximum number of stages after stages with these mus; None before two surrogates show the direction."""
+    different = list(dict.fromkeys(mu for mu in mus if mu >= 0.0))
+    if len(different) < 2 or different[-1] == EXACT:
+        return None
+    last = different[-1]
+    factor = LARGEST_MU / last if last > different[0] else last
+    return max(math.ceil(math.log(factor) / math.log(FACTOR)), 1)
+
+
 def plan_of(options: Options) -> Plan | None:
-    """How the loss of the options is approached; None for least squares."""
+    """Stages before the loss of the options; None for least squares."""
     if options.loss == NONE:
         return None
     if options.gnc:
@@ -113,7 +273,7 @@ def plan_of(options: Options) -> Plan | None:
 
 
 class StagedBackend(Backend[S], RobustBackend[S], Protocol[S]):
-    """What the stages need of a backend."""
+    """Backend of the loop with a loss."""
 
 
 def run_stages(
@@ -123,13 +283,24 @@ def run_stages(
     carried: Carried[S],
     max_iterations: int,
     keep: Callable[[Carried[S]], None],
-    measure: Callable[[S], Scale] | None = None,
+    measure: Callable[[S], Scale],
 ) -> tuple[LoopResult[S], Scale]:
-    """Run the stages from the one that ``carried.mu`` names; the last one's convergence is that of the whole.
+    """Run the stages from ``carried.mu`` on.
 
-    ``optimise`` is an optimiser of the loop: from what is carried, at most so many iterations, to this step;
-    ``max_iterations`` bounds the last stage; ``keep`` is called with what is carried from stage to stage; ``measure``
-    gives the scale at a state, None: it is that of the sigmas. Given back: the end, and the scale of the last stage.
+    Parameters
+    ----------
+    optimise : callable
+        Optimiser of the loop: from what is carried, maximum number of iterations, step that ends it.
+    max_iterations : int
+        Of the last stage.
+    keep : callable
+        Receives what is carried from stage to stage.
+    measure : callable
+        Scale of the residuals at a state.
+
+    Returns
+    -------
+    End of the last stage, which decides on convergence, and its scale.
     """
     while True:
         backend.robust, last = plan.robust(carried.mu, carried.scale), carried.mu == EXACT
@@ -137,7 +308,7 @@ def run_stages(
         result = optimise(carried, *limits)
         if last or not math.isfinite(result.error):
             return result, carried.scale
-        scale = carried.scale if measure is None else measure(result.state)
+        scale = measure(result.state)
         settled = all(abs(new / old - 1.0) <= SETTLED for new, old in zip(scale, carried.scale, strict=True))
         mu = plan.following(carried.mu, backend.squares(result.state), settled)
         carried = Carried(

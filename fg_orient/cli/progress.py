@@ -55,8 +55,8 @@ class Silence:
 
 def iterations_left(log: Sequence[IterationRecord]) -> int | None:
     """Iterations to come at the present rate of convergence; None where that cannot be said."""
-    from fg_orient.adjustment.gnc import stages_left
     from fg_orient.adjustment.loop import STEP_TOLERANCE
+    from fg_orient.adjustment.stages import stages_left
 
     mu = log[-1].mu if log else math.nan
     if math.isfinite(mu):

@@ -14,8 +14,7 @@ from factors.cameras.extended_collinearity import NAMES
 from fg_orient.adjustment.linear.system import MAX_UNKNOWNS
 from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.adjustment.loop import OPTIMIZERS, Callback, LoopResult
-from fg_orient.adjustment.network import DenseNetwork, Network, Rows, bordered_inverse, dependent
-from fg_orient.adjustment.network_graph import GraphNetwork
+from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, NetworkRows, bordered_inverse, dependent
 from fg_orient.closerange.bundle_determined import require_determined, require_rays
 from fg_orient.closerange.bundle_network import Built, build
 from fg_orient.closerange.bundle_quality import Quality, quality_of
@@ -332,7 +331,7 @@ def _solved(built: Built, engine: Any, optimizer: str, callback: Callback | None
     return found
 
 
-def _require_independent(network: Network, rows: Rows) -> None:
+def _require_independent(network: Network, rows: NetworkRows) -> None:
     """Refuse a hard constraint that follows from those before it: redundancy and cofactors would count it twice."""
     require_slopes(network, rows)
     label = dependent(network, rows)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.cameras.extended_collinearity import EXTENDED_COLLINEARITY
-from fg_orient.adjustment.network import Rows
+from fg_orient.adjustment.network import NetworkRows
 from fg_orient.closerange.bundle_network import Built
 from fg_orient.closerange.fitting import RANK_LIMIT, UNDETERMINED
 from fg_orient.model.errors import InputError, finding
@@ -53,7 +53,7 @@ def require_rays(built: Built, which: Index, of: Index) -> None:
         raise InputError(*faults)
 
 
-def require_determined(built: Built, rows: Rows) -> None:
+def require_determined(built: Built, rows: NetworkRows) -> None:
     """Refuse unknowns that the rows leave open.
 
     Hard conditions leave a space of motions Z; the singular values of J Z, unknowns in units of the accuracy that
@@ -95,7 +95,7 @@ def _open(built: Built, weak: Array, unit: Array) -> InputError:
                          limit=UNDETERMINED)  # type: ignore[return-value]  # fmt: skip
 
 
-def require_datum(built: Built, rows: Rows, unit: Array) -> None:
+def require_datum(built: Built, rows: NetworkRows, unit: Array) -> None:
     """Refuse a bundle that can be moved as a whole without any observation noticing.
 
     The seven motions are joined by what the figures can do to follow them; with hard conditions as observations of

@@ -14,7 +14,7 @@ from factors.cameras.extended_collinearity import CAMERA, EXTENDED_COLLINEARITY,
 from factors.cameras.frame_camera import rotated
 from factors.conditions.control import CONTROL_POINT
 from factors.conditions.control import POINT as PLACE
-from fg_orient.adjustment.network import Network, Observation, Rows, Variable
+from fg_orient.adjustment.network import Network, NetworkRows, Observation, Variable
 from fg_orient.closerange.constraints import (
     FIGURES,
     OF_PHOTOS,
@@ -104,7 +104,7 @@ class Built:
                 out |= (design != 0.0).any(axis=0)
         return out
 
-    def units(self, rows: Rows) -> Array:
+    def units(self, rows: NetworkRows) -> Array:
         """Accuracy (u,) that one observation of the images gives each unknown; of a figure that of its points."""
         seen = rows.design[: 2 * self.n_images]
         count = np.maximum(np.count_nonzero(seen, axis=0), 1)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.loop import IterationRecord
-from fg_orient.adjustment.network import Rows
+from fg_orient.adjustment.network import NetworkRows
 from fg_orient.closerange.bundle_network import Built
 from fg_orient.sensors.frame import opk_of_rotation
 
@@ -83,7 +83,12 @@ class Quality:
 
 
 def quality_of(
-    built: Built, state: Array, rows: Rows, whole: Array, rotations: list[Array], history: tuple[IterationRecord, ...]
+    built: Built,
+    state: Array,
+    rows: NetworkRows,
+    whole: Array,
+    rotations: list[Array],
+    history: tuple[IterationRecord, ...],
 ) -> Quality:
     """Take a bundle's figures out of its cofactors.
 
@@ -91,7 +96,7 @@ def quality_of(
     ----------
     built : Built
     state : (u,) array
-    rows : Rows
+    rows : NetworkRows
         At the state, with derivatives.
     whole : (u, u) array
         Cofactors of all unknowns.

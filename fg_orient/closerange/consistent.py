@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors._contract import NotFiniteError
-from fg_orient.adjustment.network import DEPENDENT, Network, Observation, Rows, dependent
+from fg_orient.adjustment.network import DEPENDENT, Network, NetworkRows, Observation, dependent
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -63,7 +63,7 @@ def require_consistent(network: Network) -> None:
         raise InputError.of("closerange.dependent", place=label)
 
 
-def require_slopes(network: Network, rows: Rows) -> None:
+def require_slopes(network: Network, rows: NetworkRows) -> None:
     """Refuse a hard condition that is not met and that no small change mends: lines at right angles, to be parallel.
 
     Raises

@@ -21,12 +21,12 @@ from typing import Final
 import numpy as np
 
 from factors._contract import Array, Equation
-from factors.cameras import frame, frame_measured, pushbroom, rfm_equation
+from factors.cameras import frame, frame_measured, pushbroom
 from factors.cameras.pushbroom import RECORD
 from fg_orient.kernels.batch_blocks import any_small_angle
 from fg_orient.kernels.batch_frame import frame_rows, measured_frame_rows
 from fg_orient.kernels.batch_pushbroom import pushbroom_rows, small_angle_rows
-from fg_orient.kernels.batch_rows import Index, rational_rows
+from fg_orient.kernels.batch_rows import Index, rows_of
 
 #: A basis value of the look polynomial has its degree plus this as its number, a curve its own plus that.
 _LOOK: Final = 10
@@ -101,28 +101,22 @@ def _plain_columns(setup: Array) -> Columns:
     )  # fmt: skip
 
 
-#: Rows and columns of the equations that have a batch; a further equation is a row here.
+#: Rows and columns of the equations with a loop of their own; all others take :func:`rows_of`.
 _BATCHES: Final[dict[str, tuple[Callable[..., int], Callable[[Array], Columns]]]] = {
     pushbroom.LOOK_ANGLE_COLLINEARITY.name: (pushbroom_rows, _pushbroom_columns),
-    rfm_equation.RATIONAL_FUNCTION.name: (rational_rows, _plain_columns),
     frame.FRAME_BROWN_IDEAL_TO_MEASURED.name: (frame_rows, _plain_columns),
     frame_measured.FRAME_BROWN_MEASURED_TO_IDEAL.name: (measured_frame_rows, _plain_columns),
 }
 
 
-def has_batch(equation: Equation) -> bool:
-    """Whether the equation can be evaluated in batches."""
-    return equation.name in _BATCHES
-
-
 def batch(equation: Equation, setup: Array, records: Array) -> tuple[Callable[..., int], Columns]:
     """Row kernel (see ``kernels.batch_pushbroom.rows_of_form``) and columns of an equation, for these records."""
-    rows, columns = _batch(equation.name, setup.tobytes(), setup.shape)
+    rows, columns = _batch(equation, setup.tobytes(), setup.shape)
     return (small_angle_rows if rows is pushbroom_rows and any_small_angle(records) else rows), columns
 
 
 @lru_cache(maxsize=256)
-def _batch(name: str, setup: bytes, shape: tuple[int, ...]) -> tuple[Callable[..., int], Columns]:
-    """The images of a block have one setup or a few, and are asked for thousands of times."""
-    rows, columns = _BATCHES[name]
+def _batch(equation: Equation, setup: bytes, shape: tuple[int, ...]) -> tuple[Callable[..., int], Columns]:
+    """Rows and columns, kept: the images of a block have one setup or a few, and ask for it thousands of times."""
+    rows, columns = _BATCHES.get(equation.name) or (rows_of(equation), _plain_columns)
     return rows, columns(np.frombuffer(setup).reshape(shape))

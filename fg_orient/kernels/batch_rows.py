@@ -1,22 +1,30 @@
-"""Rows of the registered equations over arrays, evaluated for components; layout: ``fg_orient.kernels.batch``.
+"""Rows of any registered equation of image points over arrays; layout: ``fg_orient.kernels.batch``.
 
-The scalar functions are those of the equations, so that a residual is the same number in a factor and in a batch.
-Kernels take a range ``[lo, hi)`` and write what belongs to it only: any division among threads gives the
-same bits.
+The loop calls the scalar function of the equation: a residual is the same number in a factor and in a batch. Some
+equations have a faster loop (``fg_orient.kernels.batch``); none is required. Kernels take a range ``[lo, hi)`` and
+write only what belongs to it: any division among threads gives the same bits.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from types import FunctionType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from factors._compile import threaded
-from factors._contract import Array
-from factors.cameras import rfm_equation
+from factors._contract import Array, Equation
 
 Index = npt.NDArray[np.int64]
 Small = np.ndarray[tuple[int], np.dtype[np.int32]]
 Flags = np.ndarray[tuple[int], np.dtype[np.int8]]
+
+#: Functions of the equation that the loops below call: :func:`rows_of` binds them.
+fill: Any = None
+kernel: Any = None
 
 
 @threaded
@@ -53,18 +61,54 @@ def _store(out: Array, a: int, value: Array, d_image: Array, d_ground: Array, wa
                 d_ground[a, r, k] = out[r, 1 + c + k]
 
 
-@threaded
-def rational_rows(
+def _rows(
     lo: int, hi: int, members: Index, records: Array, row: Index, image: Index, point: Index, setup: Array,
     n_basis: int, basis: Array, wide: Array, ground: Array, value: Array, d_image: Array, d_ground: Array, want: bool,
 ) -> int:  # fmt: skip
-    """Rational function of members lo to hi; see :func:`fg_orient.kernels.batch_pushbroom.rows_of_form`."""
+    """Rows of members lo to hi; see :func:`fg_orient.kernels.batch_pushbroom.rows_of_form`."""
     x, out, bad = np.empty(setup.shape[1]), np.empty((2, setup.shape[1] + 4)), -1
     record, place = np.empty((1, records.shape[1])), np.empty(3)
     for m in range(lo, hi):
         a = members[m]
         _fetch(records, row[a], ground, point[a], n_basis, basis, a, wide, image[a], record, place, x)
-        if not rfm_equation.fill(record, np.int64(0), setup, x, place, out, want) and bad < 0:
+        if not fill(record, np.int64(0), setup, x, place, out, want) and bad < 0:
             bad = a
         _store(out, a, value, d_image, d_ground, want)
     return bad
+
+
+def _filled(records: Array, row: int, setup: Array, x: Array, place: Array, out: Array, want: bool) -> bool:
+    """``fill`` of an equation without one; see ``factors._contract.Equation``."""
+    c = len(x)
+    residual, by_image, by_ground = kernel(records[row], setup, x, place, want)
+    fits = len(residual) == 2 and (not want or (by_image.shape == (2, c) and by_ground.shape == (2, 3)))
+    out[:] = np.nan
+    if not fits:
+        return False
+    finite = True
+    for r in range(2):
+        out[r, 0] = residual[r]
+        finite = finite and np.isfinite(residual[r])
+        if want:
+            for k in range(c):
+                out[r, 1 + k] = by_image[r, k]
+                finite = finite and np.isfinite(by_image[r, k])
+            for k in range(3):
+                out[r, 1 + c + k] = by_ground[r, k]
+                finite = finite and np.isfinite(by_ground[r, k])
+    return finite
+
+
+def _bound(loop: Any, equation: Equation, name: str, function: Any) -> Any:
+    """Compile a loop of this module for an equation; leave it in Python if the equation's function is not compiled."""
+    own = FunctionType(loop.__code__, {**loop.__globals__, name: function}, loop.__name__)
+    own.__qualname__ = f"{loop.__name__}_{equation.name}"  # compiled code of each equation has a file of its own
+    return threaded(own) if hasattr(function, "py_func") else own
+
+
+@cache
+def rows_of(equation: Equation) -> Callable[..., int]:
+    """Row kernel of a registered equation with the arguments (image, ground point) and two residuals."""
+    own = equation.fill or _bound(_filled, equation, "kernel", equation.kernel)
+    rows: Callable[..., int] = _bound(_rows, equation, "fill", own)
+    return rows

@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from factors._preparation import preparing_seconds, working_clock
 from fg_orient.adjustment.checkpoint import Checkpoint
-from fg_orient.adjustment.located import LocatedPoints, locate_points
+from fg_orient.adjustment.cofactors import blocks_of_images
 from fg_orient.adjustment.loop import Callback
 from fg_orient.adjustment.memory import require_memory
-from fg_orient.adjustment.point_cofactors import blocks_of_images
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.resection import LocatedPoints, locate_points
 from fg_orient.adjustment.robust import are_information, weighted_problem
 from fg_orient.adjustment.solve import Estimate, require_possible, solve
 from fg_orient.model.block import Block, Coordinates

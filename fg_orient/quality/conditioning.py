@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fg_orient.adjustment.linear.threads import one_blas_thread
-from fg_orient.adjustment.problem import Problem
+from fg_orient.adjustment.problem import Problem, schur_possible
 from fg_orient.adjustment.solve import Estimate
 from fg_orient.model.errors import Finding, finding
 
@@ -26,14 +26,13 @@ def condition(problem: Problem, estimate: Estimate) -> float | None:
     """
     from fg_orient.adjustment.schur import SchurBackend, SchurSystem
     from fg_orient.adjustment.schur_reduced import LapackReduced, Singular
-    from fg_orient.adjustment.schur_structure import reason_against
 
     linear = estimate.linear
     if problem.least_damping > 0.0:
         return None
     if not isinstance(linear, SchurSystem):
         small = len(problem.observations) <= ELIMINATED_AGAIN and estimate.backend in ("graph", "dense")
-        if not small or estimate.weights is not None or reason_against(problem.block, problem.models):
+        if not small or estimate.weights is not None or not schur_possible(problem.block):
             return None
         linear = SchurBackend(problem, threads=1).linearise(estimate.state)
     try:

@@ -2,9 +2,9 @@
 
 Computations that share nothing but the Jacobians: GTSAM Marginals with back-substitution for the
 points (graph backend), the triangular factor of the full Jacobian (dense backend), the inverse of the reduced camera
-system (``fg_orient.adjustment.schur_cofactors``). Unknowns are
+system (``fg_orient.adjustment.cofactors``). Unknowns are
 prior sigmas (images) and metres (points); ``fg_orient.quality.joint`` turns them into physical units.
-Points located after the adjustment: ``fg_orient.adjustment.located``.
+Points located after the adjustment: ``fg_orient.adjustment.resection``.
 """
 
 from __future__ import annotations
@@ -72,16 +72,13 @@ def cofactors_of(problem: Problem, estimate: Estimate) -> Cofactors:
 
     if isinstance(estimate.linear, DenseSystem):
         return DenseCofactors(problem, estimate.linear.design)
+    from fg_orient.adjustment.cofactors import ReducedCofactors, SummedSystem
     from fg_orient.adjustment.schur import SchurSystem
-    from fg_orient.adjustment.schur_cofactors import SchurCofactors
-    from fg_orient.adjustment.schur_summed import SummedCofactors, SummedSystem
 
     if isinstance(estimate.linear, SchurSystem | SummedSystem):
         try:
             with one_blas_thread():
-                if isinstance(estimate.linear, SummedSystem):
-                    return SummedCofactors(problem, estimate.linear)
-                return SchurCofactors(problem, estimate.linear)
+                return ReducedCofactors(problem, estimate.linear)
         except RuntimeError as error:
             raise Indeterminate(str(error)) from error
     try:

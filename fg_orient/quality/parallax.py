@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.located import locate_points
 from fg_orient.adjustment.problem import Problem, State
+from fg_orient.adjustment.resection import locate_points
 
 Array = npt.NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """Cofactors of the residuals, ``Q_vv = I - A N^-1 A^T``, of all observations; their traces are redundancy numbers.
 
 Everything is whitened: residuals are divided by their a priori sigmas, so that without unknowns Q_vv = I. Formed point
-by point from the cofactors of the images (``fg_orient.adjustment.point_cofactors``); where own observations name a
+by point from the cofactors of the images (``fg_orient.adjustment.cofactors``); where own observations name a
 ground point, from joint cofactors. The sum of all redundancy numbers is the redundancy (Baarda 1968).
 """
 
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.cofactors import RayCofactors, blocks_of_images, cofactors_of_rays, inverse_roots
 from fg_orient.adjustment.dense import extra_blocks
-from fg_orient.adjustment.point_cofactors import RayCofactors, blocks_of_images, cofactors_of_rays, inverse_roots
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import image_rows
 from fg_orient.model.block import ExtraObservation

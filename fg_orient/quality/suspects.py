@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.conditions.control import POINT
-from fg_orient.adjustment.point_cofactors import WHOLE_LIMIT
+from fg_orient.adjustment.cofactors import WHOLE_LIMIT
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.rows import Rows, linearised, residuals, side_by_side
 from fg_orient.quality.covariance import Cofactors

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from fg_orient.adjustment.point_cofactors import AUTO_LIMIT, full_statistics
+from fg_orient.adjustment.cofactors import AUTO_LIMIT, full_statistics
 from fg_orient.model.errors import Finding, finding
 from fg_orient.quality.reliability import CHECKABLE, noncentrality
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from factors.cameras import frame, frame_camera
 from factors.cameras.frame_camera import CAMERA
-from fg_orient.kernels.batch import batch, has_batch
+from fg_orient.kernels.batch import batch
 
 
 def camera_of(rng: np.random.Generator, distortion: np.ndarray) -> np.ndarray:
@@ -119,7 +119,6 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
 
 @pytest.mark.consistency
 def test_batch_rows_equal_the_equation_and_do_not_depend_on_the_parts() -> None:
-    assert has_batch(frame.FRAME_BROWN_IDEAL_TO_MEASURED)
     whole, found = rows_of([(0, 30)])
     assert found == [-1]
     parts, found = rows_of([(17, 30), (0, 5), (5, 17)])

@@ -11,11 +11,11 @@ from scipy.stats import chi2
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import Columns, assemble
-from fg_orient.adjustment.gnc import EXACT, PLAIN, SCHEDULES, Graduated, stages_left
 from fg_orient.adjustment.problem import compile_problem
 from fg_orient.adjustment.robust import FLOOR, weighted_problem
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.solve import Estimate, solve
+from fg_orient.adjustment.stages import EXACT, PLAIN, SCHEDULES, Graduated, stages_left
 from fg_orient.model.errors import InputError
 from fg_orient.quality.verdict import DOWN
 from fg_orient.run import run_project

@@ -13,7 +13,6 @@ from scipy.stats import chi
 from factors import losses as registry
 from factors.losses import Loss, losses, register
 from fg_orient.adjustment.dense import DenseBackend, assemble
-from fg_orient.adjustment.gnc import SCHEDULES
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.loop import OPTIMIZERS, SHRINK_REWEIGHTED, LoopResult
 from fg_orient.adjustment.problem import Problem, State, compile_problem
@@ -21,16 +20,18 @@ from fg_orient.adjustment.robust import (
     FLOOR,
     Robust,
     ScaledLoss,
-    robust_of,
+    find_loss,
+    scaled,
     weighted_problem,
     weights_at,
 )
 from fg_orient.adjustment.schur import SchurBackend
+from fg_orient.adjustment.stages import SCHEDULES
 from fg_orient.model.errors import InputError
 from tests.support.full_statistics import after_numpy, step_of_numpy
 from tests.support.states import largest
 
-from .conftest import clean_block, moved_rays, with_options
+from .conftest import clean_block, moved_rays
 
 NAMES = tuple(losses())
 #: 95 % efficiency in one dimension as in the literature (Holland & Welsch 1977; Hampel et al. 1986 for hard rejection).
@@ -113,12 +114,6 @@ def away(problem: Problem) -> State:
     return State(problem.image_matrix(rng.normal(scale=0.3, size=problem.n_image_unknowns)), ground)
 
 
-def of_loss(problem: Problem, name: str) -> Robust:
-    robust = robust_of(with_options(problem.block, loss=name).options)
-    assert robust is not None
-    return robust
-
-
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 def test_backends_step_like_numpy(name: str) -> None:
@@ -127,7 +122,7 @@ def test_backends_step_like_numpy(name: str) -> None:
     Without damping the step is that of numpy's least squares with the weights of the loss.
     """
     problem = spoiled()
-    robust, state = of_loss(problem, name), away(problem)
+    robust, state = scaled(find_loss(name)), away(problem)
     schur, dense, graph = SchurBackend(problem), DenseBackend(problem), GraphBackend(problem, robust)
     schur.robust = dense.robust = robust
     image, ground = largest(
@@ -153,7 +148,7 @@ def test_backends_step_like_numpy(name: str) -> None:
 def test_backends_solve_alike(name: str) -> None:
     """Ten reweighted iterations end within 1e-9 prior sigma and 1e-8 m of each other, converged or not."""
     problem = spoiled()
-    robust = of_loss(problem, name)
+    robust = scaled(find_loss(name))
     schur, graph = SchurBackend(problem), GraphBackend(problem, robust)
     schur.robust = robust
     a = OPTIMIZERS["gauss-newton"](schur, problem.start, 10, None, 0.0, shrink=0.0)
@@ -166,7 +161,7 @@ def test_backends_solve_alike(name: str) -> None:
 
 def at_minimum(problem: Problem, name: str, optimizer: str = "gauss-newton") -> LoopResult[State]:
     backend = SchurBackend(problem)
-    backend.robust = of_loss(problem, name)
+    backend.robust = scaled(find_loss(name))
     end = OPTIMIZERS[optimizer](backend, problem.start, 150, None, 1e-11, shrink=SHRINK_REWEIGHTED)
     assert end.converged, end.reason
     return end
@@ -178,7 +173,7 @@ def test_damped_optimisers_end_where_numpy_has_no_step_left(optimizer: str) -> N
     problem = spoiled()
     found = at_minimum(problem, "huber", optimizer)
     assert found.error == pytest.approx(at_minimum(problem, "huber").error, rel=1e-12)
-    assert step_of_numpy(problem, found.state, of_loss(problem, "huber"))[0] <= 1e-8
+    assert step_of_numpy(problem, found.state, scaled(find_loss("huber")))[0] <= 1e-8
 
 
 def written_out(problem: Problem, name: str, state: State) -> tuple[float, npt.NDArray[np.float64]]:
@@ -218,7 +213,7 @@ def test_minimum_is_that_of_the_cost_written_out(name: str) -> None:
 def test_fixed_weights_are_an_ordinary_problem(name: str) -> None:
     """Least squares with the weights at the solution has its minimum there, and the same normal equations."""
     problem = spoiled()
-    robust, end = of_loss(problem, name), at_minimum(problem, name)
+    robust, end = scaled(find_loss(name)), at_minimum(problem, name)
     weights, excess = weights_at(problem, end.state, robust)
     assert step_of_numpy(weighted_problem(problem, weights), end.state)[0] <= 1e-8
     fixed = DenseBackend(weighted_problem(problem, weights)).linearise(end.state)
@@ -241,7 +236,7 @@ def test_a_point_without_weight_keeps_a_place() -> None:
     tie = next(j for j in np.flatnonzero(rays == 2) if block.points.roles[j].value == "tie")
     problem = compile_problem(moved_rays(block, np.flatnonzero(o.point == tie)[:1], 1, (300.0, 400.0)))
     backend = SchurBackend(problem)
-    backend.robust = of_loss(problem, "tls")
+    backend.robust = scaled(find_loss("tls"))
     end = OPTIMIZERS["gauss-newton"](backend, problem.start, 50, shrink=SHRINK_REWEIGHTED)
     weights, _ = weights_at(problem, end.state, backend.robust)
     assert weights.image[problem.observations.point == tie] == pytest.approx([FLOOR, FLOOR])
@@ -255,8 +250,7 @@ def test_register_and_find(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="'huber' is registered"):
         register(Loss("huber", np.ones_like, np.square, (1.0, 1.0, 1.0), "nobody"))
     own = register(Loss("own", np.ones_like, lambda u: 0.5 * u**2, (1.0, 1.0, 1.0), "nobody"))
-    robust = robust_of(with_options(clean_block(2, 2, 40), loss="own").options)
+    robust = scaled(find_loss("own"))
     assert robust == Robust(ScaledLoss(own.weight, own.cost, 1.0), ScaledLoss(own.weight, own.cost, 1.0))
     with pytest.raises(InputError, match="choose one of none, andrews, cauchy"):
-        robust_of(with_options(clean_block(2, 2, 40), loss="hubre").options)
-    assert robust_of(clean_block(2, 2, 40).options) is None
+        find_loss("hubre")

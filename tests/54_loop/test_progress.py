@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from fg_orient.adjustment.gnc import EXACT, PLAIN
 from fg_orient.adjustment.loop import IterationRecord
+from fg_orient.adjustment.stages import EXACT, PLAIN
 from fg_orient.cli.log import opened
 from fg_orient.cli.progress import Silence, describe, iterations_left, progress
 

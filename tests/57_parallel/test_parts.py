@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
-from fg_orient.adjustment.gnc import EXACT, PLAIN, Graduated
 from fg_orient.adjustment.loop import OPTIMIZERS
 from fg_orient.adjustment.parts import parts as parts_module
 from fg_orient.adjustment.parts.backend import PartedBackend
@@ -22,9 +21,10 @@ from fg_orient.adjustment.parts.parts import default_parts, divide, part_file, r
 from fg_orient.adjustment.parts.pool import Execution, InProcess
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, compile_problem
-from fg_orient.adjustment.robust import robust_of, weighted_problem
+from fg_orient.adjustment.robust import find_loss, scaled, weighted_problem
 from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.adjustment.solve import solve
+from fg_orient.adjustment.stages import EXACT, PLAIN, Graduated
 from fg_orient.model.block import Block, ExtraObservation
 from fg_orient.quality.covariance import cofactors_of
 from tests.support.full_statistics import after_numpy, step_of_numpy
@@ -110,7 +110,8 @@ def test_solution_and_cofactors_in_parts(problem: Problem, optimizer: str, loss:
     image, ground = largest(chosen, whole.state, parted.state)
     assert image <= SIGMAS and ground <= METRES
     assert parted.chi2 == pytest.approx(whole.chi2, rel=1e-12)
-    image, ground = step_of_numpy(chosen, parted.state, robust_of(chosen.block.options))
+    weighting = None if loss == "none" else scaled(find_loss(loss))
+    image, ground = step_of_numpy(chosen, parted.state, weighting)
     assert image <= 1e-6 and ground <= 1e-4  # reweighted steps shrink by a tenth each
     theirs, ours = (
         cofactors_of(chosen if e.weights is None else weighted_problem(chosen, e.weights), e) for e in (whole, parted)

@@ -180,8 +180,8 @@ def test_cofactors_of_all_points_are_those_of_the_full_matrix(
     scale = np.sqrt(np.einsum("nii->ni", each)) + fixed[:, None]
     order = np.random.default_rng(0).permutation(60)
     for chunk, limit in ((50_000, 6000), (11, 6000), (50_000, 0)):
-        monkeypatch.setattr("fg_orient.adjustment.point_cofactors.CHUNK", chunk)
-        monkeypatch.setattr("fg_orient.adjustment.point_cofactors.WHOLE_LIMIT", limit)
+        monkeypatch.setattr("fg_orient.adjustment.cofactors.CHUNK", chunk)
+        monkeypatch.setattr("fg_orient.adjustment.cofactors.WHOLE_LIMIT", limit)
         error = (found.points(order) - each[order]) / (scale[order, :, None] * scale[order, None, :])
         assert np.abs(error).max() < 1e-8
     assert found.points(np.zeros(0, np.intp)).shape == (0, 3, 3)

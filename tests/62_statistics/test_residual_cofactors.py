@@ -122,8 +122,8 @@ def test_shared_priors_and_their_variance_component(twin: Block) -> None:
 def test_any_division_gives_the_full_matrix(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     solution = fg.adjust(grid, backend="schur")
     for chunk, limit in ((7, 6000), (1000, 1)):
-        monkeypatch.setattr("fg_orient.adjustment.point_cofactors.CHUNK", chunk)
-        monkeypatch.setattr("fg_orient.adjustment.point_cofactors.WHOLE_LIMIT", limit)
+        monkeypatch.setattr("fg_orient.adjustment.cofactors.CHUNK", chunk)
+        monkeypatch.setattr("fg_orient.adjustment.cofactors.WHOLE_LIMIT", limit)
         assert_equal_to_full_matrix(solution)
 
 

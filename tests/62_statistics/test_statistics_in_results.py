@@ -14,7 +14,7 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment import memory
-from fg_orient.adjustment.point_cofactors import AUTO_LIMIT, full_statistics
+from fg_orient.adjustment.cofactors import AUTO_LIMIT, full_statistics
 from fg_orient.formats.project import read_project
 from fg_orient.model.block import Block, Options
 from fg_orient.model.names import Role
@@ -132,7 +132,7 @@ def test_large_blocks_are_asked_for() -> None:
 
 @pytest.mark.behaviour
 def test_limit_is_said(grid: Block, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fg_orient.adjustment.point_cofactors.AUTO_LIMIT", 10)
+    monkeypatch.setattr("fg_orient.adjustment.cofactors.AUTO_LIMIT", 10)
     solution = fg.adjust(grid)
     assert statistics.image_columns(solution) == {}
     assert 'ask with option statistics "full"' in str(statistics.missing(solution)[0])

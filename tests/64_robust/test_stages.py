@@ -10,11 +10,10 @@ import pytest
 import fg_orient as fg
 from factors.losses import losses
 from fg_orient.adjustment.checkpoint import Checkpoint
-from fg_orient.adjustment.gnc import EXACT, PLAIN
 from fg_orient.adjustment.loop import IterationRecord
 from fg_orient.adjustment.robust import scaled
 from fg_orient.adjustment.solve import solve
-from fg_orient.adjustment.stages import FROM_RESECTIONS, START, START_STAGES, WIDE, Direct, plan_of
+from fg_orient.adjustment.stages import EXACT, FROM_RESECTIONS, PLAIN, START, START_STAGES, WIDE, Direct, plan_of
 from fg_orient.result.summary import summary
 from tests.support.full_statistics import step_of_numpy
 

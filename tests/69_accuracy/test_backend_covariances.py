@@ -15,13 +15,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fg_orient.adjustment.cofactors import ReducedCofactors
 from fg_orient.adjustment.dense import assemble
 from fg_orient.adjustment.graph import GraphBackend
 from fg_orient.adjustment.parts.pool import Execution
 from fg_orient.adjustment.parts.solve import solve_in_parts
 from fg_orient.adjustment.problem import Problem, State, compile_problem
 from fg_orient.adjustment.schur import SchurBackend
-from fg_orient.adjustment.schur_cofactors import SchurCofactors
 from fg_orient.quality.covariance import Cofactors, DenseCofactors, GraphCofactors, cofactors_of
 from fg_orient.simulate.block import BlockOptions, grid_block
 from tests.support.full_statistics import Full
@@ -59,7 +59,7 @@ def all_cofactors(problem: Problem, state: State) -> dict[str, Cofactors | Inver
     return {
         "dense": DenseCofactors(problem, assemble(problem, state)[1]),
         "graph": GraphCofactors(problem, state, linear, graph.zero),
-        "schur": SchurCofactors(problem, SchurBackend(problem).linearise(state)),
+        "schur": ReducedCofactors(problem, SchurBackend(problem).linearise(state)),
         "numpy": Inverse(problem, state),
     }
 

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from factors.cameras.extended_collinearity import NAMES
 from factors.cameras.image_corrections import ideal_points
 from fg_orient.adjustment.loop import LoopResult
-from fg_orient.adjustment.network import DenseNetwork, Network, Observation, Variable, bordered_inverse
-from fg_orient.adjustment.network_graph import GraphNetwork
+from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, Observation, Variable, bordered_inverse
 from fg_orient.closerange import bundle
 from fg_orient.closerange.bundle import Bundle, BundlePhoto, adjust_bundle
 from fg_orient.closerange.bundle_determined import motions

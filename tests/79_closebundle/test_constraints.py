@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from fg_orient.adjustment.loop import OPTIMIZERS, levenberg_marquardt
-from fg_orient.adjustment.network import DenseNetwork, Network, Variable, bordered_inverse
-from fg_orient.adjustment.network_graph import GraphNetwork
+from fg_orient.adjustment.network import DenseNetwork, GraphNetwork, Network, Variable, bordered_inverse
 from fg_orient.closerange import bundle, surface_fit
 from fg_orient.closerange.bundle_network import observed_place
 from fg_orient.closerange.constraints import (

@@ -7,8 +7,7 @@ import pytest
 
 from factors._contract import NotFiniteError
 from factors.conditions.constraints import DISTANCE
-from fg_orient.adjustment.network import Network, Observation, Variable
-from fg_orient.adjustment.network_graph import GraphNetwork
+from fg_orient.adjustment.network import GraphNetwork, Network, Observation, Variable
 from fg_orient.closerange.bundle import Bundle, adjust_bundle
 from fg_orient.closerange.constraints import Constraint
 from fg_orient.model.errors import InputError

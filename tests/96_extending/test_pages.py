@@ -18,11 +18,14 @@ import pytest
 
 import fg_orient as fg
 from factors import _contract, losses
+from fg_orient.adjustment.dense import DenseBackend
 from fg_orient.adjustment.linear import kappa, registry
 from fg_orient.adjustment.linear.kappa import Given, choose_kappa
 from fg_orient.adjustment.linear.registry import solve
 from fg_orient.adjustment.linear.system import LinearSystem
 from fg_orient.adjustment.models import contract
+from fg_orient.adjustment.problem import compile_problem
+from fg_orient.adjustment.schur import SchurBackend
 from fg_orient.formats import registry as format_registry
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block
@@ -196,7 +199,7 @@ def test_sensor_in_a_project_file(parallel: tuple[Path, dict[str, Any]], files: 
     own = ("--plugin", files["sensor"])
     ended = in_process(*own, "adjust", folder / "project.toml", "--out", folder / "result", "--json")
     assert ended.code == 0, ended.stderr
-    assert ended.json["backend"] == "graph"
+    assert ended.json["backend"] == "schur"
     assert ended.json["sigma0_interval_99_9"][0] < ended.json["sigma0"] < ended.json["sigma0_interval_99_9"][1]
     solution = fg.adjust(fg.read_project(folder / "project.toml"), backend="dense")
     for name, shift in true["SHIFTS"].items():
@@ -211,6 +214,41 @@ def test_sensor_in_a_project_file(parallel: tuple[Path, dict[str, Any]], files: 
     outside = in_process(*own, "project", folder / "left.parallel", "--lon", lon, "--lat", lat, "--height", height)
     assert "999.500" in outside.stdout
     check_jacobians(_contract.registered()["docs_parallel"])
+
+
+@pytest.mark.consistency
+def test_a_new_equation_of_image_points_runs_on_all_backends(
+    parallel: tuple[Path, dict[str, Any]], files: dict[str, Path]
+) -> None:
+    """The page's kernel, registered and nothing else: the Schur backend compiles its own loop over it."""
+    load_plugin(files["sensor"])
+    block = fg.read_project(parallel[0] / "project.toml")
+    schur, *others = (fg.adjust(block, backend=backend) for backend in ("schur", "graph", "dense"))
+    assert schur.backend == "schur" and schur.redundancy == 38
+    for other in others:
+        assert np.abs(schur.state.image - other.state.image).max() <= 1e-10
+        assert np.nanmax(np.abs(schur.ground_m - other.ground_m)) <= 1e-6
+        assert schur.chi2 == pytest.approx(other.chi2, rel=1e-10)
+
+
+@pytest.mark.behaviour
+def test_a_wrong_kernel_of_a_new_equation_is_named(
+    parallel: tuple[Path, dict[str, Any]], files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One column too few, found by the Schur backend as by the others."""
+    monkeypatch.setattr(contract, "_OWN", {})
+    text = files["sensor"].read_text().replace("docs_parallel", "docs_narrow").replace('"parallel"', '"narrow"')
+    own = tmp_path / "docs_narrow.py"
+    own.write_text(text.replace("-np.diag(record[RECORD.weight] * setup[1])", "np.zeros((2, 1))"))
+    others = {name: known for name, known in format_registry._REGISTRY.items() if name != "parallel"}
+    monkeypatch.setattr(format_registry, "_REGISTRY", others)
+    load_plugin(own)
+    block = fg.read_project(parallel[0] / "project.toml")
+    problem = compile_problem(block)
+    for backend in (SchurBackend(problem), DenseBackend(problem)):
+        with pytest.raises(ValueError, match=r"'docs_narrow', image left, point P\d+: Jacobian 1 has shape \(2, 1\)"):
+            backend.linearise(problem.start)
+    sys.modules.pop("docs_narrow", None)
 
 
 def place_of(middle: tuple[float, float, float], matrix: np.ndarray, pixel: np.ndarray, height_m: float) -> np.ndarray:
@@ -242,7 +280,7 @@ def test_equation_in_a_block(files: dict[str, Path], block: Block) -> None:
     after = fg.adjust(replace(block, extra=(tape,)), backend="dense")
     assert after.redundancy == before.redundancy + 1
     assert np.linalg.norm(after.ground_m[j] - station) == pytest.approx(2005.0, abs=0.05)
-    with pytest.raises(fg.InputError, match="own observations"):
+    with pytest.raises(fg.InputError, match="extra observations"):
         fg.adjust(replace(block, extra=(tape,)), backend="schur")
 
 

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.adjustment.cofactors import SummedSystem
 from fg_orient.adjustment.loop import share_at_radius
 from fg_orient.adjustment.parts import tasks
 from fg_orient.adjustment.parts.parts import divide, rows_of, write_part
@@ -25,7 +26,6 @@ from fg_orient.adjustment.parts.tasks import START, At, Moved, Partial, Squares
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
 from fg_orient.adjustment.schur_reduced import Reduced, ReducedSystems
-from fg_orient.adjustment.schur_summed import SummedSystem
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -177,10 +177,10 @@ class PartedSystem:
             found = self._eliminated(0.0)
         except RuntimeError as error:
             return SummedSystem(state, functools.partial(_raise, error))
-        return SummedSystem(state, lambda: self._backend.reduced(found, 0.0))
+        return SummedSystem(state, lambda damping: self._backend.reduced(found, damping))
 
 
-def _raise(error: Exception) -> Reduced:
+def _raise(error: Exception, damping: float) -> Reduced:
     """Give no system, but the reason."""
     raise error
 

@@ -21,7 +21,6 @@ from factors._contract import Equation, registered
 from fg_orient import __version__
 from fg_orient.adjustment.models.contract import ImageModel
 from fg_orient.adjustment.problem import Problem, State
-from fg_orient.adjustment.schur_structure import reason_against
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.block import (
     Block,
@@ -61,14 +60,12 @@ def divide(problem: Problem, parts: int) -> list[Index]:
     InputError
         More parts than ground points, or less than one; a block that the Schur backend cannot take.
     """
-    reason = reason_against(problem.block, problem.models)
-    reason = "the block has own observations" if problem.block.extra else reason
-    if reason:
-        raise InputError.of("adjust.schur", option="parts", value=reason)
+    if problem.block.extra:
+        raise InputError.of("adjust.schur", option="parts", value="the block has extra observations")
     o = problem.observations
     seen, rays = np.unique(o.point, return_counts=True)
     if not 1 <= parts <= len(seen):
-        raise InputError.of("parallel.parts", option="parts", value=parts, points=len(seen))
+        raise InputError.of("parallel.parts", place="parts", value=parts, points=len(seen))
     order = np.lexsort((o.image, o.point))
     ends = np.cumsum(rays)
     image = o.image[order]

@@ -22,8 +22,7 @@ import numpy.typing as npt
 from fg_orient.adjustment.parts.parts import read_part, write_whole
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.adjustment.robust import Robust
-from fg_orient.adjustment.schur import SchurBackend, SchurSystem
-from fg_orient.adjustment.schur_own import SchurStep
+from fg_orient.adjustment.schur import SchurBackend, SchurStep, SchurSystem
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]

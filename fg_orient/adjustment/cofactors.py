@@ -1,10 +1,14 @@
-"""Cofactors of many ground points at once; one point with its images: ``fg_orient.adjustment.schur_cofactors``."""
+"""Cofactors of images and ground points from the reduced camera system.
+
+The inverse of the reduced system holds the cofactors Q of the images. A point follows from the images that see it: with
+``K = H^-1 sum G^T J`` its cofactors are ``H^-1 + K Q K^T``, and ``-K Q`` jointly with the images.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,23 +18,28 @@ from fg_orient.adjustment.rows import linearised
 from fg_orient.kernels import batch_cofactors, batch_effects
 from fg_orient.model.options import Options
 
+if TYPE_CHECKING:
+    from fg_orient.adjustment.schur import SchurSystem
+    from fg_orient.adjustment.schur_reduced import Reduced
+
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Image points whose Jacobians are held at once.
+#: Image points whose Jacobians are in memory at once.
 CHUNK: Final = 50_000
 #: Image unknowns up to which all their cofactors are formed to give those of all points: 0.3 GB.
 WHOLE_LIMIT: Final = 6000
-#: Image points up to which a run gives statistics of every observation unless told otherwise: 3 s, 13 us each.
+#: Image points up to which "auto" gives statistics of every observation: 3 s, 13 us each.
 AUTO_LIMIT: Final = 200_000
+#: Joint blocks of images that are kept.
+KNOWN: Final = 1000
+
+# images that see an unknown point, in ascending order, its H^-1 (3, 3) and K (3, u)
+Gain = tuple[tuple[int, ...], Array, Array]
 
 
 def full_statistics(options: Options, n_image_points: int, n_image_unknowns: int) -> bool:
-    """Whether a run gives statistics of every observation.
-
-    "auto" leaves them out where they would cost more than the adjustment: beyond :data:`AUTO_LIMIT` and
-    :data:`WHOLE_LIMIT`.
-    """
+    """Whether a run gives statistics of every observation; "auto" omits them where they would cost most of the time."""
     if options.statistics != "auto":
         return options.statistics == "full"
     return n_image_points <= AUTO_LIMIT and n_image_unknowns <= WHOLE_LIMIT
@@ -67,7 +76,7 @@ def cofactors_of_points(problem: Problem, state: State, index: Index, blocks: Ca
 
 @dataclass(frozen=True)
 class RayCofactors:
-    """What the rays of all points say; prior scale, whitened rows.
+    """Cofactors of all image points and their ground points; prior scale, whitened rows.
 
     Parameters
     ----------
@@ -94,7 +103,7 @@ class RayCofactors:
 def cofactors_of_rays(problem: Problem, state: State, blocks: Callable[[Index], Array]) -> RayCofactors:
     """Cofactors of all adjusted image points, with those of points and images; see :func:`cofactors_of_points`.
 
-    Ground points that own observations name are not right here: they depend on more than their rays.
+    Not valid for ground points with extra observations: they depend on more than their image points.
     """
     n, order = len(problem.observations), _order(problem)
     pairs, block = _pairs(problem, order)
@@ -132,7 +141,7 @@ def inverse_roots(q: Array, size: Index) -> Array:
 
 @dataclass(frozen=True)
 class _Part:
-    """Some ground points with all their rays, ``CHUNK`` or a few more.
+    """Some ground points with all their rays, about :data:`CHUNK` rays.
 
     Parameters
     ----------
@@ -190,7 +199,7 @@ def _part(problem: Problem, state: State, places: slice, points: Index, first: I
 
 
 def blocks_of_images(problem: Problem, joint: Callable[[tuple[int, ...]], Array], pairs: Index) -> Array:
-    """Joint blocks (B, k, k) of pairs of images, from all cofactors of the images if these are few.
+    """Joint blocks (B, k, k) of pairs of images; of up to WHOLE_LIMIT unknowns from one joint matrix of all images.
 
     Parameters
     ----------
@@ -228,3 +237,110 @@ def _pairs(problem: Problem, order: Index) -> tuple[Index, Index]:
     block = np.full(together.shape, -1, np.int64)
     block[together] = np.arange(together.sum())
     return np.argwhere(together), block
+
+
+@dataclass(frozen=True)
+class SummedSystem:
+    """Reduced system at the solution of an adjustment in parts, priors included.
+
+    ``reduced(damping)`` factorises it and raises ``Singular`` if it is not positive definite.
+    """
+
+    state: State
+    reduced: Callable[[float], Reduced]
+
+
+class ReducedCofactors:
+    """Joint cofactors from a reduced system; see ``fg_orient.quality.covariance.Cofactors``.
+
+    Parameters
+    ----------
+    problem : Problem
+    system : SchurSystem or SummedSystem
+        The linearisation at the solution.
+
+    Raises
+    ------
+    RuntimeError
+        The normal equations are too close to singular.
+    """
+
+    def __init__(self, problem: Problem, system: SchurSystem | SummedSystem) -> None:
+        self._problem, self._state, self._reduced = problem, system.state, system.reduced(0.0)
+        self._known: dict[tuple[int, ...], Array] = {}
+        self._whole: Array | None = None
+        self._order = _order(problem)
+        self._first = np.searchsorted(problem.observations.point[self._order], np.arange(len(problem.active) + 1))
+        self._of((0,))  # an ill-conditioned system raises its error here
+
+    def _of(self, images: tuple[int, ...]) -> Array:
+        """Joint cofactors of images in ascending order, kept for the next call."""
+        if self._whole is not None:
+            index = np.concatenate([np.arange(self._problem.first[k], self._problem.first[k + 1]) for k in images])
+            return np.asarray(self._whole[np.ix_(index, index)])
+        if len(images) == self._problem.n_images:
+            self._whole = self._reduced.covariance(images)
+            return self._whole
+        if images not in self._known:
+            if len(self._known) > KNOWN:
+                self._known.clear()
+            self._known[images] = self._reduced.covariance(images)
+        return self._known[images]
+
+    def image(self, k: int) -> Array:
+        """See ``Cofactors``."""
+        return self._of((k,))
+
+    def point(self, j: int) -> Array:
+        """See ``Cofactors``."""
+        if not self._problem.active[j]:
+            return np.zeros((3, 3))
+        images, inverse, gain = self._gain(j)
+        found = inverse + gain @ self._of(images) @ gain.T
+        return np.asarray(0.5 * (found + found.T))
+
+    def points(self, index: npt.NDArray[np.intp]) -> Array:
+        """See ``Cofactors``."""
+        return cofactors_of_points(self._problem, self._state, index, self._blocks)
+
+    def _blocks(self, pairs: npt.NDArray[np.intp]) -> Array:
+        """Joint blocks (B, k, k) of pairs of images."""
+        return blocks_of_images(self._problem, self._of, pairs)
+
+    def joint(self, images: tuple[int, ...], points: tuple[int, ...]) -> Array:
+        """See ``Cofactors``."""
+        unknown = [j for j in points if self._problem.active[j]]
+        gains = [self._gain(j) for j in unknown]
+        needed = tuple(sorted({*images}.union(*(seen for seen, _, _ in gains))))
+        columns, q = self._columns(needed), self._of(needed)
+        at = np.concatenate([np.zeros(0, np.intp), *(columns[k] for k in images)])
+        seen = [np.concatenate([columns[k] for k in who]) for who, _, _ in gains]
+        n = len(at)
+        found = np.empty((n + 3 * len(gains), n + 3 * len(gains)))
+        found[:n, :n] = q[np.ix_(at, at)]
+        for a, (_, inverse, gain) in enumerate(gains):
+            rows, effect = slice(n + 3 * a, n + 3 * a + 3), -gain @ q[seen[a]]
+            found[rows, :n], found[:n, rows] = effect[:, at], effect[:, at].T
+            for b in range(len(gains)):
+                same = inverse if unknown[a] == unknown[b] else 0.0
+                found[rows, n + 3 * b : n + 3 * b + 3] = same - effect[:, seen[b]] @ gains[b][2].T
+        return np.asarray(0.5 * (found + found.T))
+
+    def _columns(self, images: tuple[int, ...]) -> dict[int, npt.NDArray[np.intp]]:
+        """Columns of images among the unknowns of these images."""
+        first = np.concatenate([[0], np.cumsum([len(self._problem.parameters[k]) for k in images])])
+        return {k: np.arange(first[n], first[n + 1]) for n, k in enumerate(images)}
+
+    def _gain(self, j: int) -> Gain:
+        """See :data:`Gain`."""
+        problem, rows = self._problem, self._order[self._first[j] : self._first[j + 1]]
+        normal, sums = np.zeros((3, 3)), dict[int, Array]()
+        if problem.observed[j]:
+            w = problem.control_weights(j)
+            normal += w.T @ w
+        _, d_image, d_ground = linearised(problem, self._state, rows)
+        for k, by_image, by_point in zip(problem.observations.image[rows].tolist(), d_image, d_ground, strict=True):
+            normal += by_point.T @ by_point
+            sums[k] = sums.get(k, 0.0) + by_point.T @ by_image[:, : len(problem.parameters[k])]
+        inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        return tuple(sums), inverse, inverse @ np.hstack(list(sums.values()))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import os
+import sys
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -99,3 +104,43 @@ def _work(inbox: SimpleQueue[Any], outbox: SimpleQueue[Any]) -> None:
         except BaseException as error:
             outbox.put((None, error))
         del task, kernel, arguments
+
+
+#: Parameters of glibc's ``mallopt`` (malloc.h).
+M_TRIM_THRESHOLD: Final = -1
+M_MMAP_THRESHOLD: Final = -3
+#: Free bytes at the top of the heap that are kept. glibc's own rule ends at 64 MiB for a process with large arrays.
+KEPT_BYTES: Final = 256 << 20
+#: Blocks from this size on come from the system itself: the end of glibc's own rule, which a fixed value switches off.
+OWN_MAPPING_BYTES: Final = 32 << 20
+
+
+@cache
+def keep_freed_memory() -> bool:
+    """Let glibc keep up to `KEPT_BYTES` of freed memory for the next iteration, for the rest of the process.
+
+    Returns
+    -------
+    bool
+        Whether the allocator took it; False where the C library is another one (musl, macOS, Windows).
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    library = ctypes.CDLL(None)
+    if not (hasattr(library, "gnu_get_libc_version") and hasattr(library, "mallopt")):
+        return False
+    kept = library.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+    return bool(kept and library.mallopt(M_MMAP_THRESHOLD, OWN_MAPPING_BYTES))
+
+
+@contextmanager
+def calm_memory() -> Iterator[None]:
+    """No garbage collection inside, and freed memory is kept for the next iteration."""
+    keep_freed_memory()
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
