@@ -13,16 +13,8 @@ from factors.geometry import splines
 from factors.geometry.polynomials import per_line_from_tau
 from factors.geometry.rotations import orbital_frames
 from fg_orient.model.block import ImagePoints, Options
-from fg_orient.model.parameters import (
-    COMPONENTS,
-    CURVE,
-    CURVES,
-    DEGREES,
-    N_EOP,
-    UNITS,
-    VELOCITY,
-    orientation_parameters,
-)
+from fg_orient.model.names import COMPONENTS, VELOCITY
+from fg_orient.model.parameters import CURVE, CURVES, DEGREES, N_EOP, UNITS, orientation_parameters
 from fg_orient.sensors.correction import Correction
 from fg_orient.sensors.eop import fit_eop
 from fg_orient.sensors.projection import pixel_derivative
