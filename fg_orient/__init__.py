@@ -41,7 +41,7 @@ def _require_own_factors() -> None:
     spec = find_spec("factors")
     found = None if spec is None else spec.origin
     if found is None or dirname(found) != join(dirname(dirname(__file__)), "factors"):
-        from fg_orient.model.clash import clash, is_ours
+        from fg_orient.model.installation import clash, is_ours
 
         if found is None or not is_ours(found):
             raise clash(found, __version__)
@@ -52,7 +52,7 @@ def _require_own_factors() -> None:
     except (Exception, SystemExit):  # ours imports nothing, so that another one lies here
         other = None
     if other != __version__:
-        from fg_orient.model.clash import clash
+        from fg_orient.model.installation import clash
 
         raise clash(found, __version__, other)
 

@@ -12,7 +12,7 @@ from fg_orient.cli.command import command
 from fg_orient.cli.common import Overwrite, command_line
 from fg_orient.cli.output import answer, number, say, table, tell, tell_findings
 from fg_orient.cli.progress import progress
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import InputError, finding
 
 app = typer.Typer(help="Close range: DLT, resection, intersection, bundle, surfaces of the second degree.")
 
@@ -276,7 +276,8 @@ def _show(record: dict[str, Any], show: Callable[[dict[str, Any]], None]) -> Non
     for text in record["doubts"]:
         tell("warning", text)
     if record["weights"] == "relative":
-        tell("note", "no standard deviations were given: weights are relative, and m0 is the sigma of an observation")
+        tell("note", finding("closerange.relative_weights (note): no standard deviations were given: weights are "
+                             "relative, and m0 is the sigma of an observation"))  # fmt: skip
     if record["out"]:
         say(f"written: {record['out']}")
     page = record["page"] or (record["out"] and str(Path(record["out"]) / "report.html"))

@@ -13,9 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fg_orient.model.clash import shared_file
 from fg_orient.model.errors import Finding, as_record, finding
-from fg_orient.model.versions import OPTIONAL, REQUIRED, versions
+from fg_orient.model.installation import OPTIONAL, REQUIRED, shared_file, versions
 
 
 def examine() -> dict[str, Any]:
@@ -54,12 +53,13 @@ def examine() -> dict[str, Any]:
 
 
 def _proj_findings() -> list[Finding]:
-    """Traps that stop nothing by themselves."""
-    return [
-        finding("installation.proj_variable", place=name, folder=os.environ[name])
-        for name in ("PROJ_LIB", "PROJ_DATA")
-        if os.environ.get(name)
-    ]
+    """Warnings of variables that redirect PROJ."""
+    text = (
+        "installation.proj_variable (warning): is set to {folder}: PROJ may read the data of another installation "
+        "-> unset it"
+    )
+    names = filter(os.environ.get, ("PROJ_LIB", "PROJ_DATA"))
+    return [finding(text, place=name, folder=os.environ[name]) for name in names]
 
 
 def _proj() -> tuple[bool, str]:
@@ -130,13 +130,20 @@ def cache_findings(*folders: Path) -> list[Finding]:
     Root, and the owner of the program, can change the program itself and are no reason to warn.
     """
     if not folders:
-        return [finding("installation.no_cache")]
+        return [finding(
+            "installation.no_cache (warning): there is no place to keep compiled kernels, so that every start compiles "
+            "them again -> set NUMBA_CACHE_DIR to a folder of yours that can be written to"
+        )]  # fmt: skip
     places = list(dict(place for folder in folders for place in _open_places(folder)).items())
     if not places:
         return []
     path, why = places[0]
     more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-    return [finding("installation.cache_open", file=f"{path}{more}", folder=folders[0], why=why)]
+    return [finding(
+        "installation.cache_open (warning): others can change the compiled kernels in {folder} ({why}); its files hold "
+        "pickled code, which is run -> remove what lies there and take the right to write from others (chmod -R go-w), "
+        "or set NUMBA_CACHE_DIR to a folder of yours", file=f"{path}{more}", folder=folders[0], why=why,
+    )]  # fmt: skip
 
 
 def _open_places(folder: Path) -> Iterator[tuple[Path, str]]:

@@ -21,14 +21,13 @@ from fg_orient.cli.common import (
     read_image,
 )
 from fg_orient.cli.output import answer, number, say, table, tell, write_records
-from fg_orient.model.errors import InputError
+from fg_orient.model.errors import Finding, InputError, finding
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
     from fg_orient.model.block import Image, ImagePoints
-    from fg_orient.model.errors import Finding
     from fg_orient.sensors.surface import RasterDem
 
     Array = npt.NDArray[np.float64]
@@ -192,24 +191,27 @@ def intersect(
         images, observations = _pixels_of(sources, pixel or [], model, extrapolate_attitude, result)
         ids = ("1",)
     records = intersection_records(images, observations, ids)
-    notes = [text for record in records if (text := _doubt(record))]
-    for text in notes:
-        tell("warning", text)
+    doubts = [_rays_miss(record) for record in records if not _plausible(record)]
+    for doubt in doubts:
+        tell("warning", doubt)
     if out is not None:
         write_records(out, (*GROUND, "miss_m", *SIGMAS), records, overwrite)
-    record = {"points": records, "images": [image.id for image in images], "notes": notes,
+    record = {"points": records, "images": [image.id for image in images], "notes": list(map(str, doubts)),
               "out": None if out is None else str(out)}  # fmt: skip
     answer(record, _show_points, records, ("id", "lon_deg", "lat_deg", "height_m", "miss_m", "sigma_up_m"), (), out)
 
 
-def _doubt(record: dict[str, Any]) -> str | None:
-    """Say why an intersection is hardly the same point in every image."""
-    if record["miss_m"] <= MAX_MISS_M and -1e3 <= record["height_m"] <= 10e3:
-        return None
-    return (
-        f"point {record['id']}: the rays miss each other by {record['miss_m']:.0f} m at a height of "
-        f"{record['height_m']:.0f} m: probably not the same point in every image"
-    )
+def _plausible(record: dict[str, Any]) -> bool:
+    """Whether an intersection can be the same point in every image."""
+    return bool(record["miss_m"] <= MAX_MISS_M and -1e3 <= record["height_m"] <= 10e3)
+
+
+def _rays_miss(record: dict[str, Any]) -> Finding:
+    return finding(
+        "cli.rays_miss (warning): point {id}: the rays miss each other by {miss_m:.0f} m at a height of {height_m:.0f} "
+        "m: probably not the same point in every image",
+        id=record["id"], miss_m=record["miss_m"], height_m=record["height_m"],
+    )  # fmt: skip
 
 
 def _pixels_of(

@@ -138,7 +138,7 @@ def opened(path: Path | None, *, as_json: bool, quiet: bool, flags: Mapping[str,
     code: object = 0
     try:
         if current.log is not None:
-            from fg_orient.model.versions import versions
+            from fg_orient.model.installation import versions
 
             current.tell("start", command=["fg-orient", *sys.argv[1:]], folder=str(Path.cwd()), process=os.getpid(),
                          versions=versions())  # fmt: skip

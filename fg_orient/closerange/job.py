@@ -37,7 +37,7 @@ from fg_orient.closerange.surface_fit import Method, Priors, fit_surface
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, write_text, writing
 from fg_orient.formats.closerange import read_photos
 from fg_orient.model.errors import Finding, InputError, as_record, finding
-from fg_orient.model.versions import versions
+from fg_orient.model.installation import versions
 from fg_orient.result.plain import dumps
 from fg_orient.result.provenance import sha256_of
 

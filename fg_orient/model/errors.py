@@ -1,9 +1,9 @@
 """Findings, and exceptions that carry them.
 
-A :class:`Finding` is the record of a failure, doubt, warning or note: a code with data. The catalogue
-(``fg_orient.model.messages``) has its words, which are made when it is shown. An option is named there as ``<out>``:
-"option out" for callers of the library, a flag on the command line. Exceptions hold one or several findings and the
-exit code of the command line: 2 bad input, 3 no solution.
+A :class:`Finding` is the record of a failure, doubt, warning or note: a code with data. Its words come from the entry
+of the code (``fg_orient.model.messages``) when it is shown. ``<out>`` names an option there: "option out" for callers
+of the library, a flag on the command line. Exceptions hold findings and the exit code of the command line: 2 bad input,
+3 no solution.
 """
 
 from __future__ import annotations
@@ -12,17 +12,18 @@ import re
 import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from typing import Any, Final
 
 from fg_orient.model.messages import CATALOGUE
-from fg_orient.model.messages.entry import Severity
-from fg_orient.model.messages.solution import figures_in_words
+from fg_orient.model.messages.adjustment import figures_in_words
+from fg_orient.model.messages.entry import Severity, words
 
-#: Gives the name of an option as a reader writes it.
+#: Function that names an option as a reader writes it.
 Naming = Callable[[str], str]
 #: Longest value that is shown.
 _LONGEST: Final = 80
-#: Severities that decide on a verdict.
+#: Severities that make a result not trustworthy.
 DECISIVE: Final = ("doubt", "failure")
 #: Items of a list that a finding keeps.
 _MOST: Final = 50
@@ -36,12 +37,12 @@ def of_library(option: str) -> str:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a user should know.
+    """Failure, doubt, warning or note for a user.
 
     Parameters
     ----------
     code : str
-        Key of the message catalogue.
+        Key of the entry with its words.
     severity : str
         "failure" stops the work, "doubt" makes the result not trustworthy, "warning" and "note" do neither.
     file, option, place, value : str
@@ -49,7 +50,7 @@ class Finding:
     data : mapping
         Plain values of the message: numbers, text, lists of them.
     names : mapping
-        Entries of the file instead of options; without any, who shows the finding names them.
+        Entries of the file by option, shown instead of the options.
     """
 
     code: str
@@ -63,12 +64,12 @@ class Finding:
 
     @property
     def message(self) -> str:
-        """What is wrong, without file, place and value."""
+        """Sentence without file, place and value."""
         return self._words(CATALOGUE[self.code].message, of_library)
 
     @property
     def remedy(self) -> str:
-        """What to do about it; "" if nothing is known."""
+        """Remedy, "" if there is none."""
         return self._words((CATALOGUE[self.code].remedy,), of_library)
 
     def text(self, naming: Naming = of_library) -> str:
@@ -120,22 +121,33 @@ _FORMAT: Final = _Format()
 
 
 def _filled(part: str, data: Mapping[str, Any]) -> bool:
-    """Whether no field of a part of a message is empty; a part with an empty field is left out."""
+    """Whether no field of a part of a message is empty; other parts are not shown."""
     return not any(data[name] in ("", None, []) for name in _fields(part))
 
 
 def finding(
     code: str, *, file: object = "", place: object = "", value: object = "", option: object = "", **data: object
 ) -> Finding:
-    """Finding of the catalogue entry ``code`` with its data.
+    """Finding of a code with its data.
 
-    A ``place`` that begins with an option, ``"<out>"`` or ``"<compensation> shift"``, is split into option and place.
+    Parameters
+    ----------
+    code : str
+        Code of the catalogue; or a whole entry, ``"code (severity): sentence -> remedy"``, which is added to the
+        catalogue, so that a message of one place is declared there.
+    file, place, value, option : object
+        See :class:`Finding`. A place that begins with an option, ``"<out>"`` or ``"<compensation> shift"``, is split.
+    **data
+        Values for the fields of the entry.
 
     Raises
     ------
     KeyError
         The code is not in the catalogue.
+    ValueError
+        The code of a whole entry has another entry.
     """
+    code = _entered(code) if ": " in code else code
     begin = _OPTION.match(str(place))
     if begin:
         option, place = begin[1], str(place)[begin.end() :].strip()
@@ -143,6 +155,15 @@ def finding(
     seen = text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
     plain = {name: _plain(item) for name, item in data.items()}
     return Finding(code, CATALOGUE[code].severity, str(file), str(place), seen, str(option), plain)
+
+
+@cache
+def _entered(table: str) -> str:
+    """Add an entry to the catalogue and give its code."""
+    ((code, entry),) = words(re.sub(r" (?=(->|\+) )", "\n    ", table)).items()
+    if CATALOGUE.setdefault(code, entry) != entry:
+        raise ValueError(f"two entries of {code}")
+    return code
 
 
 def _plain(item: Any) -> Any:
@@ -154,22 +175,22 @@ def _plain(item: Any) -> Any:
 
 
 def as_record(findings: Sequence[Finding]) -> dict[str, Any]:
-    """The keys ``findings`` and, as sentences, ``warnings`` of a result."""
+    """Keys ``findings`` and, as sentences, ``warnings`` of a result."""
     return {"warnings": [str(one) for one in findings], "findings": [one.as_dict() for one in findings]}
 
 
 def judged(findings: Sequence[Finding]) -> dict[str, Any]:
-    """The status that findings decide on, and :func:`as_record`: for results that have no other verdict."""
+    """Status that follows from findings, and :func:`as_record`: for results without another assessment."""
     doubtful = any(one.severity in DECISIVE for one in findings)
     return {"status": "not_trustworthy" if doubtful else "good", **as_record(findings)}
 
 
 def findings_of(record: Mapping[str, Any]) -> tuple[Finding, ...]:
-    """Findings of a result; those of an earlier version are sentences, and that of the verdict repeats its reason."""
+    """Findings of a result; an earlier version has sentences, of which the reason of the assessment is a doubt."""
     if "findings" in record:
         return tuple(read(one) for one in record["findings"])
-    told = [finding("record.sentence", text=text) for text in record.get("warnings", ())]
-    return tuple(replace(one, severity="doubt") if one.data["text"] == record.get("reason") else one for one in told)
+    stated = [finding("record.sentence", text=text) for text in record.get("warnings", ())]
+    return tuple(replace(one, severity="doubt") if one.data["text"] == record.get("reason") else one for one in stated)
 
 
 def sentences(record: Mapping[str, Any]) -> list[str]:
@@ -178,25 +199,25 @@ def sentences(record: Mapping[str, Any]) -> list[str]:
 
 
 def read(record: Mapping[str, Any]) -> Finding:
-    """Finding of a record; one that this version has no words for keeps those of the record."""
+    """Finding of a record; a code without an entry here keeps the words of the record."""
     known = {name: record.get(name, "") for name in ("file", "place", "value")}
     severity, data = record.get("severity", "failure"), record.get("data", {})
     if record["code"] in CATALOGUE:
         message, remedy, _ = CATALOGUE[record["code"]]
         if set(data) >= {name for part in (*message, remedy) for name in _fields(part)}:
             return Finding(record["code"], severity, **known, data=data)
-    told = "; ".join(filter(None, (record["message"], record["remedy"])))
-    return Finding("record.sentence", severity, **known, data={"text": told})
+    text = "; ".join(filter(None, (record["message"], record["remedy"])))
+    return Finding("record.sentence", severity, **known, data={"text": text})
 
 
 def _fields(part: str) -> set[str]:
-    """Names of the data that a part of a message asks for."""
+    """Names of the data in a part of a message."""
     names = {name.partition("[")[0] for _, name, _, _ in string.Formatter().parse(part) if name}
     return names - {"file", "place", "value", "option"}
 
 
 class FgOrientError(Exception):
-    """Base of all errors of this package; ``problems`` holds one finding per fault."""
+    """Base of all errors of this package; ``problems`` holds one finding per error."""
 
     exit_code = 1
 
@@ -206,7 +227,7 @@ class FgOrientError(Exception):
 
     @classmethod
     def of(cls, code: str, **fields: object) -> FgOrientError:
-        """Build the error from one catalogue entry."""
+        """Build the error from one finding."""
         return cls(finding(code, **fields))
 
 
@@ -233,8 +254,8 @@ class NoSolutionError(FgOrientError):
 class RankDeficientError(NoSolutionError):
     """The normal equations are singular; the problems name the directions.
 
-    ``rank_defect`` counts the dead directions of each image, ``counts`` holds n_observations,
-    n_unknowns and redundancy, ``evidence`` what was judged: a ``fg_orient.quality.deficiency.Evidence``, or None.
+    ``rank_defect`` counts the undetermined directions of each image, ``counts`` holds n_observations, n_unknowns and
+    redundancy, ``evidence`` is a ``fg_orient.quality.deficiency.Evidence`` or None.
     """
 
     def __init__(

@@ -15,7 +15,7 @@ from fg_orient.adjustment.linear.threads import one_blas_thread
 from fg_orient.formats.atomic import require_free, staged_folder, writing
 from fg_orient.formats.tables import Faults, number, read_table
 from fg_orient.model.errors import InputError
-from fg_orient.model.versions import versions
+from fg_orient.model.installation import versions
 from fg_orient.rectification.arguments import positive
 from fg_orient.rectification.distances import PairDistances, pair_distances
 from fg_orient.rectification.folder import CONTENTS, write_folder

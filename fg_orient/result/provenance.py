@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fg_orient.model.versions import versions
+from fg_orient.model.installation import versions
 
 if TYPE_CHECKING:
     from fg_orient.model.block import Block

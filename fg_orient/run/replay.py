@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from fg_orient.model.errors import Finding, InputError, finding
-from fg_orient.model.versions import versions
+from fg_orient.model.installation import versions
 from fg_orient.result.provenance import relative, sha256_of
 from fg_orient.result.record import RESULT_FILE
 from fg_orient.run import run_project

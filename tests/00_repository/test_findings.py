@@ -14,14 +14,14 @@ import pytest
 
 from fg_orient.cli.output import flag, tell_findings
 from fg_orient.closerange.report_words import problems
-from fg_orient.model.errors import as_record, finding, findings_of, judged, read
-from fg_orient.model.messages import CATALOGUE
-from fg_orient.model.messages.entry import words
+from fg_orient.model.errors import Finding, as_record, finding, findings_of, judged, read
 from tests.support.syntax import nodes
 
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 #: Flags of other programs: pip, and bundle_adjust of the Ames Stereo Pipeline.
-OF_OTHERS = {"fg_orient/model/messages/installation.py", "fg_orient/formats/exchange/asp_gcp.py"}
+OF_OTHERS = {
+    "fg_orient/model/installation.py", "fg_orient/model/messages/program.py", "fg_orient/formats/exchange/asp_gcp.py",
+}  # fmt: skip
 #: The record, and where sentences for people are made of results: reports and the command line.
 SHOWING = ("fg_orient/cli/", "fg_orient/model/messages/", "fg_orient/report/", "fg_orient/closerange/report/")
 
@@ -83,26 +83,22 @@ def test_no_sentence_is_given_as_a_warning_or_as_its_data(repository: Path) -> N
     assert given == []
 
 
-@pytest.fixture
-def planted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two entries of a catalogue that knows nothing of them elsewhere."""
-    table = words("""
-outside.planted (warning): image {image} is upside down
-    + , like {others:2}
-    -> turn it with <turn_by> {angle:g}
-outside.doubt (doubt): {n} images are missing
-""")
-    for code, entry in table.items():
-        monkeypatch.setitem(CATALOGUE, code, entry)
+def planted(**data: object) -> Finding:
+    """Code, severity, sentence, remedy and data of a warning, all in the one place that raises it."""
+    return finding(
+        "outside.planted (warning): image {image} is upside down + , like {others:2} "
+        "-> turn it with <turn_by> {angle:g}",
+        **data,
+    )
 
 
 @pytest.mark.behaviour
-@pytest.mark.usefixtures("planted")
-def test_a_warning_from_outside_is_one_entry_and_one_call(capsys: pytest.CaptureFixture[str]) -> None:
-    found = finding("outside.planted", image="left", others=["a", "b", "c"], angle=180.0)
+def test_a_warning_from_outside_is_one_place(capsys: pytest.CaptureFixture[str]) -> None:
+    found = planted(image="left", others=["a", "b", "c"], angle=180.0)
+    assert (found.code, found.severity) == ("outside.planted", "warning")
     told = "image left is upside down, like a, b ...; turn it with {} 180"
     assert (str(found), found.text(flag)) == (told.format("option turn_by"), told.format("--turn-by"))
-    alone = finding("outside.planted", image="left", others=[], angle=90.0)
+    alone = planted(image="left", others=[], angle=90.0)
     assert str(alone) == "image left is upside down; turn it with option turn_by 90"
 
     record = json.loads(json.dumps(as_record([found])))
@@ -115,11 +111,18 @@ def test_a_warning_from_outside_is_one_entry_and_one_call(capsys: pytest.Capture
 
 
 @pytest.mark.behaviour
-@pytest.mark.usefixtures("planted")
 def test_doubts_decide_on_the_status() -> None:
-    alone = finding("outside.planted", image="left", others=[], angle=90.0)
+    alone = planted(image="left", others=[], angle=90.0)
     assert judged([alone])["status"] == "good"
-    assert judged([alone, finding("outside.doubt", n=2)])["status"] == "not_trustworthy"
+    assert judged([alone, finding("outside.doubt (doubt): {n} images are missing", n=2)])["status"] == "not_trustworthy"
+
+
+@pytest.mark.behaviour
+def test_a_code_has_one_entry() -> None:
+    one = finding("outside.once (note): said once")
+    assert finding("outside.once") == finding("outside.once (note): said once") == one
+    with pytest.raises(ValueError, match=r"two entries of outside\.once"):
+        finding("outside.once (note): said otherwise")
 
 
 @pytest.mark.behaviour

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.behaviour
 
 WHEEL = "dist/fg_orient-0.1.0-py3-none-any.whl"
 #: What ``import fg_orient`` needs.
-PARTS = ("__init__.py", "model/__init__.py", "model/clash.py", "model/errors.py", "model/messages")
+PARTS = ("__init__.py", "model/__init__.py", "model/installation.py", "model/errors.py", "model/messages")
 
 
 def write(file: Path, text: str = "") -> None:
@@ -208,7 +208,7 @@ def test_remains_of_an_interrupted_installation_do_not_disturb(site: Path) -> No
 
 def test_doctor_warns_of_a_file_with_two_owners(site: Path) -> None:
     """Ours, installed last, works; it goes when the other one is uninstalled."""
-    code = "from fg_orient.model.clash import shared_file; print(shared_file() or '', end='')"
+    code = "from fg_orient.model.installation import shared_file; print(shared_file() or '', end='')"
     for expected in ("", f"{site / 'factors' / '__init__.py'}: the distribution factors 0.1.1 has this file too"):
         text = f"import sys; sys.path.insert(0, {str(site)!r}); {code}"
         done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=60)

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import fg_orient
-from fg_orient.model.versions import OPTIONAL, REQUIRED
+from fg_orient.model.installation import OPTIONAL, REQUIRED
 from tests.support.syntax import nodes
 
 pytestmark = pytest.mark.repository

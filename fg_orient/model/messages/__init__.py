@@ -1,10 +1,10 @@
-"""The message catalogue: every error and warning a user can meet, in one place.
+"""Message catalogue: entries of errors, warnings and notes by code.
 
-Each entry maps a stable code to message and remedy, and what stops nothing to its severity
-(:class:`fg_orient.model.messages.entry.Entry`). Both are format strings of the keyword arguments given to
-:func:`fg_orient.model.errors.finding`; ``<out>`` names an option. The code's first part is the domain (``xml``,
-``dimap``, ``points``, ...). Tests hold the catalogue and the sources against each other: no code is unknown or unused,
-no field of a message is missing.
+Each entry gives the message, remedy and severity of a stable code (:class:`fg_orient.model.messages.entry.Entry`).
+Message and remedy are format strings of the keyword arguments of :func:`fg_orient.model.errors.finding`; ``<out>``
+names an option. The first part of the code is the domain (``xml``, ``dimap``, ``points``, ...). Entries that one place
+raises may stand there instead: ``finding`` takes them in the same notation and adds them. Tests compare catalogue and
+sources: no code is unknown or unused, no field of a message is missing.
 """
 
 from __future__ import annotations
@@ -15,10 +15,7 @@ from typing import Final
 from fg_orient.model.messages.entry import Entry
 
 #: Modules with a table of entries each.
-MODULES: Final = (
-    "closerange", "dense", "earth", "files", "frame", "installation", "interchange", "parallel", "readers",
-    "rectify", "rfm", "rpc", "solution", "statistics", "ties", "work",
-)  # fmt: skip
+MODULES: Final = ("adjustment", "closerange", "exchange", "files", "program", "rectify", "sensors", "studies")
 CATALOGUE: Final[dict[str, Entry]] = {
     code: entry for name in MODULES for code, entry in import_module(f"{__name__}.{name}").WORDS.items()
 }

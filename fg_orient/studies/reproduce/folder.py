@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fg_orient.formats.atomic import Contents, require_free, staged_folder, writing
-from fg_orient.model.versions import versions
+from fg_orient.model.installation import versions
 from fg_orient.result.plain import dumps, plain
 from fg_orient.studies.published.tables import require_source
 from fg_orient.studies.reproduce.html import render

@@ -1,4 +1,4 @@
-"""Messages about the result of an adjustment: how it ended, its verdict, warnings, figures that are not given."""
+"""Messages about an adjustment: parameters, options, backends, parts; its result and remarks."""
 
 from __future__ import annotations
 
@@ -7,6 +7,137 @@ from typing import Final
 from fg_orient.model.messages.entry import words
 
 WORDS: Final = words("""
+parameters.eop_set: no such EOP set
+    -> give a number or a name: {names}
+parameters.unknowns: none of these unknowns is one of this image, which would have nothing to adjust
+    -> choose one of {known}
+parameters.unknown: no image of the block has such an unknown
+    -> names are those of eop.csv, such as x_0, roll_1, psi_y_s1 or line_l1
+options.value: the value of this option is not allowed
+    -> give {expected}
+initial.no_intersection: no start value: its rays are less than {least} degrees from parallel
+    -> measure the point in another image, give it coordinates as control, or remove it
+initial.seen_once: seen in {image} only, without control: 1 free motion, along the ray
+    -> measure the point in another image, give it coordinates as control, or remove it
+initial.pixel_count: lines and samples must have one row for each of the {sensors} sensors, of the same length
+    -> give (k,) or (k, N) arrays, row k for sensor k
+initial.correction_count: there must be one correction for each of the {sensors} sensors
+    -> give one per sensor, None where the metadata orientation is meant
+initial.behind: its rays meet behind a sensor
+    -> check the point's identity in every image
+adjust.memory: the adjustment needs more memory than it may take, which is {allowed}
+    -> choose backend schur if it is another one, adjust in parts on several machines (docs/parallel.md), take a
+       machine with more memory, or raise <memory_limit_gb>
+adjust.backend: this backend does not exist in this version
+    -> choose one of {known}
+adjust.no_model: images of this sensor cannot be adjusted
+    -> known sensors: {known}; a further one is registered by a file of its own (docs/extending)
+adjust.relative_priors: without control points and without priors nothing holds the block in the world
+    -> keep the priors, or leave out datum = "priors" and measure control points; datum = "free" lets the block
+       float
+adjust.native_dense: GTSAM's own optimisers work on the graph only
+    -> choose one of {known}, or the graph backend
+adjust.solver_dense: a linear solver can be chosen for the dense backend only; the backend is {backend}
+    -> add <backend> dense, or leave the solver out
+checkpoint.unreadable: this is no checkpoint of this version
+    -> remove the file, or leave <resume> out to start from the beginning
+checkpoint.other: the checkpoint belongs to other input files or options
+    -> give the options of the run that was stopped, or leave <resume> out to start from the beginning
+adjust.loss: there is no such robust loss
+    -> choose one of {known}
+adjust.gnc: graduated non-convexity leads to a bounded loss
+    -> choose one of {known}, or leave gnc out
+adjust.needs_loss: this is for an adjustment with a robust loss
+    -> add <loss> tukey or another redescending loss, or leave it out
+adjust.gnc_start: graduated non-convexity begins with least squares and takes the sigmas as they are
+    -> leave gnc out, or robust_start and robust_scale
+adjust.few_control: too few control points, or points that two oriented images see, for a robust start by resection
+    -> measure {least} or more in the image, or choose robust_start huber
+adjust.cycles: this weighting has no cost: it is an iteration of its own
+    -> leave gnc, robust_start, robust_scale and parts out, or choose a loss among {known}
+adjust.native_loss: GTSAM's own optimisers are offered for least squares only
+    -> use <optimizer> gauss-newton, levenberg-marquardt or dogleg
+adjust.schur: the Schur backend cannot take this block: {value}
+    -> choose <backend> graph, or auto
+adjust.native_limit: GTSAM's own optimisers copy all values at each callback of a Python factor and are refused
+    above {limit} image points; the block has {count}
+    -> use <optimizer> gauss-newton, levenberg-marquardt or dogleg (the same linear algebra, driven from Python)
+adjust.rank_deficient: not observable without priors
+    -> keep the priors or choose a smaller EOP set
+adjust.rank_without_control: not observable without priors, and the block has no control point
+    -> keep the priors: datum = "priors"; or choose a smaller EOP set
+adjust.extra_kind: an extra observation wants the other kind of unknown for its argument {argument}
+    -> give a point as "point:12", an image as "image:left", in the order of the equation
+adjust.extra_unused: an extra observation names a point that takes no part in the adjustment
+    -> measure the point in two images, or let check points take part (<check_points> use)
+adjust.extra_constant: an extra observation between constants only adjusts nothing
+    -> name at least one point or image that is an unknown
+adjust.broken_down: the normal equations cannot be solved: {why}
+    -> keep the priors, choose a smaller EOP set, measure more control points, or check sigmas and start values
+adjust.extra_unknown: an extra observation names no image or point of the block
+    -> name them as "image:left" or "point:12"
+covariance.weighted: gross errors are not tested for under a robust loss: it has weighted them down
+    -> look at the weights, or adjust with loss none
+covariance.withheld: no covariance was computed
+    -> see the warnings of the adjustment
+covariance.no_such: no such image, parameter, point or observation
+    -> name them as "image:left", "image:left.x_0", "point:12", "observation:left/12" or "residual:left/12"
+covariance.not_unknown: not an unknown of the adjustment: no covariance
+    -> ask for adjusted points only
+block.not_finite: pixels, coordinates or sigmas are not finite, or sigmas not positive
+    -> correct them or leave the point out
+block.no_rays: no image point takes part in the adjustment
+    -> measure points in two images at least; check points alone determine nothing where they are excluded
+block.no_control: no control point is measured in any image: the block has no datum
+    -> give at least one point of role control, better six or more well spread; or datum = "priors" for a relative
+       adjustment, whose result has no accuracy
+remark.sigma_ground (note): standard deviations outside {low:g} .. {high:g} m at {count} point(s)
+    -> check that they are in metres
+remark.sigma_image (note): standard deviations outside {low:g} .. {high:g} pixels in {count} record(s)
+    -> check that they are in pixels
+remark.not_measured (note): {count} point(s) are measured in no image and left out
+    -> measure them, if they should count
+remark.seen_once (note): {count} check or tie point(s) with a single ray are left out
+    -> measure them in a second image
+remark.grid_missing (note): a more accurate coordinate operation exists; the one used is good to {accuracy}
+    -> install {grids} (projsync) if that matters
+remark.few_control (note): only {count} control point(s) measured
+    -> use six or more, well spread: errors of control are found only if there is a surplus
+remark.control_line (note): the control points lie close to a line: {across_m:.0f} m wide, {along_m:.0f} m long
+    -> add control beside the line: roll and pitch lean on the priors
+remark.control_clustered (note): the control points of image {image} cover only {lines:.0%} of its lines and
+    {samples:.0%} of its samples
+    -> add control in the rest of the image
+remark.control_one_image (note): control points are measured in image {image} only
+    -> measure control in the other images, too
+remark.few_check (note): {count} check points: fewer than the 30 of ASPRS 2023, the accuracy figures are uncertain
+    -> add check points if you can
+options.two_ways: these options exclude each other
+    -> give only one of {option}
+parallel.number: this number is not possible
+    -> give a whole number from {low} to {high}
+parallel.kind: this kind of value is not possible
+    -> give {expected}
+parallel.parts: the {points} ground points cannot be divided into so many parts
+    -> give a number from 1 to {points}, or leave it out
+parallel.no_parts: a work folder is for a block in parts, and nothing divides this one
+    -> give parts, workers or a scheduler, or leave the work folder out
+parallel.backend: parts are adjusted by the Schur backend, not by {value}
+    -> leave the backend out, or adjust without parts and workers
+parallel.dask: several workers need dask, which is missing
+    -> pip install "fg-orient[cluster]", or one worker
+parallel.unreachable: no scheduler answers at this address
+    -> start dask scheduler and workers, see docs/parallel.md
+parallel.folder: a file of the work folder cannot be read where the work is done
+    -> give a folder that all workers see under the same name (<work_dir>)
+parallel.version: the worker has another version of fg_orient than {written}
+    -> install the same version everywhere: results must not depend on the worker
+parallel.killed: the same work ended several workers
+    -> look at the memory of the workers: take fewer of them, or more parts (a checkpoint needs the same parts)
+parallel.lost: the cluster has gone or no longer answers
+    -> look at its scheduler; adjust goes on with <resume>
+parallel.result: this file of an earlier run cannot be read
+    -> remove it; its case is then computed again
 loop.small_step (note): the scaled step is below the tolerance
 loop.small_step_of_native (note): GTSAM's own optimiser ended with a step of {step:.1e} left
 loop.error_rises: the error rises

@@ -1,4 +1,4 @@
-"""Messages of rational function models (RPC): the model itself and its files."""
+"""Messages about sensor descriptions, frame cameras, bundle files, navigation and RPC."""
 
 from __future__ import annotations
 
@@ -7,6 +7,85 @@ from typing import Final
 from fg_orient.model.messages.entry import words
 
 WORDS: Final = words("""
+earth.span: the Earth orientation series covers MJD {first:.0f} .. {last:.0f} only
+    -> use a C04 file that covers the image, or leave it out: UT1 = UTC then
+earth.missing: orbit or attitudes are inertial, but nothing says how the Earth stands in these axes
+    -> add the table [earth] to the description; in Python give the sensor an EarthRotation
+earth.list_span: the list of table [{what}] covers {first:.6f} .. {last:.6f} s of the day only and is never
+    extrapolated
+    -> give states that cover all lines
+earth.unreadable: the Earth orientation file cannot be read
+    -> check the path and its permissions
+earth.no_records: no records of an IERS C04 series
+    -> give a C04 file with at least two days: year, month, day, MJD, x, y, UT1-UTC, ...
+earth.record: this record is not one of an IERS C04 series
+    -> use the file as the IERS gives it out
+earth.gap: days of the series do not follow each other
+    -> use the file as the IERS gives it out
+earth.value: a pole coordinate beyond 1 arc second or UT1 - UTC beyond 1 s cannot be right
+    -> check the units: arc seconds and seconds
+earth.day: this is no day
+    -> write it as "2012-01-01"
+earth.period: the line period is zero or not finite
+    -> give the seconds from one line to the next, below zero if time runs back
+earth.camera: a camera is either a lens or a table of directions
+    -> give focal_length_m, pitch_m and principal_sample, or directions alone
+earth.directions: directions must cover samples 0 to {last}
+    -> add the missing ones
+earth.wide: the camera looks farther than a tangent of {most} from its axis
+    -> check units and signs, or turn the axis by [mounting]
+earth.matrix: the matrix is no rotation, or stands beside angles
+    -> give either angles_deg or an orthonormal right-handed matrix
+earth.order: the values must increase, and two at least are needed
+    -> sort the table, remove repeated records
+earth.state: the {what} must be {low:g} .. {high:g}
+    -> check unit and frame (m, m/s)
+earth.quaternion: a quaternion must have norm 1 within 1e-4
+    -> give the scalar part first, as q0
+earth.two_frames: orbit and attitudes stand in two inertial frames
+    -> bring them to one
+earth.seconds: times must be seconds since 0 h UTC of the day of the image
+    -> subtract the day
+frame.camera: this value of the camera is not possible
+    -> give {expected}
+frame.unknown: the camera has no such unknown, or its prior sigma is not above zero
+    -> choose one of {known}
+frame.nothing_unknown: the camera has no unknown, so its image cannot be adjusted
+    -> name some with their prior sigmas, small ones to hold it
+frame.shared: images that share the unknown under {id!r} disagree
+    -> give all of them the same prior sigma and the same start value
+frame.shared_not: images have unknowns in common ({id}), which this cannot do
+    -> leave it out, or let each image have its unknowns for itself
+frame.no_direction: the distortion of the camera cannot be inverted at this pixel
+    -> check k1, k2, k3, p1, p2: the polynomial folds inside the image
+frame.local: the image stands in a local coordinate system: there is no height above the ellipsoid to locate at
+    -> intersect the point from two images, or give the camera in Earth-fixed coordinates
+bal.unreadable: the bundle file cannot be read
+    -> give a text file, plain or compressed by gzip or bzip2
+bal.header: a bundle file begins with three counts: cameras, points, observations
+    -> check that this is a file of Bundle Adjustment in the Large
+bal.count: the counts of the first line ask for {expected} numbers in all
+    -> the file is truncated or damaged: copy it again
+bal.number: this is no finite number
+    -> the file is damaged: copy it again
+bal.index: no such camera or point
+    -> cameras and points are counted from 0, here to {last}
+bal.focal: the focal length is not above zero
+    -> the file is damaged, or of another camera model
+frame.angles: a frame image has either the angles of its camera or a rotation matrix
+    -> give omega_phi_kappa_deg or rotation, and not both
+sensor.toml: a sensor description or frame image must say what it is
+    -> give kind = {known}
+navigation.image: the project has no such image
+    -> name the images as the project does
+navigation.twice: the image was observed twice on board
+    -> keep one record for each image
+navigation.sigma: the standard deviation is not above zero
+    -> give metres or degrees, as the column says
+navigation.kind: only frame images in Earth-fixed coordinates take observations from on board
+    -> leave the image out of the navigation table
+frame.mixed: images in a local coordinate system and Earth-fixed ones cannot stand in one block
+    -> transform them to one system
 rpc.shape: the array must have the shape {shape}
     -> give 5 offsets, 5 scales and 4 x 20 coefficients
 rpc.not_finite: a value is not finite
@@ -111,4 +190,33 @@ rpc.folds_failed (doubt): {failed} of {folds} folds have no solution
 rpc.overfitted (doubt): at points left out the RMS is {left_out_px[0]:.2f}, {left_out_px[1]:.2f} px (line, sample),
     in the fit {fit_px[0]:.2f}, {fit_px[1]:.2f}: more coefficients than the points carry
 rpc.of_solver (warning): {note}
+rfm.points: control points need finite lines and samples (n,) and ground coordinates (n, 3)
+    -> give one row per point; ground: longitude, latitude (degrees), height (m)
+rfm.flat: all points have the same value of this coordinate: it cannot be normalised, nor its coefficients found
+    -> measure points that differ in it, or take a lower degree without it
+rfm.degree: the degree of a rational function model is 1, 2 or 3
+    -> give one of them
+rfm.denominators: no such denominators
+    -> choose one of {known}
+rfm.kept: the coefficients kept must be ascending numbers of unknowns of the form
+    -> see RfmForm.names
+rfm.penalty: the penalty holds beyond_affine or identity
+    -> give one of these words
+rfm.few_points: too few control points for {unknowns} coefficients
+    -> at least {least} are needed; take a lower degree, common denominators, or a penalty (kappa > 0)
+rfm.pole: a denominator vanishes or changes its sign at the control points or between them: the model has a pole
+    there
+    -> take a lower degree, fewer coefficients or a penalty: <degree>, <select>, <kappa>
+rfm.no_end: the iteration does not end
+    -> take a lower degree, fewer coefficients or a penalty (kappa > 0)
+rfm.folds: the number of folds must lie between 2 and the number of points
+    -> there are {points} points
+rfm.selector: no such selection of coefficients
+    -> choose one of {known}
+rfm.grid: the virtual grid needs at least {least} values per axis
+    -> take more lines, samples or layers
+rfm.heights: the lowest height has to lie below the highest
+    -> give the lowest first, then the highest, in m above the ellipsoid
+rfm.data: the file must hold rows of id, line, sample, latitude, longitude (degrees), height (m)
+    -> give the file of control points of the SPOT-6 scene, or its folder
 """)

@@ -1,17 +1,18 @@
-"""Cause and remedy where Python does not find fg_orient's own package ``factors``.
+"""Installed distributions and their versions; cause and remedy if Python does not find our own package ``factors``.
 
-The name is not ours alone: a distribution ``factors`` exists, and users have files of that name. Nothing here is
-imported where all is well.
+A distribution ``factors`` exists, and users have files of that name. ``import fg_orient`` imports this module only if
+something is wrong.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import platform
 import re
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -19,8 +20,33 @@ from urllib.parse import unquote, urlsplit
 
 from fg_orient.model.errors import Finding, finding
 
+#: Distributions whose versions decide on the digits of a result.
+COMPUTING: Final = ("gtsam", "numpy", "scipy", "numba")
+#: All that fg_orient needs.
+REQUIRED: Final = (
+    *COMPUTING, "llvmlite", "pyproj", "pyerfa", "lxml", "pydantic", "typer", "rich", "jinja2", "markupsafe",
+    "threadpoolctl",
+)  # fmt: skip
+#: Those of the extras.
+OPTIONAL: Final = ("rasterio", "pyogrio", "shapely", "pandas", "matplotlib", "dask")
 _HOME: Final = Path(__file__).resolve().parents[2]
 _OURS: Final = _HOME / "factors"
+
+
+def version_of(distribution: str) -> str | None:
+    """Version of an installed distribution, None if it is missing."""
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def versions(distributions: Sequence[str] = COMPUTING) -> dict[str, str | None]:
+    """Versions of Python, fg_orient and the given distributions."""
+    import fg_orient
+
+    found = {name: version_of(name) for name in distributions}
+    return {"python": platform.python_version(), "fg_orient": fg_orient.__version__, **found}
 
 
 def is_ours(found: str) -> bool:
@@ -56,8 +82,12 @@ def shared_file() -> Finding | None:
     owner = _owner(file)
     if owner is None:
         return None
-    return finding("installation.shared", file=file, owner=f"{owner.name} {owner.version}", name=owner.name,
-                   source=_source() or "fg-orient")  # fmt: skip
+    return finding(
+        "installation.shared (warning): the distribution {owner} has this file too, and takes it along when it is "
+        "updated or uninstalled -> pip uninstall {name}, and then pip install --force-reinstall --no-deps {source}, in "
+        "this order",
+        file=file, owner=f"{owner.name} {owner.version}", name=owner.name, source=_source() or "fg-orient",
+    )  # fmt: skip
 
 
 def _own(file: Path, version: str, other: object) -> Finding:

@@ -1,0 +1,107 @@
+"""Messages about the program: installation, command line, plugins, outputs."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fg_orient.model.messages.entry import words
+
+WORDS: Final = words("""
+installation.overwritten: this file of fg_orient was overwritten by the distribution {owner}, which has a package
+    'factors' too
+    -> pip uninstall {name}, and then pip install --force-reinstall --no-deps {source}, in this order; an
+       environment has room for one of the two
+installation.damaged: this file of fg_orient is missing or changed, as after an uninstalled package 'factors'
+    -> pip install --force-reinstall --no-deps {source}
+installation.damaged_tree: this file of fg_orient's source tree is missing or changed
+    -> restore it from the repository (git checkout factors), or install again from it
+installation.other_version: this package 'factors' is of fg_orient {other}, the rest is of {version}
+    -> pip install --force-reinstall --no-deps {source}
+installation.other_distribution: the package 'factors' of the distribution {owner} hides the one of fg_orient in
+    {ours}
+    -> pip uninstall {name}, or install fg-orient into an environment of its own
+installation.on_pythonpath: this hides the package 'factors' of fg_orient in {ours}, for its folder is in PYTHONPATH
+    -> take {root} off PYTHONPATH, or rename it
+installation.user_file: this file hides the package 'factors' of fg_orient in {ours}
+    -> rename the file to a name that no package has, such as {new}
+installation.user_folder: this folder hides the package 'factors' of fg_orient in {ours}
+    -> rename or remove the folder, or start Python where it is not on the search path
+output.exists: the output exists already
+    -> give another {option} or add <overwrite>
+output.not_a_folder: this is no folder, or a link to one
+    -> give another <out>
+output.foreign: the folder holds other files, so it is not replaced
+    -> give another <out>, or move them; <overwrite> replaces only a folder with {mark} and nothing of others
+output.unwritable: the file cannot be written
+    -> check folder, permissions and free space
+replay.record: the result does not say how to repeat its run
+    -> it is damaged or of an older version: run fg-orient adjust again
+replay.project: the project file of this result is not in the folder above it
+    -> give it: <project> FOLDER/{name}
+replay.dem: the elevation model of this run is not in the project's folder
+    -> put it there, or a link to it
+replay.changed: the file has changed since the run: SHA-256 {now}, recorded {then}
+    -> bring back the file of the run, or add <allow_changed> to go on with this one
+replay.missing: the run read this file, and now it is missing or no longer named by the project
+    -> bring it back, or add <allow_changed> to go on without it
+replay.new: the run did not read this file
+    -> bring back the project of the run, or add <allow_changed> to go on with it
+replay.same_folder: the repeated run would replace the result that it repeats
+    -> give another <out>
+internal: error of the program: {kind}: {text}
+    -> please report it{hint}
+plugin.file: there is no such Python file
+    -> give a file such as my_sensor.py, its name being a module's name
+plugin.name: another module has this name already
+    -> rename the file
+plugin.raised: the plugin raised an exception
+    -> mend it there; what is wrong with a file it should say by an InputError; <debug> shows the traceback
+plugin.failed: the plugin cannot be loaded
+    -> mend the file; from Python, import it to see more
+cli.no_pixel: no pixel is given
+    -> give <line> L <sample> S, or <points> FILE, or <frame>
+cli.no_height: no height to locate at
+    -> give <height> H (m, ellipsoidal) or <dem> FILE, or a column height_m in the points file
+cli.height_range: the height is outside {low:g} .. {high:g} m
+    -> give an ellipsoidal height in m
+cli.two_heights: the height is given twice
+    -> give only one of <height>, <dem> and a column height_m
+cli.two_ways: these options exclude each other
+    -> give only one of {options}
+cli.no_ground: no ground point is given
+    -> give <lon>, <lat> and <height>, or <points> FILE
+cli.pixel: this is no pixel
+    -> write <pixel> LINE,SAMPLE, for instance <pixel> 5999.5,120
+cli.pixel_count: {pixels} pixel(s) for {images} image(s)
+    -> give one <pixel> per image, in order
+cli.one_image: an intersection needs two images
+    -> give several metadata files, or one project file (.toml)
+cli.one_project: one project file is checked at a time
+    -> check one after the other; for several files of points add <format> NAME
+cli.no_frame: the file states no frame points of its own
+    -> locate a pixel with <line> and <sample>
+log.foreign: the file is no log of fg-orient, so nothing is added to it
+    -> give <log> the name of a new file, or of a log that fg-orient wrote
+cli.shell: completion is not written for this shell
+    -> choose one of {known}
+cli.usage: {text}
+    -> see the command's <help>
+report.no_result: the folder holds no result of an adjustment
+    -> give a folder that fg-orient adjust wrote
+report.nothing_adjusted: nothing was adjusted, so there are neither coordinates nor an orientation
+    -> report.html in the folder names what was not determined and the way out
+report.damaged: the result cannot be read
+    -> run fg-orient adjust again
+report.no_matplotlib: figures need matplotlib
+    -> install the extra: pip install 'fg-orient[report]'
+report.no_map: the result has no geographic coordinates
+    -> layers need a block on the Earth
+report.no_pyogrio: a GeoPackage needs pyogrio and shapely
+    -> install the extra: pip install 'fg-orient[geo]', or give a .geojson
+report.export_suffix: this file is neither GeoPackage nor GeoJSON
+    -> end its name with .gpkg or .geojson
+report.no_truth: the folder holds no truth of a simulation
+    -> give the folder truth of fg-orient simulate
+report.other_truth: the truth belongs to another project
+    -> give the truth of these images and points
+""")
