@@ -22,17 +22,14 @@ from fg_orient import __version__
 from fg_orient.adjustment.loop import Carried, IterationRecord
 from fg_orient.adjustment.problem import Problem, State
 from fg_orient.formats.atomic import write_bytes
+from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError
+from fg_orient.model.options import Options
 
 Array = npt.NDArray[np.float64]
 
 FORMAT: Final = 3
 EVERY_S: Final = 60.0
-#: Options that do not change what an iteration does.
-_FREE: Final = (
-    "max_iterations", "memory_limit_gb", "statistics", "snoop", "snoop_kind", "variance_components",
-    "outlier_test", "outlier_level", "multiple_testing",
-)  # fmt: skip
 _NUMBERS: Final = ("control", "growth", "previous", "rejected", "rising", "begun_at", "mu", "image_scale",
                    "control_scale")  # fmt: skip
 _WHOLE: Final = ("rejected", "rising", "begun_at")
@@ -149,7 +146,8 @@ def _record(row: list[float]) -> IterationRecord:
 def fingerprint(problem: Problem, scope: str = "") -> str:
     """SHA-256 of everything that decides what an iteration does; ``scope``: see :class:`Checkpoint`."""
     digest = hashlib.sha256(repr((__version__, scope)).encode())
-    options = {name: value for name, value in asdict(problem.block.options).items() if name not in _FREE}
+    given = asdict(problem.block.options)
+    options = {name: given[name] for name, one in declared(Options).items() if one.iterates}
     digest.update(repr(options).encode())
     for model in problem.models:
         digest.update(repr((model.equation.name, model.parameters.names)).encode())

@@ -59,6 +59,12 @@ class Option:
         Names for which the command line has a flag; other names are given by ``--...-of``.
     spelled : str
         Name on the command line if it is not the name without its unit.
+    iterates : bool
+        The option changes an iteration: a checkpoint is of no use with another value.
+    recorded : bool
+        ``result.json`` holds the option among its figures.
+    component : str
+        Group of observations, for variance components, whose standard deviation the option is.
     """
 
     name: str
@@ -75,6 +81,9 @@ class Option:
     left_out: str = ""
     usual: Names = ()
     spelled: str = ""
+    iterates: bool = True
+    recorded: bool = False
+    component: str = ""
 
     @property
     def words(self) -> tuple[str, ...]:

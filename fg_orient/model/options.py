@@ -42,23 +42,31 @@ class Options:
 
     # fmt: off
     eop_set: int = option(
-        15, UNKNOWNS, f"EOP set, {ALL_SETS} or a name such as PUA.", within=(1, len(EOP_SETS)), such="PUA"
+        15, UNKNOWNS, f"EOP set, {ALL_SETS} or a name such as PUA.", within=(1, len(EOP_SETS)), such="PUA",
+        recorded=True,
     )
     look_polynomial: int | None = option(
         None, UNKNOWNS, "Degree of the look-angle correction polynomial.",
-        within=(0, 5), left_out="no look-angle unknowns",
+        within=(0, 5), left_out="no look-angle unknowns", recorded=True,
     )
     priors: bool = option(
-        True, UNKNOWNS, "Observe the orientation unknowns. Their prior standard deviations are the options named sigma."
+        True, UNKNOWNS,
+        "Observe the orientation unknowns. Their prior standard deviations are the options named sigma.",
+        recorded=True,
     )
     position_sigma_m: Three = option(
-        (10.0, 1.0, 0.1), PRIORS, "Prior sigmas of the position: constant, linear, quadratic coefficient.", unit="m"
+        (10.0, 1.0, 0.1), PRIORS, "Prior sigmas of the position: constant, linear, quadratic coefficient.", unit="m",
+        component="prior position",
     )
-    velocity_sigma_m_s: Three = option((1e-2, 1e-3, 1e-4), PRIORS, "Prior sigmas of the velocity.", unit="m/s")
+    velocity_sigma_m_s: Three = option(
+        (1e-2, 1e-3, 1e-4), PRIORS, "Prior sigmas of the velocity.", unit="m/s", component="prior velocity"
+    )
     attitude_sigma_rad: Three = option(
-        (50e-6, 10e-6, 2e-6), PRIORS, "Prior sigmas of roll, pitch and yaw.", unit="rad"
+        (50e-6, 10e-6, 2e-6), PRIORS, "Prior sigmas of roll, pitch and yaw.", unit="rad", component="prior attitude",
     )
-    look_sigma_rad: float = option(1e-4, PRIORS, "Prior sigma of each look-angle coefficient.", unit="rad")
+    look_sigma_rad: float = option(
+        1e-4, PRIORS, "Prior sigma of each look-angle coefficient.", unit="rad", component="prior look angles"
+    )
     look_shared: bool = option(
         False, UNKNOWNS,
         "Self-calibration: one look-angle correction for all images of the same mission and instrument. Its constants "
@@ -77,16 +85,17 @@ class Options:
     rpc_compensation: RpcCompensation = option(
         "shift", UNKNOWNS,
         "Unknowns of an RPC image: shift; with terms linear in line; with terms linear in line and sample.",
+        recorded=True,
     )
     rpc_shift_sigma_px: float = option(
         100.0, PRIORS,
         "Prior sigma of the shift of an RPC image. Vendor RPC of metre-resolution images are wrong by some ten pixels.",
-        unit="px",
+        unit="px", component="prior RPC shift",
     )
     rpc_linear_sigma_px: float = option(
         10.0, PRIORS,
         "Prior sigma of the other terms of an RPC image, at its ends. The normalised line or sample is -1 or 1 there.",
-        unit="px",
+        unit="px", component="prior RPC linear",
     )
     image_unknowns: Names = option(
         (), UNKNOWNS,
@@ -111,18 +120,20 @@ class Options:
     optimizer: Optimizer = option(
         "gauss-newton", ADJUSTMENT,
         "Optimiser. The native ones are GTSAM's own: they need the graph and keep no checkpoint.",
+        recorded=True,
     )
     loss: str = option(
         "none", ROBUST,
         "Robust loss, such as huber, hampel, tukey or tls; none: least squares. Image points and control points have "
         "the loss. Others are andrews, danish, cauchy, geman_mcclure, welsch, danish_original and lad "
         "(`factors.losses`).",
-        such="huber",
+        such="huber", recorded=True,
     )
     gnc: bool = option(
         False, ROBUST,
         "Graduated non-convexity: reach the loss tls or geman_mcclure in stages. Many gross errors then do not lead "
         "to a wrong minimum. The limit of the loss follows from `inlier_probability`.",
+        recorded=True,
     )
     inlier_probability: float = option(
         0.99, ROBUST,
@@ -134,60 +145,71 @@ class Options:
         "huber", ROBUST,
         "Start of a redescending loss; lms, lts: resections by control points. They minimise the median or the trimmed "
         "sum of squares of each image; huber: minimum of Huber's loss; none: least squares.",
+        recorded=True,
     )
     robust_scale: RobustScale = option(
         "prior", ROBUST,
         "Unit of a loss: the given standard deviations, or these times the scale of the residuals. mad: the robust "
         "scales of image points and of control points.",
+        recorded=True,
     )
     snoop: bool = option(
         False, TESTS,
         "Search for gross errors: adjust, leave out the worst observation, adjust again. "
         "See fg_orient.orientation.outlier_search.",
+        iterates=False,
     )
     snoop_kind: SnoopKind = option(
         "groups", TESTS,
         "Left out in a round of the search: one observation, or all of its point. groups: an image point or the "
         "coordinates of a control point; points: all observations of a point.",
+        iterates=False,
     )
     outlier_test: OutlierTest = option(
         "t", TESTS,
         "Test of single observations; baarda: standard deviations a priori. pope: tau test; t: scale without the "
         "tested observation. Reports use the same test.",
+        iterates=False,
     )
-    outlier_level: float = option(0.05, TESTS, "Probability of any false alarm (see `multiple_testing`).", below=1.0)
+    outlier_level: float = option(
+        0.05, TESTS, "Probability of any false alarm (see `multiple_testing`).", below=1.0, iterates=False
+    )
     multiple_testing: MultipleTesting = option(
         "sidak", TESTS,
         "Control of the false alarms of many tests. none: `outlier_level` of each test; bonferroni, sidak, holm: of "
         "any false alarm; benjamini_hochberg: share of false alarms among the alarms.",
+        iterates=False,
     )
     variance_components: Names = option(
         (), TESTS,
         "Estimate the standard deviations of groups of observations. The usual groups are the image points, the "
         "positions and the heights; others are in fg_orient.quality.observation_groups. Adjustment and estimation "
         "alternate until both have converged.",
-        usual=USUAL_GROUPS, left_out="the given standard deviations",
+        usual=USUAL_GROUPS, left_out="the given standard deviations", iterates=False,
     )
-    max_iterations: int = option(50, ADJUSTMENT, "Maximum number of iterations.", within=(1, 10_000))
+    max_iterations: int = option(50, ADJUSTMENT, "Maximum number of iterations.", within=(1, 10_000), iterates=False)
     check_points: CheckPoints = option(
         "use", ADJUSTMENT,
         "Use the image points of check points, or exclude them. Excluded check points are intersected afterwards.",
+        recorded=True,
     )
     datum: Datum = option(
         "control", ADJUSTMENT,
         "Datum; all but control: relative, no control point is needed. priors: they define what no control point does; "
         "inner: free network without priors, inner constraints on the ground points give its covariance; free: all "
         "steps are damped, there is no covariance.",
+        recorded=True,
     )
     statistics: StatisticsChoice = option(
         "auto", TESTS,
         "Reliability of every observation; auto: up to 200 000 image points. full: redundancy numbers, reliability and "
         "normalised residuals in the results of a run; basic: without them.",
+        iterates=False,
     )
     memory_limit_gb: float | None = option(
         None, ADJUSTMENT,
         "Refuse a run that needs more memory. The need is estimated before the run; 1 GB is 1e9 bytes.",
-        unit="GB", spelled="memory-limit-gb", left_out="80 % of the available memory",
+        unit="GB", spelled="memory-limit-gb", left_out="80 % of the available memory", iterates=False,
     )
     # fmt: on
 

@@ -13,9 +13,10 @@ import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
 from fg_orient.model.block import Block, Coordinates
+from fg_orient.model.declaration import declared
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
-from fg_orient.model.options import USUAL_GROUPS
+from fg_orient.model.options import USUAL_GROUPS, Options
 from fg_orient.model.parameters import N_EOP, parameter_name
 
 Array = npt.NDArray[np.float64]
@@ -24,12 +25,6 @@ Index = npt.NDArray[np.intp]
 #: How image points may be grouped, one of these; control points: all axes together, or position and height apart.
 IMAGE_GROUPINGS: Final = ("image", "image_by_role", "image_by_image", "image_by_sensor")
 GROUPINGS: Final = (*IMAGE_GROUPINGS, "control", "position", "height", "priors")
-#: Options that hold the prior sigmas of each kind.
-_PRIOR_OPTIONS: Final = {
-    "prior position": "position_sigma_m", "prior velocity": "velocity_sigma_m_s",
-    "prior attitude": "attitude_sigma_rad", "prior look angles": "look_sigma_rad",
-    "prior RPC shift": "rpc_shift_sigma_px", "prior RPC linear": "rpc_linear_sigma_px",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +145,9 @@ def scaled(block: Block, groups: Groups, factor: Array) -> Block:
     observations = replace(o, sigma_line_px=o.sigma_line_px * image, sigma_sample_px=o.sigma_sample_px * image)
     coordinates = Coordinates(known.ecef_m, known.sigma_enu_m * by_group[groups.axes], known.fixed)
     changed: dict[str, Any] = {}
-    for name, option in _PRIOR_OPTIONS.items():
-        if name in groups.names:
-            f, given = float(by_group[groups.names.index(name)]), getattr(options, option)
+    for option, declaration in declared(Options).items():
+        if declaration.component in groups.names:
+            f, given = float(by_group[groups.names.index(declaration.component)]), getattr(options, option)
             changed[option] = tuple(f * x for x in given) if isinstance(given, tuple) else f * given
     return replace(
         block, observations=observations, points=replace(block.points, known=coordinates),

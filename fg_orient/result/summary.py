@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fg_orient.formats.rpc.text import format_rpc_text
+from fg_orient.model.declaration import declared
 from fg_orient.model.errors import Finding, NoSolutionError, as_record, finding
 from fg_orient.model.names import EOP_SETS, Status
+from fg_orient.model.options import Options
 from fg_orient.quality.deficiency import DEFICIENT, Evidence, judge_observability
 from fg_orient.quality.motions import UNOBSERVABLE
 from fg_orient.quality.parallax import rms_px, y_parallaxes
@@ -35,7 +37,7 @@ from fg_orient.result.tables import arrays_of, start_points, tables_of
 
 if TYPE_CHECKING:
     from fg_orient.adjustment.problem import Problem
-    from fg_orient.model.block import Block, Options
+    from fg_orient.model.block import Block
     from fg_orient.model.errors import RankDeficientError
     from fg_orient.orientation.solution import Solution
     from fg_orient.quality.accuracy import PointDifferences
@@ -302,10 +304,8 @@ def deficient_summary(error: RankDeficientError, block: Block) -> dict[str, Any]
 
 def _choices(options: Options) -> dict[str, Any]:
     """Options that decide on the result."""
-    names = ("optimizer", "loss", "gnc", "robust_start", "robust_scale", "eop_set", "look_polynomial", "priors",
-             "check_points", "rpc_compensation", "datum")  # fmt: skip
     return {
-        **{name: getattr(options, name) for name in names},
+        **{name: getattr(options, name) for name, one in declared(Options).items() if one.recorded},
         "eop_set_name": EOP_SETS[options.eop_set].name,
         "image_unknowns": list(options.image_unknowns) or None,
     }
