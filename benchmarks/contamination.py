@@ -253,19 +253,17 @@ def _judged(problem: Problem, state: State, ended: bool) -> tuple[Array, Mask, M
 
 
 def _snooped(block: Block) -> tuple[Array, Mask, Mask, bool]:
-    from fg_orient.orientation.snooping import snoop
-
-    search = snoop(block)
+    solution = fg.adjust(block, snoop=True)
     ids = {name: k for k, name in enumerate(block.points.ids)}
     images = {image.id: k for k, image in enumerate(block.images)}
     o = block.observations
     image, control = np.zeros(len(o), bool), np.zeros(len(ids), bool)
-    for test in search.found:
+    for test in solution.snooping.tests:
         if test.image:
             image |= (o.image == images[test.image]) & (o.point == ids[test.point])
         else:
             control[ids[test.point]] = True
-    return search.solution.ground_m, image, control, search.complete
+    return solution.ground_m, image, control, solution.snooping.complete
 
 
 def wanted(case: str, share: float) -> bool:

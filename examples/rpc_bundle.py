@@ -16,7 +16,6 @@ import numpy as np
 
 import fg_orient as fg
 from fg_orient.model.names import Role
-from fg_orient.orientation.snooping import snoop
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from fg_orient.rpc.virtual_grid import fit_sensor
 from fg_orient.sensors.rpc_sensor import RpcSensor
@@ -80,7 +79,7 @@ def main() -> None:
     print(f"graph and dense backend differ by {apart:.0e} prior sigmas")
 
     wrong = with_gross_error(block, block.points.ids[5], "right", 8.0)
-    for test in snoop(wrong, rpc_compensation=kind, level=1e-5).found:
+    for test in fg.adjust(wrong, snoop=True, rpc_compensation=kind, outlier_level=1e-5).snooping.tests:
         print(f"gross error: {test.sentence()}")
 
     relative = fg.adjust(without_control(block), rpc_compensation=kind)

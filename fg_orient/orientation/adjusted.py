@@ -1,7 +1,4 @@
-"""What every adjustment ends with, and a round of the search for gross errors looks at: fit, cofactors, tests.
-
-:class:`fg_orient.orientation.solution.Solution` is one with all that is said of it.
-"""
+"""Common part of the result of every adjustment and of every round of a search for gross errors."""
 
 from __future__ import annotations
 
@@ -23,25 +20,25 @@ from fg_orient.quality.variance_components import VarianceComponents
 
 
 @dataclass(frozen=True, kw_only=True)
-class Adjusted:
-    """End of an adjustment.
+class AdjustmentResult:
+    """End of an adjustment: fit, cofactors and tests, all that a round of a search for gross errors requires.
 
     Parameters
     ----------
     problem : Problem
-        What was solved (block, parameters, weights, start).
+        The problem that was solved: block, parameters, weights, start.
     status : Status
     state : State
         Unknowns: prior sigmas and local metres.
     chi2 : float
         Weighted sum of squares of all residuals; under a loss with the weights at the solution.
     cofactors : Cofactors or None
-        None where the covariance cannot be computed; ``withheld`` says why. Under a loss they are those of least
-        squares with the weights at the solution.
+        None where the covariance cannot be computed, for the reason in ``withheld``. Under a loss these are the
+        cofactors of least squares with the weights at the solution.
     weights : Weights or None
         Under a loss: of image points (n,) and ground points (N,).
     components : VarianceComponents or None
-        Variance components that the sigmas of ``block`` were multiplied with, if the options ask for them.
+        Variance components that multiplied the sigmas of ``block``, if the options request them.
     """
 
     problem: Problem
@@ -65,39 +62,29 @@ class Adjusted:
 
     @property
     def sigma0(self) -> float:
-        """A posteriori standard deviation of unit weight (nan without redundancy).
-
-        Under a loss below 1 even where all sigmas hold, since the weights take from the large residuals.
-        """
+        """A posteriori standard deviation of unit weight (nan without redundancy); below 1 under a loss."""
         return float(np.sqrt(self.chi2 / self.redundancy)) if self.redundancy > 0 else float("nan")
 
     def required_cofactors(self, *, unweighted: str = "") -> Cofactors:
-        """Cofactors, or why there are none; ``unweighted``: code of the message that refuses the weights of a loss."""
+        """Cofactors; raise NoSolutionError without them, and with ``unweighted`` (a message's code) under a loss."""
         if self.cofactors is None:
             raise NoSolutionError.of("covariance.withheld", value="; ".join(map(str, self.withheld)))
-        if unweighted:
-            self._require_unweighted(unweighted)
+        self._require_unweighted(unweighted)
         return self.cofactors
 
     def _require_unweighted(self, code: str) -> None:
-        if self.weights is not None:
+        if self.weights is not None and code:
             raise NoSolutionError.of(code, place=self.block.options.loss)
 
     @cached_property
-    def judged(self) -> Problem:
-        """The problem that the cofactors belong to: under a loss the one with the weights at the solution."""
+    def weighted(self) -> Problem:
+        """The problem of the cofactors: under a loss with the weights at the solution."""
         return self.problem if self.weights is None else weighted_problem(self.problem, self.weights)
 
     @cached_property
     def residual_cofactors(self) -> ResidualCofactors:
-        """Cofactors of all residuals (whitened, prior scale) and redundancy numbers; computed when first asked for.
-
-        Raises
-        ------
-        NoSolutionError
-            The covariance could not be computed; the message says why.
-        """
-        return residual_cofactors(self.judged, self.state, self.required_cofactors())
+        """Cofactors of all residuals (whitened, prior scale) and redundancy numbers."""
+        return residual_cofactors(self.weighted, self.state, self.required_cofactors())
 
     def outlier_tests(
         self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
@@ -107,16 +94,16 @@ class Adjusted:
         Parameters
         ----------
         level, test, control : optional
-            Options ``outlier_level``, ``outlier_test`` and ``multiple_testing`` of the block if not given.
+            Default: options ``outlier_level``, ``outlier_test`` and ``multiple_testing`` of the block.
         kind : str
             "groups": image points, position and height of control points; "coordinates"; "points".
 
         Raises
         ------
         InputError
-            A name or a level that is not possible.
+            Invalid name or level.
         NoSolutionError
-            The covariance could not be computed; the message says why.
+            The covariance could not be computed.
         """
         cofactors, options = self.required_cofactors(unweighted="covariance.weighted"), self.block.options
         return outlier_tests(

@@ -1,7 +1,7 @@
-"""Adjustment and variance components in turn, until the components stand.
+"""Adjustment and variance components in turn, until the components have converged.
 
-Sigmas decide on weights, weights on residuals, residuals on sigmas: each round adjusts with the sigmas of the round
-before (``fg_orient.quality.variance_components``). The fixed point does not depend on the start.
+Each round adjusts with the sigmas of the round before (``fg_orient.quality.variance_components``). The fixed point does
+not depend on the start.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from fg_orient.quality.variance_components import (
 )
 from fg_orient.quality.verdict import NO_INTERVAL
 
-#: Variances that change by less in a round stand: far below their standard deviations.
-STANDS: Final = 1e-5
-#: Rounds after which a component that does not stand is refused.
+#: Relative change of a variance at convergence: far below its standard deviation.
+CONVERGED: Final = 1e-5
+#: Maximum number of rounds.
 MAX_ROUNDS: Final = 100
-#: Rounds in which no component is judged: given sigmas may be wrong by orders of magnitude.
+#: Rounds before components are assessed: given sigmas may be wrong by orders of magnitude.
 FIRST_ROUNDS: Final = 2
-#: So many rounds with a variance below zero are no accident of the start.
+#: Rounds with a negative variance after which the component is refused.
 NEGATIVE_ROUNDS: Final = 8
-#: Factors of sigmas beyond which a component runs away.
+#: Factors of sigmas outside which a component diverges.
 RANGE: Final = (1e-3, 1e4)
 
 
@@ -55,25 +55,25 @@ def adjust_with_components(
     Parameters
     ----------
     block : Block
-        Its options name the groups; none: image points, position and height.
+        Its options name the groups; default: image points, position and height.
     run : callable
-        Adjusts a block as it is, from a state if one is given.
+        Adjusts a block as it is, from a state if given.
     begin : State, optional
-        Where the first adjustment begins.
+        Start of the first adjustment.
     method : str
         See ``fg_orient.quality.variance_components``.
 
     Returns
     -------
     Solution
-        Of the last round; its block has the sigmas found, ``components`` tells what they are.
+        Of the last round; its block has the estimated sigmas, ``components`` describes them.
 
     Raises
     ------
     InputError
         Groups or method do not exist; a loss.
     NoSolutionError
-        There is no covariance; a component is negative, runs away or does not stand.
+        There is no covariance; a component is negative, diverges or does not converge.
     """
     require_method(method)
     if block.options.loss != NONE:
@@ -87,20 +87,21 @@ def adjust_with_components(
         cofactors = solution.required_cofactors()
         state = state or _Rounds(groups_of(solution.problem, groups))
         residuals = Residuals(solution.problem, solution.state, cofactors, state.groups)
-        judge = rounds > FIRST_ROUNDS
-        found = one_round(residuals, method, keep=state.kept, judge=judge)
-        if judge and state.stands(found):
-            components = components_of(state.groups, found, state.variance, rounds, method)
-            return _untested(solution, components, _with_groups(solution.block, groups))
-        state.move(found)
-        _refuse(block, state, found)
+        assessed = rounds > FIRST_ROUNDS
+        estimated = one_round(residuals, method, keep=state.kept, judge=assessed)
+        if assessed and state.converged(estimated):
+            components = components_of(state.groups, estimated, state.variance, rounds, method)
+            return _with_components(solution, components, groups)
+        state.move(estimated)
+        state.refuse(block, estimated)
     worst = state.groups.names[state.worst] if state is not None else ""
     raise NoSolutionError.of("statistics.component_unsettled", place=f"{block.name}, group {worst}", value=MAX_ROUNDS)
 
 
-def _untested(solution: Solution, components: VarianceComponents, block: Block) -> Solution:
-    """The last solution with its components: sigma0 no longer tells anything of the model."""
-    by_construction = finding("verdict.components")
+def _with_components(solution: Solution, components: VarianceComponents, groups: tuple[str, ...]) -> Solution:
+    """The last solution with its components: sigma0 is no longer a test of the model."""
+    by_construction, block = finding("verdict.components"), solution.block
+    block = replace(block, options=replace(block.options, variance_components=groups))
     return replace(
         solution, components=components, sigma0_interval=NO_INTERVAL,
         verdict=by_construction if solution.status is Status.CONVERGED else solution.verdict,
@@ -109,16 +110,11 @@ def _untested(solution: Solution, components: VarianceComponents, block: Block) 
     )  # fmt: skip
 
 
-def _with_groups(block: Block, groups: tuple[str, ...]) -> Block:
-    """The block with the groups that were estimated in its options."""
-    return replace(block, options=replace(block.options, variance_components=groups))
-
-
 class _Rounds:
-    """What one round hands to the next: factors of the variances, and which are kept at those given.
+    """Factors of the variances, and the components kept at their given sigmas, from round to round.
 
-    A component is judged anew in each round, as weights decide on its redundancy; one that was estimated and then
-    has too little of it stays held, so that the rounds come to an end.
+    A component is assessed again in each round, because weights change its redundancy. A component that was estimated
+    and then has too little redundancy stays fixed, so that the rounds end.
     """
 
     def __init__(self, groups: Groups) -> None:
@@ -126,34 +122,27 @@ class _Rounds:
         self.groups, self.variance, self.kept = groups, np.ones(size), [False] * size
         self.negative, self.worst = np.zeros(size, int), 0
 
-    def stands(self, found: Round) -> bool:
-        """Whether nothing would move any more."""
-        change = np.abs(found.variance - 1.0)
+    def converged(self, estimated: Round) -> bool:
+        """Whether no variance changes any more."""
+        change = np.abs(estimated.variance - 1.0)
         self.worst = int(np.argmax(change))
-        free = np.array([not text for text in found.held], bool)
-        return bool(change.max() < STANDS and (free | (self.variance == 1.0)).all())
+        free = np.array([not text for text in estimated.held], bool)
+        return bool(change.max() < CONVERGED and (free | (self.variance == 1.0)).all())
 
-    def move(self, found: Round) -> None:
-        """Take over what a round found."""
-        held = np.array([bool(text) for text in found.held], bool)
+    def move(self, estimated: Round) -> None:
+        """Apply the variances of a round."""
+        held = np.array([bool(text) for text in estimated.held], bool)
         reset = held & (self.variance != 1.0)
         self.kept = [bool(k or again) for k, again in zip(self.kept, reset, strict=True)]
-        self.variance = np.where(held, 1.0, self.variance * found.variance)
-        self.negative = np.where(found.negative, self.negative + 1, 0)
+        self.variance = np.where(held, 1.0, self.variance * estimated.variance)
+        self.negative = np.where(estimated.negative, self.negative + 1, 0)
 
-
-def _refuse(block: Block, state: _Rounds, found: Round) -> None:
-    """Refuse components that are negative or run away.
-
-    Raises
-    ------
-    NoSolutionError
-        Names the first group.
-    """
-    factor = np.sqrt(state.variance)
-    for g, name in enumerate(state.groups.names):
-        place = f"{block.name}, group {name}"
-        if state.negative[g] >= NEGATIVE_ROUNDS or factor[g] < RANGE[0]:
-            raise NoSolutionError.of("statistics.component_negative", place=place, value=f"{found.redundancy[g]:.1f}")
-        if factor[g] > RANGE[1]:
-            raise NoSolutionError.of("statistics.component_explodes", place=place, value=f"{factor[g]:.3g}")
+    def refuse(self, block: Block, estimated: Round) -> None:
+        """Raise NoSolutionError for the first component that is negative or diverges."""
+        for g, (name, factor) in enumerate(zip(self.groups.names, np.sqrt(self.variance), strict=True)):
+            place = f"{block.name}, group {name}"
+            if self.negative[g] >= NEGATIVE_ROUNDS or factor < RANGE[0]:
+                value = f"{estimated.redundancy[g]:.1f}"
+                raise NoSolutionError.of("statistics.component_negative", place=place, value=value)
+            if factor > RANGE[1]:
+                raise NoSolutionError.of("statistics.component_explodes", place=place, value=f"{factor:.3g}")

@@ -1,9 +1,9 @@
 """An elevation model as control: heights of points observed from it, with a sigma.
 
-A point's height above the model, taken as a plane about the point's last place (``factors.conditions.height_control``),
-is one more observation. The planes are read anew at the adjusted places until the points rest, as the place
-at which a slope is read depends on the adjustment. It holds the height of a block that has tie points on open
-ground and little control; on slopes it holds the position, too.
+The height of a point above the model is one more observation; the model is replaced by a plane at the point's last
+place (``factors.conditions.height_control``). The planes are read again at the adjusted places until the points no
+longer move, because the place decides on the slope. This fixes the height of a block with tie points on open ground and
+little control; on slopes also the position.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from fg_orient.sensors.correction import HeightSurface
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Half the step over which slopes are read; rounds, and the longest way of a point in the last one.
+#: Half the step over which slopes are read; rounds, and the largest movement of a point in the last round.
 SLOPE_M: Final = 1.0
 MAX_ROUNDS: Final = 10
 REST_M: Final = 1e-3
@@ -51,11 +51,11 @@ class DemAdjustment:
     height_m : (n,) array
         Adjusted heights above the model.
     sigma_m : float
-        Of a height.
+        Standard deviation of a height.
     rounds : int
-        Adjustments made, the first one without the model.
+        Number of adjustments, the first without the model.
     moved_m : float
-        Longest way of a point in the last round; above 1 mm the points do not rest.
+        Largest movement of a point in the last round; above 1 mm the points are still moving.
     """
 
     solution: Solution
@@ -69,7 +69,7 @@ class DemAdjustment:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the last planes were those of the adjusted places."""
+        """Whether the points no longer move."""
         return self.moved_m <= REST_M
 
     def as_dict(self) -> dict[str, Any]:
@@ -95,9 +95,9 @@ def adjust_with_dem(
     sigma_m : float
         Standard deviation of a height of the model at a point.
     roles : sequence of Role
-        Which points; check points keep their coordinates sealed all the same.
+        Roles of the points; coordinates of check points stay sealed.
     **options
-        Of :func:`fg_orient.adjust`; backends graph and dense take own observations.
+        Of :func:`fg_orient.adjust`; the backends graph and dense accept these observations.
 
     Returns
     -------
@@ -106,8 +106,7 @@ def adjust_with_dem(
     Raises
     ------
     InputError
-        The sigma is none, the backend is the Schur backend, no point lies over the model, or the block cannot be
-        adjusted.
+        Invalid sigma, the Schur backend, no point over the model, or the block cannot be adjusted.
     """
     if not (np.isfinite(sigma_m) and sigma_m > 0.0):
         raise InputError.of("dem_control.sigma", place="sigma_m", value=sigma_m)
@@ -134,7 +133,7 @@ def adjust_with_dem(
 def height_observations(
     block: Block, dem: HeightSurface, sigma_m: float, ground_m: Array, points: Index, origin_m: Array
 ) -> tuple[Index, tuple[ExtraObservation, ...]]:
-    """Heights of points above the planes of an elevation model at their present places.
+    """Observed heights of points above the planes of an elevation model at their present places.
 
     Parameters
     ----------
@@ -142,9 +141,9 @@ def height_observations(
     dem : HeightSurface
     sigma_m : float
     ground_m : (n, 3) array
-        Places of all points of the block, ECEF m; nan where there is none.
+        Places of all points of the block, ECEF m; nan if unknown.
     points : (k,) int array
-        Points to observe; those without place, height or slope are left out.
+        Points to observe; points without place, height or slope are left out.
     origin_m : (3,) array
         Local origin of the ground unknowns (``Problem.origin_m``).
 

@@ -1,7 +1,7 @@
-"""The main job: block in, solution out.
+"""The adjustment of a block.
 
-``adjust`` compiles the problem, judges observability **before** anything is solved, runs
-the backend, and only then opens the coordinates of the check points.
+``adjust`` compiles the problem, assesses observability **before** the solution, runs the backend, and only then opens
+the coordinates of the check points.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.names import Role, Status
 from fg_orient.model.options import Backend, Datum, Options
 from fg_orient.model.parameters import with_options
-from fg_orient.orientation.adjusted import Adjusted
+from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.orientation.solution import Seconds, Solution
 from fg_orient.quality import verdict
 from fg_orient.quality.accuracy import Accuracy, PointDifferences, differences
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from fg_orient.adjustment.parts.pool import Execution
 
 Array = npt.NDArray[np.float64]
-#: Told of each stage of the work: its name, and the number of image points where it is known.
+#: Called at each stage of the work with its name and the number of image points.
 Stage = Callable[[str, int], None]
 
 
@@ -85,25 +85,25 @@ def adjust(
     eop_set : int or str, optional
         Number or name ("PUA").
     priors, datum, backend, loss, snoop, variance_components : optional
-        Options that are used most, see :class:`fg_orient.Options`. None keeps the block's.
+        The options used most, see :class:`fg_orient.Options`. None keeps the block's.
     options : Options, optional
         Options in place of the block's.
     parts : int, optional
-        Adjust in so many parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``:
-        by the size of the block. The numbers are the same for any workers.
+        Number of parts of the ground points (docs/parallel.md); default with ``workers`` or ``cluster``: by the size of
+        the block. The results do not depend on the workers.
     workers : int, optional
-        Processes of this machine that work on the parts; 1: this one.
+        Processes of this machine that adjust the parts; 1: this one.
     cluster : str or dask.distributed.Client, optional
         Scheduler of a running cluster instead.
     work_dir : path, optional
-        Folder for the files of the parts, seen by all workers.
+        Folder for the files of the parts, accessible to all workers.
     callback : callable, optional
         Called with an ``IterationRecord`` after each iteration, in every round of a search.
     stage : callable, optional
-        Called with the name of each stage of the work as it begins, and the number of image points.
+        Called at the start of each stage with its name and the number of image points.
     checkpoint : Checkpoint, optional
-        Keeps the run in a file, or is what it goes on from; to be removed by the caller in the end. A search keeps its
-        first round, an estimation of variance components nothing.
+        File that keeps the run, or from which it continues; the caller removes it in the end. A search keeps its first
+        round, an estimation of variance components nothing.
     **more
         Any other option of :class:`fg_orient.Options`; docs/options.md.
 
@@ -116,7 +116,7 @@ def adjust(
     InputError
         The block cannot be adjusted (exit code 2).
     RankDeficientError
-        Without priors some directions are not observable; one problem per direction (exit code 3).
+        Without priors some directions are unobservable; one problem per direction (exit code 3).
     TypeError
         An argument is not an option.
     """
@@ -128,22 +128,19 @@ def adjust(
     shared = not (parts is None and workers is None and cluster is None)
     if work_dir is not None and not shared:
         raise InputError.of("parallel.no_parts", option="work_dir", value=work_dir)
-    execution = _execution(parts, workers or 1, cluster, work_dir) if shared else None
-
-    def run(block: Block, begin: State | None) -> Solution:
-        return adjust_once(block, execution, callback, stage, checkpoint if begin is None else None, begin)
+    run = _Run(_execution(parts, workers or 1, cluster, work_dir) if shared else None, callback, stage, checkpoint)
 
     def run_with_components(block: Block, begin: State | None) -> Solution:
         from fg_orient.orientation.components import adjust_with_components
 
-        return adjust_with_components(block, run, begin)
+        return adjust_with_components(block, run.once, begin)
 
-    def next_round(block: Block, begin: State, like: Problem) -> Adjusted:
+    def next_round(block: Block, begin: State, like: Problem) -> AdjustmentResult:
         if block.options.variance_components or block.options.datum == "inner":
             return runner(block, begin)
-        return adjust_again(block, like, begin, execution, callback, stage)
+        return run.again(block, like, begin)
 
-    runner = run_with_components if block.options.variance_components else run
+    runner = run_with_components if block.options.variance_components else run.once
     if not block.options.snoop:
         return runner(block, None)
     from fg_orient.orientation.outlier_search import require_possible_search, search
@@ -156,94 +153,91 @@ def adjust(
     return replace(whole, snooping=found, findings=(*found.findings(), *whole.findings), memory=solution.memory)
 
 
-def adjust_once(
-    block: Block,
-    execution: Execution | None = None,
-    callback: Callback | None = None,
-    stage: Stage | None = None,
-    checkpoint: Checkpoint | None = None,
-    begin: State | None = None,
-) -> Solution:
-    """Adjust a block as its options say, one time, from a state if one is given; see :func:`adjust`."""
-    memory = require_memory(block, elsewhere=execution is not None and execution.cluster is not None)
-    prepared, start = preparing_seconds(), working_clock()
-    tell = stage or (lambda name, count: None)
-    tell("structure", len(block.observations))
-    inner = block.options.datum == "inner"
-    compiled = compiled_problem(without_priors(block) if inner else block)
-    observability = judge_observability(compiled)
-    block_view = refuse_deficient(compiled, observability)
-    compiled = with_minimal_datum(compiled) if inner else compiled
-    structure = working_clock() - start
-    tell("iterations", len(compiled.observations))
-    estimate = _solved(compiled, execution, callback, checkpoint, begin)
-    compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
-    tell("statistics", len(compiled.observations))
-    solution = conclude(compiled, observability, block_view, estimate, structure)
-    if inner and not len(held_unknowns(compiled)):
-        solution = replace(solution, findings=(_no_inner_datum(block), *solution.findings))
-    return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
-
-
 def _execution(parts: int | None, workers: int, cluster: Any, work_dir: str | Path | None) -> Execution:
-    """Where and in how many parts to adjust."""
+    """Number of parts, and the workers that adjust them."""
     from fg_orient.adjustment.parts.pool import Execution
 
     return Execution(parts, workers, cluster, work_dir)
 
 
-def _solved(
-    compiled: Problem, execution: Execution | None, callback: Callback | None, checkpoint: Checkpoint | None,
-    begin: State | None,
-) -> Estimate:  # fmt: skip
-    """Run the optimisation here, or in parts."""
-    if execution is None:
-        return solve(compiled, callback, checkpoint=checkpoint, start=begin)
-    from fg_orient.adjustment.parts.solve import solve_in_parts
+@dataclass(frozen=True)
+class _Run:
+    """Adjustments with one set of callbacks, here or in parts; see :func:`adjust`."""
 
-    return solve_in_parts(compiled, execution, callback, checkpoint, begin)
+    execution: Execution | None
+    callback: Callback | None
+    stage: Stage | None
+    checkpoint: Checkpoint | None
+
+    def once(self, block: Block, begin: State | None = None) -> Solution:
+        """Adjust a block as its options say, one time, from a state if given."""
+        memory = require_memory(block, elsewhere=self.execution is not None and self.execution.cluster is not None)
+        prepared, start = preparing_seconds(), working_clock()
+        self._report("structure", len(block.observations))
+        inner = block.options.datum == "inner"
+        compiled = compiled_problem(without_priors(block) if inner else block)
+        observability = judge_observability(compiled)
+        block_view = refuse_deficient(compiled, observability)
+        compiled = with_minimal_datum(compiled) if inner else compiled
+        structure = working_clock() - start
+        estimate = self._solved(compiled, self.checkpoint if begin is None else None, begin)
+        compiled, estimate = to_inner_datum(compiled, estimate, solve) if inner else (compiled, estimate)
+        self._report("statistics", len(compiled.observations))
+        solution = conclude(compiled, observability, block_view, estimate, structure)
+        if inner and not len(held_unknowns(compiled)):
+            solution = replace(solution, findings=(_no_inner_datum(block), *solution.findings))
+        return replace(solution, memory=memory, seconds=replace(solution.seconds, jit=preparing_seconds() - prepared))
+
+    def again(self, block: Block, like: Problem, begin: State) -> Again:
+        """Adjust a block that differs in some observations from that of ``like``, from a state near the solution.
+
+        Computes only what the choice of the next observation to leave out requires.
+        """
+        start = working_clock()
+        self._report("structure", len(block.observations))
+        compiled = compiled_problem(block, like)
+        require_determined(compiled)
+        structure = working_clock() - start
+        estimate = self._solved(compiled, None, begin)
+        self._report("statistics", len(compiled.observations))
+        cofactors, withheld = _cofactors(compiled, estimate)
+        return Again(
+            problem=compiled, status=verdict.judge(compiled, estimate, withheld).status, state=estimate.state,
+            chi2=estimate.chi2, cofactors=cofactors, withheld=withheld, estimate=estimate, structure_s=structure,
+        )  # fmt: skip
+
+    def _report(self, name: str, count: int) -> None:
+        """Report the start of a stage."""
+        if self.stage is not None:
+            self.stage(name, count)
+
+    def _solved(self, compiled: Problem, checkpoint: Checkpoint | None, begin: State | None) -> Estimate:
+        """Run the optimisation here, or in parts."""
+        self._report("iterations", len(compiled.observations))
+        if self.execution is None:
+            return solve(compiled, self.callback, checkpoint=checkpoint, start=begin)
+        from fg_orient.adjustment.parts.solve import solve_in_parts
+
+        return solve_in_parts(compiled, self.execution, self.callback, checkpoint, begin)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Again(Adjusted):
-    """A round of a search: what the next round asks for, and how a whole solution is made of the last one."""
+class Again(AdjustmentResult):
+    """A round of a search; ``whole`` completes the last one."""
 
     estimate: Estimate
     structure_s: float
 
     def whole(self, jit_s: float) -> Solution:
-        """Give the solution of this round; observability is judged only now."""
+        """Complete this round to a solution; observability is assessed only now."""
         observability = judge_observability(self.problem)
         block_view = refuse_deficient(self.problem, observability)
         solution = conclude(self.problem, observability, block_view, self.estimate, self.structure_s)
         return replace(solution, seconds=replace(solution.seconds, jit=jit_s))
 
 
-def adjust_again(
-    block: Block, like: Problem, begin: State, execution: Execution | None, callback: Callback | None,
-    stage: Stage | None,
-) -> Again:  # fmt: skip
-    """Adjust a block that differs in some observations from that of ``like``, from a state near the solution.
-
-    Only what decides on the next observation to be left out is computed.
-    """
-    start, tell = working_clock(), stage or (lambda name, count: None)
-    tell("structure", len(block.observations))
-    compiled = compiled_problem(block, like)
-    require_determined(compiled)
-    structure = working_clock() - start
-    tell("iterations", len(compiled.observations))
-    estimate = _solved(compiled, execution, callback, None, begin)
-    tell("statistics", len(compiled.observations))
-    cofactors, withheld = _cofactors(compiled, estimate)
-    return Again(
-        problem=compiled, status=verdict.judge(compiled, estimate, withheld).status, state=estimate.state,
-        chi2=estimate.chi2, cofactors=cofactors, withheld=withheld, estimate=estimate, structure_s=structure,
-    )  # fmt: skip
-
-
 def _no_inner_datum(block: Block) -> Finding:
-    """Inner constraints had nothing to do; the priors were switched off for them."""
+    """Finding that the block has no datum defect; a second code says that its priors were switched off."""
     priors = block.options.priors
     return finding("solution.no_inner_datum_nor_priors" if priors else "solution.no_inner_datum")
 
@@ -264,9 +258,9 @@ def conclude(
     if located is not None:
         ground[located.index] = located.ground_m
     accuracy = _assess(compiled, ground, located, cofactors)
-    found = verdict.judge(compiled, estimate, withheld)
-    findings = verdict.findings(compiled, estimate, found, observability, block_view, accuracy)
-    if found.status is Status.NOT_TRUSTWORTHY:
+    assessment = verdict.judge(compiled, estimate, withheld)
+    findings = verdict.findings(compiled, estimate, assessment, observability, block_view, accuracy)
+    if assessment.status is Status.NOT_TRUSTWORTHY:
         from fg_orient.quality.mix_ups import mix_ups
 
         findings = (*findings[:1], *mix_ups(compiled.block), *findings[1:])
@@ -274,10 +268,10 @@ def conclude(
         names = [compiled.block.points.ids[j] for j in located.lost]
         findings += (finding("solution.check_not_located", n=len(names), points=names),)
     return Solution(
-        problem=compiled, status=found.status, verdict=found.finding, end=estimate.end,
+        problem=compiled, status=assessment.status, verdict=assessment.finding, end=estimate.end,
         backend=estimate.backend, solver=estimate.solver, optimizer=compiled.block.options.optimizer,
         state=estimate.state, ground_m=ground, chi2=estimate.chi2,
-        sigma0_interval=found.interval, log=estimate.log, iterations=estimate.iterations,
+        sigma0_interval=assessment.interval, log=estimate.log, iterations=estimate.iterations,
         residuals_px=compiled.pixel_residuals(estimate.state), observability=observability, block_view=block_view,
         accuracy=accuracy,
         cofactors=cofactors, withheld=withheld, findings=findings, weights=estimate.weights,
@@ -293,9 +287,9 @@ def _cofactors(compiled: Problem, estimate: Estimate) -> tuple[Cofactors | None,
     if estimate.weights is not None and not are_information(loss, estimate.weights):
         return None, (finding("withheld.loss", loss=loss),)
     try:
-        found = cofactors_of(compiled, estimate)
+        cofactors = cofactors_of(compiled, estimate)
         inner = compiled.block.options.datum == "inner"
-        return (InnerCofactors(compiled, estimate.state, found) if inner else found), ()
+        return (InnerCofactors(compiled, estimate.state, cofactors) if inner else cofactors), ()
     except Indeterminate as reason:
         return None, (finding("withheld.indeterminate", why=reason),)
 

@@ -1,10 +1,8 @@
 """Data snooping in a block: observations of an adjustment for the loop of ``fg_orient.quality.rejection``.
 
-After each adjustment every observation left out is predicted from the others with its covariance and put back if it
-fits at the level at which it was left out.
-
-Nothing is deleted: the block that is adjusted loses observations, the given one stays as it is, and each is named with
-its test.
+After each adjustment every observation left out is predicted from the others with its covariance. It is put back if it
+fits at the level at which it was left out. The given block keeps all observations; the record names each observation
+left out with its test.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from fg_orient.adjustment.robust import NONE
 from fg_orient.model.block import Block
 from fg_orient.model.errors import Finding, InputError, NoSolutionError, finding
 from fg_orient.model.names import Role, Status
-from fg_orient.orientation.adjusted import Adjusted
+from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.freedom import least_freedom, with_freedom
 from fg_orient.quality.observation_groups import groups_of, scaled
 from fg_orient.quality.outliers import GroupTest, OutlierTests
@@ -32,38 +30,38 @@ from fg_orient.quality.variance_components import VarianceComponents
 from fg_orient.sensors import initial
 
 Index = npt.NDArray[np.intp]
-#: Adjusts a block from a state; the problem is that of the round before, which differs in some observations.
-Run = Callable[[Block, State, Problem], Adjusted]
+#: Adjusts a block from a state, given the problem of the round before, which differs in some observations.
+Run = Callable[[Block, State, Problem], AdjustmentResult]
 
-#: Place of what ended a search.
+#: Place of the finding that ended a search.
 GIVEN_UP: Final = "snooping was given up"
 
 
-def search(block: Block, first: Adjusted, run: Run) -> tuple[Adjusted, Search]:
+def search(block: Block, first: AdjustmentResult, run: Run) -> tuple[AdjustmentResult, Search]:
     """Search for gross errors among image points and control points.
 
     Parameters
     ----------
     block : Block
-        Its options name the test and what is left out. Points to be judged with their coordinates must have the role
-        control: coordinates of check points stay sealed.
-    first : Adjusted
-        The adjustment of the whole block.
+        Its options name the test and what is left out. Points whose coordinates are tested must have the role control:
+        coordinates of check points stay sealed.
+    first : AdjustmentResult
+        Adjustment of the whole block.
     run : callable
-        Makes those of the rounds.
+        Adjusts the further rounds.
 
     Returns
     -------
-    end : Adjusted
+    end : AdjustmentResult
         The last round.
-    found : Search
+    record : Search
 
     Raises
     ------
     InputError
         A loss (:func:`require_possible_search`).
     NoSolutionError
-        The covariance, on which the test rests, cannot be computed.
+        The covariance, which the test requires, cannot be computed.
     """
     rounds = _Rounds(block, first)
     end = reject(
@@ -75,22 +73,16 @@ def search(block: Block, first: Adjusted, run: Run) -> tuple[Adjusted, Search]:
 
 
 def require_possible_search(block: Block) -> None:
-    """Refuse what cannot be searched, before anything is adjusted.
-
-    Raises
-    ------
-    InputError
-        A loss.
-    """
+    """Raise InputError for a block with a loss, before the first adjustment."""
     if block.options.loss != NONE:
         raise InputError.of("statistics.snoop_loss", option="snoop", value=block.options.loss)
 
 
 @dataclass
 class _Removal:
-    """What is left out together: rows of the given block's image points, and the coordinates of the point.
+    """Observations left out together: rows of the given block's image points, and the coordinates of the point.
 
-    ``test``, ``with_it`` and ``fit`` are those of :class:`Found`.
+    ``test``, ``with_it`` and ``fit`` as in :class:`Found`.
     """
 
     point: int
@@ -102,9 +94,9 @@ class _Removal:
 
 
 class _Rounds:
-    """Observations of a block for :func:`reject`; figures of each round."""
+    """Observations of a block for :func:`reject`; record of each round."""
 
-    def __init__(self, block: Block, first: Adjusted) -> None:
+    def __init__(self, block: Block, first: AdjustmentResult) -> None:
         self._block, self._full = block, first.problem
         self._place = np.cumsum(participates(block)) - 1  # rows of the block among those of the full problem
         self._rows: list[list[int]] = [[] for _ in block.points.ids]
@@ -112,7 +104,7 @@ class _Rounds:
             self._rows[j].append(row)
         self._rounds: list[Round] = []
 
-    def returning(self, solution: Adjusted, out: Sequence[_Removal]) -> list[float]:
+    def returning(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> list[float]:
         """Test an adjustment; give the probability of each observation left out, 0 where it does not fit."""
         self._tests = tests = solution.outlier_tests(kind=self._block.options.snoop_kind)
         self._rounds.append(Round(
@@ -124,14 +116,14 @@ class _Rounds:
         probabilities = [0.0 if r.fit is None else r.fit.probability or 0.0 for r in out]
         return [p if p > r.test.level else 0.0 for p, r in zip(probabilities, out, strict=True)]
 
-    def worst(self, solution: Adjusted, out: Sequence[_Removal]) -> _Removal | None:
+    def worst(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> _Removal | None:
         """Give the worst observation of the adjustment tested last."""
         if solution.status is Status.NOT_CONVERGED or not self._tests.n_suspicious:
             return None
         return self._removal(self._tests, out)
 
     def _removal(self, tests: OutlierTests, out: Sequence[_Removal]) -> _Removal:
-        """Collect what is left out with the first of the tests."""
+        """Observations to be left out by the first of the tests."""
         kept, before = self._kept(out)
         point, row = int(tests.point[0]), int(tests.row[0])
         taking_part = kept[participates(before)]
@@ -149,12 +141,12 @@ class _Rounds:
         o = self._block.observations
         return f"point {self._block.points.ids[o.point[row]]} in image {self._block.images[o.image[row]].id}"
 
-    def _predict(self, solution: Adjusted, out: Sequence[_Removal]) -> None:
-        """Judge everything left out by the rest."""
+    def _predict(self, solution: AdjustmentResult, out: Sequence[_Removal]) -> None:
+        """Test all observations left out against the others."""
         if solution.cofactors is None or not out:
             return
         components, full = solution.components, self._full
-        if components is not None:  # what is out gets the sigmas that its group has now
+        if components is not None:  # observations left out get the present sigmas of their group
             full = compile_problem(rescaled(self._block, self._full, components))
         for removal in out:
             j = removal.point
@@ -162,19 +154,16 @@ class _Rounds:
             stay = self._staying(j, [removal, *others])
             back = [row for row in self._staying(j, others) if row not in stay]
             known = self._is_control(j, others) and self._full.observed[j]
+            part = removal.test.part
+            suspect = Suspect(part, int(self._place[removal.rows[0]]) if part == "image" else -1)
             fit = prediction(
                 full, solution.problem, solution.state, solution.cofactors, solution.chi2,
                 self._block.options.outlier_test, j, self._place[back].tolist(),
-                bool(known and not solution.problem.observed[j]), self._suspect(removal),
+                bool(known and not solution.problem.observed[j]), suspect,
             )  # fmt: skip
             if components is not None:
                 fit = with_freedom(fit, least_freedom(components), self._block.options.outlier_test)
             removal.fit = fit
-
-    def _suspect(self, removal: _Removal) -> Suspect:
-        """Where in what is left out the error is suspected."""
-        part = removal.test.part
-        return Suspect(part, int(self._place[removal.rows[0]]) if part == "image" else -1)
 
     def _is_control(self, j: int, removals: Sequence[_Removal]) -> bool:
         """Whether a point keeps its coordinates without these of its observations."""
@@ -204,16 +193,16 @@ class _Rounds:
         return self._kept(out)[1]
 
     def state(self, out: Sequence[_Removal], last: State) -> State:
-        """Where the next adjustment begins: the last one's end, the first start for points that were not in it.
+        """Start of the next adjustment: the end of the last; points that it lacked start as in the first.
 
-        Points that are not in it either stay without coordinates.
+        Points of neither adjustment have no coordinates.
         """
         ground = np.where(initial.missing_rows(last.ground)[:, None], self._full.start.ground, last.ground)
         block = self.block(out)
         part = np.isin(np.arange(len(ground)), block.observations.point[participates(block)])
         return State(last.image, np.where(part[:, None], ground, np.nan))
 
-    def concluded(self, end: Rejection[Adjusted, _Removal]) -> Search:
+    def concluded(self, end: Rejection[AdjustmentResult, _Removal]) -> Search:
         """Give the record of the search."""
         kept, block = self._kept(end.out)
         o, points = self._block.observations, self._block.points
@@ -236,8 +225,8 @@ class _Rounds:
         )  # fmt: skip
 
 
-def _given_up(end: Rejection[Adjusted, _Removal]) -> Finding | None:
-    """Give why the search ended although something is suspicious; None if it came to its end."""
+def _given_up(end: Rejection[AdjustmentResult, _Removal]) -> Finding | None:
+    """Reason for an end of the search with suspicious observations left; None otherwise."""
     if end.fit.status is Status.NOT_CONVERGED:
         return finding("search.not_converged", place=GIVEN_UP)
     if end.worst is None:
@@ -249,7 +238,7 @@ def _given_up(end: Rejection[Adjusted, _Removal]) -> Finding | None:
 
 
 def rescaled(block: Block, full: Problem, components: VarianceComponents) -> Block:
-    """The given block with the sigmas that variance components found; ``full`` is its problem."""
+    """The given block with its sigmas multiplied by variance components; ``full`` is its problem."""
     groups = groups_of(full, full.block.options.variance_components)
     known = {c.group: c.factor for c in components.components}
     return scaled(block, groups, np.array([known.get(name, 1.0) for name in groups.names]))

@@ -1,23 +1,25 @@
-"""Reduction of a set of image unknowns, one at a time, with criteria of the models beside it.
+"""Reduction of a set of image unknowns, one at a time, with criteria and cross-validation of each model.
 
-Backward: of the coefficients of the model the least significant is dropped and the block adjusted again, as long as its
-probability is above the level. Forward: beginning with the single best coefficient, the one that is most significant
-when added is taken, as long as it is significant. A coefficient is one of all images; it is tested by F over those that
-have it (``fg_orient.quality.significance``). A step tests many coefficients, so the level of each is Sidak's.
+Backward: the least significant coefficient is dropped and the block adjusted again, as long as its probability is
+above the level. Forward: starting with the best single coefficient, the most significant further coefficient is added,
+as long as it is significant. A coefficient belongs to all images; it is tested by F over the images that have it
+(``fg_orient.quality.significance``). A step tests many coefficients, so the level of each is Sidak's.
 
 Criteria, unit weight unknown, n observations, k unknowns and the unit weight::
 
     -2 ln L = n (ln(2 pi v^T v / n) + 1) + sum ln sigma_i^2
     AIC = -2 ln L + 2k,  AICc = AIC + 2k(k + 1)/(n - k - 1),  BIC = -2 ln L + k ln n
 
-(Akaike 1974; Hurvich & Tsai 1989; Schwarz 1978). With priors an unknown counts as the part of it that the
-observations determine, 1 - q_jj, and v are residuals of observations only. Prediction errors by cross-validation:
-``fg_orient.orientation.cross_validation``.
+(Akaike 1974; Hurvich & Tsai 1989; Schwarz 1978). With priors an unknown counts by the share that the observations
+determine, 1 - q_jj, and v are residuals of observations only.
+
+Cross-validation leaves control points out of the adjustment, with their image points, and predicts them: in the image
+by projection with the adjusted orientation, on the ground by intersection of their rays. Check points stay sealed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -25,12 +27,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fg_orient.adjustment.problem import Problem
-from fg_orient.model.block import Block
+from fg_orient.model.block import Block, Coordinates, WithheldCoordinates
 from fg_orient.model.distributions import sidak
 from fg_orient.model.errors import InputError, NoSolutionError, RankDeficientError
-from fg_orient.model.names import EOP_SETS, Progress
+from fg_orient.model.names import EOP_SETS, Progress, Role
 from fg_orient.model.parameters import N_EOP, eop_codes, parameter_name
-from fg_orient.orientation.cross_validation import CrossValidation, Parts, cross_validate, folds_of
 from fg_orient.orientation.orient import adjust
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.significance import GroupTest, group_test, places_of
@@ -40,23 +41,139 @@ Direction = Literal["backward", "forward"]
 
 #: Probability of a false choice in one step, over all coefficients of the step.
 LEVEL: Final = 0.05
+#: Seed of the random parts of a cross-validation.
+SEED: Final = 1
+
+
+@dataclass(frozen=True, eq=False)
+class CrossValidation:
+    """Prediction errors.
+
+    Parameters
+    ----------
+    n_folds : int
+    ids : tuple of str
+        Points of the rows of ``ground_m``.
+    image_px : (n, 2) array
+        Predicted minus measured line and sample.
+    ground_m : (p, 3) array
+        Predicted minus measured East, North, Up (X, Y, Z in a local system) of points in two images or more.
+    """
+
+    n_folds: int
+    ids: tuple[str, ...]
+    image_px: Array
+    ground_m: Array
+
+    @property
+    def image_rms(self) -> float | None:
+        """RMS length of an error in the image, pixels."""
+        return _rms_length(self.image_px)
+
+    @property
+    def ground_rms(self) -> float | None:
+        """RMS length of an error on the ground, m; None without points in two images."""
+        return _rms_length(self.ground_m)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        axes = {
+            name: None if not len(values) else np.sqrt(np.mean(values**2, axis=0)).tolist()
+            for name, values in (("image_line_sample_px", self.image_px), ("ground_east_north_up_m", self.ground_m))
+        }
+        return {"folds": self.n_folds, "n_image_points": len(self.image_px), "n_points": len(self.ground_m),
+                "image_rms_px": self.image_rms, "ground_rms_m": self.ground_rms, **axes}  # fmt: skip
+
+
+def _rms_length(errors: Array) -> float | None:
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else None
+
+
+def folds_of(block: Block, count: int = 0) -> Parts:
+    """Divide the measured control points: each alone, or into ``count`` random parts of about one size.
+
+    Raises
+    ------
+    InputError
+        Fewer control points than parts, or only one.
+    """
+    control = block.points.where(Role.CONTROL)
+    control = control[np.isin(control, block.observations.point)]
+    if count < 0 or count == 1 or len(control) < max(count, 2):
+        raise InputError.of("statistics.folds", option="folds", value=count, control=len(control))
+    if count == 0:
+        return tuple((int(j),) for j in control)
+    order = np.random.default_rng(SEED).permutation(control)
+    return tuple(tuple(sorted(part.tolist())) for part in np.array_split(order, count))
+
+
+def cross_validate(block: Block, folds: Parts, **options: Any) -> CrossValidation:
+    """Leave each part out once and predict it from the others.
+
+    Parameters
+    ----------
+    block : Block
+    folds : tuple of tuples of int
+        Control points left out together (:func:`folds_of`).
+    **options
+        Of :func:`fg_orient.adjust`, which raises its errors if a part cannot be left out.
+    """
+    image, ground, ids = [np.zeros((0, 2))], [np.zeros((0, 3))], list[str]()
+    check_points = options.pop("check_points", None) or block.options.check_points
+    block = _without_check_points(block, keep_rays=check_points == "use")
+    known, o = block.points.known.ecef_m, block.observations
+    for fold in folds:
+        solution = adjust(left_out(block, fold), check_points="exclude", **options)
+        ids += solution.accuracy.check.ids
+        ground.append(solution.accuracy.check.enu_m)
+        for k, entry in enumerate(block.images):
+            rows = np.flatnonzero(np.isin(o.point, fold) & (o.image == k))
+            if len(rows):
+                line, sample = entry.sensor.project(known[o.point[rows]], solution.correction(entry.id))
+                image.append(np.stack([line - o.line[rows], sample - o.sample[rows]], axis=1))
+    return CrossValidation(len(folds), tuple(ids), np.vstack(image), np.vstack(ground))
+
+
+def left_out(block: Block, fold: Sequence[int]) -> Block:
+    """Make these control points check points, without the rays of points in a single image."""
+    points, o, known, chosen = block.points, block.observations, block.points.known, np.array(fold, np.intp)
+    gone = np.isin(np.arange(len(points.ids)), chosen)
+    sealed = Coordinates(known.ecef_m[chosen], known.sigma_enu_m[chosen], known.fixed[chosen])
+    single = gone & (np.bincount(o.point, minlength=len(gone)) < 2)
+    ids = tuple(points.ids[j] for j in chosen)
+    return replace(
+        block, points=points.without_coordinates(gone, Role.CHECK), observations=o.take(~single[o.point]),
+        withheld=WithheldCoordinates(ids, lambda: sealed),
+    )  # fmt: skip
+
+
+def _without_check_points(block: Block, *, keep_rays: bool) -> Block:
+    """Check points as tie points, or without their rays; their coordinates are not opened."""
+    points, check = block.points, block.points.where(Role.CHECK)
+    roles = tuple(Role.TIE if role is Role.CHECK else role for role in points.roles)
+    keep = ~np.isin(block.observations.point, check) | keep_rays
+    nothing = Coordinates(np.empty((0, 3)), np.empty((0, 3)), np.zeros(0, bool))
+    return replace(
+        block, points=replace(points, roles=roles), observations=block.observations.take(keep),
+        withheld=WithheldCoordinates((), lambda: nothing),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Criteria:
-    """Criteria of one model; None where a figure does not exist.
+    """Criteria of one model; None where a value does not exist.
 
     Parameters
     ----------
     n : int
         Observations without priors.
     k : float
-        Unknowns that the observations determine, and the unit weight.
+        Number of unknowns that the observations determine, plus one for the unit weight.
     sigma0 : float
     log_likelihood, aic, bic : float or None
         None where the model fits exactly: the likelihood has no maximum.
     aicc : float or None
-        The same, and None where n <= k + 1.
+        Also None where n <= k + 1.
     """
 
     n: int
@@ -76,9 +193,9 @@ class Step:
     ----------
     unknowns : tuple of str
     changed : str
-        Coefficient dropped or added to come here; "" for the first.
+        Coefficient dropped or added to reach this model; "" for the first.
     test : GroupTest or None
-        Its test.
+        Test of that coefficient.
     tests : tuple of GroupTest
         Of all coefficients of this model, least significant first.
     criteria : Criteria
@@ -95,7 +212,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Reduction:
-    """All models of a reduction, the first to the last.
+    """All models of a reduction, in order.
 
     Parameters
     ----------
@@ -114,12 +231,12 @@ class Reduction:
 
     @property
     def unknowns(self) -> tuple[str, ...]:
-        """The last model: what is significant."""
+        """Unknowns of the last model: all significant."""
         return self.steps[-1].unknowns
 
     @property
     def closest_set(self) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
-        """EOP set with the fewest differences: its number, what it has more, what it has less; None without EOP."""
+        """EOP set with the fewest differences: number, further and missing coefficients; None without EOP."""
         return closest_eop_set(self.unknowns)
 
     def best(self, criterion: str) -> Step:
@@ -127,8 +244,8 @@ class Reduction:
 
         def value(step: Step) -> float:
             source = step.criteria if criterion in ("aic", "aicc", "bic") else step.validation
-            found = getattr(source, criterion if source is step.criteria else f"{criterion}_rms", None)
-            return float("inf") if found is None else float(found)
+            figure = getattr(source, criterion if source is step.criteria else f"{criterion}_rms", None)
+            return float("inf") if figure is None else float(figure)
 
         return min(self.steps, key=value)
 
@@ -153,7 +270,7 @@ class Reduction:
 
 
 def closest_eop_set(unknowns: Iterable[str]) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
-    """EOP set that differs from these unknowns least, the first of several; None if there is no EOP among them."""
+    """First EOP set that differs least from these unknowns; None without EOP. See :attr:`Reduction.closest_set`."""
     eop = [parameter_name(code) for code in range(N_EOP)]
     mine = set(unknowns) & set(eop)
     if not mine:
@@ -176,22 +293,18 @@ def reduce_unknowns(
     Parameters
     ----------
     block : Block
-        Its options name the set to begin with, or to choose from. A search for gross errors and variance components
-        are those of the whole set and kept for all models.
+        Its options name the set to begin with, or to choose from. Gross errors and variance components are found with
+        the whole set and kept for all models.
     direction : str
         "backward" or "forward".
     level : float
         Probability of a false choice in one step.
     folds : int, optional
-        Cross-validate every model with so many parts of the control points; 0: leave one out. Default: not at all.
+        Parts of the control points for the cross-validation of every model; 0: leave one out. Default: none.
     progress : callable, optional
         Called before each adjustment.
     **options
         Of :func:`fg_orient.adjust`.
-
-    Returns
-    -------
-    Reduction
 
     Raises
     ------
@@ -232,7 +345,7 @@ class _Runs:
         return solution
 
     def keep(self, full: Solution, most: int) -> None:
-        """Keep what a search left out and the variance components of the first model for all others."""
+        """Keep the gross errors and variance components of the first model for all others."""
         self.most = most
         self._block = replace(full.block, options=replace(full.block.options, snoop=False, variance_components=()))
         self._options = {k: v for k, v in self._options.items() if k not in ("snoop", "variance_components")}
@@ -269,7 +382,7 @@ def _backward(run: _Runs, full: Solution, every: tuple[str, ...], level: float) 
         rest = tuple(name for name in last.unknowns if name != worst.group)
         try:
             solution = run.adjust(rest)
-        except InputError:  # an image would have no unknown left
+        except InputError:  # an image would have no unknown
             break
         steps.append((run.step(solution, rest, worst.group, worst), solution))
     return steps
@@ -287,7 +400,7 @@ def _forward(run: _Runs, every: tuple[str, ...], level: float) -> list[tuple[Ste
             trial = tuple(n for n in every if n in (*chosen, name))
             try:
                 solution = run.adjust(trial)
-            except (InputError, RankDeficientError):  # an image without unknowns, or with one that nothing shows
+            except (InputError, RankDeficientError):  # an image without unknowns, or with an unobservable one
                 continue
             test = coefficient_test(solution, name)
             trials.append((test.probability, -test.statistic, name, test, solution))
@@ -324,8 +437,13 @@ def _observed(problem: Problem, solution: Solution) -> tuple[float, int, float]:
 
 
 def _determined(solution: Solution) -> float:
-    """Image unknowns, each counted as far as the observations determine it."""
+    """Number of image unknowns, each counted by the share that the observations determine."""
     problem, q = solution.problem, solution.required_cofactors()
     if not problem.block.options.priors:
         return float(problem.n_free_unknowns)
     return sum(float(np.sum(1.0 - np.diag(q.image(k)))) for k in range(problem.n_images))
+
+
+Index = npt.NDArray[np.intp]
+#: Ground points that are left out together.
+Parts = Sequence[Sequence[int]]

@@ -1,7 +1,7 @@
-"""The solution of an adjustment: state, fit, observability, accuracy, covariance on demand.
+"""Result of an adjustment: state, fit, observability, accuracy; covariance and tests on demand.
 
-Cofactors are in prior scale (sigma0 = 1 a priori), which predictions are tested against; :meth:`Solution.covariance`
-multiplies with the a posteriori variance factor ``sigma0^2``, for reports.
+Cofactors are in prior scale (sigma0 = 1 a priori), as tests of predictions require. :meth:`Solution.covariance`
+multiplies them by the a posteriori variance factor ``sigma0^2``, as reports require.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fg_orient.adjustment.memory import Need
 from fg_orient.model.errors import Finding, InputError, NoSolutionError
 from fg_orient.model.names import Role
 from fg_orient.model.options import USUAL_GROUPS
-from fg_orient.orientation.adjusted import Adjusted
+from fg_orient.orientation.adjusted import AdjustmentResult
 from fg_orient.quality.accuracy import Accuracy
 from fg_orient.quality.covariance import NamedMatrix
 from fg_orient.quality.freedom import UnknownFreedom
@@ -66,35 +66,35 @@ class Seconds:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Solution(Adjusted):
-    """Result of :func:`fg_orient.adjust` (``orientation.orient``); what it has in common: ``orientation.adjusted``.
+class Solution(AdjustmentResult):
+    """Result of :func:`fg_orient.adjust`; further attributes: :class:`AdjustmentResult`.
 
     Parameters
     ----------
     verdict : Finding
-        What decided on the status; ``reason`` is its sentence.
+        Reason of the status; ``reason`` is its sentence.
     end : Finding
-        Why the iteration ended; ``ended`` is its sentence.
+        Reason for the end of the iteration; ``ended`` is its sentence.
     ground_m : (N, 3) array
         Adjusted ECEF coordinates in file order; excluded check points are intersected, points
         without image observations nan.
     residuals_px : (n, 2) array
         Line and sample residuals, adjusted minus observed, of ``problem.observations``.
     sigma0_interval : (float, float)
-        99.9 % interval of sigma0 if model and weights hold; nan under a loss and with variance components.
+        99.9 % interval of sigma0 if model and weights are right; nan under a loss and with variance components.
     observability : tuple of ImageObservability
     block_view : BlockObservability or None
-        The whole block without its priors, where there are none or where they hold the datum.
+        The whole block without its priors, where there are none or where they fix the datum.
     accuracy : Accuracy
         Control and check points against their measured coordinates.
     backend, solver : str
-        Which backend solved; the linear solver of the dense one, "" otherwise.
+        Backend, and linear solver of the dense backend ("" otherwise).
     memory : Need or None
-        What the run was expected to need, and what it was allowed.
+        Memory that the run was expected to need, and its limit.
     resumed_at : int
-        Iterations of a run that was stopped, which this one went on with.
+        Iterations of an interrupted run that this run continued.
     snooping : Search or None
-        What a search for gross errors found, if the options ask for one.
+        Search for gross errors, if the options request one.
     """
 
     verdict: Finding
@@ -123,12 +123,12 @@ class Solution(Adjusted):
 
     @property
     def reason(self) -> str:
-        """The verdict in words."""
+        """Sentence of the verdict."""
         return str(self.verdict)
 
     @property
     def ended(self) -> str:
-        """Why the iteration ended, in words."""
+        """Sentence on the end of the iteration."""
         return str(self.end)
 
     @property
@@ -138,49 +138,40 @@ class Solution(Adjusted):
 
     @property
     def rank_defect(self) -> dict[str, int]:
-        """Dead directions per image."""
+        """Number of unobservable directions per image."""
         return {o.image: o.rank_defect for o in self.observability}
 
     @property
     def unobservable(self) -> tuple[str, ...]:
-        """One sentence per dead direction, per free shift of the block, per observation on board that priors hold."""
+        """One sentence per unobservable direction, free motion of the block, and navigation datum fixed by priors."""
         datum = () if self.block_view is None else (*self.block_view.datum, *self.block_view.on_board)
         return (*(sentence for o in self.observability for sentence in o.sentences), *datum)
 
     def correction(self, image: str) -> Any:
-        """Correction of an image in physical units, as ``project``, ``locate`` and ``rays`` of its sensor take it.
+        """Correction of an image in physical units, for ``project``, ``locate`` and ``rays`` of its sensor.
 
         ``Correction`` of a pushbroom image, compensation (6,) in pixels of an RPC image (``factors.cameras.rfm``).
 
-        Raises
-        ------
-        InputError
-            There is no such image.
+        Another name of an image raises InputError.
         """
         if image not in [i.id for i in self.block.images]:
             raise InputError.of("covariance.no_such", place="correction", value=image)
         return self.problem.corrections(self.state)[self.block.image_index(image)]
 
     def cofactor_matrix(self, *names: str) -> NamedMatrix:
-        """Joint cofactor matrix (prior scale) of anything adjusted, by name.
+        """Joint cofactor matrix (prior scale) of adjusted quantities, by name.
 
         "image:left" (all its parameters), "image:left.x_0" (one), "point:12", "point:12.z", "observation:left/12"
         (adjusted line and sample of an image point), "residual:left/12". Units are physical: m, m/s, rad for
-        images, ECEF metres for points, pixels; see ``fg_orient.quality.joint``.
-
-        Raises
-        ------
-        InputError
-            A name that does not exist, or a point that is no unknown.
-        NoSolutionError
-            The covariance could not be computed; the message says why.
+        images, ECEF metres for points, pixels; see ``fg_orient.quality.joint``. A name that does not exist, or a point
+        that is not an unknown, raises InputError.
         """
         from fg_orient.quality.joint import joint_cofactors
 
-        return joint_cofactors(self.judged, self.state, self.required_cofactors(), names)
+        return joint_cofactors(self.weighted, self.state, self.required_cofactors(), names)
 
     def covariance(self, *names: str) -> NamedMatrix:
-        """Joint covariance ``scale^2 Q`` of anything adjusted; see :meth:`cofactor_matrix`."""
+        """Joint covariance ``scale^2 Q`` of adjusted quantities; see :meth:`cofactor_matrix`."""
         q = self.cofactor_matrix(*names)
         return NamedMatrix(q.names, q.units, q.values * self.scale**2)
 
@@ -206,7 +197,7 @@ class Solution(Adjusted):
         height_m : float, optional
             Ellipsoidal height.
         dem : HeightSurface, optional
-            Surface instead of a height; its slope carries the error of its height to East and North.
+            Surface instead of a height; its slope propagates the error of its height to East and North.
         height_sigma_m : float
             Standard deviation of the height, or of the DEM's.
         sigma_px : (line, sample), optional
@@ -215,7 +206,7 @@ class Solution(Adjusted):
         Raises
         ------
         InputError
-            No such image, not one height, a pixel outside the image or a ray that misses.
+            No such image, not exactly one height, a pixel outside the image or a ray that misses the surface.
         NoSolutionError
             There is no covariance.
         """
@@ -229,12 +220,7 @@ class Solution(Adjusted):
     ) -> LocatedPoint:
         """Intersect the rays of two images or more with the adjusted orientation; see :meth:`locate`.
 
-        Parameters
-        ----------
-        pixels : mapping
-            Line and sample of the same point by image id.
-        sigma_px : (line, sample), optional
-            As for :meth:`locate`, of all images.
+        ``pixels``: line and sample of the same point by image id.
         """
         from fg_orient.quality.located_point import intersect
 
@@ -255,40 +241,36 @@ class Solution(Adjusted):
         Parameters
         ----------
         alpha, power : float
-            Probabilities of a false alarm and of finding the minimal detectable bias, 0 < alpha < power < 1.
+            Probabilities of a false alarm and of detecting the minimal detectable bias, 0 < alpha < power < 1.
 
         Raises
         ------
         InputError
-            They are no such probabilities.
+            Invalid probabilities.
         NoSolutionError
             There is no covariance, or a loss is set: its weights change both probabilities.
         """
-        return self._usual_reliability if (alpha, power) == (ALPHA, POWER) else self._reliability(alpha, power)
+        self._require_unweighted("statistics.reliability_weighted")
+        known = (alpha, power)
+        if known not in self._reliability:
+            q = self.residual_cofactors
+            self._reliability[known] = reliability(self.problem, self.state, q, alpha=alpha, power=power)
+        return self._reliability[known]
 
     @cached_property
-    def _usual_reliability(self) -> BlockReliability:
-        return self._reliability(ALPHA, POWER)
-
-    def _reliability(self, alpha: float, power: float) -> BlockReliability:
-        self._require_unweighted("statistics.reliability_weighted")
-        return reliability(self.problem, self.state, self.residual_cofactors, alpha=alpha, power=power)
+    def _reliability(self) -> dict[tuple[float, float], BlockReliability]:
+        return {}
 
     def suspicious(
         self, *, level: float | None = None, test: str | None = None, control: str | None = None, kind: Kind = "groups"
     ) -> tuple[GroupTest, ...]:
-        """The observations that a gross error is suspected in; see :meth:`outlier_tests`."""
+        """Observations suspected of a gross error; see :meth:`outlier_tests`."""
         return self.outlier_tests(level=level, test=test, control=control, kind=kind).suspicious()
 
     def global_test(self, *, level: float = 0.001) -> GlobalTest | None:
         """Chi-square test of the whole model (``fg_orient.quality.hypotheses``); None without redundancy.
 
-        Raises
-        ------
-        InputError
-            The level is not between 0 and 1.
-        NoSolutionError
-            The weights of a loss changed the sum of squares, or the sigmas were estimated from it.
+        NoSolutionError: a loss has changed the sum of squares, or variance components were estimated from it.
         """
         self._require_unweighted("statistics.global_weighted")
         if self.components is not None:
@@ -298,16 +280,10 @@ class Solution(Adjusted):
     def variance_components(
         self, *, groups: tuple[str, ...] = USUAL_GROUPS, method: Method = "helmert"
     ) -> VarianceComponents:
-        """By how much the sigmas of each group of observations are wrong, from this one solution.
+        """Variance components of groups of observations from this one solution.
 
-        See ``fg_orient.quality.variance_components``; ``adjust(variance_components=...)`` iterates.
-
-        Raises
-        ------
-        InputError
-            Groups or method do not exist.
-        NoSolutionError
-            The covariance could not be computed, or was changed by the weights of a loss.
+        See ``fg_orient.quality.variance_components``; ``adjust(variance_components=...)`` iterates. NoSolutionError:
+        there is no covariance, or it contains the weights of a loss.
         """
         q, known = self.required_cofactors(unweighted="statistics.components_loss"), self.residual_cofactors
         return variance_components(self.problem, self.state, q, groups=groups, method=method, known=known)
@@ -320,9 +296,9 @@ class Solution(Adjusted):
         Raises
         ------
         NoSolutionError
-            This is no free network (``datum = "inner"``), or it has no covariance.
+            Not a free network (``datum = "inner"``), or it has no covariance.
         InputError
-            No such image or point, or these do not fix all motions.
+            No such image or point, or they do not fix all motions.
         """
         network = getattr(self.cofactors, "network", None)
         if network is None:
@@ -332,21 +308,16 @@ class Solution(Adjusted):
     def significance(self, *, level: float = SIGNIFICANCE_LEVEL) -> Significance:
         """Test every unknown of the images, and groups of them; see ``fg_orient.quality.significance``.
 
-        Raises
-        ------
-        NoSolutionError
-            No covariance, or under a loss; no redundancy; sigmas estimated in a block too large to form their freedom.
+        NoSolutionError: no covariance, a loss, no redundancy, or variance components in a block too large for their
+        degrees of freedom.
         """
         q = self.required_cofactors(unweighted="statistics.significance_weighted")
         return significance(self.problem, self.state, q, self.sigma0, level=level, freedom=self.unknown_freedom)
 
     def prediction_test(self) -> PredictionTest:
-        """Hold the predicted accuracy against the check points; see ``fg_orient.quality.prediction_test``.
+        """Compare the predicted accuracy with the check points; see ``fg_orient.quality.prediction_test``.
 
-        Raises
-        ------
-        NoSolutionError
-            No covariance, no check points, or check points that are no unknowns.
+        NoSolutionError: no covariance, no check points, or check points that are not unknowns.
         """
         from fg_orient.quality.prediction_test import prediction_test
 
@@ -355,11 +326,11 @@ class Solution(Adjusted):
     @cached_property
     def regularisation(self) -> Regularisation | None:
         """L-curve and chosen kappas of a Tikhonov solver (``fg_orient.quality.regularisation``); None for others."""
-        if not self.solver:  # a backend that has none: the rules of kappa need not be loaded
+        if not self.solver:  # another backend: the kappa rules are not loaded
             return None
         from fg_orient.quality.regularisation import regularisation
 
-        return regularisation(self.judged, self.solver, self.log)
+        return regularisation(self.weighted, self.solver, self.log)
 
     def compare_dem(self, dem: HeightSurface | str | Path, *, role: str | None = None) -> DemComparison:
         """Compare adjusted heights (of one role: "control", "check", "tie") with a DEM of ellipsoidal heights.
@@ -367,7 +338,7 @@ class Solution(Adjusted):
         Raises
         ------
         InputError
-            The DEM cannot be read, no such point lies over it, or the block has no coordinates of the Earth.
+            The DEM cannot be read, no such point lies over it, or the block is not georeferenced.
         """
         from fg_orient.quality.dem_accuracy import compare_points
 

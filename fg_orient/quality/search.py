@@ -90,8 +90,23 @@ class Search:
 
     @property
     def left_out(self) -> tuple[Found, ...]:
-        """What stays out."""
+        """Observations that stay out."""
         return tuple(found for found in self.found if found.readmitted is None)
+
+    @property
+    def tests(self) -> tuple[GroupTest, ...]:
+        """Tests of the observations that stay out, in the order in which they were left out."""
+        return tuple(found.test for found in self.left_out)
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Ids of the points of these observations."""
+        return tuple(dict.fromkeys(test.point for test in self.tests))
+
+    @property
+    def complete(self) -> bool:
+        """Whether no observation is suspicious any more."""
+        return not self.given_up
 
     def findings(self) -> tuple[Finding, ...]:
         """What was left out, and whether the search came to an end."""

@@ -12,7 +12,6 @@ import fg_orient as fg
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef
 from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.names import Role
-from fg_orient.orientation.snooping import snoop
 from fg_orient.quality.outliers import GroupTest
 from fg_orient.quality.residuals import residual_cofactors
 from tests.support.rpc_block import rpc_twin
@@ -102,11 +101,11 @@ def test_planted_errors_are_found_named_and_measured() -> None:
     ids = block.points.ids
     wrong = with_error(block, ids[7], "right", (0.0, 6.0))
     wrong = with_error(with_error(wrong, ids[20], error=(0.0, 0.0, 15.0)), ids[33], error=(-8.0, 2.0, 0.0))
-    found = snoop(wrong, level=1e-4, control="none")
-    assert found.complete
-    assert set(found.points) == {ids[7], ids[20], ids[33]}
-    assert len(found.found) == 3
-    by_point = {test.point: test for test in found.found}
+    found = fg.adjust(wrong, snoop=True, outlier_level=1e-4, multiple_testing="none")
+    assert found.snooping.complete
+    assert set(found.snooping.points) == {ids[7], ids[20], ids[33]}
+    assert len(found.snooping.tests) == 3
+    by_point = {test.point: test for test in found.snooping.tests}
     assert by_point[ids[33]].part == "position"
     assert by_point[ids[33]].error == pytest.approx([-8.0, 2.0], abs=4.0)
     assert by_point[ids[20]].part in ("height", "image")
@@ -114,7 +113,7 @@ def test_planted_errors_are_found_named_and_measured() -> None:
     assert (image.name, image.image) == (f"point {ids[7]} in image right", "right")
     assert "px line, sample" in image.sentence()
     assert len(wrong.observations) == 94
-    assert found.solution.sigma0 < 1.2 < fg.adjust(wrong).sigma0
+    assert found.sigma0 < 1.2 < fg.adjust(wrong).sigma0
 
 
 @pytest.mark.oracle
@@ -135,11 +134,13 @@ def test_single_ray_names_both_places_of_the_error() -> None:
     j = block.points.ids[12]
     o = block.observations
     block = replace(block, observations=o.take(~((o.point == 12) & (o.image == 1))))
-    found = snoop(with_error(block, j, "left", (30.0, -40.0)), level=1e-5, control="none")
-    assert [test.name for test in found.found] == [f"point {j} in image left"]
-    assert found.found[0].inseparable == (f"position of point {j}",)
-    assert "not to be told apart" in found.found[0].sentence()
-    assert found.found[0].error == pytest.approx([30.0, -40.0], abs=1.5)
+    found = fg.adjust(
+        with_error(block, j, "left", (30.0, -40.0)), snoop=True, outlier_level=1e-5, multiple_testing="none"
+    )
+    assert [test.name for test in found.snooping.tests] == [f"point {j} in image left"]
+    assert found.snooping.tests[0].inseparable == (f"position of point {j}",)
+    assert "not to be told apart" in found.snooping.tests[0].sentence()
+    assert found.snooping.tests[0].error == pytest.approx([30.0, -40.0], abs=1.5)
 
 
 @pytest.mark.behaviour
@@ -159,7 +160,7 @@ def test_more_suspects_than_gross_errors_can_be_end_the_search() -> None:
     o = block.observations
     error = np.zeros(len(o))
     error[np.arange(30) * 3] = 5.0 * 1.3 ** np.arange(30)
-    found = snoop(replace(block, observations=replace(o, line=o.line + error)))
-    assert not found.complete
-    assert len(found.found) == len(o) // 4
-    assert found.solution.suspicious()
+    found = fg.adjust(replace(block, observations=replace(o, line=o.line + error)), snoop=True)
+    assert not found.snooping.complete
+    assert len(found.snooping.tests) == len(o) // 4
+    assert found.suspicious()

@@ -14,7 +14,6 @@ from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError, NoSolutionError
 from fg_orient.model.names import Role
 from fg_orient.orientation import outlier_search
-from fg_orient.orientation.snooping import snoop
 from fg_orient.quality.outliers import OutlierTests
 from fg_orient.simulate.block import BlockOptions, grid_block
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
@@ -51,18 +50,18 @@ def test_planted_errors_are_found_in_order(backend: str, test: str) -> None:
     block = twin()
     first, second = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 20, image=1)
     wrong = with_error(with_error(block, first, 6.0, 0.0), second, 0.0, -4.0)
-    found = snoop(wrong, backend=backend, test=test, level=0.001)
-    assert found.complete
-    assert [f.name for f in found.found] == [name_of(block, first), name_of(block, second)]
-    assert [f.round for f in found.search.found] == [1, 2]
-    assert [(r.left_out != "", r.n_suspicious > 0) for r in found.search.rounds] == [(True, True)] * 2 + [
+    found = fg.adjust(wrong, snoop=True, backend=backend, outlier_test=test, outlier_level=0.001)
+    assert found.snooping.complete
+    assert [f.name for f in found.snooping.tests] == [name_of(block, first), name_of(block, second)]
+    assert [f.round for f in found.snooping.found] == [1, 2]
+    assert [(r.left_out != "", r.n_suspicious > 0) for r in found.snooping.rounds] == [(True, True)] * 2 + [
         (False, False)
     ]
-    assert found.found[0].error == pytest.approx([6.0, 0.0], abs=1.5)
-    assert found.search.rounds[-1].sigma0 == found.solution.sigma0
-    assert found.search.rounds[-1].redundancy == found.search.rounds[0].redundancy - 4
-    assert len(wrong.observations) == len(found.solution.problem.observations) + 2  # the given block stays whole
-    assert any("snooping left out 2 observation(s) in 3 rounds" in text for text in found.solution.warnings)
+    assert found.snooping.tests[0].error == pytest.approx([6.0, 0.0], abs=1.5)
+    assert found.snooping.rounds[-1].sigma0 == found.sigma0
+    assert found.snooping.rounds[-1].redundancy == found.snooping.rounds[0].redundancy - 4
+    assert len(wrong.observations) == len(found.problem.observations) + 2  # the given block stays whole
+    assert any("snooping left out 2 observation(s) in 3 rounds" in text for text in found.warnings)
 
 
 @pytest.mark.behaviour
@@ -71,8 +70,8 @@ def test_what_went_with_it_is_counted_and_named() -> None:
     block = twin()
     row = row_of(block, Role.CHECK, 2)
     point = block.points.ids[block.observations.point[row]]
-    found = snoop(with_error(block, row, 5.0, 1.0), level=0.001)
-    search, solution = found.search, found.solution
+    found = fg.adjust(with_error(block, row, 5.0, 1.0), snoop=True, outlier_level=0.001)
+    search, solution = found.snooping, found
     assert len(block.observations) - len(solution.problem.observations) == len(search.left_out) + len(search.went_with)
     assert search.went_with == (f"point {point} in image {block.images[1].id}",)
     assert search.check_points == (point,)
@@ -80,8 +79,8 @@ def test_what_went_with_it_is_counted_and_named() -> None:
     first, second = solution.warnings[:2]
     assert first.endswith(f"; with them, as single rays of their points: {search.went_with[0]}")
     assert second == f"1 check point(s) are not in the accuracy, as snooping left them no two rays: {point}"
-    control = snoop(with_error(block, row_of(block, Role.CONTROL, 2), 5.0, 1.0), level=0.001)
-    assert (control.search.went_with, control.search.check_points) == ((), ())
+    control = fg.adjust(with_error(block, row_of(block, Role.CONTROL, 2), 5.0, 1.0), snoop=True, outlier_level=0.001)
+    assert (control.snooping.went_with, control.snooping.check_points) == ((), ())
 
 
 @pytest.mark.consistency
@@ -94,8 +93,8 @@ def test_prediction_is_the_test_with_the_observation_inside(role: Role) -> None:
     """
     block = twin()
     row = row_of(block, role, 2)
-    searched = snoop(with_error(block, row, 5.0, 1.0), level=0.001)
-    found, solution = searched.search.found, searched.solution
+    searched = fg.adjust(with_error(block, row, 5.0, 1.0), snoop=True, outlier_level=0.001)
+    found, solution = searched.snooping.found, searched
     assert [f.test.name for f in found] == [name_of(block, row)]
     only, fit = found[0], found[0].fit
     assert fit is not None
@@ -118,13 +117,13 @@ def test_prediction_of_coordinates(error: tuple[float, float, float]) -> None:
     ecef = known.ecef_m.copy()
     ecef[j] += turn.T @ np.array(error)
     wrong = replace(block, points=replace(block.points, known=replace(known, ecef_m=ecef)))
-    found = snoop(wrong, level=0.001)
-    only = found.search.found[0]
+    found = fg.adjust(wrong, snoop=True, outlier_level=0.001)
+    only = found.snooping.found[0]
     assert (only.test.point, only.test.part) == (block.points.ids[j], "height" if error[2] else "position")
     assert only.fit is not None
     assert only.fit.statistic == pytest.approx(only.test.statistic, rel=1e-3)
-    assert found.solution.role(j) is Role.TIE
-    assert found.search.rounds[0].redundancy - found.search.rounds[1].redundancy == 3
+    assert found.role(j) is Role.TIE
+    assert found.snooping.rounds[0].redundancy - found.snooping.rounds[1].redundancy == 3
 
 
 @pytest.mark.oracle
@@ -135,13 +134,13 @@ def test_whole_points() -> None:
     wrong = block
     for row in np.flatnonzero(block.observations.point == j):
         wrong = with_error(wrong, int(row), 6.0, 6.0)
-    found = snoop(wrong, level=0.001, kind="points")
-    only = found.search.found[0]
-    assert [f.name for f in found.found] == [f"point {block.points.ids[j]} with all its observations"]
+    found = fg.adjust(wrong, snoop=True, outlier_level=0.001, snoop_kind="points")
+    only = found.snooping.found[0]
+    assert [f.name for f in found.snooping.tests] == [f"point {block.points.ids[j]} with all its observations"]
     assert only.test.dimension == 4
     assert only.fit is not None
     assert only.fit.statistic == pytest.approx(only.test.statistic, rel=1e-3)
-    assert not (found.solution.problem.observations.point == j).any()
+    assert not (found.problem.observations.point == j).any()
 
 
 def leave_out_first(block: Block, rows: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,16 +167,16 @@ def test_what_was_left_out_in_vain_comes_back(monkeypatch: pytest.MonkeyPatch) -
     bad, good = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 12, image=1)
     wrong = with_error(block, bad, 6.0, 0.0)
     leave_out_first(block, [good], monkeypatch)
-    found = snoop(wrong, level=0.001)
-    names = [(f.test.name, f.round, f.readmitted) for f in found.search.found]
+    found = fg.adjust(wrong, snoop=True, outlier_level=0.001)
+    names = [(f.test.name, f.round, f.readmitted) for f in found.snooping.found]
     assert names[0] == (name_of(block, good), 1, 2)
     assert names[1] == (name_of(block, bad), 3, None)
-    assert [(r.left_out, r.put_back) for r in found.search.rounds] == [
+    assert [(r.left_out, r.put_back) for r in found.snooping.rounds] == [
         (name_of(block, good), ""), ("", name_of(block, good)), (name_of(block, bad), ""), ("", ""),
     ]  # fmt: skip
-    assert [f.name for f in found.found] == [name_of(block, bad)]
-    assert found.solution.chi2 == pytest.approx(fg.adjust(found.solution.block).chi2, rel=1e-9)
-    assert "put back after round 2" in found.search.found[0].sentence()
+    assert [f.name for f in found.snooping.tests] == [name_of(block, bad)]
+    assert found.chi2 == pytest.approx(fg.adjust(found.block).chi2, rel=1e-9)
+    assert "put back after round 2" in found.snooping.found[0].sentence()
 
 
 @pytest.mark.behaviour
@@ -186,11 +185,11 @@ def test_nothing_comes_back_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     block = twin()
     bad, good = row_of(block, Role.CONTROL, 3), row_of(block, Role.CONTROL, 12, image=1)
     leave_out_first(block, [good, good, good], monkeypatch)
-    found = snoop(with_error(block, bad, 6.0, 0.0), level=0.001)
-    same = [f for f in found.search.found if f.test.name == name_of(block, good)]
+    found = fg.adjust(with_error(block, bad, 6.0, 0.0), snoop=True, outlier_level=0.001)
+    same = [f for f in found.snooping.found if f.test.name == name_of(block, good)]
     assert [f.readmitted for f in same] == [2, None]
-    assert found.complete
-    assert len(found.search.rounds) == 5
+    assert found.snooping.complete
+    assert len(found.snooping.rounds) == 5
 
 
 @pytest.mark.behaviour
@@ -202,12 +201,12 @@ def test_many_errors_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(4)
     for row in rng.choice(len(block.observations), 20, replace=False):
         wrong = with_error(wrong, int(row), *rng.normal(0.0, 30.0, 2))
-    found = snoop(wrong, control="none", level=0.3)
-    out, back = len(found.search.left_out), sum(f.readmitted is not None for f in found.search.found)
-    assert not found.complete
+    found = fg.adjust(wrong, snoop=True, multiple_testing="none", outlier_level=0.3)
+    out, back = len(found.snooping.left_out), sum(f.readmitted is not None for f in found.snooping.found)
+    assert not found.snooping.complete
     assert out == int(0.05 * len(block.observations))
-    assert len(found.search.rounds) == out + 2 * back + 1
-    assert any("given up: 5 % of the image points" in text for text in found.solution.warnings)
+    assert len(found.snooping.rounds) == out + 2 * back + 1
+    assert any("given up: 5 % of the image points" in text for text in found.warnings)
 
 
 @pytest.mark.behaviour
@@ -224,11 +223,11 @@ def test_last_control_point_is_not_given_up() -> None:
     ecef[[k for k in range(len(roles)) if k != j]] = np.nan
     ecef[j] += 3000.0
     alone = replace(alone, points=replace(points, known=replace(known, ecef_m=ecef)))
-    found = snoop(alone, test="baarda")
-    assert "the block cannot be adjusted: no control point" in str(found.search.given_up)
-    assert block.points.ids[j] in str(found.search.given_up)
-    assert found.search.rounds[-1].left_out == ""
-    assert found.solution.problem.observed[j]
+    found = fg.adjust(alone, snoop=True, outlier_test="baarda")
+    assert "the block cannot be adjusted: no control point" in str(found.snooping.given_up)
+    assert block.points.ids[j] in str(found.snooping.given_up)
+    assert found.snooping.rounds[-1].left_out == ""
+    assert found.problem.observed[j]
 
 
 @pytest.mark.oracle
@@ -241,14 +240,14 @@ def test_block_of_several_images(rows: int, columns: int, points: int) -> None:
     hit = rng.choice(np.flatnonzero(rays > 2), 8, replace=False)
     for row in hit:
         wrong = with_error(wrong, int(row), *(6.0 * rng.choice([-1.0, 1.0], 2)))
-    found = snoop(wrong)
-    assert found.complete
-    assert {f.name for f in found.found} == {name_of(block, int(row)) for row in hit}
-    assert all(r.n_tested <= found.search.rounds[0].n_tested for r in found.search.rounds)
+    found = fg.adjust(wrong, snoop=True)
+    assert found.snooping.complete
+    assert {f.name for f in found.snooping.tests} == {name_of(block, int(row)) for row in hit}
+    assert all(r.n_tested <= found.snooping.rounds[0].n_tested for r in found.snooping.rounds)
     parted = fg.adjust(wrong, snoop=True, parts=2)
     assert parted.snooping is not None
-    assert [f.test.name for f in parted.snooping.left_out] == [f.name for f in found.found]
-    assert parted.chi2 == pytest.approx(found.solution.chi2, rel=1e-9)
+    assert [f.test.name for f in parted.snooping.left_out] == [f.name for f in found.snooping.tests]
+    assert parted.chi2 == pytest.approx(found.chi2, rel=1e-9)
 
 
 @pytest.mark.consistency

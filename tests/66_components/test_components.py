@@ -377,10 +377,8 @@ def test_gross_errors_are_found_although_sigmas_are_unknown() -> None:
     o, known = block.observations, block.points.known
     o = replace(o, sample=o.sample + 15.0 * (np.arange(len(o)) == 11))
     block = replace(block, observations=o, points=replace(block.points, known=known))
-    from fg_orient.orientation.snooping import snoop
-
-    found = snoop(block, variance_components=GROUPS, **DENSE)
+    found = fg.adjust(block, snoop=True, variance_components=GROUPS, **DENSE)
     image, point = block.images[int(o.image[11])].id, block.points.ids[int(o.point[11])]
-    assert [test.name for test in found.found] == [f"point {point} in image {image}"]
-    assert found.solution.components is not None
-    assert found.solution.components.factor("image") == pytest.approx(1.0, abs=0.3)
+    assert [test.name for test in found.snooping.tests] == [f"point {point} in image {image}"]
+    assert found.components is not None
+    assert found.components.factor("image") == pytest.approx(1.0, abs=0.3)

@@ -18,8 +18,7 @@ from fg_orient.model.block import Block, Coordinates
 from fg_orient.model.distributions import holm
 from fg_orient.model.names import Role
 from fg_orient.model.parameters import Term, term_of
-from fg_orient.orientation.cross_validation import cross_validate, folds_of
-from fg_orient.orientation.reduction import closest_eop_set, criteria, reduce_unknowns
+from fg_orient.orientation.reduction import closest_eop_set, criteria, cross_validate, folds_of, reduce_unknowns
 from fg_orient.orientation.solution import Solution
 from fg_orient.quality.significance import group_test, places_of
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block

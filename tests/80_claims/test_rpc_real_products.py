@@ -11,7 +11,6 @@ import pytest
 import fg_orient as fg
 from fg_orient.model.block import Block
 from fg_orient.model.names import Status
-from fg_orient.orientation.snooping import Snooping, snoop
 from fg_orient.quality.parallax import rms_px, y_parallaxes
 from tests.support.real_rpc import pleiades_1, pleiades_neo, spot7, spread, with_roles
 
@@ -51,15 +50,15 @@ def _others(block: Block, control: list[int]) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def searched(real_data: Path) -> Snooping:
+def searched(real_data: Path) -> fg.Solution:
     """The Neo pair, all points as control, by the default search with unknown sigmas: nothing of it is chosen here."""
-    return snoop(pleiades_neo(real_data), rpc_compensation="affine", variance_components=COMPONENTS)
+    return fg.adjust(pleiades_neo(real_data), snoop=True, rpc_compensation="affine", variance_components=COMPONENTS)
 
 
 @pytest.mark.behaviour
-def test_stated_sigmas_of_the_neo_pair(searched: Snooping) -> None:
+def test_stated_sigmas_of_the_neo_pair(searched: fg.Solution) -> None:
     """Pixels and positions are two to four times worse than stated; heights are too weakly checked to tell."""
-    components = searched.solution.components
+    components = searched.components
     assert components is not None
     print()
     for c in components.components:
@@ -70,39 +69,39 @@ def test_stated_sigmas_of_the_neo_pair(searched: Snooping) -> None:
 
 
 @pytest.mark.truth
-def test_gross_errors_of_the_neo_pair_are_named(searched: Snooping) -> None:
+def test_gross_errors_of_the_neo_pair_are_named(searched: fg.Solution) -> None:
     """Point 53, whose only image point is 50 px beside its place (93 m of height explain it as well), and point 17."""
     print()
-    for test in searched.found:
+    for test in searched.snooping.tests:
         print(f"  {test.sentence()}")
-    assert searched.complete
-    assert searched.points == ("53", "17")
-    assert searched.found[0].error == pytest.approx([93.0], abs=3.0)
-    assert searched.found[0].probability < 1e-20 < 1e-5 < searched.found[1].probability
-    assert searched.search.left_out[0].with_it == ("point 53 in image PNEO3_202309051055194",)
-    assert searched.solution.status is Status.CONVERGED
+    assert searched.snooping.complete
+    assert searched.snooping.points == ("53", "17")
+    assert searched.snooping.tests[0].error == pytest.approx([93.0], abs=3.0)
+    assert searched.snooping.tests[0].probability < 1e-20 < 1e-5 < searched.snooping.tests[1].probability
+    assert searched.snooping.left_out[0].with_it == ("point 53 in image PNEO3_202309051055194",)
+    assert searched.status is Status.CONVERGED
 
 
 @pytest.mark.truth
 def test_point_53_is_found_with_any_model_and_with_the_stated_sigmas(real_data: Path) -> None:
     for kind in ("shift", "shift_drift", "affine"):
-        found = snoop(pleiades_neo(real_data), rpc_compensation=kind).found
+        found = fg.adjust(pleiades_neo(real_data), snoop=True, rpc_compensation=kind).snooping.tests
         assert found[0].point == "53"
         assert found[0].image.endswith("194")
 
 
 @pytest.mark.truth
-def test_neo_pair_by_shifts(real_data: Path, searched: Snooping) -> None:
+def test_neo_pair_by_shifts(real_data: Path, searched: fg.Solution) -> None:
     """1, 5, 10 well-spread control points; accuracy at the others that are in both images and pass the test.
 
     North and Up with 10 points are those of points 5 and 27, 2.0 and 2.5 m off: they pass, because errors of this size
     are not rare with the sigmas estimated. 0.6 and 0.8 m would be met without them (0.5/0.6/0.8 m are not reached).
     """
-    rest = searched.solution.block
+    rest = searched.block
     block = replace(rest, options=replace(rest.options, variance_components=(), snoop=False))
     o, ids = block.observations, block.points.ids
     rays = np.bincount(o.point, minlength=len(ids))
-    good = [j for j in range(len(ids)) if rays[j] == 2 and ids[j] not in searched.points]
+    good = [j for j in range(len(ids)) if rays[j] == 2 and ids[j] not in searched.snooping.points]
     assert len(good) == 23  # 24 are in both images
     first = {int(o.point[r]): (o.line[r], o.sample[r]) for r in np.flatnonzero(o.image == 0)}
     left_out = [name for j, name in enumerate(ids) if j not in good]
