@@ -1,14 +1,12 @@
 """Gauss-Newton, Levenberg-Marquardt and Dogleg, one loop over any backend.
 
-The state belongs to Python; a backend only linearises, solves and retracts
-(docs/equations.md 9: GTSAM's own optimisers copy all values at every callback of a
-Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so one step
-length speaks for all. The loop ends when the scaled step is below the tolerance, or below
-1e-6 and no longer shrinking (rounding); never on a relative cost. Full steps that shrink fast also end it when the
-next one, judged by the rate and with a margin of ten, would be below the tolerance. ``tolerance`` replaces the default.
+The state belongs to Python; a backend only linearises, solves and retracts (docs/equations.md 9: GTSAM's own optimisers
+copy all values at every callback of a Python factor). Unknowns are scaled (prior sigmas; metres for ground points), so
+one step length is valid for all. The loop ends when the scaled step is below the tolerance, or below 1e-6 and no longer
+shrinking (rounding); never on a relative cost. Full steps that shrink fast also end it, when the next step,
+extrapolated by the rate and with a margin of ten, would be below the tolerance.
 
-All that one iteration hands to the next is in :class:`Carried`: a loop that starts from it goes on as if it had never
-stopped, bit by bit.
+:class:`Carried` is all that one iteration passes to the next: a loop that starts from it continues bit by bit.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from factors._preparation import working_clock
@@ -25,21 +24,21 @@ S = TypeVar("S")
 
 STEP_TOLERANCE = 1e-8
 ROUNDING_STEP = 1e-6
-#: A step below ROUNDING_STEP that is not below this part of the last one is rounding. Newton's steps shrink faster;
-#: reweighted ones shrink by a constant factor, rounding alone does not let them shrink at all.
+#: A step below ROUNDING_STEP and not below this share of the last step is rounding. Newton's steps shrink faster;
+#: reweighted steps shrink by a constant factor, and steps of rounding do not shrink.
 SHRINK = 0.5
 SHRINK_REWEIGHTED = 1.0
 MAX_REJECTED = 20
-#: The same for :func:`delayed_gratification`, whose damping only doubles.
+#: For :func:`delayed_gratification`, whose damping only doubles.
 MAX_REJECTED_DOUBLING = 60
 LEAST_DAMPING = 1e-14
 SMALL = finding("loop.small_step")
 
 
 class Step(Protocol):
-    """A step: its largest scaled element and the error the linear model predicts after it.
+    """A step: its largest scaled element and the error that the linear model predicts after it.
 
-    A step of a regularised solver has its ``kappa``, too.
+    A step of a regularised solver also has its ``kappa``.
     """
 
     length: float
@@ -59,15 +58,15 @@ class System(Protocol):
 
 @runtime_checkable
 class TrustRegion(Protocol):
-    """A linearisation that has Powell's step, too; :func:`dogleg` needs it."""
+    """A linearisation with Powell's step, for :data:`dogleg`."""
 
     def dogleg(self, radius: float) -> Step:
-        """Give Powell's step inside a trust region of this radius (Euclidean, scaled unknowns)."""
+        """Powell's step inside a trust region of this radius (Euclidean, scaled unknowns)."""
         ...
 
 
 class Backend(Protocol[S]):
-    """What the loop needs of a solver."""
+    """Solver driven by the loop."""
 
     def linearise(self, state: S) -> System:
         """Linearise at a state."""
@@ -78,18 +77,18 @@ class Backend(Protocol[S]):
         ...
 
     def retract(self, state: S, step: Step) -> S:
-        """Give the state after a step."""
+        """State after a step."""
         ...
 
 
 @dataclass(frozen=True)
 class IterationRecord:
-    """One iteration, as the log and the callback see it.
+    """One iteration, for log and callback.
 
     ``step`` is the largest scaled element; ``chi2`` and ``chi2_after`` are weighted sums of squares (under a loss
-    twice the cost); ``ratio`` is actual over predicted decrease (nan where the predicted decrease is rounding: such a
-    step is taken); ``mu`` is the stage under a loss (nan without); ``kappa`` is the regularisation parameter of the
-    step (nan of a solver without).
+    twice the cost); ``ratio`` is actual over predicted decrease (nan if the predicted decrease is rounding: the step
+    is accepted); ``mu`` is the stage under a loss (nan without); ``kappa`` is the regularisation parameter of the
+    step (nan without).
     """
 
     iteration: int
@@ -110,19 +109,19 @@ Callback = Callable[[IterationRecord], None]
 
 @dataclass(frozen=True)
 class Carried(Generic[S]):
-    """What one iteration hands to the next.
+    """State and control that one iteration passes to the next.
 
     Parameters
     ----------
     state : S
     control : float
-        Damping or radius; nan: the optimiser's first.
+        Damping or radius; nan: the optimiser's initial value.
     growth : float
         Factor of the damping after the next rejected step.
     previous : float
-        Largest scaled element of the last step taken.
+        Largest scaled element of the last accepted step.
     rejected, rising : int
-        Steps refused, or errors risen, in a row.
+        Consecutive rejected steps; consecutive increases of the error.
     log : tuple of IterationRecord
     begun_at : int
         Iterations of earlier stages.
@@ -152,7 +151,7 @@ class Carried(Generic[S]):
 
 @dataclass(frozen=True)
 class LoopResult(Generic[S]):
-    """End of the loop: state, its error, the log, and why it ended; ``iterations`` where there is no log."""
+    """End of the loop: state, its error, the log, reason of the end; ``iterations`` if there is no log."""
 
     state: S
     error: float
@@ -163,21 +162,21 @@ class LoopResult(Generic[S]):
 
     @property
     def reason(self) -> str:
-        """Why it ended, in words."""
+        """Sentence on the end of the iteration."""
         return str(self.end)
 
 
 class Course(Generic[S]):
-    """Where a loop stands, and how it tells.
+    """Progress of a loop.
 
     Parameters
     ----------
     start : S or Carried
-        A state, or what an earlier loop carried when it was stopped.
+        A state, or what an interrupted loop carried.
     callback : callable or None
-        Called with each record.
+        Receives each record.
     keep : callable or None
-        Called with what is carried after each iteration but the last.
+        Receives what is carried after each iteration except the last.
     """
 
     def __init__(
@@ -193,7 +192,7 @@ class Course(Generic[S]):
         return range(max_iterations - len(self.carried.log) + self.carried.begun_at)
 
     def judge(self, before: float, after: float, step: Step, control: float, always: bool = False) -> IterationRecord:
-        """Judge a step: taken if the error falls, or if the predicted decrease is rounding (or always)."""
+        """Record a step; it is accepted if the error decreases, if the predicted decrease is rounding, or always."""
         predicted = before - step.predicted_error
         ratio = (before - after) / predicted if predicted > 1e-12 * max(before, 1.0) else math.nan
         accepted = always or (math.isfinite(after) and (math.isnan(ratio) or ratio > 0.0))
@@ -208,7 +207,7 @@ class Course(Generic[S]):
         return record
 
     def go_on(self, **changed: Any) -> None:
-        """Carry on to the next iteration."""
+        """Pass on to the next iteration."""
         self.carried = replace(self.carried, **changed)
         if self._keep:
             self._keep(self.carried)
@@ -223,7 +222,7 @@ def _exhausted(max_iterations: int) -> Finding:
 
 
 def share_at_radius(across_squared: float, steepest_dot_across: float, length: float, radius: float) -> float:
-    """Share of the way from the steepest-descent step (of this length) to Gauss-Newton's that ends at the radius."""
+    """Share at which the line from the steepest-descent step (of this length) to Gauss-Newton's meets the radius."""
     b, c = steepest_dot_across, length**2 - radius**2
     return (-b + math.sqrt(b * b - across_squared * c)) / across_squared
 
@@ -233,7 +232,7 @@ def _small(step: float, previous: float, tolerance: float, shrink: float) -> boo
 
 
 def _settled(step: float, previous: float, tolerance: float) -> bool:
-    """Whether full steps that shrink at this rate have, with a margin of ten, less than the tolerance before them."""
+    """Whether the next step, at this rate of shrinking and with a margin of ten, would be below the tolerance."""
     rate = step / previous if 0.0 < previous < math.inf else 1.0
     return rate < 0.1 and 10.0 * step * rate < tolerance
 
@@ -248,9 +247,9 @@ def gauss_newton(
     shrink: float = SHRINK,
     keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
-    """Full steps; ends unconverged when the error rises three times running or is not finite.
+    """Full steps; ends without convergence when the error increases three times in a row or is not finite.
 
-    ``start`` and ``keep``: see :class:`Course`. A step shrinks if it is below ``shrink`` times the last one.
+    ``start``, ``callback`` and ``keep``: see :class:`Course`. A step shrinks if it is below ``shrink`` times the last.
     """
     course = Course(start, callback, keep)
     system = backend.linearise(course.carried.state)
@@ -274,20 +273,30 @@ def gauss_newton(
 
 @dataclass(frozen=True)
 class _Control:
-    """How damping or radius rules the steps: its first value, the step under it, what follows from a record.
+    """Control of the steps by a damping or radius.
 
-    ``regular``: a larger value makes singular equations regular, so they are no end. ``max_rejected``: steps refused
-    in a row that end the loop.
+    Parameters
+    ----------
+    first : float
+        Initial value.
+    solve : callable
+        Step under a value.
+    follow : callable
+        Next value and growth, from value, growth and record.
+    regular : bool
+        A larger value makes singular equations regular: they do not end the loop.
+    max_rejected : int
+        Consecutive rejected steps that end the loop.
     """
 
     first: float
-    solve: Callable[[System, float], Step]
+    solve: Callable[[Any, float], Step]
     follow: Callable[[float, float, IterationRecord], tuple[float, float]]
     regular: bool = False
     max_rejected: int = MAX_REJECTED
 
     def step(self, system: System, control: float) -> Step:
-        """The step under a control; of infinite length if the equations are singular under so little damping."""
+        """Step under a value; of infinite length if the equations are singular under so little damping."""
         try:
             return self.solve(system, control)
         except RuntimeError:
@@ -298,7 +307,7 @@ class _Control:
 
 @dataclass
 class _NoStep:
-    """In place of a step that singular equations do not give."""
+    """Placeholder for the step of singular equations."""
 
     predicted_error: float
     length: float = math.inf
@@ -306,11 +315,11 @@ class _NoStep:
 
 
 def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> bool:
-    """Whether the step taken was the last.
+    """Whether the accepted step was the last.
 
-    A damped step may be small because of the damping: the undamped one decides. With a free datum the equations are
-    singular without damping, and with very little of it no step need become small: the end is where the predicted
-    decrease is rounding.
+    A damped step may be small because of the damping: the undamped step decides. With a free datum the equations are
+    singular without damping, and with very little damping steps need not become small: then the loop ends when the
+    predicted decrease is rounding.
     """
     rounding = math.isnan(log[-1].ratio)
     if rounding and len(log) > 1 and math.isinf(log[-2].step):
@@ -322,7 +331,7 @@ def _arrived(system: System, log: tuple[IterationRecord, ...], small: bool) -> b
 
 
 def nielsen(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
-    """Damping by the ratio of actual to predicted decrease (Nielsen 1999); falls fast where the model holds."""
+    """Damping by the ratio of actual to predicted decrease (Nielsen 1999); it falls fast where the model is right."""
     if not record.accepted:
         return damping * growth, 2.0 * growth
     ratio = 1.0 if math.isnan(record.ratio) else record.ratio
@@ -330,75 +339,51 @@ def nielsen(damping: float, growth: float, record: IterationRecord) -> tuple[flo
 
 
 def delayed_gratification(damping: float, growth: float, record: IterationRecord) -> tuple[float, float]:
-    """Damping doubles after a refused step and falls to a fifth after one taken (Transtrum, Sethna 2012, 5).
+    """Damping doubles after a rejected step and falls to a fifth after an accepted one (Transtrum, Sethna 2012, 5).
 
-    It stays as high as the error allows, so that the way into a narrow curved valley is long and the steps in it
-    short: for start values that are far off.
+    It stays as high as the error allows, which gives short steps into a narrow curved valley: for poor start values.
     """
     return (2.0 * damping if not record.accepted else max(0.2 * damping, LEAST_DAMPING)), growth
 
 
-def levenberg_marquardt(
-    backend: Backend[S],
-    start: S | Carried[S],
-    max_iterations: int,
-    callback: Callback | None = None,
-    tolerance: float = STEP_TOLERANCE,
-    *,
-    shrink: float = SHRINK,
-    keep: Callable[[Carried[S]], None] | None = None,
-    far: bool = False,
-) -> LoopResult[S]:
-    """Damped steps; the damping follows :func:`nielsen`, or :func:`delayed_gratification` from ``far`` starts."""
-
-    def solve(system: System, damping: float) -> Step:
-        return system.solve(damping)
-
-    if far:
-        rule = _Control(1e-2, solve, delayed_gratification, regular=True, max_rejected=MAX_REJECTED_DOUBLING)
-    else:
-        rule = _Control(1e-4, solve, nielsen, regular=True)
-    return _controlled(backend, Course(start, callback, keep), max_iterations, tolerance, shrink, rule)
+def _trust(radius: float, growth: float, record: IterationRecord) -> tuple[float, float]:
+    """Radius of a trust region by the ratio of actual to predicted decrease."""
+    if not record.accepted or record.ratio < 0.25:
+        return 0.25 * radius, growth
+    return max(radius, 3.0 * record.step) if record.ratio > 0.75 else radius, growth
 
 
-def dogleg(
-    backend: Backend[S],
-    start: S | Carried[S],
-    max_iterations: int,
-    callback: Callback | None = None,
-    tolerance: float = STEP_TOLERANCE,
-    *,
-    shrink: float = SHRINK,
-    keep: Callable[[Carried[S]], None] | None = None,
-) -> LoopResult[S]:
-    """Powell's dogleg in a trust region of the scaled unknowns."""
+def _damped(system: System, damping: float) -> Step:
+    return system.solve(damping)
 
-    def follow(radius: float, growth: float, record: IterationRecord) -> tuple[float, float]:
-        if not record.accepted or record.ratio < 0.25:
-            return 0.25 * radius, growth
-        return max(radius, 3.0 * record.step) if record.ratio > 0.75 else radius, growth
 
-    def step(system: System, radius: float) -> Step:
-        if not isinstance(system, TrustRegion):
-            raise TypeError(f"{type(system).__name__} has no trust region")
-        return system.dogleg(radius)
-
-    rule = _Control(1e3, step, follow)
-    return _controlled(backend, Course(start, callback, keep), max_iterations, tolerance, shrink, rule)
+def _powell(system: System, radius: float) -> Step:
+    if not isinstance(system, TrustRegion):
+        raise TypeError(f"{type(system).__name__} has no trust region")
+    return system.dogleg(radius)
 
 
 def _controlled(
-    backend: Backend[S], course: Course[S], max_iterations: int, tolerance: float, shrink: float, rule: _Control
+    rule: _Control,
+    backend: Backend[S],
+    start: S | Carried[S],
+    max_iterations: int,
+    callback: Callback | None = None,
+    tolerance: float = STEP_TOLERANCE,
+    *,
+    shrink: float = SHRINK,
+    keep: Callable[[Carried[S]], None] | None = None,
 ) -> LoopResult[S]:
-    """Take steps that lower the error; the control (damping or radius) follows each record."""
+    """Steps that decrease the error, under a damping or radius; further arguments as of :func:`gauss_newton`."""
+    course = Course(start, callback, keep)
     if math.isnan(course.carried.control):
         course.carried = replace(course.carried, control=rule.first)
     system = backend.linearise(course.carried.state)
     for _ in course.remaining(max_iterations):
         carried, step = course.carried, rule.step(system, course.carried.control)
-        found = math.isfinite(step.length)
-        trial = backend.retract(carried.state, step) if found else carried.state
-        error = backend.error(trial) if found else math.inf
+        solved = math.isfinite(step.length)
+        trial = backend.retract(carried.state, step) if solved else carried.state
+        error = backend.error(trial) if solved else math.inf
         record = course.judge(system.error, error, step, carried.control)
         control, growth = rule.follow(carried.control, carried.growth, record)
         if not record.accepted:
@@ -413,7 +398,18 @@ def _controlled(
     return course.end(course.carried.state, system.error, False, _exhausted(max_iterations))
 
 
-OPTIMIZERS: dict[str, Callable[..., LoopResult[Any]]] = {
+Optimizer = Callable[..., LoopResult[Any]]
+#: Damped steps.
+levenberg_marquardt: Optimizer = partial(_controlled, _Control(1e-4, _damped, nielsen, regular=True))
+#: Damped steps for poor start values.
+delayed_levenberg_marquardt: Optimizer = partial(
+    _controlled,
+    _Control(1e-2, _damped, delayed_gratification, regular=True, max_rejected=MAX_REJECTED_DOUBLING),
+)
+#: Powell's dogleg in a trust region of the scaled unknowns.
+dogleg: Optimizer = partial(_controlled, _Control(1e3, _powell, _trust))
+
+OPTIMIZERS: dict[str, Optimizer] = {
     "gauss-newton": gauss_newton,
     "levenberg-marquardt": levenberg_marquardt,
     "dogleg": dogleg,

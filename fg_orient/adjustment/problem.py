@@ -1,9 +1,8 @@
 """The adjustment problem: block, parameters and start values compiled to arrays, once.
 
-A unit of every residual is one sigma: image points in pixel sigmas (the image's model whitens them:
-``fg_orient.adjustment.models``), control points ``W (G - G_0)``, priors ``x`` (unknowns in
-prior sigmas). All backends start from this object, so a difference between them is the
-solver's. Images of different kinds may stand side by side.
+The unit of every residual is one sigma: image points in pixel sigmas (whitened by the image's model:
+``fg_orient.adjustment.models``), control points ``W (G - G_0)``, priors ``x`` (unknowns in prior sigmas). All backends
+start from this object, so that they differ in the solver only. Images of different kinds can be combined.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from fg_orient import geodesy
 from fg_orient.adjustment.models.contract import ImageModel, image_models
 from fg_orient.adjustment.rows import residuals
 from fg_orient.adjustment.ties import Ties, ties_of
-from fg_orient.adjustment.unchanged import comparable, unchanged_rows
 from fg_orient.model.block import Block, ExtraObservation, ImagePoints
 from fg_orient.model.errors import InputError
 from fg_orient.model.names import Role
@@ -34,8 +32,8 @@ Array = npt.NDArray[np.float64]
 Points = int | npt.NDArray[np.intp] | npt.NDArray[np.bool_]
 
 
-#: What holds a free datum: as much as priors a thousand times as wide as the given ones. It acts on steps, not on the
-#: solution; wider ones cost digits. The datum stands in the images: their ground points need next to nothing.
+#: Damping of a free datum: the weight of priors a thousand times as wide as the given ones. It acts on steps, not on
+#: the solution; less costs digits. The datum is fixed by the images: their ground points need almost no damping.
 FREE_DAMPING: Final = 1e-6
 FREE_POINT_DAMPING: Final = 1e-12
 
@@ -44,7 +42,7 @@ FREE_POINT_DAMPING: Final = 1e-12
 class State:
     """Unknowns: ``image`` (M, k) in prior sigmas, ``ground`` (N, 3) m in the local frame.
 
-    k is the largest number of unknowns of an image; rows of images with fewer end in zeros, which are none.
+    k is the largest number of unknowns of an image; rows of images with fewer unknowns are filled up with zeros.
     """
 
     image: Array
@@ -53,10 +51,10 @@ class State:
 
 @dataclass(frozen=True)
 class ExtraArgument:
-    """One argument of an own observation: an image, a ground point, or a point that is constant here.
+    """One argument of an extra observation: an image, a ground point, or a constant point.
 
-    ``index`` counts images or ground points; ``constant`` holds the (3,) local coordinates of a point that
-    is no unknown; ``size`` is the argument's length.
+    ``index`` counts images or ground points; ``constant`` has the (3,) local coordinates of a point that is not an
+    unknown; ``size`` is the argument's length.
     """
 
     is_image: bool
@@ -67,7 +65,7 @@ class ExtraArgument:
 
 @dataclass(frozen=True)
 class Problem:
-    """What a backend solves.
+    """Least-squares problem for a backend.
 
     Parameters
     ----------
@@ -77,7 +75,7 @@ class Problem:
     observations : ImagePoints
         The image points that take part.
     records : (n, d) array
-        Whitened constants of the image's equation per image point; shorter ones end in zeros.
+        Whitened constants of the image's equation per image point; shorter records are filled up with zeros.
     origin_m : (3,) array
         Local origin, ECEF; unknown ground points are relative to it, axes parallel to ECEF.
     start : State
@@ -114,22 +112,22 @@ class Problem:
 
     @cached_property
     def first(self) -> npt.NDArray[np.intp]:
-        """First of each image's unknowns among those of all images, and their number (M + 1,)."""
+        """First unknown of each image among those of all images, and their number (M + 1,)."""
         return np.concatenate([[0], np.cumsum([len(p) for p in self.parameters])]).astype(np.intp)
 
     @cached_property
     def ties(self) -> Ties | None:
-        """Unknowns that images have in common; None if there are none."""
+        """Unknowns shared by images; None without."""
         return ties_of(self.parameters, [image.id for image in self.block.images])
 
     @property
     def n_image_unknowns(self) -> int:
-        """Unknowns of all images, each image's counted for itself."""
+        """Number of unknowns of all images, shared ones counted in each image."""
         return int(self.first[-1])
 
     @property
     def n_free_unknowns(self) -> int:
-        """Unknowns of all images, those that they have in common counted once."""
+        """Number of unknowns of all images, shared ones counted once."""
         return self.n_image_unknowns if self.ties is None else len(self.ties)
 
     def unknowns(self, state: State, k: int) -> Array:
@@ -141,18 +139,18 @@ class Problem:
         return np.asarray(state.image[self._exists])
 
     def image_vector(self, state: State) -> Array:
-        """Unknowns of all images, one after the other; if they have some in common, as ``ties`` numbers them."""
+        """Unknowns of all images, one after the other; shared unknowns once, as ``ties`` numbers them."""
         wide = self.image_columns(state)
         return wide if self.ties is None else wide[self.ties.place]
 
     def image_matrix(self, vector: Array) -> Array:
-        """Make the matrix ``State.image`` of what :meth:`image_vector` gives."""
+        """Matrix ``State.image`` of a vector as from :meth:`image_vector`."""
         out = np.zeros(self._exists.shape)
         out[self._exists] = vector if self.ties is None else vector[self.ties.of]
         return out
 
     def prior_squares(self, state: State) -> float:
-        """Sum of the squares of the image unknowns, those in common once."""
+        """Sum of squares of the image unknowns, shared ones once."""
         unknowns = state.image if self.ties is None else self.image_vector(state)
         return float(np.vdot(unknowns, unknowns))
 
@@ -164,7 +162,7 @@ class Problem:
 
     @cached_property
     def columns(self) -> npt.NDArray[np.intp]:
-        """Place (M, k) of each element of ``State.image`` among the unknowns of all images; their number if not one."""
+        """Place (M, k) of each element of ``State.image`` among the unknowns of all images; their number if unused."""
         wide = self.first[:-1, None] + np.arange(self._exists.shape[1])
         return np.where(self._exists, wide, self.n_image_unknowns)
 
@@ -196,15 +194,15 @@ class Problem:
 
     @property
     def least_damping(self) -> float:
-        """Damping of the normal equations that no step goes without: above zero where nothing holds the datum."""
+        """Minimum damping of the normal equations: above zero where nothing fixes the datum."""
         options = self.block.options
         return FREE_DAMPING if options.datum == "free" and not options.priors else 0.0
 
     def point_damping(self, damping: float) -> float:
-        """Share by which a damping lengthens the diagonal of the normal equations of each ground point.
+        """Share by which a damping increases the diagonal of the normal equations of each ground point.
 
-        A share, not an amount (Marquardt 1963): it does not depend on the unit of length of the block, and a point far
-        away, which its rays hardly hold along them, may go its way.
+        A share (Marquardt 1963) does not depend on the unit of length of the block, and it leaves distant points, which
+        their rays hardly determine, free to move along the rays.
         """
         least = self.least_damping
         return max(damping - least, FREE_POINT_DAMPING) if least > 0.0 else damping
@@ -232,7 +230,7 @@ class Problem:
 
     @property
     def axis_names(self) -> tuple[str, str, str]:
-        """Names of the axes that :meth:`axes` leads to."""
+        """Names of the axes of :meth:`axes`."""
         return ("East", "North", "Up") if self.block.georeferenced else ("X", "Y", "Z")
 
     def label(self, row: int) -> str:
@@ -247,14 +245,14 @@ class Problem:
         return list(zip(points.tolist(), np.split(order, starts[1:]), strict=True))
 
     def extra_arguments(self, extra: ExtraObservation) -> list[ExtraArgument]:
-        """Find what an own observation names; points that are no unknowns are constants.
+        """Arguments of an extra observation; points that are not unknowns are constants.
 
         Raises
         ------
         InputError
-            A name that does not exist, is of the wrong kind or takes no part; nothing unknown.
+            A name that does not exist, is of the wrong kind or has no image point; no unknown.
         """
-        found: list[ExtraArgument] = []
+        arguments: list[ExtraArgument] = []
         for name, argument in zip(extra.unknowns, extra.equation.arguments, strict=True):
             if argument.is_point != name.startswith("point:"):
                 raise InputError.of("adjust.extra_kind", place=extra.label, value=name, argument=argument.name)
@@ -263,25 +261,25 @@ class Problem:
                 raise InputError.of("adjust.extra_unknown", place=extra.label, value=name)
             kind, j = place
             if kind == "image":
-                found.append(ExtraArgument(True, j, len(self.parameters[j])))
+                arguments.append(ExtraArgument(True, j, len(self.parameters[j])))
                 continue
             constant = np.ascontiguousarray(self.start.ground[j])
             if np.isnan(constant).any():
                 raise InputError.of("adjust.extra_unused", place=extra.label, value=name)
-            found.append(ExtraArgument(False, j, 3, None if self.active[j] else constant))
-        if all(argument.constant is not None for argument in found):
+            arguments.append(ExtraArgument(False, j, 3, None if self.active[j] else constant))
+        if all(argument.constant is not None for argument in arguments):
             raise InputError.of("adjust.extra_constant", place=extra.label, value=", ".join(extra.unknowns))
-        return found
+        return arguments
 
     def extra_setup(self, extra: ExtraObservation) -> Array:
-        """Setup of an own observation: its own, or that of the image that it names first."""
+        """Setup of an extra observation: its own, or that of its first image."""
         if extra.setup is not None:
             return extra.setup
         first = next(a for a in self.extra_arguments(extra) if a.is_image)
         return self.parameters[first.index].setup
 
     def corrections(self, state: State) -> list[Any]:
-        """Corrections of all images as their sensors take them: ``Correction``, or RPC compensation (6,) px."""
+        """Corrections of all images for their sensors: ``Correction``, or RPC compensation (6,) px."""
         return [model.correction(self.unknowns(state, k)) for k, model in enumerate(self.models)]
 
     def pixel_residuals(self, state: State) -> Array:
@@ -291,34 +289,37 @@ class Problem:
 
 
 def compile_problem(block: Block, like: Problem | None = None) -> Problem:
-    """Make the adjustment problem of a block.
+    """Compile the adjustment problem of a block.
 
     Parameters
     ----------
     block : Block
     like : Problem, optional
-        Of nearly the same block: what does not change is taken from it (``fg_orient.adjustment.unchanged``).
+        Of nearly the same block: constants that do not change are copied from it (:func:`unchanged_rows`).
 
     Raises
     ------
     InputError
-        No control point (unless priors or an image without unknowns of its own hold the datum, or nothing need), an
-        image whose sensor has no model, images in different coordinate systems, nothing to adjust, points that cannot
-        be intersected.
+        No control point (unless the datum is fixed by priors or an image without unknowns, or is free), an image whose
+        sensor has no model, images in different coordinate systems, nothing to adjust, points that cannot be
+        intersected.
     """
     options = block.options
     control_rows = block.points.where(Role.CONTROL)
     seen = np.unique(block.observations.point)
     if options.datum == "priors" and not options.priors:
         raise InputError.of("adjust.relative_priors", file=block.name, place="priors", value="false")
-    like = like if comparable(like, block) else None
+    if like is not None:
+        same_block = like.block.images is block.images and like.block.options == options
+        like = like if same_block and like.block.points.ids == block.points.ids else None
     models = image_models(block.images, options) if like is None else like.models
     held = any(not model.parameters.own.any() for model in models)
     if not np.isin(control_rows, seen).any() and options.datum == "control" and not held:
         raise InputError.of("block.no_control", file=block.name, place="points", value=f"{len(control_rows)} measured")
     if not any(len(model.parameters) for model in models):
         raise InputError.of("frame.nothing_unknown", file=block.images[0].sensor.file, place="sigma")
-    observations = participating(block)
+    keep = participates(block)
+    observations = block.observations if keep.all() else block.observations.take(keep)
     if not len(observations):
         raise InputError.of("block.no_rays", file=block.name, place="image points", value=0)
     _require_finite(block, observations, control_rows)
@@ -348,11 +349,32 @@ def compile_problem(block: Block, like: Problem | None = None) -> Problem:
     )  # fmt: skip
 
 
+def unchanged_rows(like: Problem, block: Block, observations: ImagePoints) -> npt.NDArray[np.intp]:
+    """Rows (n,) of ``like`` with the same constants as these image points; -1 for changed ones.
+
+    A search for gross errors compiles a block again for each observation left out. Start value and whitening of an
+    image point depend on its sensor and on all rays and the known coordinates of its ground point, and on nothing else.
+    """
+    columns = [
+        np.stack([o.image, o.point, o.line, o.sample, o.sigma_line_px, o.sigma_sample_px], axis=1)
+        for o in (like.observations, observations)
+    ]
+    kinds, kind = np.unique(np.concatenate(columns), axis=0, return_inverse=True)
+    before, now = np.split(kind.ravel(), [len(columns[0])])
+    other = np.bincount(before, minlength=len(kinds)) != np.bincount(now, minlength=len(kinds))
+    old, new = like.block.points.known.ecef_m, block.points.known.ecef_m
+    changed = ~((old == new) | (np.isnan(old) & np.isnan(new))).all(axis=1)
+    changed[kinds[other, 1].astype(np.intp)] = True
+    row = np.full(len(kinds), -1, np.intp)
+    row[before] = np.arange(len(before))
+    return np.where(changed[observations.point], -1, row[now])
+
+
 def _records(
     models: Sequence[ImageModel], observations: ImagePoints, ground_m: Array, origin_m: Array,
     same: npt.NDArray[np.intp], like: Problem | None,
 ) -> Array:  # fmt: skip
-    """Whitened records; those that are the same in rows ``same`` (n,) of another problem are taken from it."""
+    """Whitened records; rows ``same`` (n,) of another problem are copied from it."""
     if like is None:
         return whitened_records(models, observations, ground_m, origin_m)
     old, new = np.flatnonzero(same >= 0), np.flatnonzero(same < 0)
@@ -365,13 +387,7 @@ def _records(
 
 
 def _require_finite(block: Block, observations: ImagePoints, control: npt.NDArray[np.intp]) -> None:
-    """Refuse values that no reader lets through, for blocks made by hand.
-
-    Raises
-    ------
-    InputError
-        Names the first point whose pixels, coordinates or sigmas are not usable.
-    """
+    """Raise InputError for the first point with invalid pixels, coordinates or sigmas: in blocks without a reader."""
     pixels = np.stack([observations.line, observations.sample], axis=1)
     sigmas = np.stack([observations.sigma_line_px, observations.sigma_sample_px], axis=1)
     bad = observations.point[~(np.isfinite(pixels) & np.isfinite(sigmas) & (sigmas > 0.0)).all(axis=1)]
@@ -392,16 +408,10 @@ def schur_possible(block: Block) -> bool:
 
 
 def participates(block: Block) -> npt.NDArray[np.bool_]:
-    """Tell which image points (n,) enter the adjustment: all, or those of other than check points."""
+    """Image points (n,) that enter the adjustment: all, or all but those of check points."""
     if block.options.check_points == "use":
         return np.ones(len(block.observations), bool)
     return ~np.isin(block.observations.point, block.points.where(Role.CHECK))
-
-
-def participating(block: Block) -> ImagePoints:
-    """Image points that enter the adjustment."""
-    keep = participates(block)
-    return block.observations if keep.all() else block.observations.take(keep)
 
 
 def whitened_records(
@@ -432,12 +442,7 @@ def _control_records(block: Block, ecef_m: Array, origin_m: Array, observed: npt
 
 def _axes(block: Block, ground_m: Array) -> Array:
     """See :meth:`Problem.axes`."""
-    if block.georeferenced:
-        return enu_from_ecef(ground_m)
-    return np.tile(np.eye(3), (len(ground_m), 1, 1))
-
-
-def enu_from_ecef(ecef_m: Array) -> Array:
-    """Rotations (N, 3, 3) from ECEF axes to East, North, Up of each point."""
-    lon, lat, _ = np.degrees(ellipsoid.geodetic_array(np.ascontiguousarray(ecef_m))).T
+    if not block.georeferenced:
+        return np.tile(np.eye(3), (len(ground_m), 1, 1))
+    lon, lat, _ = np.degrees(ellipsoid.geodetic_array(np.ascontiguousarray(ground_m))).T
     return geodesy.enu_from_ecef(lon, lat)

@@ -32,8 +32,8 @@ from fg_orient.adjustment.loop import (
     Callback,
     IterationRecord,
     LoopResult,
+    delayed_levenberg_marquardt,
     gauss_newton,
-    levenberg_marquardt,
 )
 from fg_orient.model.errors import InputError, NoSolutionError
 
@@ -169,8 +169,8 @@ def fit_curve(
         The iteration has come to where the model has no finite derivatives, or Gauss-Newton's equations no solution.
     """
     loops: dict[str, Callable[[_Backend, _Point], LoopResult[_Point]]] = {
-        "levenberg-marquardt": lambda backend, point: levenberg_marquardt(
-            backend, point, max_iterations, callback, shrink=SHRINK_REWEIGHTED, far=True
+        "levenberg-marquardt": lambda backend, point: delayed_levenberg_marquardt(
+            backend, point, max_iterations, callback, shrink=SHRINK_REWEIGHTED
         ),
         "gauss-newton": lambda backend, point: gauss_newton(
             backend, point, max_iterations, callback, shrink=SHRINK_REWEIGHTED
