@@ -30,8 +30,8 @@ sys.path.insert(0, str(ROOT))
 import fg_orient as fg  # noqa: E402
 from fg_orient.formats.sensor import read_sensor  # noqa: E402
 from fg_orient.geodesy import geodetic_to_ecef  # noqa: E402
-from fg_orient.report import style  # noqa: E402
-from fg_orient.report.figure_data import read_folder  # noqa: E402
+from fg_orient.report import chart, paper  # noqa: E402
+from fg_orient.result.record import read_result  # noqa: E402
 from fg_orient.sensors.correction import Correction  # noqa: E402
 from tests.support import pages  # noqa: E402
 from tests.support.command import in_process  # noqa: E402
@@ -47,7 +47,7 @@ HEIGHT = 400.0
 def keep(figure: object, path: Path) -> None:
     """Write a figure as SVG; the same figure gives the same bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(style.file_of(figure, "svg"))  # type: ignore[arg-type]
+    path.write_bytes(paper.file_of(figure, "svg"))  # type: ignore[arg-type]
 
 
 @contextlib.contextmanager
@@ -76,31 +76,31 @@ def made(*words: object) -> None:
 
 def pixels(out: Path) -> None:
     """Draw the first pixels of an image, and what other conventions call their centre."""
-    figure = style.new_figure(style.TWO_COLUMNS, 2.3)
+    figure = paper.new_figure(paper.TWO_COLUMNS, 2.3)
     axes = figure.add_subplot()
     axes.set(xlim=(-1.1, 6.2), ylim=(2.7, -1.15), aspect="equal")
     axes.axis("off")
     for k in range(4):
-        axes.plot([k - 0.5] * 2, [-0.5, 2.5], color=style.GREY, lw=0.7)
-        axes.plot([-0.5, 2.5], [k - 0.5] * 2, color=style.GREY, lw=0.7) if k < 4 else None
+        axes.plot([k - 0.5] * 2, [-0.5, 2.5], color=chart.GREY, lw=0.7)
+        axes.plot([-0.5, 2.5], [k - 0.5] * 2, color=chart.GREY, lw=0.7) if k < 4 else None
     at = [(line, sample) for line in range(3) for sample in range(3)]
-    axes.plot([s for _, s in at], [n for n, _ in at], ls="", marker="o", ms=3, color=style.BLUE)
+    axes.plot([s for _, s in at], [n for n, _ in at], ls="", marker="o", ms=3, color=chart.BLUE)
     for line, sample in at:
         axes.annotate(f"{line}, {sample}", (sample, line), (0, -9), textcoords="offset points", ha="center", fontsize=7)
-    arrow = {"arrowstyle": "->", "color": style.INK, "lw": 0.9}
+    arrow = {"arrowstyle": "->", "color": chart.INK, "lw": 0.9}
     axes.annotate("sample", (2.4, -0.75), (1.0, -0.75), arrowprops=arrow, va="center", ha="right")
     axes.annotate("line", (-0.7, 2.4), (-0.7, 1.0), arrowprops=arrow, ha="center")
     words = [
-        ("the centre of the first pixel is", "", style.INK),
-        ("(0, 0)", "fg_orient, MicMac, ASP", style.BLUE),
-        ("(0.5, 0.5)", "COLMAP, Metashape, Pix4D (x, y)", style.ORANGE),
-        ("(1, 1)", "DIMAP files, GeoEtrim", style.GREEN),
+        ("the centre of the first pixel is", "", chart.INK),
+        ("(0, 0)", "fg_orient, MicMac, ASP", chart.BLUE),
+        ("(0.5, 0.5)", "COLMAP, Metashape, Pix4D (x, y)", chart.ORANGE),
+        ("(1, 1)", "DIMAP files, GeoEtrim", chart.GREEN),
     ]
     for k, (name, whose, ink) in enumerate(words):
         axes.text(3.0, 0.1 + 0.55 * k, name, color=ink, va="center")
         axes.text(4.0, 0.1 + 0.55 * k, whose, va="center")
-    axes.plot([-0.5], [-0.5], ls="", marker="x", ms=5, color=style.ORANGE)
-    axes.annotate("-0.5, -0.5", (-0.5, -0.5), (-4, 5), textcoords="offset points", fontsize=7, color=style.ORANGE)
+    axes.plot([-0.5], [-0.5], ls="", marker="x", ms=5, color=chart.ORANGE)
+    axes.annotate("-0.5, -0.5", (-0.5, -0.5), (-4, 5), textcoords="offset points", fontsize=7, color=chart.ORANGE)
     keep(figure, out / "pixels.svg")
 
 
@@ -122,18 +122,18 @@ def outline(correction: Correction | None, image: Path) -> Array:
 
 def signs(out: Path, image: Path) -> None:
     """Draw where positive roll, pitch and yaw move the footprint of an image; flight is upwards."""
-    figure = style.new_figure(style.TWO_COLUMNS, 2.9)
+    figure = paper.new_figure(paper.TWO_COLUMNS, 2.9)
     before = outline(None, image)
     for panel, (k, name) in zip(figure.subplots(1, 3), ((6, "roll"), (7, "pitch"), (8, "yaw")), strict=True):
         eop = np.zeros((9, 3))
         eop[k, 0] = TURN * (4.0 if name == "yaw" else 1.0)
         after = outline(Correction(eop), image)
-        for corners, ink, dashes in ((before, style.GREY, "--"), (after, style.BLUE, "-")):
+        for corners, ink, dashes in ((before, chart.GREY, "--"), (after, chart.BLUE, "-")):
             panel.plot(*np.vstack([corners, corners[:1]]).T, color=ink, ls=dashes, lw=1.1)
             panel.plot(*corners[0], marker="o", ms=4, color=ink)
         for a, b in zip(before, after, strict=True):
-            panel.annotate("", b, a, arrowprops={"arrowstyle": "->", "color": style.ORANGE, "lw": 0.9})
-        panel.annotate("", (0.0, 18.0), (0.0, -18.0), arrowprops={"arrowstyle": "->", "color": style.INK, "lw": 0.7})
+            panel.annotate("", b, a, arrowprops={"arrowstyle": "->", "color": chart.ORANGE, "lw": 0.9})
+        panel.annotate("", (0.0, 18.0), (0.0, -18.0), arrowprops={"arrowstyle": "->", "color": chart.INK, "lw": 0.7})
         panel.text(1.5, 0.0, "flight", fontsize=7)
         panel.set(
             title=f"positive {name}", aspect="equal", xlim=(-55, 55), ylim=(-55, 55), xlabel="right of flight, km"
@@ -158,19 +158,19 @@ def planted(project: Path, image: str, point: str, error_px: float) -> None:
 def patterns(out: Path, folder: Path) -> None:
     """Draw residuals of one image: noise, a model that lacks a term, one gross error."""
     cases = {"noise alone": (), "a term is missing": ("--distortion", 4e-5), "one gross error": ()}
-    figure = style.new_figure(style.TWO_COLUMNS, 2.75)
+    figure = paper.new_figure(paper.TWO_COLUMNS, 2.75)
     for number, (panel, (name, more)) in enumerate(zip(figure.subplots(1, 3), cases.items(), strict=True)):
         project = folder / f"case{number}" / "project.toml"
         made("simulate", "zonguldak", "--seed", 1, *more, "--out", project.parent)
         if name == "one gross error":
             planted(project, "left", "12", 8.0)
         made("adjust", project, "--out", folder / f"result{number}")
-        result = read_folder(folder / f"result{number}")
+        result = read_result(folder / f"result{number}")
         found, rows = result.residuals, result.rows["left"]
         at, v = found.numbers("sample", "line")[rows], found.numbers("v_sample_px", "v_line_px")[rows]
-        panel.scatter(*at.T, s=2.0, color=style.INK, lw=0)
+        panel.scatter(*at.T, s=2.0, color=chart.INK, lw=0)
         longest = float(np.linalg.norm(v, axis=1).max())
-        arrows = panel.quiver(*at.T, v[:, 0], -v[:, 1], color=style.BLUE, angles="uv", scale=longest / 0.25,
+        arrows = panel.quiver(*at.T, v[:, 0], -v[:, 1], color=chart.BLUE, angles="uv", scale=longest / 0.25,
                               scale_units="width", width=0.007)  # fmt: skip
         length = 0.5 if longest < 1.5 else 2.0 if longest < 4.0 else 4.0
         panel.quiverkey(arrows, 0.82, 1.05, length, f"{length:g} px", labelpos="W", fontproperties={"size": 7})
@@ -205,14 +205,14 @@ def dense_sparse(out: Path) -> None:
     with ran("dense-sparse"):
         block = fg.read_project("pair/project.toml")
         solution = fg.adjust(block, backend="dense", solver="qr")
-    figure = style.new_figure(style.TWO_COLUMNS, 2.5)
+    figure = paper.new_figure(paper.TWO_COLUMNS, 2.5)
     axes = figure.add_subplot()
-    for k, (name, ink, mark) in enumerate((("left", style.BLUE, "o"), ("right", style.ORANGE, "s"))):
+    for k, (name, ink, mark) in enumerate((("left", chart.BLUE, "o"), ("right", chart.ORANGE, "s"))):
         record = solution.observability[k]
         axes.plot(np.arange(1, len(record.singular_values) + 1), record.singular_values, marker=mark, ms=3, lw=0.8,
                   color=ink, label=f"image {name}")  # fmt: skip
-    axes.axhline(1.0, color=style.GREY, lw=0.8)
-    style.log_scale(axes)
+    axes.axhline(1.0, color=chart.GREY, lw=0.8)
+    axes.set_yscale("log")
     axes.set_xticks(range(1, 19))
     axes.set(xlabel="direction", ylabel="singular value, prior sigmas")
     axes.legend()
@@ -235,7 +235,7 @@ def rpc(out: Path) -> None:
             found = read_sensor(Path(f"{name}_RPC.TXT")).project(geodetic_to_ecef(*place))
             misfit[name] = np.stack(found[:2], axis=1) - pixel
     check = np.array([r["role"] == "check" for r in rows])
-    figure = style.new_figure(style.TWO_COLUMNS, 3.3)
+    figure = paper.new_figure(paper.TWO_COLUMNS, 3.3)
     for panel, (name, v) in zip(figure.subplots(1, 2), misfit.items(), strict=True):
         panel_of_vectors(panel, pixel[:, ::-1], v, check)
         panel.set_title(f"{name} RPC", loc="left")
@@ -247,12 +247,12 @@ def panel_of_vectors(panel: object, at: Array, v: Array, check: npt.NDArray[np.b
     """Draw vectors (line, sample) at pixels (sample, line), lines downwards, the mean length a tenth of the width."""
     size = float(np.median(np.linalg.norm(v, axis=1)))
     length = float(f"{size:.0e}")
-    for rows, ink, mark, name in ((~check, style.BLUE, "^", "control"), (check, style.ORANGE, "o", "check")):
+    for rows, ink, mark, name in ((~check, chart.BLUE, "^", "control"), (check, chart.ORANGE, "o", "check")):
         panel.plot(*at[rows].T, ls="", marker=mark, ms=3, color=ink, label=name)  # type: ignore[attr-defined]
         arrows = panel.quiver(*at[rows].T, v[rows, 1], -v[rows, 0], color=ink, angles="uv", scale=size / 0.08,  # type: ignore[attr-defined]
                               scale_units="width", width=0.004)  # fmt: skip
     panel.quiverkey(arrows, 0.85, 1.04, length, f"{length:g} px", labelpos="W", fontproperties={"size": 7},  # type: ignore[attr-defined]
-                    color=style.INK)  # fmt: skip
+                    color=chart.INK)  # fmt: skip
     panel.set(xlim=(-0.5, 11999.5), ylim=(11999.5, -0.5), aspect="equal", xlabel="sample, px")  # type: ignore[attr-defined]
     panel.locator_params(nbins=5)  # type: ignore[attr-defined]
     panel.legend(loc="lower left")  # type: ignore[attr-defined]
@@ -260,7 +260,7 @@ def panel_of_vectors(panel: object, at: Array, v: Array, check: npt.NDArray[np.b
 
 def calibrate(out: Path) -> None:
     """Draw the residuals of the first photo at one scale: with c alone, and with x0, y0 and k1."""
-    figure = style.new_figure(style.TWO_COLUMNS, 2.9)
+    figure = paper.new_figure(paper.TWO_COLUMNS, 2.9)
     with ran("calibrate"):
         at = {(r["photo"], r["id"]): (float(r["x"]), float(r["y"])) for r in table(Path("image.csv"))}
         for panel, (folder, name) in zip(
@@ -270,9 +270,9 @@ def calibrate(out: Path) -> None:
             rows = [row for row in found if row["photo"] == "photo0"]
             xy = np.array([at[r["photo"], r["id"]] for r in rows])
             v = np.array([[r["residual_x"], r["residual_y"]] for r in rows])
-            panel.scatter(*xy.T, s=2.0, color=style.INK, lw=0)
+            panel.scatter(*xy.T, s=2.0, color=chart.INK, lw=0)
             arrows = panel.quiver(
-                *xy.T, *v.T, color=style.BLUE, angles="uv", scale=0.15, scale_units="width", width=0.004
+                *xy.T, *v.T, color=chart.BLUE, angles="uv", scale=0.15, scale_units="width", width=0.004
             )
             panel.quiverkey(arrows, 0.82, 1.04, 0.02, "20 µm", labelpos="W", fontproperties={"size": 7})
             panel.set(aspect="equal", xlabel="x, mm")
@@ -297,13 +297,13 @@ def rectify_by_points(out: Path) -> None:
     found = own["fit"](control, own["find_model"]("affine"))
     v = control.target - found.transformation.apply(control.source)
     suspected = own["point_tests"](found).suspicious
-    figure = style.new_figure(style.ONE_COLUMN, 2.8)
+    figure = paper.new_figure(paper.ONE_COLUMN, 2.8)
     panel = figure.add_subplot()
-    for rows, ink, name in ((~suspected, style.BLUE, "control"), (suspected, style.ORANGE, "suspected")):
+    for rows, ink, name in ((~suspected, chart.BLUE, "control"), (suspected, chart.ORANGE, "suspected")):
         at = control.source[rows]
         panel.plot(*at.T, ls="", marker="o", ms=3, color=ink, label=name)
         arrows = panel.quiver(*at.T, *v[rows].T, color=ink, angles="uv", scale=600.0, scale_units="width", width=0.005)
-    panel.quiverkey(arrows, 0.85, 1.05, 50.0, "50 m", labelpos="W", fontproperties={"size": 7}, color=style.INK)
+    panel.quiverkey(arrows, 0.85, 1.05, 50.0, "50 m", labelpos="W", fontproperties={"size": 7}, color=chart.INK)
     panel.set(xlim=(-100, 1123), ylim=(1123, -100), aspect="equal", xlabel="sample, px", ylabel="line, px")
     panel.set_title("affine fit", loc="left")
     panel.legend(loc="lower right")
@@ -316,9 +316,9 @@ def rpc_bundle(out: Path) -> None:
     with contextlib.redirect_stdout(io.StringIO()):
         block = own["without_control"](own["rpc_block"]())
     relative = fg.adjust(block, rpc_compensation="shift")
-    figure = style.new_figure(style.ONE_COLUMN, 2.3)
+    figure = paper.new_figure(paper.ONE_COLUMN, 2.3)
     panel = figure.add_subplot()
-    cases = (("as they came", relative.problem.start, style.ORANGE, "s"), ("adjusted", relative.state, style.BLUE, "o"))
+    cases = (("as they came", relative.problem.start, chart.ORANGE, "s"), ("adjusted", relative.state, chart.BLUE, "o"))
     for name, state, ink, mark in cases:
         parallax = own["y_parallaxes"](relative.problem, state)[1]
         panel.plot(np.arange(1, len(parallax) + 1), parallax, ls="", marker=mark, ms=3, color=ink, label=name)
@@ -339,7 +339,7 @@ def main(target: Path) -> None:
     """Draw all."""
     from matplotlib import rc_context
 
-    with rc_context(style.STYLE):
+    with rc_context(paper.STYLE):
         for folder, drawn in PICTURES.items():
             (target / folder).mkdir(parents=True, exist_ok=True)
             for draw in drawn:

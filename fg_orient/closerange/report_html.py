@@ -6,9 +6,8 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from markupsafe import Markup
 
-from fg_orient.closerange.report_maps import scene_of, views_of
+from fg_orient.closerange.report_maps import columns, deviation_views, distance_histogram, scene_of, views_of
 from fg_orient.closerange.report_plots import (
     MAX_PHOTOS,
     directions_chart,
@@ -16,10 +15,9 @@ from fg_orient.closerange.report_plots import (
     residual_panels,
     residual_rows,
 )
-from fg_orient.closerange.report_surface import deviation_views, distance_histogram
 from fg_orient.closerange.report_words import KINDS, problems, significant, suspects, unit_of, verdict
-from fg_orient.report.charts import heat_map, iteration_charts, redundancy_histogram
 from fg_orient.report.page import environment
+from fg_orient.report.plots import heat_map, iteration_charts, redundancy_chart
 
 PACKAGE: Final = "fg_orient.closerange"
 #: Rows of a table that the page shows; closerange.json and points.csv hold all.
@@ -44,7 +42,7 @@ def render(record: dict[str, Any]) -> str:
     accuracy = _accuracy(record)
     return shell.get_template("closerange.html.j2").render(
         r=record, kind=KINDS[record["kind"]], verdict=verdict(record, told), problems=told, many=MANY,
-        sections=_sections(record, parts, accuracy), accuracy=accuracy, suspects=suspects(record)[:WORST], **parts,
+        accuracy=accuracy, suspects=suspects(record)[:WORST], **parts,
     )  # fmt: skip
 
 
@@ -64,14 +62,13 @@ def _surface(record: dict[str, Any]) -> dict[str, Any]:
 
 def _photos(record: dict[str, Any]) -> dict[str, Any]:
     """Drawings and tables of photos and points."""
-    redundancy = np.array([[np.nan if row.get(f"redundancy_{a}") is None else row[f"redundancy_{a}"] for a in "xy"]
-                           for row in record.get("residuals", [])], float).reshape(-1, 2)  # fmt: skip
+    redundancy = columns(record.get("residuals", []), "redundancy_x", "redundancy_y")
     return _empty() | {
         "views": views_of(scene_of(record)), "residuals": residual_rows(record),
         "panels": residual_panels(record), "max_photos": MAX_PHOTOS, "worst": _worst(record),
         "curves": distortions(record), "heat": _heat(record), "directions": directions_chart(record),
-        "redundancy": redundancy_histogram(redundancy, ("x", "y")),
-        "history": iteration_charts(record.get("history", []), "m, rad or steps of the camera"),
+        "redundancy": redundancy_chart(redundancy, ("x", "y")),
+        "history": iteration_charts(record.get("history", []), "m, rad or camera steps"),
     }  # fmt: skip
 
 
@@ -79,23 +76,7 @@ def _empty() -> dict[str, Any]:
     """What the template asks of every page."""
     lists: dict[str, Any] = {name: [] for name in (
         "views", "residuals", "panels", "worst", "curves", "heat", "deviations", "history")}  # fmt: skip
-    none = Markup("")
-    return lists | {"histogram": none, "directions": none, "redundancy": none, "max_photos": MAX_PHOTOS}
-
-
-def _sections(record: dict[str, Any], parts: dict[str, Any], accuracy: dict[str, Any]) -> list[tuple[str, str]]:
-    """Parts of the page that are there, and their words."""
-    has_camera = record["cameras"] or parts["curves"] or any(p["parameters"] for p in record["photos"])
-    wanted = (
-        ("accuracy", "Accuracy", accuracy["rows"]),
-        ("map", "Deviations" if record["kind"] == "surface" else "Map", parts["views"]),
-        ("parameters", "Parameters", record["kind"] == "surface"), ("camera", "Camera", has_camera),
-        ("residuals", "Residuals", parts["residuals"]), ("reliability", "Reliability", parts["redundancy"]),
-        ("orientation", "Orientation", record["photos"]), ("figures", "Figures", record["figures"]),
-        ("points", "Points", record["points"]), ("observability", "Observability", parts["directions"]),
-        ("iterations", "Iterations", parts["history"]), ("provenance", "Provenance", True),
-    )  # fmt: skip
-    return [(id_, words) for id_, words, there in wanted if there]
+    return lists | {"histogram": None, "directions": None, "redundancy": None, "max_photos": MAX_PHOTOS}
 
 
 def _accuracy(record: dict[str, Any]) -> dict[str, Any]:

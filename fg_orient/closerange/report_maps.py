@@ -1,6 +1,6 @@
-"""Plan and elevations of a close-range result: points with error ellipses and vectors, camera stations.
+"""Charts of close range in space: points with error ellipses and vectors, stations; deviations from a surface.
 
-Coordinates are any right-handed system in metres: no map projection, no north. Colours come from the style sheet.
+Coordinates are any right-handed system in metres: no map projection, no north.
 """
 
 from __future__ import annotations
@@ -11,37 +11,40 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from markupsafe import Markup, escape
 from scipy.spatial import cKDTree
 
 from fg_orient.closerange.report_words import length, round_length
-from fg_orient.report.scale import round_down, thousands
+from fg_orient.closerange.surface import Surface
+from fg_orient.report.chart import Axis, Chart, broad, large, mapped, round_down, thousands
 from fg_orient.report.words import printable
 
 Array = npt.NDArray[np.float64]
-Box = tuple[float, float, float, float]
 
-WIDTH: Final = 720.0
-#: Tallest drawing; what is taller than wide is drawn smaller.
 TALLEST: Final = 480.0
 MARGIN: Final = 40.0
 #: Length of a large ellipse or vector (90 % quantile) as a share of the width.
 SHARE: Final = 0.035
-#: The same, at most, as a share of the distance between neighbours, and at least, drawing units.
+#: The same, at most, as a share of the distance between neighbours, and at least, as a share of the width.
 _APART: Final = 0.6
-SHORTEST: Final = 5.0
+SHORTEST: Final = 0.007
 #: More points than this are thinned, new ones first.
 MAX_POINTS: Final = 800
 #: Stations and points whose names are written.
 MAX_NAMES: Final = 24
-#: Width of a letter of a point's name, drawing units.
-_LETTER: Final = 8.0
 #: Views: words, and the axes across and up.
 VIEWS: Final = (("Plan, X and Y", 0, 1), ("Elevation, X and Z", 0, 2), ("Elevation, Y and Z", 1, 2))
 AXES: Final = "XYZ"
 _MIXED: Final = {(0, 1): "cov_xy_m2", (0, 2): "cov_xz_m2", (1, 2): "cov_yz_m2"}
 #: Points on the outline of an ellipse.
 _OUTLINE: Final = 28
+#: Length of a direction of view as a share of the width.
+_LOOK: Final = 0.04
+#: Radii of the smallest and of the largest deviation, drawing units; steps of their colours.
+SMALLEST: Final = 1.5
+LARGEST: Final = 11.0
+_STEPS: Final = 5
+#: An axis of a quadric with less than this of the largest curvature is open.
+_FLAT: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,19 +79,19 @@ class Scene:
 def scene_of(record: dict[str, Any]) -> Scene:
     """Take points and stations out of a record of any kind."""
     points = record.get("points") or _control(record)
-    at = _columns(points, *(f"{a}_m" for a in "xyz"))
-    sigma = _columns(points, *(f"sigma_{a}_m" for a in "xyz"))
+    at = columns(points, *(f"{a}_m" for a in "xyz"))
+    sigma = columns(points, *(f"sigma_{a}_m" for a in "xyz"))
     covariance = np.full((len(points), 3, 3), np.nan)
     covariance[:, [0, 1, 2], [0, 1, 2]] = sigma**2
     for (i, j), name in _MIXED.items():
-        covariance[:, i, j] = covariance[:, j, i] = _columns(points, name)[:, 0]
+        covariance[:, i, j] = covariance[:, j, i] = columns(points, name)[:, 0]
     photos = [p for p in record.get("photos") or record.get("stations") or [] if p.get("exterior")]
     centres = np.array([p["exterior"]["centre_m"] for p in photos], float).reshape(-1, 3)
     looks = [p["exterior"]["rotation"][2] if "rotation" in p["exterior"] else [np.nan] * 3 for p in photos]
     spread = [[np.nan if s is None else s for s in p["exterior"].get("sigma_centre_m", [None] * 3)] for p in photos]
     return Scene(
         [p["id"] for p in points], [p.get("role", "new") for p in points], at, covariance,
-        _columns(points, *(f"difference_{a}_m" for a in "xyz")), [p["photo"] for p in photos], centres,
+        columns(points, *(f"difference_{a}_m" for a in "xyz")), [p["photo"] for p in photos], centres,
         np.array(looks, float).reshape(-1, 3), np.array(spread, float).reshape(-1, 3),
     )  # fmt: skip
 
@@ -99,80 +102,79 @@ def _control(record: dict[str, Any]) -> list[dict[str, Any]]:
     return list({row["id"]: row for row in rows}.values())
 
 
-def _columns(rows: list[dict[str, Any]], *names: str) -> Array:
+def columns(rows: list[dict[str, Any]], *names: str) -> Array:
     """Numbers (n, k) of rows; nan where there is none."""
     values = [[np.nan if row.get(name) is None else row[name] for name in names] for row in rows]
     return np.array(values, float).reshape(len(rows), len(names))
 
 
-class Frame:
-    """One view: metres across and up to drawing units.
-
-    Parameters
-    ----------
-    places : (n, 2) array
-        Everything that must be seen.
-    """
-
-    def __init__(self, places: Array) -> None:
-        low, high = places.min(axis=0), places.max(axis=0)
-        size = np.maximum(high - low, 1e-9)
-        least = 0.02 * float(size.max())
-        self.centre, size = 0.5 * (low + high), np.maximum(size, least)
-        self.units = float(min((WIDTH - 2 * MARGIN) / size[0], (TALLEST - 2 * MARGIN) / size[1]))
-        self.height = float(size[1]) * self.units + 2 * MARGIN
-
-    def __call__(self, places: Array) -> Array:
-        """Drawing coordinates (n, 2), y downwards."""
-        out = (places - self.centre) * self.units * np.array([1.0, -1.0])
-        return np.asarray(out + np.array([WIDTH / 2, self.height / 2]))
-
-
-def views_of(scene: Scene) -> list[tuple[str, Markup]]:
-    """Words and drawings: plan and elevations; a plan of the points alone where stations make them small."""
+def views_of(scene: Scene) -> list[tuple[str, Chart]]:
+    """Words and charts: plan and elevations; a plan of the points alone where stations make them small."""
+    if not len(scene.ids):
+        return []
     out = [(words, view(scene, words, across, up)) for words, across, up in VIEWS]
-    if len(scene.ids) and len(scene.centres):
+    if len(scene.centres):
         own = np.ptp(scene.at[:, :2], axis=0).max()
         whole = np.ptp(np.vstack([scene.at[:, :2], scene.centres[:, :2]]), axis=0).max()
         if own < 0.6 * whole:
             alone = replace(scene, stations=[], centres=np.zeros((0, 3)))
             out.insert(1, ("Plan of the points alone, X and Y", view(alone, "Plan of the points alone", 0, 1)))
-    return [pair for pair in out if pair[1]]
+    return out
 
 
-def view(scene: Scene, words: str, across: int, up: int) -> Markup:
-    """One view as SVG; empty without points.
+def view(scene: Scene, words: str, across: int, up: int) -> Chart:
+    """One view of points and stations.
 
     Parameters
     ----------
     scene : Scene
     words : str
-        What it shows, for those who do not see it.
+        Content, for those who do not see it.
     across, up : int
         Axes, 0 to 2.
     """
-    if not len(scene.ids):
-        return Markup("")
     axes = [across, up]
     rows = _thinned(scene)
-    frame = Frame(np.vstack([scene.at[rows][:, axes], scene.centres[:, axes]]))
-    flat = scene.covariance[rows][:, axes][:, :, axes]
-    vectors = scene.difference[rows][:, axes]
-    drawn = frame(scene.at[rows][:, axes])
-    enlarged = _enlargement(flat, vectors, drawn) / frame.units
-    parts = [_axes(frame, across, up)]
-    for place, covariance in zip(drawn, flat, strict=True):
-        parts.append(_ellipse(place, covariance, enlarged * frame.units))
-    named = sum(role != "new" for role in scene.roles) <= MAX_NAMES
-    for k, place, vector in zip(rows, drawn, vectors * enlarged * frame.units, strict=True):
-        parts.append(_point(scene, int(k), place, vector * np.array([1.0, -1.0])))
-    taken = _symbols(scene, rows, drawn, frame(scene.centres[:, axes]))
-    parts += _names(scene, rows, drawn, taken) if named else []
-    parts += _stations(scene, frame, axes, taken)
-    parts.append(_foot(frame, scene, enlarged, len(scene.ids) - len(rows)))
-    return Markup('<svg class="map" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
-        WIDTH, round(frame.height + (94.0 if enlarged > 0.0 else 62.0), 1), words, Markup("").join(parts)
+    at, flat, vectors = (
+        scene.at[rows][:, axes],
+        scene.covariance[rows][:, axes][:, :, axes],
+        scene.difference[rows][:, axes],
     )
+    chart = _frame(words, np.vstack([at, scene.centres[:, axes]]), across, up)
+    chart.per_width = _per_width(flat, vectors, at, float(np.ptp(chart.x.limits)))
+    enlarged = float(np.ptp(chart.x.limits)) / chart.per_width if chart.per_width else 0.0
+    for place, covariance in zip(at, flat, strict=True):
+        if enlarged and np.isfinite(covariance).all() and covariance.any():
+            chart.add("area", "ellipse", *_ellipse(place, covariance, enlarged).T)
+    roles = np.array([scene.roles[k] for k in rows])
+    for role, kind in (("new", "tie"), ("control", "control"), ("check", "check")):
+        mine = np.flatnonzero(roles == role)
+        if len(mine):
+            tips = [_tip(f"{role} {printable(scene.ids[k])}", scene.at[k], np.sqrt(scene.covariance[k].diagonal()),
+                         scene.difference[k]) for k in rows[mine]]  # fmt: skip
+            chart.add("dots", kind, *at[mine].T, label=role, tips=tips, vectors=vectors[mine])
+    known = np.flatnonzero(roles != "new")
+    if 0 < len(known) <= MAX_NAMES:
+        names = [printable(scene.ids[rows[k]]) for k in known]
+        chart.add("names", "name", *at[known].T, tips=names)
+    _stations(chart, scene, axes)
+    if enlarged:
+        size = round_down(0.12 * chart.per_width)
+        text = f"{round_length(size)} error, enlarged {thousands(enlarged)} times"
+        chart.bars.append((size / chart.per_width, text))
+    chart.note = f"{len(scene.ids) - len(rows)} new points are not drawn" if len(rows) < len(scene.ids) else ""
+    return chart
+
+
+def _frame(words: str, places: Array, across: int, up: int) -> Chart:
+    """Empty view with a bar of its scale."""
+    chart = mapped(words, places, tallest=TALLEST, margin=MARGIN)
+    chart.x, chart.y = replace(chart.x, words=f"{AXES[across]}, m"), replace(chart.y, words=f"{AXES[up]}, m")
+    chart.title = words
+    wide = float(np.ptp(chart.x.limits))
+    metres = round_down(0.2 * wide)
+    chart.bars = [(metres / wide, f"{round_length(metres)}; {AXES[across]} to the right, {AXES[up]} up")]
+    return chart
 
 
 def _thinned(scene: Scene) -> npt.NDArray[np.intp]:
@@ -183,158 +185,121 @@ def _thinned(scene: Scene) -> npt.NDArray[np.intp]:
     return np.sort(np.append(others, rows[:: max(1, math.ceil(len(rows) / room))])).astype(np.intp)
 
 
-def _enlargement(covariance: Array, vectors: Array, drawn: Array) -> float:
-    """Drawing units per metre of error, so that a large ellipse or vector has a good length; 0 without any."""
+def _per_width(covariance: Array, vectors: Array, at: Array, wide: float) -> float:
+    """Error in metres that is drawn as long as the view is wide; 0 without any."""
     size = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0))
-    lengths = np.concatenate([size, np.linalg.norm(vectors, axis=1)])
-    lengths = lengths[np.isfinite(lengths) & (lengths > 0.0)]
-    if not len(lengths):
-        return 0.0
-    good = min(WIDTH * SHARE, max(_APART * _distance(drawn), SHORTEST))
-    return good / float(np.quantile(lengths, 0.9))
+    longest = large(np.concatenate([np.stack([size, 0.0 * size], axis=1), vectors]))
+    distance = np.inf if len(at) < 2 else float(np.median(np.asarray(cKDTree(at).query(at, 2)[0], float)[:, 1]))
+    return longest / min(SHARE, max(_APART * distance / wide, SHORTEST))
 
 
-def _distance(drawn: Array) -> float:
-    """Distance of the points (n, 2) from their next one, median; the width of the drawing where there is one only."""
-    if len(drawn) < 2:
-        return WIDTH
-    return float(np.median(np.asarray(cKDTree(drawn).query(drawn, 2)[0], float)[:, 1]))
-
-
-def _ellipse(place: Array, covariance: Array, scale: float) -> Markup:
-    """Standard ellipse about a place; nothing where there is no covariance."""
-    if scale <= 0.0 or not np.isfinite(covariance).all() or not covariance.any():
-        return Markup("")
+def _ellipse(place: Array, covariance: Array, scale: float) -> Array:
+    """Outline (n, 2) of the enlarged standard ellipse about a place."""
     values, vectors = np.linalg.eigh(covariance)
     turn = np.linspace(0.0, 2.0 * np.pi, _OUTLINE, endpoint=False)
     half = scale * np.sqrt(np.maximum(values, 0.0))
-    outline = place + (np.stack([np.cos(turn), np.sin(turn)], axis=1) * half) @ vectors.T * np.array([1.0, -1.0])
-    return Markup('<path class="ellipse" d="M{}z"/>').format("L".join(f"{x:.1f} {y:.1f}" for x, y in outline.tolist()))
+    return np.asarray(place + (np.stack([np.cos(turn), np.sin(turn)], axis=1) * half) @ vectors.T)
 
 
-def _point(scene: Scene, k: int, place: Array, vector: Array) -> Markup:
-    """A point with its vector and its tip, which tells its name."""
-    x, y = (round(float(v), 1) for v in place)
-    role, name = scene.roles[k], printable(scene.ids[k])
-    symbol = {
-        "control": f'<path class="control" d="M{x} {round(y - 5.7, 1)}l5 8.6h-10z"/>',
-        "check": f'<circle class="check" cx="{x}" cy="{y}" r="4"/>',
-    }.get(role, f'<circle class="tie" cx="{x}" cy="{y}" r="1.8"/>')
-    line = ""
-    if np.isfinite(vector).all() and vector.any():
-        line = (
-            f'<line class="vector {escape(role)}" x1="{x}" y1="{y}" x2="{x + vector[0]:.1f}" y2="{y + vector[1]:.1f}"/>'
-        )
-    spread: Array = np.sqrt(scene.covariance[k].diagonal())
-    told = [f"{axis} {v:.4f} m" + ("" if np.isnan(s) else f" ± {length(float(s))}")
-            for axis, v, s in zip(AXES, scene.at[k], spread, strict=True)]  # fmt: skip
-    if np.isfinite(scene.difference[k]).all() and scene.difference[k].any():
-        told.append("adjusted minus given " + ", ".join(length(float(v)) for v in scene.difference[k]))
-    return Markup(f"<g><title>{escape(f'{role} {name}: ' + '; '.join(told))}</title>{line}{symbol}</g>")
+def _tip(name: str, at: Array, sigma: Array, difference: Array) -> str:
+    """Name, coordinates with standard deviations, and adjusted minus given."""
+    parts = [f"{axis} {v:.4f} m" + ("" if np.isnan(s) else f" ± {length(float(s))}")
+             for axis, v, s in zip(AXES, at, sigma, strict=True)]  # fmt: skip
+    if np.isfinite(difference).all() and difference.any():
+        parts.append("adjusted minus given " + ", ".join(length(float(v)) for v in difference))
+    return f"{name}: {'; '.join(parts)}"
 
 
-def _symbols(scene: Scene, rows: npt.NDArray[np.intp], drawn: Array, stations: Array) -> list[Box]:
-    """Boxes of control points, check points and stations: no name may cover them."""
-    known = [place for k, place in zip(rows, drawn.tolist(), strict=True) if scene.roles[k] != "new"]
-    sized = [(5.0, known), (6.0, stations.tolist())]
-    return [(x - half, x + half, y - half, y + half) for half, places in sized for x, y in places]
+def _stations(chart: Chart, scene: Scene, axes: list[int]) -> None:
+    """Add projection centres as squares with the direction of view, and their names where they are few."""
+    if not len(scene.centres):
+        return
+    names = [printable(name) or "photo" for name in scene.stations]
+    tips = [_tip(f"station {name}", at, sigma, np.zeros(3))
+            for name, at, sigma in zip(names, scene.centres, scene.station_sigma, strict=True)]  # fmt: skip
+    at = scene.centres[:, axes]
+    ends = at + _LOOK * float(np.ptp(chart.x.limits)) * scene.looks[:, axes]
+    for start, end in zip(at, ends, strict=True):
+        if np.isfinite(end).all():
+            chart.add("line", "look", *np.stack([start, end]).T)
+    chart.add("dots", "station", *at.T, label="station", tips=tips)
+    if len(names) <= MAX_NAMES:
+        chart.add("names", "label", *at.T, tips=names)
 
 
-def _names(scene: Scene, rows: npt.NDArray[np.intp], drawn: Array, taken: list[Box]) -> list[Markup]:
-    """Names of control and check points at the first of four corners where nothing in ``taken`` stands; adds them."""
-    kept = [(printable(scene.ids[k]), x, y) for k, (x, y) in zip(rows, drawn.tolist(), strict=True)
-            if scene.roles[k] != "new"]  # fmt: skip
-    out = []
-    for name, x, y in kept:
-        length = _LETTER * len(name)
-        for left, base in ((x + 7, y - 5), (x - 7 - length, y - 5), (x + 7, y + 15), (x - 7 - length, y + 15)):
-            box = (left, left + length, base - 11.0, base + 3.0)
-            if left >= 0.0 and left + length <= WIDTH and _free(box, taken):
-                taken.append(box)
-                anchor, at = ("start", x + 7) if left > x else ("end", x - 7)
-                out.append(Markup('<text class="name" x="{}" y="{}" text-anchor="{}">{}</text>').format(
-                    round(at, 1), round(base, 1), anchor, name))  # fmt: skip
-                break
-    return out
+# --- deviations from a surface ---------------------------------------------------------------------
 
 
-def _free(box: Box, taken: list[Box]) -> bool:
-    """Tell whether a box (left, right, top, bottom) covers none of the others."""
-    return all(box[0] > b or box[1] < a or box[2] > d or box[3] < c for a, b, c, d in taken)
+def deviation_views(record: dict[str, Any]) -> list[tuple[str, Chart]]:
+    """Words and charts of three views with the normal distances of the points from a surface."""
+    return [(words, _deviations(record, words, across, up)) for words, across, up in VIEWS]
 
 
-def _stations(scene: Scene, frame: Frame, axes: list[int], taken: list[Box]) -> list[Markup]:
-    """Projection centres as squares with the direction of view, their names where there are few and nothing stands."""
-    places = frame(scene.centres[:, axes]).round(1).tolist()
-    names: list[Markup] = []
-    out: list[Markup] = []
-    for k, (x, y) in enumerate(places):
-        look = scene.looks[k][axes]
-        view_line = Markup("")
-        if np.isfinite(look).all():
-            view_line = Markup('<path class="look" d="M{} {}l{} {}"/>').format(
-                x, y, f"{26.0 * look[0]:.1f}", f"{-26.0 * look[1]:.1f}")  # fmt: skip
-        sigma = scene.station_sigma[k]
-        told = [f"{axis} {v:.4f} m" + ("" if np.isnan(s) else f" ± {length(float(s))}")
-                for axis, v, s in zip(AXES, scene.centres[k], sigma, strict=True)]  # fmt: skip
-        name = printable(scene.stations[k]) or "photo"
-        if len(scene.stations) <= MAX_NAMES:
-            names.append(_label(x, y, name, taken, frame.height, look[1] > 0.0))
-        out.append(Markup('<g><title>{}</title>{}<path class="station" d="M{} {}h9v9h-9z"/></g>').format(
-            f"station {name}: {'; '.join(told)}", view_line, round(x - 4.5, 1), round(y - 4.5, 1)))  # fmt: skip
-    return [*names, *out]
+def _deviations(record: dict[str, Any], words: str, across: int, up: int) -> Chart:
+    """One view: colour and its strength tell sign and size of a distance, so does the radius."""
+    points, axes = record["points"], [across, up]
+    at = columns(points, *(f"{a}_m" for a in "xyz"))[:, axes]
+    distance = columns(points, "distance_m")[:, 0]
+    rim = outline(record["surface"], axes)
+    chart = _frame(f"deviations: {words}", np.vstack([at, rim]), across, up)
+    if len(rim):
+        chart.add("area", "outline", *rim.T)
+    largest = float(np.abs(distance).max()) or 1.0
+    share = np.abs(distance) / largest
+    step = np.maximum(1, np.ceil(share * _STEPS)).astype(int)
+    for k in range(_STEPS, 0, -1):  # small ones stay visible above large ones
+        for sign, word in (("p", "+"), ("m", "−")):
+            mine = np.flatnonzero((step == k) & ((distance >= 0.0) == (sign == "p")))
+            tips = [_deviation_tip(points[n]) for n in mine.tolist()]
+            label = f"to {word}{length(k / _STEPS * largest)}" if len(mine) and k in (2, _STEPS) else ""
+            chart.add("dots", f"deviation {sign}{k}", *at[mine].T, label=label, tips=tips,
+                      sizes=SMALLEST + (LARGEST - SMALLEST) * np.sqrt(share[mine]))  # fmt: skip
+    if len(points) <= MAX_NAMES:
+        chart.add("names", "name", *at.T, tips=[printable(p["id"]) for p in points])
+    return chart
 
 
-def _label(x: float, y: float, name: str, taken: list[Box], height: float, below: bool) -> Markup:
-    """A name above or below its place (first ``below``), where no other stands; none where neither is free."""
-    half = 4.6 * len(name) + 4.0
-    middle = min(max(x, half), WIDTH - half)
-    for at in (y + 20, y - 10) if below else (y - 10, y + 20):
-        box = (middle - half, middle + half, at - 13.0, at + 3.0)
-        if _free(box, taken) and 14.0 < at < height:
-            taken.append(box)
-            return Markup('<text class="label" x="{}" y="{}" text-anchor="middle">{}</text>').format(
-                round(middle, 1), round(at, 1), name)  # fmt: skip
-    return Markup("")
+def _deviation_tip(point: dict[str, Any]) -> str:
+    along = "; ".join(f"{a.upper()} {length(point[f'deviation_{a}_m'])}" for a in "xyz")
+    return f"{printable(point['id'])}: normal distance {length(point['distance_m'])}; along {along}"
 
 
-def _axes(frame: Frame, across: int, up: int) -> Markup:
-    """Arrows of both axes in the lower left corner."""
-    y = round(frame.height - 6.0, 1)
-    return Markup('<path class="bar-line" d="M10 {}h34m-6 -4l6 4l-6 4M10 {}v-34m-4 6l4 -6l4 6"/>'
-                  '<text class="small" x="48" y="{}">{}</text><text class="small" x="14" y="{}">{}</text>').format(
-        y, y, y + 4, AXES[across], y - 36, AXES[up])  # fmt: skip
+def outline(surface: dict[str, Any], axes: list[int]) -> Array:
+    """Outline (n, 2) of a closed surface seen along the third axis; none of open quadrics.
+
+    Parameters
+    ----------
+    surface : dict
+        See :meth:`fg_orient.closerange.surface.Surface.as_dict`.
+    axes : list of int
+        Across and up.
+    """
+    found = Surface(surface["kind"], np.array(surface["centre_m"]), np.array(surface["semi_axes_m"]),
+                    np.array(surface["rotation"]), np.array(surface["coefficients"] or [], float))  # fmt: skip
+    form = found.conditions
+    values, vectors = np.linalg.eigh(form.square)
+    if np.abs(values).min() <= _FLAT * np.abs(values).max():
+        return np.zeros((0, 2))
+    inverse = (vectors / values) @ vectors.T
+    middle = -inverse @ form.linear
+    shape = -float(form.value(middle[None])[0]) * inverse
+    if np.linalg.eigvalsh(shape)[0] <= 0.0:
+        return np.zeros((0, 2))
+    angle = np.linspace(0.0, 2.0 * math.pi, 72, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    half = np.linalg.cholesky(shape[np.ix_(np.array(axes), np.array(axes))])
+    return np.asarray((found.centre + middle)[axes] + circle @ half.T)
 
 
-def _foot(frame: Frame, scene: Scene, enlarged: float, left_out: int) -> Markup:
-    """Legend and scale bars below the drawing."""
-    y = frame.height + 24.0
-    parts, x = [], 24.0
-    for role, word, symbol in (
-        ("control", "control", '<path class="control" d="M{} {}l5 8.6h-10z"/>'),
-        ("check", "check", '<circle class="check" cx="{}" cy="{}" r="4"/>'),
-        ("new", "new", '<circle class="tie" cx="{}" cy="{}" r="1.8"/>'),
-    ):
-        if role in scene.roles:
-            parts.append(Markup(symbol).format(x, round(y - (9 if role == "control" else 4), 1)))
-            parts.append(Markup('<text x="{}" y="{}">{}</text>').format(x + 11, y, word))
-            x += 105.0
-    if scene.stations:
-        parts.append(Markup('<path class="station" d="M{} {}h9v9h-9z"/><text x="{}" y="{}">station</text>').format(
-            x - 4, round(y - 9, 1), x + 11, y))  # fmt: skip
-    metres = round_down(0.2 * WIDTH / frame.units)
-    parts.append(_bar(24.0, y + 26.0, metres * frame.units, round_length(metres)))
-    if enlarged > 0.0:
-        size = round_down(0.12 * WIDTH / (enlarged * frame.units))
-        text = f"{round_length(size)} error, enlarged {thousands(enlarged)} times"
-        parts.append(_bar(24.0, y + 60.0, size * enlarged * frame.units, text))
-    if left_out:
-        parts.append(Markup('<text class="small" x="700" y="{}" text-anchor="end">{} new points are not drawn</text>')
-                     .format(y + 26.0, left_out))  # fmt: skip
-    return Markup("").join(parts)
-
-
-def _bar(x: float, y: float, size: float, text: str) -> Markup:
-    return Markup('<path class="bar-line" d="M{} {}v5h{}v-5"/><text x="{}" y="{}">{}</text>').format(
-        x, round(y - 5, 1), round(size, 1), round(x + size + 10.0, 1), round(y + 3.0, 1), text
-    )
+def distance_histogram(record: dict[str, Any]) -> Chart:
+    """Histogram of the normal distances, mm."""
+    values = 1e3 * columns(record["points"], "distance_m")[:, 0]
+    reach = 1.05 * (float(np.abs(values).max()) or 1.0)
+    counts, edges = np.histogram(values, np.linspace(-reach, reach, min(21, 2 * math.ceil(math.sqrt(len(values))) + 1)))
+    chart = broad(
+        "histogram of the normal distances", Axis("normal distance, mm", (-reach, reach), about=6),
+        Axis("points", (0.0, 1.1 * max(float(counts.max()), 1.0)), about=4, whole=True), 220.0,
+    )  # fmt: skip
+    chart.add("bars", "column", edges, counts)
+    chart.upright("zero", 0.0)
+    return chart

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from fg_orient.formats.atomic import Contents
 from fg_orient.model.errors import sentences
-from fg_orient.rectification.figure import residual_figure
+from fg_orient.rectification.figure import residual_chart, residual_file
 from fg_orient.rectification.points import PointFit
 from fg_orient.report.words import scientific
 from fg_orient.result.plain import dumps
@@ -19,24 +19,16 @@ CONTENTS: Final = Contents(
     "transformation.json",
     ("transformation.json", "result.json", "points.csv", "coefficients.csv", "residuals.svg", "report.html"),
 )
-#: Parts of the report and their words.
-SECTIONS: Final = (
-    ("accuracy", "RMSE"),
-    ("figure", "Residuals"),
-    ("points", "Points"),
-    ("coefficients", "Coefficients"),
-)
 
 
 def write_folder(folder: Path, found: PointFit, record: dict[str, Any]) -> None:
     """Fill an empty folder with the results of a fit."""
-    figure = residual_figure(record)
     transformation = found.fit.transformation.as_dict()
     kept = {key: value for key, value in record.items() if key != "out"}
     (folder / "transformation.json").write_text(dumps(transformation, indent=1) + "\n", encoding="utf-8")
     (folder / "result.json").write_text(dumps(kept, indent=1) + "\n", encoding="utf-8")
-    (folder / "residuals.svg").write_text(figure + "\n", encoding="utf-8")
-    (folder / "report.html").write_text(_report(kept, figure), encoding="utf-8")
+    (folder / "residuals.svg").write_text(residual_file(record) + "\n", encoding="utf-8")
+    (folder / "report.html").write_text(_report(kept), encoding="utf-8")
     _table(folder / "points.csv", record["points"])
     _table(folder / "coefficients.csv", record["coefficients"])
 
@@ -51,16 +43,13 @@ def _table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
             writer.writerow(values)
 
 
-def _report(record: dict[str, Any], figure: str) -> str:
+def _report(record: dict[str, Any]) -> str:
     """Render the HTML report: one file on the shell of all reports."""
-    from markupsafe import Markup
-
     from fg_orient.report.page import environment
 
     heads = [f"residual {axis}, {record['unit']}" for axis in record["axes"]]
     return environment("fg_orient.rectification").get_template("rectify.html.j2").render(
-        r=record, figure=Markup(figure), heads=heads, verdict=_verdict(record), problems=sentences(record),
-        sections=SECTIONS,
+        r=record, figure=residual_chart(record), heads=heads, verdict=_verdict(record), problems=sentences(record),
     )  # fmt: skip
 
 

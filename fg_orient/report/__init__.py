@@ -59,7 +59,7 @@ def write_page(folder: Path, result: Result, comparison: dict[str, Any] | None =
 
         text = render(result, comparison)
     else:
-        from fg_orient.report.deficient import render_deficient
+        from fg_orient.report.html import render_deficient
 
         text = render_deficient(result)
     write_text(folder / REPORT_FILE, text)

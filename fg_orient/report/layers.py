@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.errors import InputError
-from fg_orient.report.extent import KM_PER_DEGREE
-from fg_orient.report.scale import round_down
+from fg_orient.report.chart import round_down
+from fg_orient.report.maps import KM_PER_DEGREE
 from fg_orient.result.plain import Table
 from fg_orient.result.record import Result, read_result
 from fg_orient.sensors.viewing import polygon_geometry

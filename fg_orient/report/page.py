@@ -9,10 +9,14 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Final
 
+from markupsafe import Markup
+
+from fg_orient.report.svg import svg
 from fg_orient.report.words import number, printable, scientific
 
 if TYPE_CHECKING:
@@ -54,16 +58,26 @@ def environment(package: str = SHELL) -> jinja2.Environment:
     Returns
     -------
     jinja2.Environment
-        Autoescaped, strict about names that do not exist; filters ``number``, ``scientific``, ``printable``.
+        Autoescaped, strict about names that do not exist; with the macros of ``macros.html.j2`` and the filters
+        ``number``, ``scientific``, ``printable``, ``svg`` and ``headings``.
     """
     import jinja2
-    from markupsafe import Markup
 
     loaders = [jinja2.PackageLoader(name) for name in dict.fromkeys((package, SHELL))]
-    found = jinja2.Environment(
+    shell = jinja2.Environment(
         loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    found.filters |= {"number": number, "scientific": scientific, "printable": printable}
-    found.globals |= {"script": Markup(script()), "script_hash": Markup(script_hash())}
-    return found
+    shell.filters |= {
+        "number": number, "scientific": scientific, "printable": printable, "svg": svg, "headings": headings,
+    }  # fmt: skip
+    shell.globals |= {"script": Markup(script()), "script_hash": Markup(script_hash())}
+    macros = shell.get_template("macros.html.j2").module
+    shell.globals |= {name: macro for name, macro in vars(macros).items() if isinstance(macro, jinja2.runtime.Macro)}
+    return shell
+
+
+def headings(content: Markup) -> list[tuple[str, Markup]]:
+    """Ids and headings of the sections of a page, for its links."""
+    found = re.findall(r'<section id="([^"]+)"><h2>(.*?)</h2>', content)
+    return [(name, Markup(words)) for name, words in found]

@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from fg_orient.report.extent import KM_PER_DEGREE, view_of
-from fg_orient.report.residual_plots import normalised
+from fg_orient.report.maps import KM_PER_DEGREE, view_of
 from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
@@ -104,7 +103,7 @@ def chosen_rays(result: Result) -> tuple[Index, str]:
     n = len(result.residuals)
     if n <= LIMIT:
         return np.arange(n), ""
-    ratio = np.nan_to_num(np.abs(normalised(result, np.arange(n))[0]).max(axis=1), nan=0.0)
+    ratio = np.nan_to_num(np.abs(result.normalised[0]).max(axis=1), nan=0.0)
     flagged, others = np.flatnonzero(ratio > FLAG), np.flatnonzero(ratio <= FLAG)
     room = max(LIMIT - len(flagged), 0)
     sample = np.random.default_rng(SEED).choice(others, min(room, len(others)), replace=False)
@@ -165,7 +164,7 @@ def _ray_columns(result: Result, rows: Index, point: Index) -> dict[str, Any]:
     order = np.argsort(image, kind="stable")
     rows, point, image = rows[order], point[order], image[order]
     columns = {"line": "line", "sample": "sample", "vl": "v_line_px", "vs": "v_sample_px"}
-    own, tested = normalised(result, rows)
+    own, tested = result.normalised[0][rows], result.normalised[1]
     return {
         "image": pack(image, "u2"), "point": pack(point, "u4"),
         **{name: pack(table.figures[column][rows]) for name, column in columns.items()},

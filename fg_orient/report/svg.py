@@ -1,239 +1,223 @@
-"""Drawings of the report as SVG text: map of points with error vectors, singular values.
+"""Drawing of a chart as SVG text for a page, without any library.
 
-Colours come from the style sheet of the page (classes), so that light and dark both work.
-Everything written into the drawing is escaped by markupsafe.
+Colours are classes of the style sheet, so that light and dark pages both work.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup, escape
 
-from fg_orient.report.extent import KM_PER_DEGREE, view_of
-from fg_orient.report.scale import round_down, thousands
+from fg_orient.report.chart import HEAT, INKS, Chart, Mark, hundredths
 from fg_orient.report.words import signed
-from fg_orient.result.record import Result
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
+Box = tuple[float, float, float, float]
 
-WIDTH: Final = 720.0
-MARGIN: Final = 14.0
-FOOT: Final = 108.0
-#: More points than this are thinned, tie points first: the report must stay small.
-MAX_POINTS: Final = 1500
-#: Singular values are drawn for so many images; the table beside lists all.
-MAX_IMAGES: Final = 40
-#: Length of a large error vector (90 % quantile) as a share of the map's width.
-VECTOR_SHARE: Final = 0.07
-#: Widths of a letter and heights of a line of the names of images, drawing units.
-LETTER: Final = (9.0, 18.0)
+#: Places of a name about its point: across, down, anchor; the first free one is taken. Then width of a letter.
+_PLACES: Final[dict[str, tuple[list[tuple[float, float, str]], float]]] = {
+    "name": ([(7, -5, "start"), (-7, -5, "end"), (7, 15, "start"), (-7, 15, "end")], 8.0),
+    "label": ([(0, -10, "middle"), (0, 20, "middle"), *((0, 34 + 18 * k, "middle") for k in range(8))], 9.2),
+    "mark-label": ([(8, -6 - 14 * k, "start") for k in range(8)], 8.0),
+}
 
 
-class MapFrame:
-    """Equirectangular map: longitude, latitude (degrees) to drawing units, North up.
+def svg(chart: Chart | None) -> Markup:
+    """Draw a chart as an ``<svg>`` element; empty without one."""
+    return Markup("") if chart is None else _Drawing(chart).text()
 
-    Parameters
-    ----------
-    lon_lat_deg : (n, 2) array
-        Everything that must be visible.
-    """
 
-    def __init__(self, lon_lat_deg: Array) -> None:
-        low, high = lon_lat_deg.min(axis=0), lon_lat_deg.max(axis=0)
-        self._centre = 0.5 * (low + high)
-        self._shrink = max(math.cos(math.radians(float(self._centre[1]))), 0.01)
-        size = np.maximum((high - low) * KM_PER_DEGREE * np.array([self._shrink, 1.0]), 1e-3)
-        self.km_to_units = min((WIDTH - 2 * MARGIN) / float(size[0]), (WIDTH - 2 * MARGIN) / float(size[1]))
-        self.height = float(size[1]) * self.km_to_units + 2 * MARGIN
+class _Drawing:
+    """SVG text of one chart; everything written into it is escaped."""
 
-    def __call__(self, lon_lat_deg: Array) -> Array:
-        """Drawing coordinates (n, 2), y downwards."""
-        km = (np.atleast_2d(lon_lat_deg) - self._centre) * KM_PER_DEGREE * np.array([self._shrink, 1.0])
-        return np.stack(
-            [WIDTH / 2 + km[:, 0] * self.km_to_units, self.height / 2 - km[:, 1] * self.km_to_units], axis=1
+    def __init__(self, chart: Chart) -> None:
+        self.chart = chart
+        self.parts: list[str] = []
+        self.taken: list[Box] = []
+
+    def text(self) -> Markup:
+        chart = self.chart
+        if chart.framed:
+            self._axes()
+        for mark in sorted(chart.marks, key=lambda mark: mark.shape == "names"):
+            getattr(self, f"_{mark.shape}")(mark)
+        height = chart.height if chart.framed else self._foot()
+        if chart.framed:
+            self._legend()
+            self._bars_above()
+        return Markup('<svg class="{}" viewBox="0 0 {:g} {:g}" role="img" aria-label="{}">{}</svg>').format(
+            chart.css, chart.width, round(height, 1), chart.words, Markup("".join(self.parts))
         )
 
+    def _write(self, x: float, y: float, words: object, anchor: str = "start", kind: str = "small") -> None:
+        self.parts.append(f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>')
 
-def point_map(result: Result, *, up: bool = False) -> Markup:
-    """Map of footprints and points with horizontal error vectors, or with bars of the Up errors.
+    def _path(self, kind: str, path: str) -> None:
+        self.parts.append(f'<path class="{escape(kind)}" d="{path}"/>')
 
-    Parameters
-    ----------
-    result : Result
-    up : bool
-        Draw Up differences as vertical bars instead of horizontal vectors.
+    def _axes(self) -> None:
+        chart = self.chart
+        (wide, tall), x0, y0 = chart.inner, chart.left, chart.top
+        for value, words in chart.x.ticks():
+            at = x0 + wide * float(chart.x.share(value))
+            if chart.x.names:
+                turned = f'transform="translate({at + 4:.1f} {y0 + tall + 12:.1f}) rotate(-60)" text-anchor="end"'
+                self.parts.append(f'<text class="small" {turned}>{escape(words)}</text>')
+                continue
+            self._path("grid", f"M{at:.1f} {y0}V{y0 + tall:.1f}")
+            self._write(at, y0 + tall + 16, words, "middle")
+        for value, words in chart.y.ticks():
+            at = float(chart.place(chart.x.limits[0], value)[1])
+            if not chart.y.names:
+                self._path("grid", f"M{x0} {at:.1f}H{x0 + wide:.1f}")
+            self._write(x0 - 5, at + 4, words, "end")
+        if not chart.x.names:
+            self.parts.append(f'<rect class="frame" x="{x0}" y="{y0}" width="{wide:.1f}" height="{tall:.1f}"/>')
+        self._write(x0 + wide / 2, chart.height - 8, chart.x.words, "middle")
+        self._write(x0, y0 - 8, chart.y.words)
 
-    Returns
-    -------
-    Markup
-        An ``<svg>`` element; the exaggeration is written into it.
-    """
-    table = result.points
-    located = np.flatnonzero(np.isfinite(table.figures["lon_deg"]))
-    if not len(located):
-        return Markup("<p>No point has coordinates.</p>")
-    rows = _thinned(located, np.array([role == "tie" for role in table.words["role"]])[located])
-    left_out = len(located) - len(rows)
-    place = table.numbers("lon_deg", "lat_deg")[rows]
-    error = table.numbers("difference_east_m", "difference_north_m", "difference_up_m")[rows]
-    feet = [np.array(image["footprint_lon_lat_deg"], float) for image in result.record["images"]]
-    view = view_of(result.record, table.numbers("lon_deg", "lat_deg"))
-    frame = MapFrame(np.vstack([place, *feet]) if view is None else view)
-    vectors = np.stack([np.zeros(len(rows)), error[:, 2]], axis=1) if up else error[:, :2]
-    scale = _vector_scale(vectors)
-    names = [image["id"] for image in result.record["images"]]
-    drawn_feet = [(name, frame(corners)) for name, corners in zip(names, feet, strict=True)]
-    parts = (
-        [_footprint(name, corners, k) for k, (name, corners) in enumerate(drawn_feet)]
-        if view is None
-        else _clipped_footprints(drawn_feet, frame.height)
-    )
-    drawn = frame(place)
-    roles, ids = ([table.words[name][k] for k in rows.tolist()] for name in ("role", "id"))
-    for k, vector in enumerate(vectors * scale * np.array([1.0, -1.0])):
-        parts.append(_point(roles[k], ids[k], error[k], drawn[k], vector, up))
-    exaggeration = scale / frame.km_to_units * 1000.0
-    parts.append(_foot(frame, scale, exaggeration, up, left_out))
-    title = "Up errors at control and check points" if up else "Points and horizontal errors"
-    return Markup('<svg class="map" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
-        WIDTH, round(frame.height + FOOT, 1), title, Markup("").join(parts)
-    )
+    def _line(self, mark: Mark) -> None:
+        self._path(mark.kind, "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in self._at(mark)))
 
-
-def _thinned(rows: Index, tie: npt.NDArray[np.bool_]) -> Index:
-    """At most MAX_POINTS rows: control and check points before tie points."""
-    if len(rows) <= MAX_POINTS:
-        return rows
-    first, ties = rows[~tie], rows[tie]
-    kept = first[:: max(1, math.ceil(len(first) / MAX_POINTS))]
-    room = MAX_POINTS - len(kept)
-    return np.append(kept, ties[:: math.ceil(len(ties) / room)]) if room > 0 and len(ties) else kept
-
-
-def _vector_scale(vectors: Array) -> float:
-    """Drawing units per metre of error, so that a large error has a good length; 0 without errors."""
-    lengths = np.linalg.norm(vectors[np.isfinite(vectors).all(axis=1)], axis=1)
-    lengths = lengths[lengths > 0.0]
-    if not len(lengths):
-        return 0.0
-    return WIDTH * VECTOR_SHARE / float(np.quantile(lengths, 0.9))
-
-
-def _footprint(name: str, corners: Array, k: int) -> Markup:
-    text = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
-    at = corners[np.argmin(corners[:, 1])] if k % 2 == 0 else corners[np.argmax(corners[:, 1])]
-    shift = 16.0 if k % 2 == 0 else -8.0
-    towards = float(np.clip(at[0], 60.0, WIDTH - 60.0))
-    return Markup(
-        '<polygon class="foot" points="{}"/><text class="label" x="{}" y="{}" text-anchor="middle">{}</text>'
-    ).format(text, round(towards, 1), round(float(at[1]) + shift, 1), name)
-
-
-def _clipped_footprints(feet: Sequence[tuple[str, Array]], height: float) -> list[Markup]:
-    """Footprints that reach beyond the map, cut at its border; their names stand inside it, one below the other."""
-    outlines = [
-        Markup('<polygon class="foot" points="{}"/>').format(" ".join(f"{x:.1f},{y:.1f}" for x, y in corners))
-        for _, corners in feet
-    ]
-    inner = Markup('<svg x="0" y="0" width="{}" height="{}">{}</svg>').format(
-        WIDTH, round(height, 1), Markup("").join(outlines)
-    )
-    taken: list[tuple[float, float, float]] = []
-    names = []
-    for name, corners in feet:
-        if (corners.max(axis=0) < 0.0).any() or (corners.min(axis=0) > np.array([WIDTH, height])).any():
-            continue  # nothing of it is seen
-        wide, top = LETTER[0] * len(name), corners[np.argmin(corners[:, 1])]
-        x, y = float(np.clip(top[0], 6.0 + wide / 2, WIDTH - 6.0 - wide / 2)), max(float(top[1]) + 16.0, 18.0)
-        while any(abs(y - t[1]) < LETTER[1] and abs(x - t[0]) < (wide + t[2]) / 2 + 6.0 for t in taken):
-            y += LETTER[1]
-        taken.append((x, y, wide))
-        names.append(Markup('<text class="label" x="{}" y="{}" text-anchor="middle">{}</text>').format(
-            round(x, 1), round(y, 1), name))  # fmt: skip
-    return [inner, *names]
-
-
-def _point(role: str, name: str, error_m: Array, at: Array, vector: Array, up: bool) -> Markup:
-    """A point with its tip; numbers are written as they are, words are escaped."""
-    x, y = round(float(at[0]), 1), round(float(at[1]), 1)
-    symbol = {
-        "control": f'<path class="control" d="M{x} {round(y - 5.7, 1)}l5 8.6h-10z"/>',
-        "check": f'<circle class="check" cx="{x}" cy="{y}" r="4"/>',
-    }.get(role, f'<circle class="tie" cx="{x}" cy="{y}" r="1.8"/>')
-    line = ""
-    if np.isfinite(vector).all() and np.any(vector != 0.0):
-        kind = ("bar " if up else "vector ") + role
-        ends = round(x + float(vector[0]), 1), round(y + float(vector[1]), 1)
-        line = f'<line class="{escape(kind)}" x1="{x}" y1="{y}" x2="{ends[0]}" y2="{ends[1]}"/>'
-    axes = zip(("east", "north", "up"), error_m.tolist(), strict=True)
-    given = [f"{axis} {signed(value)} m" for axis, value in axes if not math.isnan(value)]
-    tip = escape(f"{role} {name}" + (": " + ", ".join(given) if given else ""))
-    return Markup(f"<g><title>{tip}</title>{line}{symbol}</g>")
-
-
-def _foot(frame: MapFrame, scale: float, exaggeration: float, up: bool, left_out: int) -> Markup:
-    """Legend and scale bars below the map."""
-    y = frame.height + 18.0
-    km = round_down(0.2 * WIDTH / frame.km_to_units)
-    parts = [
-        Markup('<path class="control" d="M22 {}l5 8.6h-10z"/><text x="34" y="{}">control</text>').format(y - 9, y),
-        Markup('<circle class="check" cx="152" cy="{}" r="4"/><text x="162" y="{}">check</text>').format(y - 4, y),
-        Markup('<circle class="tie" cx="262" cy="{}" r="1.8"/><text x="270" y="{}">tie</text>').format(y - 4, y),
-        _bar(24.0, y + 24.0, km * frame.km_to_units, f"{km:g} km on the ground" if km >= 1 else f"{km * 1000:g} m"),
-    ]
-    if scale > 0.0:
-        metres = round_down(0.2 * WIDTH / scale)
-        what = "Up error" if up else "horizontal error"
-        parts.append(
-            _bar(24.0, y + 58.0, metres * scale, f"{metres:g} m {what}, enlarged {thousands(exaggeration)} times")
+    def _area(self, mark: Mark) -> None:
+        """Draw a closed line, cut at the frame."""
+        wide, tall = self.chart.inner
+        corners = "L".join(f"{x - self.chart.left:.1f} {y - self.chart.top:.1f}" for x, y in self._at(mark))
+        self.parts.append(
+            f'<svg x="{self.chart.left:g}" y="{self.chart.top:g}" width="{wide:.1f}" height="{tall:.1f}">'
+            f'<path class="{escape(mark.kind)}" d="M{corners}z"/></svg>'
         )
-    if left_out:
-        parts.append(Markup('<text x="340" y="{}">{} points are not drawn</text>').format(y, left_out))
-    return Markup("").join(parts)
+
+    def _at(self, mark: Mark) -> list[list[float]]:
+        out: list[list[float]] = self.chart.place(mark.x, mark.y).tolist()
+        return out
+
+    def _dots(self, mark: Mark) -> None:
+        ink, at = INKS[mark.kind], self._at(mark)
+        sizes = [ink.radius] * len(at) if mark.sizes is None else mark.sizes.tolist()
+        symbols = [symbol(ink.marker, x, y, r) for (x, y), r in zip(at, sizes, strict=True)]
+        if ink.radius >= 4.0:
+            self.taken += [(x - r, x + r, y - r, y + r) for (x, y), r in zip(at, sizes, strict=True)]
+        lines = [""] * len(at)
+        if mark.vectors is not None and self.chart.per_width:
+            unit = self.chart.inner[0] / self.chart.per_width
+            ends = (mark.vectors * unit * np.array([1.0, 1.0 if self.chart.y.down else -1.0])).tolist()
+            lines = [f"M{x:.1f} {y:.1f}l{dx:.1f} {dy:.1f}" if math.isfinite(dx) and math.isfinite(dy) and (dx or dy)
+                     else "" for (x, y), (dx, dy) in zip(at, ends, strict=True)]  # fmt: skip
+        kind = f"{'bar' if mark.thick else 'vector'} {mark.kind}"
+        if not mark.tips:
+            if any(lines):
+                self._path(kind, "".join(lines))
+            if symbols:
+                self._path(mark.kind, "".join(symbols))
+            return
+        for tip, line, shape in zip(mark.tips, lines, symbols, strict=True):
+            stroke = f'<path class="{kind}" d="{line}"/>' if line else ""
+            self.parts.append(f'<g><title>{escape(tip)}</title>{stroke}<path class="{mark.kind}" d="{shape}"/></g>')
+
+    def _bars(self, mark: Mark) -> None:
+        """Draw columns; those of several marks share the width of a bin."""
+        several = [other for other in self.chart.marks if other.shape == "bars"]
+        number = next(k for k, other in enumerate(several) if other is mark)
+        zero = self.chart.place(mark.x[0], 0.0)[1]
+        left, tops = self.chart.place(mark.x[:-1], mark.y).tolist(), self.chart.place(mark.x[1:], mark.y).tolist()
+        for (x0, y), (x1, _), count in zip(left, tops, mark.y.tolist(), strict=True):
+            if count:
+                wide = (x1 - x0) / len(several)
+                x = x0 + number * wide
+                path = f"M{x:.1f} {zero:.1f}V{y:.1f}H{x + max(wide - 0.8, 0.5):.1f}V{zero:.1f}z"
+                self._path(f"column {mark.kind}", path)
+
+    def _cells(self, mark: Mark) -> None:
+        """Draw the lower triangle of a matrix: the class tells the sign and size, figures stand from 0.9 on."""
+        side = self.chart.inner[0] / len(mark.y)
+        for (i, j), rho in np.ndenumerate(mark.y):
+            x, y = self.chart.left + j * side, self.chart.top + i * side
+            step = min(HEAT, math.floor(abs(rho) * HEAT + 0.5)) if math.isfinite(rho) else 0
+            if j > i or (not math.isfinite(rho) and i != j):
+                continue
+            kind = "cell-one" if i == j else f"cell {'p' if rho > 0 else 'm'}{step}" if step else "cell"
+            tip = "" if i == j else f"<title>{escape(mark.tips[i])} with {escape(mark.tips[j])}: {signed(rho)}</title>"
+            box = f'x="{x:.1f}" y="{y:.1f}" width="{side - 1:.1f}" height="{side - 1:.1f}"'
+            self.parts.append(f'<rect class="{kind}" {box}>{tip}</rect>')
+            if i != j and abs(rho) >= 0.9:
+                self._write(x + side / 2 - 0.5, y + side / 2 + 3.5, hundredths(rho), "middle", "figure")
+
+    def _names(self, mark: Mark) -> None:
+        """Write names where nothing else stands; a name without a free place is left out."""
+        places, letter = _PLACES[mark.kind]
+        chart = self.chart
+        for words, (x, y) in zip(mark.tips, self._at(mark), strict=True):
+            long = letter * len(words)
+            for dx, dy, anchor in places:
+                left = x + dx - {"start": 0.0, "end": long, "middle": 0.5 * long}[anchor]
+                if mark.kind != "name":
+                    left = min(max(left, 4.0), chart.width - 4.0 - long)
+                box = (left, left + long, y + dy - 12.0, y + dy + 3.0)
+                inside = left >= 0.0 and box[1] <= chart.width and 0.0 <= box[2] and box[3] <= chart.height
+                if inside and all(box[0] > b or box[1] < a or box[2] > d or box[3] < c for a, b, c, d in self.taken):
+                    self.taken.append(box)
+                    at = {"start": left, "end": left + long, "middle": left + 0.5 * long}[anchor]
+                    self._write(at, y + dy, words, anchor, mark.kind)
+                    break
+
+    def _entry(self, mark: Mark, x: float, y: float) -> None:
+        """Draw an entry of the legend; y is its base line."""
+        if mark.shape == "dots":
+            radius = INKS[mark.kind].radius if mark.sizes is None else float(mark.sizes.max())
+            self._path(mark.kind, symbol(INKS[mark.kind].marker, x + 6, y - 5, radius))
+        elif mark.shape == "line":
+            self._path(mark.kind, f"M{x:.1f} {y - 5:.1f}h14")
+        else:
+            kind = f"column {mark.kind}" if mark.shape == "bars" else mark.kind
+            self._path(kind, f"M{x:.1f} {y - 10:.1f}h12v10h-12z")
+        self._write(x + 18, y, mark.label)
+
+    def _legend(self) -> None:
+        chart = self.chart
+        labelled = [mark for mark in chart.marks if mark.label]
+        y = chart.top + 16 if chart.legend != "bottom" else chart.height - chart.bottom - 17.0 * len(labelled)
+        longest = max((len(mark.label) for mark in labelled), default=0)
+        x = chart.left + 8 if chart.legend != "right" else chart.width - chart.right - 24 - 7.0 * longest
+        for k, mark in enumerate(labelled):
+            self._entry(mark, x, y + 17.0 * k)
+
+    def _bars_above(self) -> None:
+        """Draw the length of a vector above the frame, at its right end."""
+        for share, words in self.chart.bars:
+            long = share * self.chart.inner[0]
+            x = self.chart.width - self.chart.right - long
+            self._path("bar-line", f"M{x:.1f} 8v4h{long:.1f}v-4")
+            self._write(x - 6, 14, words, "end")
+
+    def _foot(self) -> float:
+        """Draw the legend and the bars of lengths below a map; height of the whole."""
+        chart, x = self.chart, 18.0
+        y = chart.height + 18.0
+        shown: set[str] = set()
+        for mark in chart.marks:
+            if mark.label and mark.label not in shown:
+                shown.add(mark.label)
+                self._entry(mark, x, y)
+                x += 30.0 + 8.5 * max(len(mark.label), 6)
+        if chart.note:
+            self._write(chart.width - 20.0, y, chart.note, "end")
+        for share, words in chart.bars:
+            y += 30.0
+            long = share * chart.inner[0]
+            self._path("bar-line", f"M24.0 {y - 5:.1f}v5h{long:.1f}v-5")
+            self._write(24.0 + long + 10.0, y + 3.0, words, kind="words")
+        return y + 14.0
 
 
-def _bar(x: float, y: float, length: float, text: str) -> Markup:
-    path = f"M{x:.1f} {y - 5:.1f}v5h{length:.1f}v-5"
-    return Markup('<path class="bar-line" d="{}"/><text x="{}" y="{}">{}</text>').format(
-        path, round(x + length + 10.0, 1), round(y + 3.0, 1), text
-    )
-
-
-def singular_values(images: Sequence[dict[str, Any]]) -> Markup:
-    """Singular values of each image on a logarithmic axis, with the limits of weak and dead."""
-    every = [v for image in images for v in image["singular_values"] if v and v > 0.0]
-    if not every:
-        return Markup("")
-    low, high = -8.0, max(2.0, math.ceil(math.log10(max(every))))
-    images = images[:MAX_IMAGES]
-    left, right, row = 110.0, WIDTH - 16.0, 26.0
-    bottom = row * len(images) + 10.0
-
-    def position(value: float) -> float:
-        return round(left + (right - left) * (max(math.log10(max(value, 10.0**low)), low) - low) / (high - low), 1)
-
-    parts = []
-    for limit, text in ((1e-5, "dead"), (1.0, "weak")):
-        x = position(limit)
-        parts.append(Markup('<line class="limit" x1="{}" y1="0" x2="{}" y2="{}"/>').format(x, x, bottom))
-        parts.append(Markup('<text class="small" x="{}" y="{}" text-anchor="end">{} below</text>').format(
-            x - 4, bottom + 30, text))  # fmt: skip
-    for k, image in enumerate(images):
-        y = row * k + 16.0
-        name = image["image"] if len(image["image"]) <= 14 else image["image"][:13] + "…"
-        parts.append(Markup('<text x="0" y="{}">{}</text>').format(y + 4, name))
-        parts += [Markup('<circle class="sv" cx="{}" cy="{}" r="3.5"/>').format(position(v or 0.0), y)
-                  for v in image["singular_values"]]  # fmt: skip
-    for power in range(int(low), int(high) + 1, 2):
-        label = ("≤ " if power == low else "") + f"1e{power}"
-        parts.append(Markup('<text class="small" x="{}" y="{}" text-anchor="middle">{}</text>').format(
-            position(10.0**power), bottom + 14, label))  # fmt: skip
-    return Markup('<svg class="map" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
-        WIDTH, bottom + 36, escape("singular values per image"), Markup("").join(parts)
-    )
+def symbol(marker: str, x: float, y: float, r: float) -> str:
+    """Path of a marker about a place."""
+    if marker == "^":
+        return f"M{x:.1f} {y - r:.1f}l{0.88 * r:.1f} {1.5 * r:.1f}h{-1.76 * r:.1f}z"
+    if marker == "s":
+        return f"M{x - r:.1f} {y - r:.1f}h{2 * r:g}v{2 * r:g}h{-2 * r:g}z"
+    if marker == "D":
+        return f"M{x:.1f} {y - r:.1f}l{r:.1f} {r:.1f}l{-r:.1f} {r:.1f}l{-r:.1f} {-r:.1f}z"
+    return f"M{x - r:.1f} {y:.1f}a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0"

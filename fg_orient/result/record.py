@@ -107,6 +107,25 @@ class Result:
         return [str(image["id"]) for image in self.record["images"]]
 
     @cached_property
+    def rows(self) -> dict[str, npt.NDArray[np.intp]]:
+        """Rows of ``residuals`` by image, in the order of the record."""
+        image = self.residuals.codes("image", self.images)
+        return {name: np.flatnonzero(image == k) for k, name in enumerate(self.images)}
+
+    @cached_property
+    def normalised(self) -> tuple[Array, bool]:
+        """Residuals (n, 2) of line and sample over their own standard deviations; False: over those of observations.
+
+        The first, ``w = v / (sigma sqrt(r))``, are standard normal if the model holds; without redundancy numbers only
+        the second are known, and they scatter less. nan where the others do not check an observation.
+        """
+        w = self.residuals.numbers("w_line", "w_sample")
+        if np.isfinite(w).any():
+            return w, True
+        v, sigma = (self.residuals.numbers(f"{name}_line_px", f"{name}_sample_px") for name in ("v", "sigma"))
+        return v / sigma, False
+
+    @cached_property
     def cofactors(self) -> dict[str, Array]:
         """Cofactors (k, k) of each image's unknowns in physical units, prior scale; empty without ``arrays.npz``."""
         return self._of_images("image_cofactors")
@@ -122,11 +141,9 @@ class Result:
         """Root mean square, largest residual (px) and largest v/sigma per image."""
         table = self.residuals
         v, sigma = table.numbers("v_line_px", "v_sample_px"), table.numbers("sigma_line_px", "sigma_sample_px")
-        names = list(dict.fromkeys(table.words["image"]))
-        image = table.codes("image", names)
         out = []
-        for k, name in enumerate(names):
-            rows = np.flatnonzero(image == k)
+        for name in dict.fromkeys(table.words["image"]):
+            rows = self.rows[name]
             part, ratio = v[rows], np.abs(v[rows] / sigma[rows]).max(axis=1)
             worst = int(np.argmax(ratio))
             out.append({

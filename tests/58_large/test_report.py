@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -26,13 +25,14 @@ def test_long_lists_are_cut_and_the_rest_is_counted(tmp_path: Path, monkeypatch:
     (folder / "result.json").write_text(json.dumps(record), "utf-8")
     monkeypatch.setitem(MANY, "images", 3)
     monkeypatch.setitem(MANY, "terms", 10)
-    monkeypatch.setattr("fg_orient.report.svg.MAX_POINTS", 20)
+    monkeypatch.setattr("fg_orient.report.maps.MAX_POINTS", 20)
     path, comparison = write_report(folder, project.parent / "truth")
     text = path.read_text("utf-8")
     assert text.count('<td class="id">c7</td>') == MANY["rows"] and "23 more are in result.json" in text
     assert comparison is not None and f"{len(comparison['eop']) - 10} more with --json" in text
     assert "1 more images are in eop.csv" in text
-    maps = re.findall(r"<svg.*?</svg>", text, re.DOTALL)[:2]
+    maps = [part.partition("<figcaption")[0] for part in text.split('<svg class="map"')[1:]]
+    assert len(maps) == 2
     for drawn in maps:
         assert drawn.count("<title>") <= 20 and f"{60 - drawn.count('<title>')} points are not drawn" in drawn
         assert drawn.count('class="control"') - 1 == 6  # none of the control points is left out; one is in the legend

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from fg_orient.model.errors import finding
-from fg_orient.report.scale import round_down
+from fg_orient.report.chart import round_down
 from fg_orient.report.words import number, scientific, verdict
 from tests.support.page import structure
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from markupsafe import escape
 
-from fg_orient.report import style
+from fg_orient.report import chart, paper
 from fg_orient.report.page import script_hash
 from fg_orient.simulate.zonguldak import ZonguldakOptions, simulate_zonguldak
 from fg_orient.studies.comparison import folder as comparison_folder
@@ -139,7 +139,7 @@ def test_report_is_one_safe_file(written: tuple[Path, Any]) -> None:
     assert len(ids) == len(set(ids))
     assert {v[1:] for v in links if v.startswith("#")} <= set(ids)
     assert set(re.findall(r"url\(#([^)]+)\)", text)) <= set(ids)
-    assert "prefers-color-scheme: dark" in text and style.INK not in text.split("</style>", 1)[1]
+    assert "prefers-color-scheme: dark" in text and chart.INK not in text.split("</style>", 1)[1]
     assert text.index('id="verdict"') < text.index('id="outcomes"') < text.index("<svg")
 
 
@@ -182,7 +182,7 @@ def test_heat_maps_and_outcomes_are_the_rows(comparison: Comparison, written: tu
             assert (cell.kind, cell.text) == ("none", "–") and row.failure in cell.words
         else:
             assert (cell.kind[0] == "b") == (row.check_rmse_m <= comparison.target_m)
-            assert cell.text == style.short(row.check_rmse_m)
+            assert cell.text == chart.short(row.check_rmse_m)
     assert [name for _, name, _ in heat.STEPS] == [kind for kind, _ in heat.steps(5.0)]
     assert dict(heat.steps(5.0)) | {"b1": "≤ 5 m", "o3": "> 500 m"} == dict(heat.steps(5.0))
     page = (written[0] / "report.html").read_text("utf-8")
@@ -250,7 +250,7 @@ def test_tables_for_people(run: Any, project: Path, tmp_path: Path) -> None:
 
 @pytest.mark.behaviour
 def test_without_matplotlib(run: Any, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(style, "find_spec", lambda name: None)
+    monkeypatch.setattr(paper, "find_spec", lambda name: None)
     out = tmp_path / "out"
     ended = run("compare", project, "--eop-sets", "2", "--backends", "graph", "--out", out)
     assert ended.code == 0

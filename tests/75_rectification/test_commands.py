@@ -66,8 +66,8 @@ def test_figure_and_report_are_well_formed_and_escaped(tmp_path: Path, rng: np.r
     assert done.code == 0
     assert "point <b>&: gross error" in done.stderr
     drawing = ElementTree.parse(out / "residuals.svg").getroot()
-    circles = [e for e in drawing.iter() if e.tag.endswith("circle")]
-    assert len(circles) == 12 + 1 + 2  # points, a ring about the bad one, the legend
+    symbols = [e.get("class") for e in drawing.iter() if e.get("class") in ("control", "check", "ring")]
+    assert len(symbols) == 12 + 1 + 2  # points, a ring about the bad one, the legend of both
     html = (out / "report.html").read_text("utf-8")
     assert "<b>&" not in html and "&lt;b&gt;&amp;" in html
     assert "Fitted, with doubts" in html

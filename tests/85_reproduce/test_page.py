@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from fg_orient.model.cells import CellKey
+from fg_orient.report.svg import svg
 from fg_orient.studies.published.tables import load
 from fg_orient.studies.reproduce.folder import reproduce_to
 from fg_orient.studies.reproduce.grid import grid
 from fg_orient.studies.reproduce.l_curves import l_curves
 from fg_orient.studies.reproduce.reproduction import Row, reproduce
-from fg_orient.studies.reproduce.scatter import BOTTOM, EDGE, LEFT, SIZE, scatter
+from fg_orient.studies.reproduce.scatter import scatter
 
 
 def row(key: CellKey, published: float = 1.0, reproduced: float = 1.0, verdict: str = "equal") -> Row:
@@ -54,25 +55,27 @@ def test_scatter_places_sizes_on_logarithmic_axes() -> None:
         row(keys[0], 1.0, -100.0, "differs"), row(keys[1], 1e-2, 1e-2), row(keys[2], 100.0, 1e2, "order"),
         row(keys[3], 0.0, 1.0), row(keys[4], 1.0, math.nan),
     ]  # fmt: skip
-    root = ElementTree.fromstring(str(scatter(rows)))
-    dots = {e.get("class"): (float(e.get("cx")), float(e.get("cy"))) for e in root.iter("circle")}
-    room = SIZE - LEFT - EDGE
-    assert set(dots) == {"dot differs", "dot equal", "dot order"}  # neither zero nor a number that is not there
-    assert dots["dot equal"] == pytest.approx((LEFT, EDGE + room), abs=0.1)
-    assert dots["dot order"] == pytest.approx((LEFT + room, EDGE), abs=0.1)
-    assert dots["dot differs"] == pytest.approx((LEFT + room / 2.0, EDGE), abs=0.1)  # sizes: the sign does not count
-    words = [e.text for e in root.iter("text")]
+    chart = scatter(rows)
+    assert chart is not None
+    dots = {m.kind: (m.x.tolist(), m.y.tolist()) for m in chart.marks if m.shape == "dots"}
+    assert dots == {  # neither zero nor a number that is not there; sizes: the sign does not count
+        "dot differs": ([1.0], [100.0]), "dot equal": ([0.01], [0.01]), "dot order": ([100.0], [100.0]),
+    }  # fmt: skip
+    (left, bottom), (right, top) = chart.place([0.01, 100.0], [0.01, 100.0])
+    assert (left, right) == pytest.approx((chart.left, chart.width - chart.right))
+    assert (top, bottom) == pytest.approx((chart.top, chart.height - chart.bottom))
+    assert chart.place(1.0, 100.0) == pytest.approx([(left + right) / 2.0, top])
+    words = [e.text for e in ElementTree.fromstring(str(svg(chart))).iter("text")]
     assert words.count("1e−2") == words.count("1e2") == words.count("1e0") == 2 and "published" in words
-    assert root.get("viewBox") == f"0 0 {SIZE} {EDGE + room + BOTTOM}"
-    assert scatter(rows[3:]) == ""
+    assert scatter(rows[3:]) is None
 
 
 @pytest.mark.behaviour
 def test_scatter_is_small_and_escaped(rng: np.random.Generator) -> None:
     values = 10.0 ** rng.uniform(-3.0, 3.0, (5_000, 2))
-    text = str(scatter([row(CellKey("<b>", quantity="&"), *pair.tolist()) for pair in values]))
+    text = str(svg(scatter([row(CellKey("<b>", quantity="&"), *pair.tolist()) for pair in values])))
     ElementTree.fromstring(text)
-    assert "<b>" not in text and len(re.findall("<circle", text)) < 5_000
+    assert "<b>" not in text and 100 < text.count("<title>") < 5_000
 
 
 @pytest.mark.consistency
@@ -88,10 +91,10 @@ def test_kappas_of_the_tables_stand_on_their_l_curves(tmp_path: Path) -> None:
             assert by_rule[key.method.removeprefix("tikhonov_")] == row.reproduced
         printed = [rule for rule in one["rules"] if rule["chosen"]]
         assert sorted(rule["kappa"] for rule in printed) == sorted(row.published for row in own.values())
-        labels = re.findall(r'class="mark-label"[^>]*>([^<]*)<', one["drawing"])
+        labels = re.findall(r'class="mark-label"[^>]*>([^<]*)<', svg(one["drawing"]))
         marked = {int(number) for label in labels for number in label.split(", ")}
         assert marked == {rule["number"] for rule in one["rules"] if rule["residual_norm"] and rule["solution_norm"]}
-        assert 'class="line-dot"' in one["drawing"]
+        assert 'class="line-dot"' in svg(one["drawing"])
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert page.count('class="panel broad"') == 6 and 'href="#l-curves"' in page
     none = reproduce("terlemezoglu2019", tables="4.28", n_seeds=1, claims=False)

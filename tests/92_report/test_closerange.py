@@ -16,13 +16,13 @@ import pytest
 from factors.cameras.extended_collinearity import NAMES
 from fg_orient.closerange import report_maps as maps
 from fg_orient.closerange import report_plots as plots
-from fg_orient.closerange import report_surface as surface
 from fg_orient.closerange import report_words as words
 from fg_orient.closerange.distortion import profile
 from fg_orient.closerange.report_html import render
 from fg_orient.closerange.surface import Surface
 from fg_orient.model.errors import as_record, finding
 from fg_orient.report.page import script
+from fg_orient.report.svg import svg
 from tests.support import page_files
 from tests.support.browser import Page
 from tests.support.command import in_process as run
@@ -169,7 +169,7 @@ def test_names_of_points_do_not_cover_each_other() -> None:
     ids = [f"P{k}" for k in range(11)] + ["a name that is far too long for any place " * 3]
     far = np.array([[9.0, 9.0, 0.0], [-9.0, -9.0, 0.0]])
     scene = maps.Scene(ids, ["control", "check"] * 6, at, np.zeros((12, 3, 3)), none, ["n", "s"], far, -far / 9.0, far)
-    drawing = maps.view(scene, "plan", 0, 1)
+    drawing = svg(maps.view(scene, "plan", 0, 1))
     found = re.findall(r'class="name" x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">(\w+)<', drawing)
     boxes = [(float(x) - (8.0 * len(name) if anchor == "end" else 0.0), float(y), 8.0 * len(name))
              for x, y, anchor, name in found]  # fmt: skip
@@ -190,14 +190,14 @@ def test_names_of_stations_do_not_cover_those_of_points(seed: int) -> None:
     names = [f"photo{k}" for k in range(8)]
     scene = maps.Scene([f"P{k}" for k in range(12)], ["control"] * 12, at, np.zeros((12, 3, 3)), none, names,
                        centres, np.full((8, 3), np.nan), centres)  # fmt: skip
-    drawing = maps.view(scene, "plan", 0, 1)
+    drawing = svg(maps.view(scene, "plan", 0, 1))
     boxes = []  # written to 0.1 units
     for kind, x, y, anchor, name in re.findall(
         r'class="(name|label)" x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">(\w+)<', drawing
     ):
-        size = 8.0 * len(name) if kind == "name" else 9.2 * len(name) + 8.0
+        size = (8.0 if kind == "name" else 9.2) * len(name)
         left = float(x) - {"start": 0.0, "end": size, "middle": 0.5 * size}[anchor]
-        boxes.append((left, left + size, float(y) - (11.0 if kind == "name" else 13.0), float(y) + 3.0))
+        boxes.append((left, left + size, float(y) - 12.0, float(y) + 3.0))
     places = re.findall(r'class="station" d="M([\d.]+) ([\d.]+)h9', drawing)[:8]
     boxes += [(float(x), float(x) + 9.0, float(y), float(y) + 9.0) for x, y in places]
     assert len(boxes) > 20
@@ -279,14 +279,12 @@ def test_a_point_off_a_surface_is_a_problem(sigma: float | None, tmp_path: Path)
 @pytest.mark.consistency
 def test_points_and_ellipses_stand_where_the_record_says(record: dict[str, Any]) -> None:
     scene = maps.scene_of(record)
-    drawing = maps.view(scene, "plan", 0, 1)
-    frame = maps.Frame(np.vstack([scene.at[:, :2], scene.centres[:, :2]]))
+    chart = maps.view(scene, "plan", 0, 1)
+    drawing = svg(chart)
     new = [k for k, role in enumerate(scene.roles) if role == "new"]
-    drawn = [
-        (float(x), float(y))
-        for x, y in re.findall(r'<circle class="tie" cx="([\d.]+)" cy="([\d.]+)" r="1.8"/></g>', drawing)
-    ]
-    np.testing.assert_allclose(drawn, frame(scene.at[new, :2]), atol=0.051)
+    dots = re.findall(r'<path class="tie" d="M([\d.]+) ([\d.]+)a[^"]*"/></g>', drawing)
+    drawn = [(float(x) + 1.8, float(y)) for x, y in dots]
+    np.testing.assert_allclose(drawn, chart.place(*scene.at[new, :2].T), atol=0.051)
     order = np.argsort(scene.at[new, 1])
     assert (np.diff(np.array(drawn)[order, 1]) < 0.0).all()  # Y grows upwards
     ellipses = re.findall(r'class="ellipse" d="M([^"]*)z"', drawing)
@@ -301,7 +299,8 @@ def test_points_and_ellipses_stand_where_the_record_says(record: dict[str, Any])
         assert np.sign(tilt) == np.sign(scene.covariance[k, 0, 1])
     said = re.search(r"enlarged ([\d,]+) times", drawing)
     assert said is not None
-    assert np.median(up) / (2.0 * frame.units) == pytest.approx(float(said[1].replace(",", "")), rel=0.06)
+    units = chart.inner[0] / np.ptp(chart.x.limits)
+    assert np.median(up) / (2.0 * units) == pytest.approx(float(said[1].replace(",", "")), rel=0.06)
     assert drawing.count('class="station"') == 3  # two and the legend
 
 
@@ -310,12 +309,11 @@ def test_errors_of_check_points_are_vectors(record: dict[str, Any]) -> None:
     moved = copy.deepcopy(record)
     for point in moved["points"]:
         point["difference_x_m"], point["difference_y_m"] = (3e-4, 4e-4) if point["role"] == "check" else (None, None)
-    drawing = maps.view(maps.scene_of(moved), "plan", 0, 1)
-    lines = re.findall(r'class="vector check" x1="([\d.]+)" y1="([\d.]+)" x2="([\d.]+)" y2="([\d.]+)"', drawing)
-    ends = np.array(lines, float)
-    assert len(ends) == 4
-    run_, rise = ends[:, 2] - ends[:, 0], ends[:, 1] - ends[:, 3]
-    assert (run_ > 0.0).all() and np.median(rise / run_) == pytest.approx(4.0 / 3.0, rel=0.1)
+    drawing = svg(maps.view(maps.scene_of(moved), "plan", 0, 1))
+    lines = re.findall(r'class="vector check" d="M[\d.]+ [\d.]+l([-\d.]+) ([-\d.]+)"', drawing)
+    assert len(lines) == 4
+    run_, fall = np.array(lines, float).T
+    assert (run_ > 0.0).all() and np.median(-fall / run_) == pytest.approx(4.0 / 3.0, rel=0.1)
 
 
 @pytest.mark.oracle
@@ -329,7 +327,7 @@ def test_distortion_is_the_polynomial_and_its_band_the_propagated_sigma() -> Non
     np.testing.assert_allclose(found["across"], 1e-5 * r**2, atol=1e-12)
     rows = np.stack([r**3, r**5], axis=1)
     np.testing.assert_allclose(found["sigma"], np.sqrt(np.einsum("ri,ij,rj->r", rows, covariance, rows)), atol=1e-12)
-    drawing = plots.distortion(found, "left")
+    drawing = svg(plots.distortion(found, "left"))
     assert 'class="band"' in drawing and "± " in drawing and 'class="across"' in drawing
 
 
@@ -349,8 +347,8 @@ def test_camera_section_is_the_record(record: dict[str, Any]) -> None:
 def test_photos_are_drawn_as_they_are_seen() -> None:
     rows = [{"x": x, "y": y, "residual_x": 0.0, "residual_y": 0.01} for x in (0.0, 10.0) for y in (0.0, 8.0)]
     for down, sign in ((False, "-"), (True, "")):
-        drawing = plots.vectors("left", rows, down)
-        path = re.search(r'class="residual" d="([^"]*)"', drawing)
+        drawing = svg(plots.photo_vectors("left", rows, down))
+        path = re.search(r'class="vector residual" d="([^"]*)"', drawing)
         assert path is not None and re.fullmatch(rf"(M[\d.]+ [\d.]+l-?0\.0 {sign}\d+\.\d)+", path[1])
 
 
@@ -367,13 +365,13 @@ def test_surface_deviations(made: Path, fitted: dict[str, Any]) -> None:
     text = (made / "surface" / "report.html").read_text("utf-8")
     structure(made / "surface" / "report.html")
     assert "value / σ" not in text  # the centre of a surface is not tested against 0
-    (_, plan), *_ = surface.deviation_views(fitted)
+    (_, plan), *_ = [(words_, svg(chart)) for words_, chart in maps.deviation_views(fitted)]
     above = sum(p["distance_m"] >= 0.0 for p in fitted["points"])
-    assert len(re.findall(r'<g><title>[^<]*</title><circle class="deviation p\d"', plan)) == above
+    assert len(re.findall(r'<g><title>[^<]*</title><path class="deviation p\d"', plan)) == above
     assert plan in text and plan.count("<g>") == 40
     worst = max(fitted["points"], key=lambda p: abs(p["distance_m"]))
     assert f"largest {words.length(worst['distance_m'])} at point {worst['id']}" in text
-    outline = surface.outline(fitted["surface"], [0, 1])
+    outline = maps.outline(fitted["surface"], [0, 1])
     centre, semi = np.array(fitted["surface"]["centre_m"]), np.array(fitted["surface"]["semi_axes_m"])
     np.testing.assert_allclose((((outline - centre[:2]) / semi[:2]) ** 2).sum(axis=1), 1.0, atol=1e-9)
     for name, value in (("X", 0), ("Y", 1), ("Z", 2)):
@@ -398,12 +396,12 @@ def test_outlines_touch_their_surface() -> None:
         Surface("quadric", centre - away, np.ones(3), coefficients=ten),
         Surface("quadric", centre - away, np.ones(3), coefficients=-ten),
     ):
-        rim = surface.outline(one.as_dict(), [0, 2]) - centre[[0, 2]]
+        rim = maps.outline(one.as_dict(), [0, 2]) - centre[[0, 2]]
         assert len(rim) > 20
         np.testing.assert_allclose(np.einsum("ni,ij,nj->n", rim, seen, rim), 1.0)
     for square in ([1.0, -1.0, -1.0], [1.0, 1.0, 0.0], [-1.0, -1.0, -1.0]):
         open_ = Surface("quadric", centre, np.ones(3), coefficients=np.array([*square, *[0.0] * 6, -1.0]))
-        assert surface.outline(open_.as_dict(), [0, 2]).shape == (0, 2)
+        assert maps.outline(open_.as_dict(), [0, 2]).shape == (0, 2)
 
 
 @pytest.mark.behaviour

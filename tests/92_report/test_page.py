@@ -16,12 +16,13 @@ from scipy import stats
 
 from fg_orient.cli.output import number
 from fg_orient.model.errors import as_record, finding
-from fg_orient.report import charts, payload, residual_plots, svg
-from fg_orient.report.extent import first_view
+from fg_orient.report import html, maps, payload, plots, tables
+from fg_orient.report.chart import log_ticks, ticks
 from fg_orient.report.html import render
-from fg_orient.report.orientation import corrections, correlations, short_names
+from fg_orient.report.maps import first_view
 from fg_orient.report.page import script
-from fg_orient.report.panel import Panel, powers, ticks
+from fg_orient.report.svg import svg
+from fg_orient.report.tables import corrections, correlations, short_names
 from fg_orient.report.words import orientation_words, signed
 from fg_orient.result.record import Result
 from tests.support.page import of_large_images, structure, with_columns
@@ -126,21 +127,26 @@ def test_large_blocks_keep_what_is_flagged(result: Result, monkeypatch: pytest.M
 
 @pytest.mark.behaviour
 def test_histogram_and_quantiles(result: Result) -> None:
-    ratio, tested = residual_plots.normalised(result, np.arange(94))
+    ratio, tested = result.normalised
     assert tested
-    drawing = residual_plots.histogram(ratio, "left", tested)
-    columns = re.findall(r'class="column" d="M([\d.]+) ([\d.]+)V([\d.]+)', drawing)
+    chart = plots.histogram(ratio, "left", tested)
+    assert chart is not None
+    drawing = svg(chart)
+    columns = re.findall(r'class="column of-(line|sample)" d="M[\d.]+ ([\d.]+)V([\d.]+)', drawing)
     top = [float(m) for m in re.findall(r'<path class="grid" d="M50.0 ([\d.]+)H', drawing)]
     labels = [float(v) for v in re.findall(r'text-anchor="end">(\d+)</text>', drawing)]
     unit = (top[0] - top[-1]) / (labels[len(top) - 1] - labels[0])
-    counts = [(float(zero) - float(y)) / unit for _, zero, y in columns]
-    assert sum(counts) == pytest.approx(np.isfinite(ratio).sum(), abs=0.1 * len(counts) / unit)
-    points = residual_plots.quantiles(ratio[:, :1] * np.array([[1.0, np.nan]]), "left", tested)
-    first = re.search(r'class="line-dot" d="M([\d.]+) ([\d.]+)a', points)
+    for k, axis in enumerate(("line", "sample")):
+        counts = [(float(zero) - float(y)) / unit for name, zero, y in columns if name == axis]
+        assert sum(counts) == pytest.approx(np.isfinite(ratio[:, k]).sum(), abs=0.1 * len(counts) / unit)
+        w = ratio[np.isfinite(ratio[:, k]), k]
+        assert f"{axis}: mean {w.mean():.2f}, s {w.std():.2f}".replace("-", "−") in drawing
+    chart = plots.quantiles(ratio[:, :1] * np.array([[1.0, np.nan]]), "left", tested)
+    assert chart is not None
+    first = re.search(r'class="line-dot" d="M([\d.]+) ([\d.]+)a', svg(chart))
     assert first is not None
-    frame = Panel((-5.0, 5.0), (-5.0, 5.0), "")
-    assert float(first.group(1)) + 2.2 == pytest.approx(frame.px(stats.norm.ppf(0.5 / 94)), abs=0.11)
-    assert float(first.group(2)) == pytest.approx(frame.py(float(np.nanmin(ratio[:, 0]))), abs=0.06)
+    x, y = chart.place(stats.norm.ppf(0.5 / 94), float(np.nanmin(ratio[:, 0])))
+    assert (float(first.group(1)) + 2.6, float(first.group(2))) == pytest.approx((x, y), abs=0.11)
 
 
 @pytest.mark.behaviour
@@ -149,9 +155,12 @@ def test_what_lies_beyond_the_axis_is_counted(result: Result) -> None:
     figures = {**table.columns, "w_line": table.figures["w_line"].copy()}
     figures["w_line"][:3] = [5.5, -7.0, 40.0]
     planted = with_columns(result, "residuals", figures)
-    panels = residual_plots.residual_panels(planted, planted.residual_summary())
-    assert [p["words"] for p in panels] == ["3 beyond ±5 σ", ""]
-    worst = residual_plots.largest_residuals(planted)
+    page = render(planted)
+    assert (
+        page.count("beyond ±5 σ") == 1
+        and "3 beyond ±5 σ" in page.partition("Image <span")[2].partition("</details>")[0]
+    )
+    worst = tables.largest_residuals(planted)
     assert worst is not None
     assert [row["w_line"] for row in worst["rows"][:3]] == [40.0, -7.0, 5.5]
     assert (worst["n"], worst["beyond"], worst["expected"]) == (188, 3, f"{188 * 2 * stats.norm.sf(3):.1f}")
@@ -164,12 +173,12 @@ def test_without_redundancy_numbers_residuals_are_divided_by_the_given_sigmas(re
         name: column for name, column in table.columns.items() if not name.startswith(("w_", "redundancy", "mdb"))
     }
     plain = with_columns(result, "residuals", figures)
-    ratio, tested = residual_plots.normalised(plain, np.arange(94))
+    ratio, tested = plain.normalised
     assert not tested
     np.testing.assert_array_equal(ratio[:, 0], figures["v_line_px"] / figures["sigma_line_px"])
     page = render(plain)
     assert "over the standard deviations of the observations" in page and "Largest residuals" not in page
-    assert charts.redundancy_chart(plain) == ""
+    assert "redundancy number r" not in page
 
 
 @pytest.mark.consistency
@@ -179,21 +188,21 @@ def test_correlations_are_those_of_the_cofactors(result: Result) -> None:
     assert np.isnan(correlations(q)[2, 2])
     names = short_names(result)
     assert names["left"][:3] == ["X", "X τ", "X τ²"] and len(names["right"]) == 18
-    maps = charts.heat_maps(result)
-    assert [m["image"] for m in maps] == ["left", "right"]
+    drawn = tables.image_correlations(result)
+    assert list(drawn) == ["left", "right"]
     strong = next(c for c in result.record["correlations"]["largest"] if c["a"] == "right.y_0")
     written = f"roll with Y: {strong['correlation']:+.3f}".replace("-", "−")
     page = render(result)
     assert "right.y_0" not in page and '<td class="id">right Y</td><td class="id text">right roll</td>' in page
-    assert written in maps[1]["drawing"] and 'class="cell m5"' in maps[1]["drawing"]
-    assert charts.heat_maps(dataclasses.replace(result, arrays={})) == []
+    drawing = svg(plots.heat_map("image right", names["right"], drawn["right"]))
+    assert written in drawing and 'class="cell m5"' in drawing and drawing in page
+    assert tables.image_correlations(dataclasses.replace(result, arrays={})) == {}
     none = {"n_parameters": [0], "image_cofactors": np.zeros((1, *result.arrays["image_cofactors"].shape[1:]))}
     arrays = {name: np.concatenate([value, result.arrays[name]]) for name, value in none.items()}
     record = {**result.record, "images": [{"id": "fixed"}, *result.record["images"]]}
-    first = dataclasses.replace(
-        result, record=record, arrays=arrays
-    )  # an image without unknowns moves no other's figures
-    assert charts.heat_maps(first) == maps
+    first = dataclasses.replace(result, record=record, arrays=arrays)
+    moved = tables.image_correlations(first)  # an image without unknowns moves no other's figures
+    assert moved.keys() == drawn.keys() and all(np.array_equal(moved[k], drawn[k]) for k in drawn)
 
 
 @pytest.mark.behaviour
@@ -219,7 +228,7 @@ def test_what_is_rounded_to_zero_has_no_sign(result: Result) -> None:
     assert [number(v) for v in (-0.0004, -0.0, -0.0006)] == ["0.000", "0.000", "-0.001"]
     points = dict(result.points.columns)
     points["difference_up_m"] = np.where(np.isnan(points["difference_up_m"]), np.nan, -1e-5)
-    drawing = svg.point_map(with_columns(result, "points", points))
+    drawing = svg(maps.point_map(with_columns(result, "points", points)))
     assert "up 0.000 m" in drawing and "-0.000" not in drawing and "−0.000" not in drawing
 
 
@@ -240,16 +249,19 @@ def test_a_map_opens_on_the_points_where_footprints_are_far_larger(result: Resul
     for axis, values in enumerate((east, north)):  # the border is taken at the latitude of the points, not of all
         assert view[:, axis] == pytest.approx([values.min() - border, values.max() + border], abs=1e-3 * border)
     page = render(large)
-    drawing = svg.point_map(large)
+    chart = maps.point_map(large)
+    assert chart is not None
+    drawing = svg(chart)
     assert "reach beyond the border of this view" in page and drawing in page
-    before, _, inner = drawing.partition('<svg x="0" y="0"')  # a drawing in the drawing, which cuts at its border
-    assert "polygon" not in before and inner.partition("</svg>")[0].count('<polygon class="foot"') == 2
-    places = [
-        (float(x), float(y)) for x, y in re.findall(r'class="(?:check|tie)" cx="([-\d.]+)" cy="([-\d.]+)"', drawing)
-    ]
-    assert np.ptp([x for x, _ in places]) > 0.5 * svg.WIDTH
+    assert np.array([chart.x.limits, chart.y.limits]).T == pytest.approx(maps.view_of(large.record, place), abs=1e-9)
+    inner = re.findall(
+        r'<svg x="14" y="14" width="692.0" height="[\d.]+"><path class="foot" d="[^"]*"/></svg>', drawing
+    )
+    assert len(inner) == 2  # drawings in the drawing, which cut at their border
+    places = [float(x) for x in re.findall(r'<path class="(?:check|tie)" d="M([-\d.]+) ', drawing)]
+    assert np.ptp(places) > 0.5 * chart.width
     names = [tuple(map(float, at)) for at in re.findall(r'class="label" x="([\d.]+)" y="([\d.]+)"', drawing)]
-    assert len(set(names)) == 2 and all(0 < x < svg.WIDTH and 0 < y < 60 for x, y in names)
+    assert len(set(names)) == 2 and all(0 < x < chart.width and 0 < y < 80 for x, y in names)
 
 
 @pytest.mark.behaviour
@@ -285,30 +297,34 @@ def test_check_points_beyond_three_by_chance_are_no_doubt(result: Result) -> Non
 
 @pytest.mark.behaviour
 def test_corrections_stand_at_their_share_of_the_prior(result: Result) -> None:
-    rows = [{"name": "roll", "degree": "constant", "value": -3.0, "sigma": 0.5, "prior": 2.0}]
-    drawing = charts.correction_chart("left", rows)
+    rows = [{"name": "roll", "degree": "constant", "unit": "µrad", "value": -3.0, "sigma": 0.5, "prior": 2.0}]
+    chart = plots.correction_chart("left", rows)
+    assert chart is not None and chart.y.beside == ["−3.00 ± 0.50 µrad"]
+    drawing = svg(chart)
     dot = re.search(r'class="line-dot" d="M([\d.]+) ', drawing)
     whisker = re.search(r'class="whisker" d="M([\d.]+) [\d.]+L([\d.]+)', drawing)
     assert dot is not None and whisker is not None
-    reach = 1.05 * 1.75
-    frame = Panel((-reach, reach), (0.0, 1.0), "", width=560.0, left=190.0)
-    assert float(dot.group(1)) + 3.2 == pytest.approx(frame.px(-1.5), abs=0.11)
-    assert [float(v) for v in whisker.groups()] == [frame.px(-1.75), frame.px(-1.25)]
-    assert charts.correction_chart("left", [{**rows[0], "prior": None}]) == ""
+    x = chart.place([-1.5, -1.75, -1.25], [0.0] * 3)[:, 0]
+    assert [float(dot.group(1)) + 2.6, *map(float, whisker.groups())] == pytest.approx(x, abs=0.11)
+    own = plots.correction_chart("left", [{**rows[0], "prior": None}])
+    assert own is not None and own.marks[-1].x.tolist() == [-6.0] and "own σ" in own.x.words
+    assert plots.correction_chart("left", [{**rows[0], "prior": None, "sigma": None}]) is None
     assert len(corrections(result)) == 2
 
 
 @pytest.mark.behaviour
-def test_iterations_are_drawn_and_rejected_steps_are_not() -> None:
+def test_rejected_steps_are_drawn_apart() -> None:
     taken = {"accepted": True, "chi2": 1e4, "chi2_after": 1e2, "step": 1e-3}
     log = [
         {**taken, "iteration": 1},
         {**taken, "iteration": 2, "accepted": False},
         {**taken, "iteration": 3, "chi2": 1e2},
     ]
-    squares, steps = charts.iteration_charts(log)
-    assert (squares.count(" 0 1 0 6 0"), steps.count(" 0 1 0 6 0")) == (3, 2)
-    assert charts.iteration_charts([]) == []
+    squares, steps = plots.iteration_charts(log)
+    assert [{m.kind: len(m.x) for m in chart.marks} for chart in (squares, steps)] == [
+        {"curve": 3, "line-dot": 3, "sample-dot": 1}, {"curve": 2, "line-dot": 2, "sample-dot": 1},
+    ]  # fmt: skip
+    assert "rejected" in svg(steps) and plots.iteration_charts([]) == []
 
 
 @pytest.mark.behaviour
@@ -329,7 +345,7 @@ def test_ticks() -> None:
     assert ticks(-5.0, 5.0, 5) == [-4.0, -2.0, 0.0, 2.0, 4.0]
     assert ticks(0.0, 12000.0, 3) == [0.0, 5000.0, 10000.0]
     assert ticks(1.0, 1.0) == [1.0]
-    assert powers(-8.0, 2.0) == [1e-8, 1e-6, 1e-4, 1e-2, 1.0, 1e2]
+    assert log_ticks(1e-8, 1e2) == pytest.approx([1e-8, 1e-6, 1e-4, 1e-2, 1.0, 1e2])
 
 
 @pytest.mark.behaviour
@@ -355,3 +371,24 @@ def test_first_page_names_what_a_test_suspects_and_repeats_no_verdict(result: Re
         "no check points: the accuracy is not verified independently",
     ]  # fmt: skip
     assert page.count(said) == 1
+
+
+@pytest.mark.behaviour
+def test_a_section_from_outside_is_one_declaration(result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Heading, link, values and template are in one place; a section without values is left out."""
+    monkeypatch.setattr(html, "SECTIONS", [*html.SECTIONS])
+
+    @html.section("rays", "Rays of the points", "<p>{{ n }} rays of {{ r.name }}, {{ worst }}</p>", before="residuals")
+    def rays(result: Result) -> dict[str, Any]:
+        return {"n": len(result.residuals), "worst": "<b>"}
+
+    html.section("nothing", "Nothing", "<p>never</p>")(lambda result: None)
+    page = render(result)
+    assert f"<p>94 rays of {result.record['name']}, &lt;b&gt;</p>" in page and "never" not in page
+    assert (
+        page.index('id="accuracy"')
+        < page.index('<section id="rays"><h2>Rays of the points')
+        < page.index('id="residuals"')
+    )
+    assert '<a href="#rays">Rays of the points</a>' in page
+    assert rays(result)["n"] == 94 and 'href="#nothing"' not in page

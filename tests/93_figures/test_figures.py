@@ -15,28 +15,38 @@ from lxml import etree
 
 from fg_orient.formats.atomic import RESULT
 from fg_orient.model.errors import InputError
-from fg_orient.report import captions, checks, maps, residuals, style, write
-from fg_orient.report import figure_orientation as orientation
-from fg_orient.report.figure_data import Folder, read_folder
+from fg_orient.report import figures, maps, paper, plots
+from fg_orient.report.chart import Chart, Mark
 from fg_orient.result.plain import Table
+from fg_orient.result.record import Result, read_result
 
-NAMES = {plot.name for plot in write.PLOTS}
+NAMES = {plot.name for plot in figures.PLOTS}
 #: Of an adjustment without regularisation.
 DRAWN = NAMES - {"l_curve"}
 AXES = ("east", "north", "up")
 
 
 @pytest.fixture(scope="module")
-def folder(adjusted: Path) -> Folder:
-    return read_folder(adjusted)
+def folder(adjusted: Path) -> Result:
+    return read_result(adjusted)
 
 
 @pytest.fixture(scope="module")
 def written(adjusted: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All figures as SVG."""
     out = tmp_path_factory.mktemp("written") / "figures"
-    assert write.write_figures(adjusted, out, formats=("svg",))[0] == out
+    assert figures.write_figures(adjusted, out, formats=("svg",))[0] == out
     return out
+
+
+def charts_of(folder: Result, name: str, images: list[str]) -> list[Chart]:
+    """Charts of one kind of figure."""
+    plot = next(plot for plot in figures.PLOTS if plot.name == name)
+    return [chart for chart in plot.draw(folder, images) if chart is not None]
+
+
+def marks_of(chart: Chart, shape: str) -> list[Mark]:
+    return [mark for mark in chart.marks if mark.shape == shape]
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -55,24 +65,24 @@ def test_every_plot_has_units_and_a_caption(written: Path) -> None:
     assert told.split("Not drawn:")[1].count("\n- ") == 1 and all(f"**{name}**" in told for name in DRAWN)
     words = {
         "map": ("longitude, WGS 84", "horizontal error"), "map_up": ("latitude, WGS 84", "Up error"),
-        "residuals": ("line, px", "sample, px", "px"), "histograms": ("density", "w = v/(σ√r)"),
-        "quantiles": ("quantile of N(0, 1)",), "corrections": ("prior σ", "µrad", "position X · τ²"),
+        "residuals": ("line, px", "sample, px", "px"), "histograms": ("count", "w = v/(σ√r)"),
+        "quantiles": ("quantile of N(0, 1)",), "corrections": ("prior standard deviations", "µrad", "position X · τ²"),
         "correlations": ("correlation", "pitch τ²"), "singular_values": ("singular value, prior σ", "weak below"),
         "redundancy": ("redundancy number r", "minimal detectable bias, px"),
         "iterations": ("iteration", "largest step, prior σ or m"),
     }  # fmt: skip
-    assert set(words) == DRAWN and set(captions.TEXTS) == NAMES == set(captions.ABSENT)
+    assert set(words) == DRAWN
     for name, wanted in words.items():
         shown = "\n".join(svg_texts(written / f"{name}.svg"))
         assert all(word in shown for word in wanted), (name, shown)
 
 
 @pytest.mark.behaviour
-def test_files_repeat_and_hold_nothing_of_the_clock(folder: Folder, written: Path) -> None:
+def test_files_repeat_and_hold_nothing_of_the_clock(folder: Result, written: Path) -> None:
     def files(kind: str) -> list[bytes]:
-        with matplotlib.rc_context(style.STYLE):
-            figure = orientation.singular_values(folder, folder.images)
-            return [style.file_of(figure, kind) for _ in range(2)]
+        with matplotlib.rc_context(paper.STYLE):
+            figure = paper.figure_of(charts_of(folder, "singular_values", folder.images))
+            return [paper.file_of(figure, kind) for _ in range(2)]
 
     first, second = files("svg")
     assert first == second == (written / "singular_values.svg").read_bytes()
@@ -82,10 +92,13 @@ def test_files_repeat_and_hold_nothing_of_the_clock(folder: Folder, written: Pat
 
 
 @pytest.mark.consistency
-def test_map_shows_the_differences_of_the_table(folder: Folder, adjusted: Path) -> None:
+def test_map_shows_the_differences_of_the_table(folder: Result, adjusted: Path) -> None:
+    """Those of the table as arrows of matplotlib; the bars above them are of the same scale."""
     table = {row["id"]: row for row in rows(adjusted / "points.csv") if row["difference_east_m"]}
     for up in (False, True):
-        (axes,) = maps.error_map(folder, up=up).axes
+        chart = maps.point_map(folder, up=up)
+        assert chart is not None
+        (axes,) = paper.figure_of([chart]).axes
         arrows = [c for c in axes.collections if type(c).__name__ == "Quiver"]
         drawn = sorted(
             (round(x, 9), round(y, 9), u, v)
@@ -98,71 +111,73 @@ def test_map_shows_the_differences_of_the_table(folder: Folder, adjusted: Path) 
             for r in table.values()
         )  # fmt: skip
         assert np.allclose(drawn, wanted, rtol=0.0, atol=1e-12)
-        assert len(drawn) == 47 and len({q.scale for q in arrows}) == 1
+        assert len(drawn) == 47 and {q.scale for q in arrows} == {chart.per_width}
+        (_, (share, words)) = chart.bars
+        assert share * chart.per_width == pytest.approx(float(words.split()[0]))
 
 
 @pytest.mark.oracle
-def test_a_kilometre_is_as_long_east_as_north(folder: Folder) -> None:
+def test_a_kilometre_is_as_long_east_as_north(folder: Result) -> None:
     """The bar of kilometres and the aspect against pyproj's geodesic."""
     from pyproj import Geod
 
-    (axes,) = maps.error_map(folder).axes
-    (bar,) = [line for line in axes.lines if len(line.get_xdata()) == 2 and line.get_linewidth() == 1.6]
-    (west, east), (south, _) = bar.get_xdata(), bar.get_ydata()
-    stated = next(float(t.get_text().split()[0]) for t in axes.texts if t.get_text().endswith("km"))
+    chart = maps.point_map(folder)
+    assert chart is not None
+    (axes,) = paper.figure_of([chart]).axes
+    share, words = chart.bars[0]
+    west, east = axes.get_xlim()
     geod, middle = Geod(ellps="WGS84"), sum(axes.get_ylim()) / 2.0
-    assert geod.inv(west, middle, east, middle)[2] / 1000.0 == pytest.approx(stated, rel=0.005)
+    long = geod.inv(west, middle, west + share * (east - west), middle)[2] / 1000.0
+    assert words.endswith("km on the ground") and long == pytest.approx(float(words.split()[0]), rel=0.005)
     metres_east = geod.inv(west, middle, west + 0.1, middle)[2]
     metres_north = geod.inv(west, middle - 0.05, west, middle + 0.05)[2]
     assert axes.get_aspect() == pytest.approx(metres_north / metres_east, rel=0.005)
-    assert south < middle
+    wide, tall = chart.inner  # the page has the same scale along both axes
+    assert wide / np.ptp(chart.x.limits) * axes.get_aspect() == pytest.approx(tall / np.ptp(chart.y.limits))
 
 
 @pytest.mark.consistency
-def test_residual_vectors_point_as_in_the_image(folder: Folder, adjusted: Path) -> None:
+def test_residual_vectors_point_as_in_the_image(folder: Result, adjusted: Path) -> None:
     """Lines run downwards, so a positive residual of the line points down."""
     left = [r for r in rows(adjusted / "residuals.csv") if r["image"] == "left"]
-    axes = residuals.vectors(folder, ["left"]).axes[0]
+    (axes,) = paper.figure_of(charts_of(folder, "residuals", ["left"])).axes
     (bottom, top), (arrows,) = axes.get_ylim(), [c for c in axes.collections if type(c).__name__ == "Quiver"]
     assert bottom > top and axes.get_aspect() == 1.0
     assert np.allclose(arrows.U, [float(r["v_sample_px"]) for r in left])
     assert np.allclose(arrows.V, [-float(r["v_line_px"]) for r in left])
     assert np.allclose(arrows.XY, [[float(r["sample"]), float(r["line"])] for r in left])
-    assert "left (47 points)" in axes.get_title()
+    assert "left (47 points)" in axes.get_title("left")
 
 
 @pytest.mark.behaviour
-def test_large_residuals_survive_thinning(folder: Folder, rng: np.random.Generator) -> None:
-    n = 30_000
+def test_large_residuals_survive_thinning(rng: np.random.Generator) -> None:
+    n, most = 30_000, 2000
     v = rng.standard_normal((n, 2))
-    figures = {"v_line_px": v[:, 0], "v_sample_px": v[:, 1]}
-    table = Table({"image": ["left"] * n, **figures})
-    many = Folder(dataclasses.replace(folder.result, tables={**folder.result.tables, "residuals": table}))
-    drawn, left_out = residuals.thinned(many, "left")
-    assert len(drawn) + left_out == n and len(set(drawn.tolist())) == len(drawn) <= residuals.MAX_VECTORS
-    largest = np.argsort(-np.linalg.norm(v, axis=1))[: residuals.MAX_VECTORS // 10]
+    drawn = plots.thinned(np.arange(n), v, most)
+    assert len(set(drawn.tolist())) == len(drawn) <= most
+    largest = np.argsort(-np.linalg.norm(v, axis=1))[: most // 10]
     assert set(largest.tolist()) <= set(drawn.tolist())
 
 
 @pytest.mark.oracle
-def test_histograms_of_normalised_residuals(folder: Folder, adjusted: Path) -> None:
+def test_histograms_of_normalised_residuals(folder: Result, adjusted: Path) -> None:
     left = [r for r in rows(adjusted / "residuals.csv") if r["image"] == "left"]
-    axes = residuals.histograms(folder, ["left"]).axes[0]
-    curve = axes.lines[-1]
-    assert max(curve.get_ydata()) == pytest.approx(0.39894, abs=1e-5)
-    for name, label in zip(("line", "sample"), axes.get_legend_handles_labels()[1], strict=False):
+    (chart,) = charts_of(folder, "histograms", ["left"])
+    (curve,), bars = marks_of(chart, "line"), marks_of(chart, "bars")
+    width = float(np.diff(bars[0].x)[0])
+    assert curve.y.max() == pytest.approx(0.39894 * 47 * width, rel=1e-4) and curve.label == "normal, σ = 1"
+    for name, mark in zip(("line", "sample"), bars, strict=True):
         w = np.array([float(r[f"w_{name}"]) for r in left])
-        assert f"{name}: n 47, mean {w.mean():.2f}, s {w.std():.2f}" == label.replace("−", "-")
-    x, y = axes.patches[0].get_xy().T
-    assert np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2.0) == pytest.approx(1.0)
+        assert f"{name}: mean {w.mean():.2f}, s {w.std():.2f}" == mark.label.replace("−", "-")
+        assert mark.y.tolist() == np.histogram(w, mark.x)[0].tolist() and mark.y.sum() == 47
 
 
 @pytest.mark.oracle
 def test_band_of_normal_quantiles(rng: np.random.Generator) -> None:
     """One lies within 1.96; of 25 ordered ones each lies in its band in 95 % of 4000 samples, within 4 sigmas."""
-    middle, low, high = residuals.normal_band(1)
+    low, middle, high = plots.normal_band(1, np.arange(1))
     assert np.allclose([middle[0], low[0], high[0]], [0.0, -1.959964, 1.959964], atol=1e-6)
-    middle, low, high = residuals.normal_band(25)
+    low, middle, high = plots.normal_band(25, np.arange(25))
     samples = np.sort(rng.standard_normal((4000, 25)), axis=1)
     inside = ((samples > low) & (samples < high)).mean(axis=0)
     assert np.abs(inside - 0.95).max() < 4.0 * np.sqrt(0.95 * 0.05 / 4000)
@@ -170,22 +185,23 @@ def test_band_of_normal_quantiles(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.consistency
-def test_quantiles_draw_every_value(folder: Folder) -> None:
-    axes = residuals.quantiles(folder, ["right"]).axes[0]
+def test_quantiles_draw_every_value(folder: Result) -> None:
+    (chart,) = charts_of(folder, "quantiles", ["right"])
     w = folder.residuals.figures["w_sample"][folder.rows["right"]]
-    drawn = next(line for line in axes.lines if line.get_label() == "sample")
-    assert np.array_equal(drawn.get_ydata(), np.sort(w))
-    kept = residuals._ends_kept(100_000)
-    assert len(kept) <= residuals.MAX_QUANTILES and {0, 1, 99_998, 99_999} <= set(kept.tolist())
+    (drawn,) = (mark for mark in marks_of(chart, "dots") if mark.label == "sample")
+    assert np.array_equal(drawn.y, np.sort(w))
+    kept = plots._spread_ranks(100_000, 2000)
+    assert len(kept) <= 2000 and {0, 99_999} <= set(kept.tolist())
 
 
 @pytest.mark.oracle
-def test_correlations_are_those_of_the_cofactors(folder: Folder, adjusted: Path) -> None:
+def test_correlations_are_those_of_the_cofactors(folder: Result, adjusted: Path) -> None:
     with np.load(adjusted / "arrays.npz") as arrays:
         covariance, names = arrays["image_covariance"][1], arrays["parameter_names"].tolist()
-    axes = orientation.correlations(folder, ["right"]).axes[0]
+    axes = paper.figure_of(charts_of(folder, "correlations", ["right"])).axes[0]
     sigma = np.sqrt(np.diag(covariance))
-    assert np.allclose(axes.images[0].get_array(), covariance / sigma[:, None] / sigma, atol=1e-12)
+    below = np.tri(len(sigma), k=-1, dtype=bool)
+    assert np.allclose(axes.images[0].get_array()[below], (covariance / sigma[:, None] / sigma)[below], atol=1e-12)
     words = {"x": "X", "y": "Y", "z": "Z", "vx": "vX", "vy": "vY", "vz": "vZ"}
     parts = [name.rpartition("_") for name in names]
     shown = [words.get(component, component) + ("", " τ", " τ²")[int(degree)] for component, _, degree in parts]
@@ -193,15 +209,14 @@ def test_correlations_are_those_of_the_cofactors(folder: Folder, adjusted: Path)
 
 
 @pytest.mark.consistency
-def test_corrections_stand_in_prior_sigmas(folder: Folder, adjusted: Path) -> None:
+def test_corrections_stand_in_prior_sigmas(folder: Result, adjusted: Path) -> None:
     table = [r for r in rows(adjusted / "eop.csv") if r["image"] == "left"]
-    axes = orientation.corrections(folder, ["left"]).axes[0]
-    dots = [float(c.lines[0].get_xdata()[0]) for c in axes.containers]
-    bars = [c.lines[2][0].get_segments()[0] for c in axes.containers]
-    assert np.allclose(dots, [float(r["value_per_tau"]) / float(r["prior_sigma"]) for r in table])
-    lengths = [float(np.ptp(b[:, 0]) / 2.0) for b in bars]
+    (chart,) = charts_of(folder, "corrections", ["left"])
+    (dots,), bars = marks_of(chart, "dots"), [m.x for m in chart.marks if m.kind == "whisker"]
+    assert np.allclose(dots.x, [float(r["value_per_tau"]) / float(r["prior_sigma"]) for r in table])
+    lengths = [float(np.ptp(x) / 2.0) for x in bars]
     assert np.allclose(lengths, [float(r["sigma"]) / float(r["prior_sigma"]) for r in table])
-    right = [t.get_text() for t in axes.child_axes[0].get_yticklabels()]
+    right = [t.get_text() for t in paper.figure_of([chart]).axes[0].child_axes[0].get_yticklabels()]
     roll = next(k for k, r in enumerate(table) if r["parameter"] == "roll_0")
     value, sigma = (1e6 * float(table[roll][name]) for name in ("value_per_tau", "sigma"))
     shown = right[roll].replace("−", "-").removesuffix(" µrad").split(" ± ")
@@ -209,14 +224,14 @@ def test_corrections_stand_in_prior_sigmas(folder: Folder, adjusted: Path) -> No
 
 
 @pytest.mark.behaviour
-def test_share_of_biases_that_are_found(folder: Folder) -> None:
-    """A point without a minimal detectable bias is never found: the curve ends below one."""
+def test_share_of_biases_that_are_found(folder: Result) -> None:
+    """A point without a minimal detectable bias is never detected: the curve ends below one."""
     mdb = folder.residuals.figures["mdb_sample_px"].copy()
     mdb[:47] = np.nan
     spoilt = Table({**folder.residuals.columns, "mdb_sample_px": mdb})
-    planted = Folder(dataclasses.replace(folder.result, tables={**folder.result.tables, "residuals": spoilt}))
-    axes = checks.redundancy(planted, folder.images).axes[1]
-    ends = {line.get_label(): float(line.get_ydata()[-1]) for line in axes.lines}
+    planted = dataclasses.replace(folder, tables={**folder.tables, "residuals": spoilt})
+    chart = charts_of(planted, "redundancy", folder.images)[1]
+    ends = {mark.label: float(mark.y[-1]) for mark in chart.marks}
     assert ends == {"line": 1.0, "sample": pytest.approx(0.5)}
 
 
@@ -229,11 +244,12 @@ def test_hostile_names_are_words(adjusted: Path, result: Path, tmp_path: Path) -
     for name in ("residuals.csv", "eop.csv"):
         text = (result / name).read_text("utf-8").replace("\nleft,", f"\n{hostile},")
         (result / name).write_text(text, encoding="utf-8")
-    folder = read_folder(result)
-    with matplotlib.rc_context(style.STYLE):
-        (tmp_path / "x.svg").write_bytes(style.file_of(residuals.vectors(folder, folder.images), "svg"))
+    folder = read_result(result)
+    with matplotlib.rc_context(paper.STYLE):
+        figure = paper.figure_of(charts_of(folder, "residuals", folder.images))
+        (tmp_path / "x.svg").write_bytes(paper.file_of(figure, "svg"))
     assert f"{hostile} (47 points)" in svg_texts(tmp_path / "x.svg")
-    told = captions.page(folder, {"residuals": ("residuals", [hostile])})
+    told = figures.captions(folder, {"residuals": (figures.PLOTS[2], [hostile])})
     assert "\\<b\\>" in told and "<b>" not in told
 
 
@@ -255,27 +271,27 @@ def test_what_is_not_drawn_is_told(result: Path) -> None:
         kept = dict(arrays)
     kept["image_cofactors"][:] = np.nan
     np.savez(result / "arrays.npz", **kept)
-    folder = read_folder(result)
-    for plot in write.PLOTS:
+    folder = read_result(result)
+    for plot in figures.PLOTS:
         if plot.name in ("map", "map_up", "correlations", "redundancy", "iterations"):
-            assert plot.draw(folder, folder.images) is None, plot.name
-    assert "residual v/σ" in residuals.histograms(folder, ["left"]).axes[0].get_xlabel()
-    told = captions.page(folder, {"residuals": ("residuals", folder.images)})
-    for name in ("map", "correlations", "redundancy", "iterations"):
-        assert f"- {name}: {captions.ABSENT[name]}" in told
+            assert charts_of(folder, plot.name, folder.images) == [], plot.name
+    assert charts_of(folder, "histograms", ["left"])[0].x.words == "residual v/σ"
+    told = figures.captions(folder, {"residuals": (figures.PLOTS[2], folder.images)})
+    for plot in figures.PLOTS:
+        assert (f"- {plot.name}: {plot.absent}" in told) == (plot.name != "residuals")
 
 
 @pytest.mark.behaviour
-def test_images_beyond_the_limit_are_told(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(write, "MAX_IMAGES", 1)
-    names = {name: (plot.name, images) for name, plot, images in write.planned(folder) if plot.name in DRAWN}
-    assert names["residuals"] == ("residuals", ["left"])
-    assert "1 more images have no figures of their own" in captions.page(folder, names)
+def test_images_beyond_the_limit_are_told(folder: Result, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures, "MAX_IMAGES", 1)
+    names = {name: (plot, images) for name, plot, images in figures.planned(folder) if plot.name in DRAWN}
+    assert names["residuals"][1] == ["left"]
+    assert "1 more images have no figures of their own" in figures.captions(folder, names)
 
 
 @pytest.mark.behaviour
 def test_command(run: Any, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(write, "PLOTS", tuple(p for p in write.PLOTS if p.name == "iterations"))
+    monkeypatch.setattr(figures, "PLOTS", tuple(p for p in figures.PLOTS if p.name == "iterations"))
     ended = run("report", result, "--figures", "--json", "--log", result.parent / "run.log")
     assert ended.code == 0, ended.stderr
     log = [json.loads(line) for line in (result.parent / "run.log").read_text("utf-8").splitlines()]
@@ -301,8 +317,8 @@ def test_refusals(run: Any, result: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.damaged")
     (result / "arrays.npz").write_bytes(arrays)
     with pytest.raises(InputError, match="svg or pdf"):
-        write.write_figures(result, formats=("png",))
-    monkeypatch.setattr(style, "find_spec", lambda name: None)
+        figures.write_figures(result, formats=("png",))
+    monkeypatch.setattr(paper, "find_spec", lambda name: None)
     ended = run("report", result, "--figures", "--json")
     assert (ended.code, ended.json["errors"][0]["code"]) == (2, "report.no_matplotlib")
     assert not (result / "figures").exists()

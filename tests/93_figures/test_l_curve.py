@@ -14,11 +14,11 @@ import pytest
 
 import fg_orient as fg
 from fg_orient.adjustment.dense import assemble
-from fg_orient.report import captions, regularisation, style
-from fg_orient.report.figure_data import Folder, read_folder
+from fg_orient.report import figures, paper
+from fg_orient.report.chart import log_ticks
 from fg_orient.report.html import render
-from fg_orient.report.l_curve import l_curve_chart, log_ticks, ranked
-from fg_orient.result.record import read_result
+from fg_orient.report.plots import l_curve, ranked
+from fg_orient.result.record import Result, read_result
 from fg_orient.simulate.zonguldak import ZonguldakOptions, zonguldak_block
 from tests.support.command import Run
 
@@ -32,20 +32,20 @@ def damped(project: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) ->
 
 
 @pytest.fixture(scope="module")
-def folder(damped: Path) -> Folder:
-    return read_folder(damped)
+def folder(damped: Path) -> Result:
+    return read_result(damped)
 
 
 @pytest.fixture(scope="module")
-def section(folder: Folder) -> dict[str, Any]:
+def section(folder: Result) -> dict[str, Any]:
     found: dict[str, Any] = folder.record["regularisation"]
     return found
 
 
 @pytest.mark.oracle
-def test_curve_is_that_of_the_first_step(folder: Folder, section: dict[str, Any]) -> None:
+def test_curve_is_that_of_the_first_step(folder: Result, section: dict[str, Any]) -> None:
     """Against the rows of the block itself: the first iteration's kappa to the last bit, its step on the curve."""
-    log = folder.result.iterations
+    log = folder.iterations
     assert section["kappa"] == log[0]["kappa"] and section["rule"] == "gcv"
     assert section["steps"] == [{"iteration": i["iteration"], "kappa": i["kappa"]} for i in log]
     problem = fg.adjust(zonguldak_block(ZonguldakOptions())[0], max_iterations=1).problem
@@ -65,7 +65,7 @@ def test_there_is_none_without_such_a_solver(adjusted: Path) -> None:
     assert record["regularisation"] is None
     text = (adjusted / "report.html").read_text("utf-8")
     assert 'id="regularisation"' not in text and "κ" not in text
-    assert regularisation.l_curve(read_folder(adjusted)) is None and l_curve_chart(None) == ""
+    assert l_curve(None) is None
 
 
 @pytest.mark.behaviour
@@ -92,8 +92,9 @@ def test_page_draws_the_curve_and_lists_every_rule(damped: Path, section: dict[s
     assert np.all(np.diff(xs) >= 0.0) and np.all(np.diff(ys) >= 0.0)  # down the page, to the right
     numbers = sorted(int(n) for label in re.findall(r'mark-label"[^>]*>([^<]*)<', drawing) for n in label.split(", "))
     assert numbers == [c["number"] for c in ranked(section) if not c["failure"]]
-    assert drawing.count('class="line-dot"') == 1
-    assert re.search(r"<th>κ</th><th[^>]*>taken", text)
+    (chosen,) = re.findall(r'class="line-dot" d="([^"]*)"', drawing)
+    assert chosen.count("M") == 1
+    assert re.search(r"<th[^>]*>κ</th><th[^>]*>taken", text)
 
 
 @pytest.mark.behaviour
@@ -107,25 +108,27 @@ def test_hostile_words_in_the_section_are_escaped(damped: Path) -> None:
 
 
 @pytest.mark.consistency
-def test_figure_holds_the_curve_and_the_caption_the_kappas(folder: Folder, section: dict[str, Any]) -> None:
-    with matplotlib.rc_context(style.STYLE):
-        figure = regularisation.l_curve(folder)
-        assert figure is not None
+def test_figure_holds_the_curve_and_the_caption_the_kappas(folder: Result, section: dict[str, Any]) -> None:
+    chart = l_curve(section)
+    assert chart is not None
+    with matplotlib.rc_context(paper.STYLE):
+        figure = paper.figure_of([chart])
         (axes,) = figure.axes
         assert np.array_equal(axes.lines[0].get_xdata(), section["curve"]["residual_norm"])
         assert np.array_equal(axes.lines[0].get_ydata(), section["curve"]["solution_norm"])
-        filled = [line for line in axes.lines if line.get_marker() == "o"]
-        assert len(filled) == 1 and len(axes.lines) == 1 + sum(not c["failure"] for c in section["rules"])
+        marks = [c.get_offsets() for c in axes.collections]
+        assert [len(m) for m in marks] == [sum(not c["failure"] for c in section["rules"]) - 1, 1]
         shown = ", ".join(text.get_text() for text in axes.texts).split(", ")
         assert sorted(map(int, shown)) == [c["number"] for c in ranked(section) if not c["failure"]]
-        assert style.file_of(figure, "svg") == style.file_of(figure, "svg")
-    told = captions.page(folder, {"l_curve": ("l_curve", [])})
+        assert paper.file_of(figure, "svg") == paper.file_of(figure, "svg")
+    plot = next(plot for plot in figures.PLOTS if plot.name == "l_curve")
+    told = figures.captions(folder, {"l_curve": (plot, [])})
     assert f"Generalised cross-validation: κ = {section['kappa']:.3g}" in told
 
 
 @pytest.mark.behaviour
 def test_ticks_of_few_and_many_decades() -> None:
-    assert np.allclose(10.0 ** np.array(log_ticks(1.2, 2.1)), [20, 50, 100])
-    assert log_ticks(-3.2, 2.1) == [-3, -2, -1, 0, 1, 2]
-    assert len(log_ticks(-16.0, 14.0)) <= 8
-    assert np.allclose(10.0 ** np.array(log_ticks(1.826, 1.833)), [67.0, 67.5, 68.0])
+    assert np.allclose(log_ticks(10.0**1.2, 10.0**2.1), [20, 50, 100])
+    assert np.allclose(np.log10(log_ticks(10.0**-3.2, 10.0**2.1)), [-3, -2, -1, 0, 1, 2])
+    assert len(log_ticks(1e-16, 1e14)) <= 8
+    assert np.allclose(log_ticks(10.0**1.826, 10.0**1.833), [67.0, 67.5, 68.0])

@@ -13,7 +13,7 @@ from fg_orient.formats.atomic import Contents, require_free, staged_folder, writ
 from fg_orient.formats.project import read_project
 from fg_orient.model.errors import NoSolutionError, as_record, finding
 from fg_orient.model.names import Progress
-from fg_orient.report.style import available
+from fg_orient.report.paper import available
 from fg_orient.result.plain import dumps, plain, write_rows
 from fg_orient.result.provenance import provenance
 from fg_orient.studies.comparison import plots, selection

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from fg_orient.report.style import short
+from fg_orient.report.chart import short
 from fg_orient.studies.comparison.model import Comparison, Row, groups
 from fg_orient.studies.comparison.plots import row_name
 

@@ -14,25 +14,13 @@ import numpy as np
 
 from fg_orient.adjustment.linear.registry import solver
 from fg_orient.model.names import EOP_SETS
-from fg_orient.report.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PINK,
-    STYLE,
-    available,
-    file_of,
-    log_scale,
-    new_figure,
-    plain_log_ticks,
-    short,
-)
+from fg_orient.report.chart import BLUE, GREEN, GREY, INK, ORANGE, PINK, plain_exponent, short
+from fg_orient.report.paper import STYLE, available, file_of, new_figure
 from fg_orient.studies.comparison.model import LARGEST_CONDITION, Comparison, groups
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
     from fg_orient.adjustment.linear.l_curve import LCurve
@@ -267,3 +255,23 @@ def _seconds(comparison: Comparison) -> Figure | None:
     axes.set_xlabel("seconds per adjustment: median and range over the EOP sets")
     axes.grid(axis="x", lw=0.4, color=GREY)
     return figure
+
+
+def log_scale(axes: Axes) -> None:
+    """Powers of ten up the side, in plain figures."""
+    axes.set_yscale("log")
+    axes.minorticks_off()
+    axes.yaxis.set_major_formatter(lambda value, _: plain_exponent(f"{value:.0e}"))
+
+
+def plain_log_ticks(axis: Axis, most: int = 8) -> None:
+    """Powers of ten in plain figures; with 2 and 5 where they are few, other round values where there are none."""
+    from matplotlib.ticker import LogLocator, MaxNLocator
+
+    low, high = (math.log10(v) for v in axis.get_view_interval())
+    few = math.floor(high) - math.ceil(low) < 2
+    log = LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=most)
+    axis.set_major_locator(log if high - low > 0.7 else MaxNLocator(nbins=max(2, most // 2)))
+    axis.set_major_formatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e5 else plain_exponent(f"{value:.0e}"))
+    axis.set_minor_formatter(lambda value, _: "")
+    axis.set_tick_params(which="minor", length=0)

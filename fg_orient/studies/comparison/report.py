@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from fg_orient.model.errors import sentences
+from fg_orient.report.chart import INK
 from fg_orient.report.page import environment
-from fg_orient.report.style import INK, PAPER
+from fg_orient.report.paper import PAPER
 from fg_orient.studies.comparison import heat
 from fg_orient.studies.comparison.model import GRAPH_SOLVER, LARGEST_CONDITION, Comparison, Direction
 from fg_orient.studies.comparison.plots import row_name
@@ -47,11 +48,6 @@ CAPTIONS: Final = {
     ),
     "seconds.svg": ("Run times", "Wall clock of one adjustment, statistics left out."),
 }
-#: Tables that explain the drawings: id and heading, what fills them.
-TABLES: Final = {
-    ("directions", "Directions not determined"): "directions",
-    ("condition-table", "Condition numbers of N"): "conditions",
-}
 #: Parts that say why rows have no numbers: id, heading, whether they were left out.
 REASONS: Final = (("failures", "Without solution", False), ("left-out", "Not tried", True))
 
@@ -71,31 +67,13 @@ def render(comparison: Comparison, record: Mapping[str, Any], figures: Mapping[s
     sets = {number: (name, _lines(comparison, number)) for number, name in _names(comparison).items()}
     condition_heads, conditions = _conditions(comparison)
     directions = _directions(comparison)
-    tables = [words for words, shown in TABLES.items() if {"directions": directions, "conditions": conditions}[shown]]
     reasons = [(id_, title, found) for id_, title, left_out in REASONS if (found := _reasons(comparison, left_out))]
     return shell.get_template("compare.html.j2").render(
         r=record, verdict=verdict(comparison), problems=sentences(record), figures=drawn, heats=heats,
         summaries=summaries(comparison), sets=sets, conditions=conditions, reasons=reasons,
         condition_heads=condition_heads, directions=directions, outcomes=heat.OUTCOMES, counts=heat.counts(comparison),
         steps=heat.steps(comparison.target_m), 
-        sections=_sections(heats, drawn, reasons, [*tables]),
     )  # fmt: skip
-
-
-def _sections(
-    heats: list[Any], drawn: list[Any], reasons: list[Any], tables: list[tuple[str, str]]
-) -> list[tuple[str, str]]:  # fmt: skip
-    """Parts of the page that are there, and their words."""
-    return [
-        ("outcomes", "Outcomes"),
-        *((shown[0], shown[1]) for shown in heats),
-        ("summary", "Solvers"),
-        *((shown[0], shown[1]) for shown in reasons),
-        *((f"{name[:-4]}-section", title) for name, title, _, _ in drawn),
-        *tables,
-        ("sets", "Set by set"),
-        ("provenance", "Provenance"),
-    ]
 
 
 def short(value: float | None) -> str:

@@ -33,12 +33,10 @@ def render(found: Reproduction, record: dict[str, Any]) -> str:
     """
     tables = [_table(found, table, title) for table, title in found.titles.items()]
     legend = {kind: (*words[:2], found.source.meanings.get(kind, words[2])) for kind, words in LEGEND.items()}
-    drawn = scatter(found.rows)
     return environment("fg_orient.studies.reproduce").get_template("reproduction.html.j2").render(
         record=record, legend=legend, kinds=KINDS, tables=tables, claims=found.claims, counts=found.counts(),
-        verdict=verdict(found), scatter=drawn, problems=problems(found), curves=l_curves(found),
+        verdict=verdict(found), scatter=scatter(found.rows), problems=problems(found), curves=l_curves(found),
         seed=next(iter(found.options.get("seeds", [])), None),
-        sections=_sections(bool(drawn), bool(found.claims), bool(found.curves)),
     )  # fmt: skip
 
 
@@ -51,15 +49,6 @@ def _table(found: Reproduction, table: str, title: str) -> dict[str, Any]:
 def problems(found: Reproduction) -> list[str]:
     """Claims that are not met, with the reason."""
     return [f"Claim {c.id} is not met: {c.reason or c.text}" for c in found.claims if not c.met]
-
-
-def _sections(drawn: bool, claims: bool, curves: bool) -> list[tuple[str, str]]:
-    """Parts of the page that are there, and their words."""
-    parts = (("verdicts", "Verdicts", True), ("scatter", "Published against reproduced", drawn),
-             ("claims", "Claims", claims), ("l-curves", "L-curves", curves), ("summary", "Tables", True),
-             ("cells", "Cell by cell", True),
-             ("provenance", "Made with", True))  # fmt: skip
-    return [(name, words) for name, words, there in parts if there]
 
 
 def table_name(table: str) -> str:

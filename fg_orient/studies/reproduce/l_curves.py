@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any, Final
 
-from fg_orient.report.l_curve import l_curve_chart, ranked
+from fg_orient.report.plots import l_curve, ranked
 from fg_orient.result.plain import plain
 from fg_orient.studies.reproduce.reproduction import Reproduction
 
@@ -44,4 +44,4 @@ def _drawn(found: Reproduction, number: int) -> dict[str, Any]:
             "residual_norm": residual, "solution_norm": solution, "notes": (), "failure": "", "table": row.table,
         })  # fmt: skip
     section = plain({"rule": PRINTED, "rules": rules, "curve": asdict(curve)})
-    return {"eop_set": number, "drawing": l_curve_chart(section, AXES), "rules": ranked(section)}
+    return {"eop_set": number, "drawing": l_curve(section, AXES), "rules": ranked(section)}

@@ -1,4 +1,4 @@
-"""Corrections of the orientation of each image: names and units that people read."""
+"""Tables of the page: residuals by image, largest residuals, corrections and correlations in readable units."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from fg_orient.model.distributions import normal_probability
 from fg_orient.result.record import Result
 
 Array = npt.NDArray[np.float64]
@@ -95,3 +96,29 @@ def image_correlations(result: Result) -> dict[str, Array]:
     """
     found = {image: correlations(q) for image, q in result.cofactors.items() if len(q) > 1}
     return {image: rho for image, rho in found.items() if np.isfinite(rho).any()}
+
+
+def largest_residuals(result: Result, count: int = 20) -> dict[str, Any] | None:
+    """Image points with the largest residuals over their own sigmas, largest first; None without their tests.
+
+    Returns
+    -------
+    dict or None
+        ``rows``: image, id and the columns of ``residuals.csv``; ``n`` tested coordinates, ``beyond`` 3 sigmas,
+        ``expected`` of these if all are normal.
+    """
+    table = result.residuals
+    ratio, tested = result.normalised
+    if not tested:
+        return None
+    size = np.nan_to_num(np.abs(ratio), nan=0.0)
+    order = np.argsort(-size.max(axis=1), kind="stable")[:count]
+    names = ("v_line_px", "v_sample_px", "w_line", "w_sample", "redundancy_line", "redundancy_sample", "mdb_line_px",
+             "mdb_sample_px")  # fmt: skip
+    values = table.numbers(*names)[order].tolist()
+    rows = [{"image": table.words["image"][k], "id": table.words["id"][k], **dict(zip(names, row, strict=True))}
+            for k, row in zip(order.tolist(), values, strict=True)]  # fmt: skip
+    n = int(np.isfinite(ratio).sum())
+    expected = 2.0 * n * float(normal_probability(-3.0))
+    return {"rows": rows, "n": n, "beyond": int((size > 3.0).sum()),
+            "expected": f"{expected:.1f}" if expected < 10.0 else f"{expected:.0f}"}  # fmt: skip
