@@ -72,10 +72,8 @@ _IMPORTED = """
     fg_orient/adjustment/models fg_orient/adjustment/problem.py fg_orient/adjustment/regression.py
     fg_orient/studies/comparison/compare.py fg_orient/studies/comparison/model.py fg_orient/studies/study.py
     fg_orient/adjustment/parts/solve.py fg_orient/adjustment/parts/study.py
-    fg_orient/report/captions.py fg_orient/report/checks.py fg_orient/report/figure_data.py
-    fg_orient/report/figure_orientation.py fg_orient/report/geofiles.py fg_orient/report/layers.py
-    fg_orient/report/maps.py fg_orient/report/regularisation.py fg_orient/report/residuals.py
-    fg_orient/report/write.py
+    fg_orient/report/chart.py fg_orient/report/figures.py fg_orient/report/geofiles.py fg_orient/report/html.py
+    fg_orient/report/layers.py fg_orient/report/maps.py fg_orient/report/paper.py fg_orient/report/plots.py
     fg_orient/simulate/block.py fg_orient/simulate/options.py fg_orient/simulate/simulation.py
     fg_orient/simulate/zonguldak.py
 """.split()

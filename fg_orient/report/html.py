@@ -82,9 +82,9 @@ def render(result: Result, comparison: dict[str, Any] | None = None) -> str:
     """Give the HTML text of a result, with the comparison with a truth if there is one."""
     record = result.record
     ended = verdict(record)
-    ended = {**ended, "text": [ended["text"], *accuracy_words(record)]}
     truth = Section("truth", "Comparison with the simulated truth", lambda _: {"truth": comparison})
-    return _page(result, [*SECTIONS, *([truth] if comparison else [])], ended, _problems(record))
+    words: Values = {**ended, "text": [ended["text"], *accuracy_words(record)]}
+    return _page(result, [*SECTIONS, *([truth] if comparison else [])], words, _problems(record))
 
 
 def _page(result: Result, sections: Sequence[Section], verdict: Values, problems: Sequence[str]) -> str:
