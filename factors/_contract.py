@@ -79,6 +79,32 @@ class Equation:
     fill: Callable[..., bool] | None = None
 
 
+@compiled
+def is_finite(out: Array, columns: int) -> bool:
+    """Whether the first columns of what a ``fill`` wrote are finite."""
+    total = 0.0
+    for j in range(columns):
+        total += 0.0 * out[0, j] + 0.0 * out[1, j]
+    return total == 0.0
+
+
+def kernel_of(fill: Callable[..., bool]) -> Callable[..., tuple[Array, Array, Array]]:
+    """Kernel of an equation of an image and a ground point, from its ``fill``; its arrays are nan if sizes do not fit.
+
+    It is plain Python: a compiled one for each equation would be one more to compile.
+    """
+
+    def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
+        k = setup.shape[1]
+        out = np.full((2, k + 4), np.nan)
+        fill(record.reshape((1, -1)), 0, setup, x, ground, out, want)
+        if not want:
+            return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))
+        return out[:, 0].copy(), out[:, 1 : k + 1].copy(), out[:, k + 1 :].copy()
+
+    return kernel
+
+
 _REGISTRY: dict[str, Equation] = {}
 
 

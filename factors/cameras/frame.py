@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors._contract import Argument, Array, Equation, Example, compiled, kernel_of, register
 from factors.cameras.frame_camera import CAMERA, brown_derivatives, brown_ideal_to_measured, direction, pixel, turned
 from factors.records import Record
 
@@ -123,10 +123,7 @@ def derivatives(c: Any, ray: Any, a_line: float, a_sample: float, out: Array) ->
 
 @compiled
 def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
-    """Write residual, image and ground Jacobian of one row into ``out`` (2, 1 + k + 3).
-
-    Returns False if the sizes do not fit or a value is not finite.
-    """
+    """Write residual, image and ground Jacobian of one row; see :class:`factors._contract.Equation`."""
     k, record, d = setup.shape[1], records[row], np.zeros((2, COLUMN.size))
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
@@ -144,17 +141,6 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
             for j in range(3):
                 out[i, 1 + k + j] = d[i, GROUND + j]
     return bool(zero == 0.0)
-
-
-@compiled
-def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
-    k = setup.shape[1]
-    out = np.full((2, k + 4), np.nan)  # stays nan if sizes do not fit: never uninitialised memory
-    fill(record.reshape((1, -1)), np.int64(0), setup, x, ground, out, want)  # a literal 0 compiles fill once more
-    if not want:
-        return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))
-    return out[:, 0].copy(), out[:, 1 : k + 1].copy(), out[:, k + 1 :].copy()
 
 
 def example(rng: np.random.Generator) -> Example:
@@ -179,7 +165,7 @@ def example(rng: np.random.Generator) -> Example:
 
 
 FRAME_BROWN_IDEAL_TO_MEASURED = register(Equation(
-    "frame_brown_ideal_to_measured", kernel, residual,
+    "frame_brown_ideal_to_measured", kernel_of(fill), residual,
     (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)), example,
     "Brown 1966; OpenCV and COLMAP camera models; BAL (Agarwal et al. 2010)", fill,
 ))  # fmt: skip

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors._contract import Argument, Array, Equation, Example, compiled, kernel_of, register
 from factors.cameras import frame, frame_camera
 from factors.cameras.frame import COLUMN, GROUND, UNKNOWN, columns_of, sight_row
 from factors.cameras.frame_camera import brown_derivatives, brown_ideal_to_measured, direction
@@ -114,17 +114,6 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
 
 
 @compiled
-def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
-    k = setup.shape[1]
-    out = np.full((2, k + 4), np.nan)  # stays nan if sizes do not fit: never uninitialised memory
-    fill(record.reshape((1, -1)), np.int64(0), setup, x, ground, out, want)  # a literal 0 compiles fill once more
-    if not want:
-        return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))
-    return out[:, 0].copy(), out[:, 1 : k + 1].copy(), out[:, k + 1 :].copy()
-
-
-@compiled
 def corrected(c: Array, line: Array, sample: Array) -> Array:
     """Ideal directions X/Z, Y/Z of N pixels: (N, 2)."""
     out = np.empty((len(line), 2))
@@ -156,7 +145,7 @@ def example(rng: np.random.Generator) -> Example:
 
 
 FRAME_BROWN_MEASURED_TO_IDEAL = register(Equation(
-    "frame_brown_measured_to_ideal", kernel, residual,
+    "frame_brown_measured_to_ideal", kernel_of(fill), residual,
     (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)), example,
     "Brown 1971; Ayhan 1996; Börlin, Grussenmeyer 2016 (DBAT, backward models)", fill,
 ))  # fmt: skip

@@ -1,9 +1,12 @@
 """Look-angle collinearity of a pushbroom image: the observation equation of the satellite path.
 
-For an image point measured at (line, sample) of ground point G::
+For an image point measured at (line, sample) of ground point G (docs/equations.md 1 to 3 and 7)::
 
-    w = R_OG^T (G - P),   f = M^T R_UY^T w,
-    F_y = f1/f3 - tan psi_y,   F_x = f2/f3 + tan psi_x          (T 2.66-2.67 as corrected)
+    1 frame       w = R_OG^T (G - P)
+    2 attitude    f = M^T R_UY^T w
+    3 look angles t_y = tan psi_y, t_x = tan psi_x
+    4 conditions  F_y = f1/f3 - t_y,   F_x = f2/f3 + t_x          (T 2.66-2.67 as corrected)
+    5 whitening   r = A (F_y, F_x)
 
 P, V and the attitude a = (roll, pitch, yaw) are metadata plus ``c0 + c1 tau + c2 tau^2`` of each of
 the 9 components (27 EOP coefficients); R_OG(P, V) is the orbital frame of convention B, R_UY(a) the
@@ -12,10 +15,10 @@ attitude, M a constant mounting of the line; psi_x, psi_y are look angles plus `
 Angles (DIMAP v1): a = file + correction, M = I, R_OG follows the corrected P and V. Quaternions
 (DIMAP v2): a = correction, M = R_OG^T R_q with R_OG of the metadata: R_OG R_UY(a) R_OG^T R_q.
 
-Whitening: the residual is ``A F``, A = S^-1 J^-1, J = dF/d(line, sample), S the pixel sigmas: a unit
-is one sigma of a pixel coordinate. V enters through V x P only: ``dF/dV . V = dF/dV . P = 0``; the
-rest is a yaw (docs/equations.md 3). Everything is formed as reference (metadata) plus difference, so
-that rounding is relative to the correction and not to the orbit radius: 1e-13 instead of 1e-9 sigma.
+A = S^-1 J^-1, J = dF/d(line, sample), S the pixel sigmas: a unit is one sigma of a pixel coordinate. V enters through
+V x P only: ``dF/dV . V = dF/dV . P = 0``; the rest is a yaw. Everything is formed as reference (metadata) plus
+difference (``d_...``), so that rounding is relative to the correction and not to the orbit radius: 1e-13 instead of
+1e-9 sigma.
 """
 
 from __future__ import annotations
@@ -24,116 +27,143 @@ from typing import Any
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, inlined, register
-from factors._plain import FEW_ARRAYS, plain
-from factors.cameras.sight import CORRECTION, ROW, STORED, derivatives, sight, store
-from factors.cameras.sight import RECORD as RECORD
-from factors.geometry import rotations
-
-#: Setup: codes and prior sigmas of the unknowns. Code 3 component + degree for EOP (X Y Z VX VY VZ roll
-#: pitch yaw); 27 + 2 k for psi_x and 28 + 2 k for psi_y, coefficient of s^k; CURVE + CURVES component + k for the curve
-#: whose value at the observation stands behind the record, at RECORD.size + k.
-N_EOP = 27
-CURVE, CURVES = 64, 32
-
-
-@compiled
-def corrections(record: Any, setup: Any, x: Any) -> Any:
-    """Corrections of the 9 EOP and of psi_x, psi_y at the observation: (11,) physical units, as ``CORRECTION``."""
-    d = np.zeros((CORRECTION.size, *record.shape[1:]), x.dtype)
-    for j in range(setup.shape[1]):
-        code = int(setup[0, j])
-        d[_slot(code)] += x[j] * setup[1, j] * _basis(record, code)
-    return d
+from factors._contract import Argument, Array, Equation, Example, compiled, inlined, is_finite, kernel_of, register
+from factors.cameras.pushbroom_record import (
+    CORRECTION,
+    CURVE,
+    CURVES,
+    N_EOP,
+    ROW,
+    STORED,
+    basis,
+    correction,
+    corrections,
+    observation,
+    slot,
+    store,
+    three,
+)
+from factors.cameras.pushbroom_record import RECORD as RECORD
+from factors.geometry import differences, orbital, rotations
+from factors.geometry.sines import sine_cosine
 
 
 @inlined
-def _slot(code: int) -> int:
-    """Which of the 9 EOP and 2 look angles a coefficient adds to."""
-    if code < N_EOP:
-        return code // 3
-    return CORRECTION.psi_x + (code - N_EOP) % 2 if code < CURVE else (code - CURVE) // CURVES
+def _in_frame(observation: Any, changes: Any, ground: Any) -> Any:
+    """Coordinates w of the ground point in the corrected orbital frame, and their difference; the frame, its scales."""
+    position, velocity, _, _, _, _, follows, reference, from_position = observation
+    dp, dv, _, _ = changes
+    frame, lengths = orbital.reference(position, velocity)
+    w = rotations.multiply_transposed(frame, from_position)
+    dg = (ground[0] - reference[0] - dp[0], ground[1] - reference[1] - dp[1], ground[2] - reference[2] - dp[2])
+    near = rotations.multiply_transposed(frame, dg)
+    dp = rotations.multiply_transposed(frame, (follows * dp[0], follows * dp[1], follows * dp[2]))
+    dv = rotations.multiply_transposed(frame, (follows * dv[0], follows * dv[1], follows * dv[2]))
+    d_frame, scales = orbital.turned(lengths, dp, dv)
+    a = rotations.multiply_transposed(d_frame, (w[0] + near[0], w[1] + near[1], w[2] + near[2]))
+    return w, (near[0] + a[0], near[1] + a[1], near[2] + a[2]), rotations.turned(frame, d_frame), scales
 
 
 @inlined
-def _basis(record: Any, code: int) -> Any:
-    """Power of tau or of the sample, or value of the curve, that a coefficient belongs to."""
-    if code < N_EOP:
-        tau, degree = record[RECORD.tau], code % 3
-        return 1.0 if degree == 0 else tau if degree == 1 else tau * tau
-    if code < CURVE:
-        return record[RECORD.s] ** ((code - N_EOP) // 2)
-    return record[RECORD.size + (code - CURVE) % CURVES]
+def _tangent(psi: Any, d_psi: Any) -> Any:
+    """Tangent of psi, and its exact difference to that of psi + d_psi."""
+    s, less = sine_cosine(psi)
+    t = s / (1.0 + less)
+    s, less = sine_cosine(d_psi)
+    return t, (1.0 + t * t) * s / (1.0 + (less - t * s))
+
+
+@inlined
+def collinearity(observation: Any, changes: Any, ground: Any, small: Any) -> Any:
+    """Whitened conditions of one observation; for a factor and for a batch.
+
+    Parameters
+    ----------
+    observation, changes : tuples
+        Constants and corrections, see ``factors.cameras.pushbroom_record``.
+    ground : tuple of 3
+        Ground point, m (local).
+    small : bool
+        Whether the attitude has the small-angle form.
+
+    Returns
+    -------
+    value : tuple of 2
+    maps : tuple
+        Values and derivatives of the maps 1 to 4, for :func:`derivatives`.
+    """
+    _, _, angles, mounting, look, whitening, _, _, _ = observation
+    _, _, d_angles, d_look = changes
+    w, dw, frame, scales = _in_frame(observation, changes, ground)
+    if small:
+        g, dg, attitude, by_angles = differences.body_from_orbital_small_pair(angles, d_angles, w, dw)
+    else:
+        g, dg, attitude, by_angles = differences.body_from_orbital_pair(angles, d_angles, w, dw)
+    f, df = rotations.multiply_transposed(mounting, g), rotations.multiply_transposed(mounting, dg)
+    t_x, d_x = _tangent(look[0], d_look[0])
+    t_y, d_y = _tangent(look[1], d_look[1])
+    inverse = 1.0 / (f[2] + df[2])
+    f_y = ((f[0] - t_y * f[2]) + (df[0] - t_y * df[2])) * inverse - d_y
+    f_x = ((f[1] + t_x * f[2]) + (df[1] + t_x * df[2])) * inverse + d_x
+    value = whitening[0] * f_y + whitening[1] * f_x, whitening[2] * f_y + whitening[3] * f_x
+    w = (w[0] + dw[0], w[1] + dw[1], w[2] + dw[2])
+    at = ((f[0] + df[0]) * inverse, (f[1] + df[1]) * inverse, inverse)
+    return value, (w, frame, scales, attitude, by_angles, at, t_x + d_x, t_y + d_y)
+
+
+@inlined
+def derivatives(observation: Any, maps: Any) -> Any:
+    """Derivatives of both whitened conditions by P, V, angles, ground point (3 each) and look angles (2)."""
+    _, _, _, mounting, _, (a11, a12, a21, a22), follows, _, _ = observation
+    return _row(a11, a12, mounting, follows, maps), _row(a21, a22, mounting, follows, maps)
+
+
+@inlined
+def _row(a: Any, b: Any, mounting: Any, follows: Any, maps: Any) -> Any:
+    """Derivatives of ``r = a F_y + b F_x``: the row dr/df is carried back through the maps, last to first."""
+    w, frame, scales, attitude, by_angles, at, t_x, t_y = maps
+    by_look = b * (1.0 + t_x * t_x), -a * (1.0 + t_y * t_y)
+    f1, f2 = a * at[2], b * at[2]
+    by_f = (f1, f2, -(f1 * at[0] + f2 * at[1]))  # (a, b, -(a f1 + b f2)/f3)/f3
+    by_g = rotations.multiply(mounting, by_f)  # f = M^T g
+    by_w = rotations.multiply(attitude, by_g)  # g = R_UY^T w
+    by_position, by_velocity, by_ground = orbital.row_derivatives(by_w, w, frame, scales, follows)
+    return by_position, by_velocity, rotations.multiply(by_angles, by_g), by_ground, by_look
 
 
 @compiled
 def residual(record: Any, setup: Any, x: Any, ground: Any) -> Any:
     """Whitened conditions A (F_y, F_x): (2,); accepts complex unknowns."""
-    i, n = np.int64(0), np.int64(1)
-    return np.array(sight(record, corrections(record, setup, x), ground, i, n, record[RECORD.small_angle] > 0.5)[0])
-
-
-def conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
-    """Residuals of N observations of one image at N ground points: (N, d), (N, 3) -> (N, 2)."""
-    if len(records) > FEW_ARRAYS:
-        return _conditions(records, setup, x, ground)
-    record = np.ascontiguousarray(records.T)  # entries of all observations at once
-    with np.errstate(all="ignore"):  # as compiled code does
-        d = plain(corrections)(record, setup, x)
-        small = record[RECORD.small_angle].any()
-        value, _ = plain(sight)(record, d, np.ascontiguousarray(ground.T), 0, 1, small)
-    return np.stack(value, axis=1)
-
-
-@compiled
-def _conditions(records: Array, setup: Array, x: Array, ground: Array) -> Array:
-    """The same, compiled."""
-    out = np.empty((len(records), 2))
-    for i in range(len(records)):
-        value = residual(records[i], setup, x, ground[i])
-        out[i, 0], out[i, 1] = value[0], value[1]
-    return out
+    i, n = np.int64(0), np.int64(1)  # typed, so that numba makes no variant for each literal
+    changes = correction(corrections(record, setup, x), i, n)
+    return np.array(
+        collinearity(observation(record, i, n), changes, three(ground, i, n), record[RECORD.small_angle] > 0.5)[0]
+    )
 
 
 @compiled
 def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
-    """Write residual, image and ground Jacobian of one row into ``out`` (2, 1 + k + 3).
-
-    Returns False if the sizes do not fit or a value is not finite.
-    """
+    """Write residual, image and ground Jacobian of one row; see :class:`factors._contract.Equation`."""
     k, record = setup.shape[1], records[row]
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
-    i, n = np.int64(0), np.int64(1)  # typed, so that numba makes no variant for each literal
-    value, seen = sight(record, corrections(record, setup, x), ground, i, n, record[RECORD.small_angle] > 0.5)
+    i, n = np.int64(0), np.int64(1)
+    constants, changes = observation(record, i, n), correction(corrections(record, setup, x), i, n)
+    value, maps = collinearity(constants, changes, three(ground, i, n), record[RECORD.small_angle] > 0.5)
     out[0, 0], out[1, 0] = value
     if want:
         d, line, sample = np.empty(STORED.size), STORED.line_row.start, STORED.sample_row.start
-        store(d, i, n, value, derivatives(record, i, n, seen))
+        store(d, i, n, value, derivatives(constants, maps))
         for j in range(k):
             code = int(setup[0, j])
-            column = _slot(code)
+            column = slot(code)
             column = column if column < CORRECTION.psi_x else column - CORRECTION.psi_x + ROW.psi_x
-            factor = _basis(record, code) * setup[1, j]
+            factor = basis(record, code) * setup[1, j]
             out[0, 1 + j], out[1, 1 + j] = d[line + column] * factor, d[sample + column] * factor
         for c in range(3):
             column = ROW.ground.start + c
             out[0, k + 1 + c], out[1, k + 1 + c] = d[line + column], d[sample + column]
-    total = 0.0
-    for j in range(k + 4 if want else 1):
-        total += 0.0 * out[0, j] + 0.0 * out[1, j]
-    return total == 0.0
-
-
-@compiled
-def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (2,), Jacobians with respect to the image unknowns (2, k) and the ground point (2, 3)."""
-    k = setup.shape[1]
-    out = np.full((2, k + 4), np.nan)  # stays nan if sizes do not fit: never uninitialised memory
-    fill(record.reshape((1, -1)), np.int64(0), setup, x, ground, out, want)  # a literal 0 compiles fill once more
-    if not want:
-        return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))
-    return out[:, 0].copy(), out[:, 1 : k + 1].copy(), out[:, k + 1 :].copy()
+    return is_finite(out, k + 4 if want else 1)
 
 
 def example(rng: np.random.Generator) -> Example:
@@ -158,7 +188,7 @@ def example(rng: np.random.Generator) -> Example:
 
 
 LOOK_ANGLE_COLLINEARITY = register(Equation(
-    "look_angle_collinearity", kernel, residual,
+    "look_angle_collinearity", kernel_of(fill), residual,
     (Argument("image", "prior sigma"), Argument("ground", "m", is_point=True)), example,
     "Terlemezoğlu 2019, eqs. 2.34, 2.65-2.67; Topan & Maktav 2010, eqs. 11-13", fill,
 ))  # fmt: skip

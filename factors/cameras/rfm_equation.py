@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from factors._contract import Argument, Array, Equation, Example, compiled, register
+from factors._contract import Argument, Array, Equation, Example, compiled, is_finite, kernel_of, register
 from factors.cameras import rfm, rfm_ground
 from factors.cameras.rfm_ground import FRAME
 from factors.cameras.rfm_project import COMPENSATION as COMPENSATION
@@ -110,10 +110,7 @@ def _derivatives(record: Array, setup: Array, b: Array, point: Any, image: Any, 
 
 @compiled
 def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
-    """Write residual, image and ground Jacobian of one row into ``out`` (2, 1 + k + 3).
-
-    Returns False if the sizes do not fit or a value is not finite.
-    """
+    """Write residual, image and ground Jacobian of one row; see :class:`factors._contract.Equation`."""
     k, record = setup.shape[1], records[row]
     if x.shape[0] != k or out.shape[1] != k + 4 or ground.shape[0] != 3:
         return False
@@ -123,21 +120,7 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     out[0, 0], out[1, 0] = _misclosure(record, b, image[0], image[1])
     if want:
         _derivatives(record, setup, b, point, image, out)
-    total = 0.0
-    for j in range(k + 4 if want else 1):
-        total += 0.0 * out[0, j] + 0.0 * out[1, j]
-    return total == 0.0
-
-
-@compiled
-def kernel(record: Array, setup: Array, x: Array, ground: Array, want: bool) -> tuple[Array, Array, Array]:
-    """Residual (2,), Jacobians with respect to the compensation (2, k) and the ground point (2, 3)."""
-    k = setup.shape[1]
-    out = np.full((2, k + 4), np.nan)  # stays nan if sizes do not fit: never uninitialised memory
-    fill(record.reshape((1, -1)), np.int64(0), setup, x, ground, out, want)  # a literal 0 compiles fill once more
-    if not want:
-        return out[:, 0].copy(), np.empty((0, 0)), np.empty((0, 0))
-    return out[:, 0].copy(), out[:, 1 : k + 1].copy(), out[:, k + 1 :].copy()
+    return is_finite(out, k + 4 if want else 1)
 
 
 def example(rng: np.random.Generator) -> Example:
@@ -161,7 +144,7 @@ def example(rng: np.random.Generator) -> Example:
 
 
 RATIONAL_FUNCTION = register(Equation(
-    "rational_function", kernel, residual,
+    "rational_function", kernel_of(fill), residual,
     (Argument("compensation", "prior sigma"), Argument("ground", "m", is_point=True)), example,
     "Grodecki & Dial 2003, eqs. 4-5; Terlemezoğlu 2019, eqs. 2.55-2.57", fill,
 ))  # fmt: skip

@@ -20,8 +20,10 @@ from factors.geometry.rotations import Matrix, Vector, ecef_from_orbital
 
 
 @inlined
-def reference(px: Any, py: Any, pz: Any, vx: Any, vy: Any, vz: Any) -> tuple[Matrix, Vector]:
-    """Orbital frame, and with it |P| (m), V . y and V . z (m/s)."""
+def reference(position: Vector, velocity: Vector) -> tuple[Matrix, Vector]:
+    """Orbital frame of P and V, and with it |P| (m), V . y and V . z (m/s)."""
+    px, py, pz = position
+    vx, vy, vz = velocity
     f = ecef_from_orbital(px, py, pz, vx, vy, vz)
     p = np.sqrt(px * px + py * py + pz * pz)
     return f, (p, vx * f[1] + vy * f[4] + vz * f[7], vx * f[2] + vy * f[5] + vz * f[8])

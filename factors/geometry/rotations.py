@@ -27,22 +27,22 @@ Vector = Any  # three scalars, a tuple or an array
 
 
 @inlined
-def multiply_transposed(a: Matrix, x: Any, y: Any, z: Any) -> Vector:
+def multiply_transposed(a: Matrix, v: Vector) -> Vector:
     """Transposed matrix times vector."""
     return (
-        a[0] * x + a[3] * y + a[6] * z,
-        a[1] * x + a[4] * y + a[7] * z,
-        a[2] * x + a[5] * y + a[8] * z,
+        a[0] * v[0] + a[3] * v[1] + a[6] * v[2],
+        a[1] * v[0] + a[4] * v[1] + a[7] * v[2],
+        a[2] * v[0] + a[5] * v[1] + a[8] * v[2],
     )
 
 
 @inlined
-def multiply(a: Matrix, x: Any, y: Any, z: Any) -> Vector:
+def multiply(a: Matrix, v: Vector) -> Vector:
     """Matrix times vector."""
     return (
-        a[0] * x + a[1] * y + a[2] * z,
-        a[3] * x + a[4] * y + a[5] * z,
-        a[6] * x + a[7] * y + a[8] * z,
+        a[0] * v[0] + a[1] * v[1] + a[2] * v[2],
+        a[3] * v[0] + a[4] * v[1] + a[5] * v[2],
+        a[6] * v[0] + a[7] * v[1] + a[8] * v[2],
     )
 
 
@@ -97,9 +97,9 @@ def matrix_from_quaternion(q0: Any, q1: Any, q2: Any, q3: Any) -> Matrix:
 @inlined
 def turned(a: Matrix, d: Matrix) -> Matrix:
     """Product ``a (I + d)``."""
-    x = multiply(a, 1.0 + d[0], d[3], d[6])
-    y = multiply(a, d[1], 1.0 + d[4], d[7])
-    z = multiply(a, d[2], d[5], 1.0 + d[8])
+    x = multiply(a, (1.0 + d[0], d[3], d[6]))
+    y = multiply(a, (d[1], 1.0 + d[4], d[7]))
+    z = multiply(a, (d[2], d[5], 1.0 + d[8]))
     return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from factors._contract import Array, Equation
 from factors.cameras import frame, frame_measured, pushbroom
-from factors.cameras.pushbroom import RECORD
+from factors.cameras.pushbroom_record import CURVE, CURVES, N_EOP, RECORD
 from fg_orient.kernels.batch_blocks import any_small_angle
 from fg_orient.kernels.batch_frame import frame_rows, measured_frame_rows
 from fg_orient.kernels.batch_pushbroom import pushbroom_rows, small_angle_rows
@@ -68,12 +68,12 @@ class Columns:
 
 def _pushbroom_columns(setup: Array) -> Columns:
     """Components: the 9 EOP and the two look angles as far as present; basis: powers of tau, of the sample, curves."""
-    codes, n_eop = setup[0].astype(np.int64), pushbroom.N_EOP
-    eop, look, curve = codes < n_eop, codes - n_eop, codes - pushbroom.CURVE
+    codes, n_eop = setup[0].astype(np.int64), N_EOP
+    eop, look, curve = codes < n_eop, codes - n_eop, codes - CURVE
     constants = np.where(eop, codes - codes % 3, n_eop + look % 2)
-    constants = np.where(curve >= 0, 3 * (curve // pushbroom.CURVES), constants)
+    constants = np.where(curve >= 0, 3 * (curve // CURVES), constants)
     degree = np.where(eop, codes % 3, look // 2)
-    degree = np.where(curve >= 0, _CURVE + curve % pushbroom.CURVES, degree + _LOOK * (~eop & (degree > 0)))
+    degree = np.where(curve >= 0, _CURVE + curve % CURVES, degree + _LOOK * (~eop & (degree > 0)))
     names, basis = np.unique(degree, return_inverse=True)
     present, component = np.unique(constants, return_inverse=True)
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from factors._compile import exact
 from factors._contract import Array
-from factors.cameras import pushbroom
-from factors.cameras.sight import CORRECTION, RECORD, ROW, STORED
+from factors.cameras.pushbroom_record import CORRECTION, N_EOP, RECORD, ROW, STORED
 from fg_orient.kernels.batch_components import N_COMPONENTS, write_eight
 from fg_orient.kernels.batch_rows import Index
 from fg_orient.kernels.batch_tiles import SIDE, turn_in, turn_out
@@ -35,7 +34,7 @@ def places(setup: Array) -> tuple[Index, Index]:
     slot, column = np.empty(setup.shape[1], np.int64), np.empty(setup.shape[1], np.int64)
     for k in range(setup.shape[1]):
         code = int(setup[0, k])
-        look = code - pushbroom.N_EOP
+        look = code - N_EOP
         slot[k] = code // 3 if look < 0 else CORRECTION.psi_x + look
         column[k] = slot[k] if look < 0 else ROW.psi_x + look
     return slot, column

@@ -1,8 +1,8 @@
 """Rows of the look-angle collinearity, many observations in one vector instruction; layout: ``kernels.batch``.
 
 Observations are copied in blocks (``fg_orient.kernels.batch_blocks``) to arrays whose entries lie BLOCK apart, where
-the loop over ``factors.cameras.sight`` has neither branches nor calls. Nothing is fused or reordered: a residual is the
-same number in a factor and in a batch, whatever its place in a block.
+the loop over ``pushbroom.collinearity`` has neither branches nor calls. Nothing is fused or reordered: a residual is
+the same number in a factor and in a batch, whatever its place in a block.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 
 from factors._compile import exact
 from factors._contract import Array
-from factors.cameras.sight import CORRECTION, RECORD, STORED, derivatives, sight, store
+from factors.cameras.pushbroom import collinearity, derivatives
+from factors.cameras.pushbroom_record import CORRECTION, RECORD, STORED, correction, observation, store, three
 from fg_orient.kernels.batch_blocks import BLOCK, any_small, correct, gather, places, scatter, usual
 from fg_orient.kernels.batch_rows import Index
 from fg_orient.kernels.batch_tiles import SIDE
@@ -25,15 +26,17 @@ def _evaluate(constants: Array, d: Array, place: Array, size: int, small: Any, w
     n, full = np.int64(BLOCK), np.bool_(False)  # typed, so that numba makes no variant for each literal
     if small is not None:
         for i in range(size):
-            value, seen = sight(constants, d, place, i, n, constants[i + RECORD.small_angle * n] > 0.5)
-            store(out, i, n, value, derivatives(constants, i, n, seen))
+            seen, form = observation(constants, i, n), constants[i + RECORD.small_angle * n] > 0.5
+            value, maps = collinearity(seen, correction(d, i, n), three(place, i, n), form)
+            store(out, i, n, value, derivatives(seen, maps))
     elif want:
         for i in range(size):
-            value, seen = sight(constants, d, place, i, n, full)
-            store(out, i, n, value, derivatives(constants, i, n, seen))
+            seen = observation(constants, i, n)
+            value, maps = collinearity(seen, correction(d, i, n), three(place, i, n), full)
+            store(out, i, n, value, derivatives(seen, maps))
     else:
         for i in range(size):
-            value, seen = sight(constants, d, place, i, n, full)
+            value, _ = collinearity(observation(constants, i, n), correction(d, i, n), three(place, i, n), full)
             out[i + STORED.line * n], out[i + STORED.sample * n] = value
             out[i + STORED.total * n] = value[0] + value[1]
 

@@ -13,7 +13,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from factors._contract import compiled
+from factors._plain import FEW_ARRAYS, plain
 from factors.cameras import pushbroom
+from factors.cameras.pushbroom_record import CURVE, CURVES, N_EOP, RECORD, correction, corrections, observation
 from fg_orient.sensors.correction import Correction, PixelModel
 
 Array = npt.NDArray[np.float64]
@@ -27,10 +30,10 @@ AT_ONCE = 4096
 
 def physical_unknowns(correction: Correction) -> tuple[Array, Array]:
     """Setup (2, k) and unknowns (k,) of the equation for a correction in physical units."""
-    codes = np.arange(pushbroom.N_EOP + correction.look.size, dtype=float)
+    codes = np.arange(N_EOP + correction.look.size, dtype=float)
     x = np.concatenate([correction.eop.ravel(), correction.look.T.ravel()])
     if correction.curve.shape[1]:  # their sums stand behind the record: one "curve" of 1 for each EOP
-        codes = np.concatenate([codes, pushbroom.CURVE + (pushbroom.CURVES + 1.0) * np.arange(9)])
+        codes = np.concatenate([codes, CURVE + (CURVES + 1.0) * np.arange(9)])
         x = np.concatenate([x, np.ones(9)])
     return np.ascontiguousarray(np.stack([codes, np.ones_like(codes)])), x
 
@@ -40,8 +43,31 @@ def conditions(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, 
     setup, x = physical_unknowns(correction)
     records = sensor.records(line, sample, ground_m, small_angle=correction.small_angle)
     if correction.curve.shape[1]:
-        records = np.hstack([records, correction.curve_at(records[:, pushbroom.RECORD.tau])])
-    return pushbroom.conditions(records, setup, x, np.ascontiguousarray(ground_m))
+        records = np.hstack([records, correction.curve_at(records[:, RECORD.tau])])
+    return residuals(records, setup, x, np.ascontiguousarray(ground_m))
+
+
+def residuals(records: Array, setup: Array, x: Array, ground: Array) -> Array:
+    """Residuals of N observations of one image at N ground points: (N, d), (N, 3) -> (N, 2)."""
+    if len(records) > FEW_ARRAYS:
+        return _residuals(records, setup, x, ground)
+    record = np.ascontiguousarray(records.T)  # entries of all observations at once
+    with np.errstate(all="ignore"):  # as compiled code does
+        changes = plain(correction)(plain(corrections)(record, setup, x), 0, 1)
+        small = record[RECORD.small_angle].any()
+        constants = plain(observation)(record, 0, 1)
+        value, _ = plain(pushbroom.collinearity)(constants, changes, tuple(ground.T.copy()), small)
+    return np.stack(value, axis=1)
+
+
+@compiled
+def _residuals(records: Array, setup: Array, x: Array, ground: Array) -> Array:
+    """Compute :func:`residuals` in a compiled loop."""
+    out = np.empty((len(records), 2))
+    for i in range(len(records)):
+        value = pushbroom.residual(records[i], setup, x, ground[i])
+        out[i, 0], out[i, 1] = value[0], value[1]
+    return out
 
 
 def pixel_derivative(sensor: PixelModel, line: Array, sample: Array, ground_m: Array, correction: Correction) -> Array:

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.cameras import look, pushbroom
-from factors.cameras.sight import CORRECTION, RECORD
+from factors.cameras.pushbroom_record import CORRECTION, N_EOP, RECORD, corrections
 from factors.geometry import polynomials, rotations
 from fg_orient.model.block import Image, ImagePoints
 from fg_orient.sensors.eop import metadata_eop
@@ -35,7 +35,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 #: Codes of the constant terms of psi_x and psi_y in ``factors.cameras.pushbroom``: their Jacobian is B.
-LOOK_CODES = (pushbroom.N_EOP, pushbroom.N_EOP + 1)
+LOOK_CODES = (N_EOP, N_EOP + 1)
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class Conditions:
     def _states(self, codes: tuple[int, ...], eop: Array) -> States:
         """Corrected EOPs of each row."""
         setup = np.ascontiguousarray(np.stack([np.array(codes, float), np.ones(len(codes))]))
-        d = np.array([pushbroom.corrections(r, setup, eop[i]) for r, i in zip(self.records, self.image, strict=True)])
+        d = np.array([corrections(r, setup, eop[i]) for r, i in zip(self.records, self.image, strict=True)])
         given, speed = self.approximate_m - self.records[:, RECORD.from_position], self.records[:, RECORD.velocity]
         p = given + d[:, CORRECTION.position]
         angles = np.ascontiguousarray(self.records[:, RECORD.angles] + d[:, CORRECTION.angles])

@@ -52,7 +52,8 @@ class Case:
         """The kernel of the factors at one observation, components as unknowns."""
         w, c = self.wide[self.image[a]], self.c
         x = sum(self.basis[a, b] * w[b * c : (b + 1) * c] for b in range(self.n_basis))
-        return pushbroom.kernel(self.records[self.row[a]], self.columns.setup, x, self.ground[self.point[a]], True)
+        kernel = pushbroom.LOOK_ANGLE_COLLINEARITY.kernel
+        return kernel(self.records[self.row[a]], self.columns.setup, x, self.ground[self.point[a]], True)
 
 
 @pytest.mark.consistency

@@ -17,7 +17,7 @@ import pytest
 from factors import _compile
 from factors._preparation import told_of_compilation
 from factors._sources import stamp
-from factors.cameras import pushbroom, sight
+from factors.cameras import pushbroom
 from factors.geometry import light
 from fg_orient.kernels import batch_pairs, batch_pushbroom, vectors
 
@@ -217,7 +217,7 @@ def test_stamp_sees_what_a_function_is_bound_to() -> None:
 
 def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
     """A callee with another body gives another stamp; what a kernel does not call, does not."""
-    kernels: list[Any] = [batch_pairs.pair_blocks, batch_pushbroom.rows_of_form, pushbroom.kernel]
+    kernels: list[Any] = [batch_pairs.pair_blocks, batch_pushbroom.rows_of_form, pushbroom.fill]
     before = [stamp(kernel.py_func) for kernel in kernels]
 
     def changed(owner: Any, name: str) -> list[bool]:
@@ -232,7 +232,7 @@ def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
         _sources._read.cache_clear()
         return [a != b for a, b in zip(after, before, strict=True)]
 
-    assert changed(sight, "_look") == [False, True, True]
+    assert changed(pushbroom, "_tangent") == [False, True, True]
     assert changed(vectors, "splat") == [True, True, False]  # a function that writes instructions
     assert changed(light, "unit") == [False, False, False]
 
@@ -240,18 +240,19 @@ def test_stamp_of_a_kernel_follows_functions_and_intrinsics() -> None:
 def test_a_function_that_numba_compiles_may_call_kernels() -> None:
     """A user's own loop over an equation: with all that the kernel calls, arrays that it makes among it."""
     e = pushbroom.example(np.random.default_rng(5))
-    kernel: Any = pushbroom.kernel
+    fill: Any = pushbroom.fill
 
     @numba.njit
-    def summed(record, setup, x, ground):  # type: ignore[no-untyped-def]
-        total = 0.0
+    def summed(records, setup, x, ground):  # type: ignore[no-untyped-def]
+        total, out = 0.0, np.empty((2, setup.shape[1] + 4))
         for _ in range(2):
-            value, d_x, d_ground = kernel(record, setup, x, ground, True)
-            total += value.sum() + d_x.sum() + d_ground.sum()
+            fill(records, 0, setup, x, ground, out, True)
+            total += out.sum()
         return total
 
-    expected = 2.0 * sum(float(block.sum()) for block in kernel(e.record, e.setup, *e.unknowns, True))
-    assert summed(e.record, e.setup, *e.unknowns) == pytest.approx(expected, rel=1e-13)
+    blocks = pushbroom.LOOK_ANGLE_COLLINEARITY.kernel(e.record, e.setup, *e.unknowns, True)
+    expected = 2.0 * sum(float(block.sum()) for block in blocks)
+    assert summed(e.record[None], e.setup, *e.unknowns) == pytest.approx(expected, rel=1e-13)
 
 
 def test_a_kernel_is_compiled_whole_and_its_parts_are_not(tmp_path: Path) -> None:

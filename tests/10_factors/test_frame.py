@@ -110,7 +110,9 @@ def rows_of(parts: list[tuple[int, int]], spoil: bool = False) -> tuple[np.ndarr
         ))  # fmt: skip
     if not spoil:
         for a in range(n):
-            ours = frame.kernel(records[a], e.setup, wide[image[a]], ground[places[a]], True)
+            ours = frame.FRAME_BROWN_IDEAL_TO_MEASURED.kernel(
+                records[a], e.setup, wide[image[a]], ground[places[a]], True
+            )
             # products and sums may fuse in the batch: some roundings
             for mine, batched in zip(ours, (value[a], d_image[a], d_ground[a]), strict=True):
                 assert np.abs(mine - batched).max() <= 1e-13 * max(1.0, float(np.abs(mine).max()) * 10.0)

@@ -49,7 +49,7 @@ def test_linearisation_equals_the_kernel() -> None:
     """The kernel's numbers, in the order of the keys: the gradient is the difference quotients of the error."""
     e, values = example()
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY)
-    value, j_image, j_ground = pushbroom.kernel(e.record, e.setup, *e.unknowns, True)
+    value, j_image, j_ground = pushbroom.LOOK_ANGLE_COLLINEARITY.kernel(e.record, e.setup, *e.unknowns, True)
     a, b = f.linearize(values).jacobian()
     assert np.array_equal(a, np.hstack([j_image, j_ground]))
     assert np.array_equal(b, -value)
@@ -72,7 +72,7 @@ def test_constant_ground_point_is_no_unknown() -> None:
     f = image_point(e, pushbroom.LOOK_ANGLE_COLLINEARITY, ground=e.unknowns[1])
     assert list(f.keys()) == [E0]
     a, b = f.linearize(values).jacobian()
-    assert np.array_equal(a, pushbroom.kernel(e.record, e.setup, *e.unknowns, True)[1])
+    assert np.array_equal(a, pushbroom.LOOK_ANGLE_COLLINEARITY.kernel(e.record, e.setup, *e.unknowns, True)[1])
     quotients = gradient_of_error(f, values, a.shape[1])
     assert np.abs(-a.T @ b - quotients).max() <= 1e-6 * np.abs(quotients).max()
 
@@ -112,7 +112,7 @@ def test_faulty_kernels_are_named(fault: str) -> None:
     e, values = example()
 
     def kernel(record: np.ndarray, setup: np.ndarray, x: np.ndarray, g: np.ndarray, want: bool) -> tuple:
-        return WRONG[fault](*pushbroom.kernel(record, setup, x, g, True))
+        return WRONG[fault](*pushbroom.LOOK_ANGLE_COLLINEARITY.kernel(record, setup, x, g, True))
 
     base = pushbroom.LOOK_ANGLE_COLLINEARITY
     broken = Equation("my_broken_equation", kernel, base.residual, base.arguments, base.example, "")
@@ -133,7 +133,9 @@ def test_wrong_sizes_are_named_with_a_constant_ground_point(size: int) -> None:
     for call in (f.error, f.linearize):
         with pytest.raises(ValueError, match=f"{LABEL}: 36 unknowns expected, the values hold {size}"):
             call(values)
-    value, j_image, j_ground = pushbroom.kernel(e.record, e.setup, np.zeros(size), e.unknowns[1], True)
+    value, j_image, j_ground = pushbroom.LOOK_ANGLE_COLLINEARITY.kernel(
+        e.record, e.setup, np.zeros(size), e.unknowns[1], True
+    )
     assert all(np.isnan(block).all() for block in (value, j_image, j_ground))
 
 
