@@ -122,6 +122,17 @@ def derivatives(c: Any, ray: Any, a_line: float, a_sample: float, out: Array) ->
 
 
 @compiled
+def spread(d: Array, setup: Array, out: Array) -> None:
+    """Write the Jacobians of the unknowns in prior sigmas and of the ground point behind the values in ``out``."""
+    column = columns_of(setup)
+    for i in range(2):
+        for j in range(len(column)):
+            out[i, 1 + j] = d[i, column[j]] * setup[1, j]
+        for j in range(3):
+            out[i, 1 + len(column) + j] = d[i, GROUND + j]
+
+
+@compiled
 def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Array, out: Array, want: bool) -> bool:
     """Write residual, image and ground Jacobian of one row; see :class:`factors._contract.Equation`."""
     k, record, d = setup.shape[1], records[row], np.zeros((2, COLUMN.size))
@@ -134,12 +145,7 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     zero = 0.0 * (out[0, 0] + out[1, 0])
     if want:
         zero += derivatives(c, ray, record[RECORD.a_line], record[RECORD.a_sample], d)
-        column = columns_of(setup)
-        for i in range(2):
-            for j in range(k):
-                out[i, 1 + j] = d[i, column[j]] * setup[1, j]
-            for j in range(3):
-                out[i, 1 + k + j] = d[i, GROUND + j]
+        spread(d, setup, out)
     return bool(zero == 0.0)
 
 

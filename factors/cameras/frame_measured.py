@@ -21,7 +21,7 @@ import numpy as np
 
 from factors._contract import Argument, Array, Equation, Example, compiled, kernel_of, register
 from factors.cameras import frame, frame_camera
-from factors.cameras.frame import COLUMN, GROUND, UNKNOWN, columns_of, sight_row
+from factors.cameras.frame import COLUMN, UNKNOWN, sight_row, spread
 from factors.cameras.frame_camera import brown_derivatives, brown_ideal_to_measured, direction
 from factors.geometry.rotations import Vector
 from factors.records import Record
@@ -104,12 +104,7 @@ def fill(records: Array, row: int | np.int64, setup: Array, x: Array, ground: Ar
     zero = 0.0 * (out[0, 0] + out[1, 0])
     if want:
         zero += derivatives(c, ray, o_line, o_sample, a_line, a_sample, d)
-        column = columns_of(setup)
-        for i in range(2):
-            for j in range(k):
-                out[i, 1 + j] = d[i, column[j]] * setup[1, j]
-            for j in range(3):
-                out[i, 1 + k + j] = d[i, GROUND + j]
+        spread(d, setup, out)
     return bool(zero == 0.0)
 
 

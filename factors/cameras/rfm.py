@@ -2,23 +2,40 @@
 
     l = f1/f2,  s = f3/f4         (Terlemezoğlu 2019, eqs. 2.55-2.57; NIMA 2000, STDI-0002 RPC00B)
 
-with l, s the normalised line and sample and f cubic polynomials of the normalised longitude x,
-latitude y and height z, 20 terms in RPC00B order (``factors.cameras.rfm_terms``). ``c`` (4, 20) holds line
-numerator, line denominator, sample numerator, sample denominator; both denominators have the
-constant 1. Where one changes its sign the model has a pole, unless the numerator has nearly the same
-zeros, as in some vendors' files: then values are good on both sides, but not near. Nothing is hidden
-here; ``fg_orient.sensors.rpc`` looks for sign changes inside the image.
+with l, s the normalised line and sample and f cubic polynomials of the normalised longitude x, latitude y and height z,
+20 terms in RPC00B order. Coefficients move between orders by exponent triple (longitude, latitude, height), never by
+index: RPC00A is the order of older NITF files, T 2.54 the published one (with X = longitude, Y = latitude).
+``c`` (4, 20) holds line numerator, line denominator, sample numerator, sample denominator; both denominators have the
+constant 1. Where one changes its sign the model has a pole, unless the numerator has nearly the same zeros, as in some
+vendors' files: then values are good on both sides, but not near. Nothing is hidden here; ``fg_orient.sensors.rpc``
+looks for sign changes inside the image.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from factors._contract import Array, compiled
-from factors.cameras import rfm_terms
-from factors.cameras.rfm_terms import TERM as T
+from factors.records import Record
+
+#: Terms in RPC00B order: products of longitude x, latitude y and height z.
+T: Final = Record(terms="one x y z xy xz yz xx yy zz xyz xxx xyy xzz xxy yyy yzz xxz yyz zzz")
+N_TERMS: Final = T.size
+
+
+def _triples(words: str) -> tuple[tuple[int, int, int], ...]:
+    return tuple((int(w[0]), int(w[1]), int(w[2])) for w in words.split())
+
+
+#: Orders in which files and papers list the terms: name -> exponents of (longitude, latitude, height), term by term.
+EXPONENTS: Final[dict[str, tuple[tuple[int, int, int], ...]]] = {
+    "RPC00B": _triples("000 100 010 001 110 101 011 200 020 002 111 300 120 102 210 030 012 201 021 003"),
+    "RPC00A": _triples("000 100 010 001 110 101 011 111 200 020 002 300 210 201 120 030 021 102 012 003"),
+    "T2.54": _triples("000 100 010 001 110 011 101 200 020 002 111 030 210 012 120 300 102 021 201 003"),
+}
 
 
 @compiled
@@ -95,12 +112,35 @@ def denominators(c: Array, ground: Array) -> Array:
     return out
 
 
+def permutation(source: str, target: str) -> npt.NDArray[np.intp]:
+    """Give ``p`` with ``coefficients_target = coefficients_source[p]``: (20,).
+
+    Raises
+    ------
+    KeyError
+        No such order.
+    """
+    position = {triple: k for k, triple in enumerate(EXPONENTS[source])}
+    return np.array([position[triple] for triple in EXPONENTS[target]], dtype=np.intp)
+
+
+def degree_mask(degree: int) -> npt.NDArray[np.bool_]:
+    """Terms of total degree <= ``degree`` in RPC00B order: (20,); 4, 10, 20 of them for 1, 2, 3."""
+    return np.array([sum(triple) <= degree for triple in EXPONENTS["RPC00B"]])
+
+
+def terms(ground: Array) -> Array:
+    """Monomials of N normalised ground points in RPC00B order: (N, 3) -> (N, 20)."""
+    power = np.asarray(ground, float)[:, :, None] ** np.arange(4)  # (N, 3, 4): each power once
+    return np.ascontiguousarray(power[:, np.arange(3), np.array(EXPONENTS["RPC00B"])].prod(axis=2))
+
+
 def coefficient_jacobian(c: Array, ground: Array) -> Array:
     """Derivatives of normalised (line, sample) with respect to their coefficients: (N, 3) -> (N, 2, 40).
 
     Columns 0-19 belong to the numerator, 20-39 to the denominator of the row's own coordinate (column 20
     is that of the constant, which the model holds at 1).
     """
-    monomials, image, below = rfm_terms.terms(ground), values(c, ground), denominators(c, ground)
+    monomials, image, below = terms(ground), values(c, ground), denominators(c, ground)
     numerator = monomials[:, None, :] / below[:, :, None]
     return np.concatenate([numerator, -image[:, :, None] * numerator], axis=2)

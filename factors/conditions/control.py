@@ -5,6 +5,13 @@
 the unknown by :func:`whitening`. ``observed_parameters``: residual ``(x - x_0) / sigma``;
 with unknowns in prior sigmas this is the prior x = 0 with sigma 1 (docs/equations.md 7,
 stochastic weights: a ridge with physical units).
+
+``height_control``: a ground point's height observed from an elevation model, as a plane about the point's last place::
+
+    residual = n . (G - G_0) / sigma,   n = up - slope_east east - slope_north north
+
+G_0 is the model's point above or below the place at which it was read, so that the residual is the height of G
+above the plane. Adjusted on planes that are read anew until the points rest, the height is that above the model.
 """
 
 from __future__ import annotations
@@ -18,6 +25,8 @@ from factors.records import Record
 
 #: W row-major, G_0 m.
 POINT: Final = Record(whitening="w11 w12 w13 w21 w22 w23 w31 w32 w33", place="x y z")
+#: Of an observed height: n / sigma, G_0 m.
+HEIGHT: Final = Record(normal="n1 n2 n3", place="x y z")
 
 
 def whitening(covariance: Array) -> Array:
@@ -72,6 +81,22 @@ def kernel_parameters(record: Array, setup: Array, x: Array, want: bool) -> tupl
     return value, np.diag(1.0 / setup[1])
 
 
+@compiled
+def residual_height(record: Any, setup: Any, ground: Any) -> Any:
+    """``n . (G - G_0) / sigma``: (1,)."""
+    d0, d1, d2 = ground[0] - record[HEIGHT.x], ground[1] - record[HEIGHT.y], ground[2] - record[HEIGHT.z]
+    return np.array([record[HEIGHT.n1] * d0 + record[HEIGHT.n2] * d1 + record[HEIGHT.n3] * d2])
+
+
+@compiled
+def kernel_height(record: Array, setup: Array, ground: Array, want: bool) -> tuple[Array, Array]:
+    """Residual (1,) and Jacobian (1, 3) of an observed height."""
+    value = residual_height(record, setup, ground)
+    if not want:
+        return value, np.empty((0, 0))
+    return value, record[HEIGHT.normal].copy().reshape((1, 3))
+
+
 def _example_point(rng: np.random.Generator) -> Example:
     a = rng.normal(size=(3, 3))
     w = whitening(a @ a.T + np.eye(3))
@@ -90,4 +115,9 @@ CONTROL_POINT = register(Equation(
 OBSERVED_PARAMETERS = register(Equation(
     "observed_parameters", kernel_parameters, residual_parameters, (Argument("x", "prior sigma"),),
     _example_parameters, "docs/equations.md 7, stochastic weights",
+))  # fmt: skip
+HEIGHT_CONTROL = register(Equation(
+    "height_control", kernel_height, residual_height, (Argument("ground", "m", is_point=True),),
+    lambda rng: Example(rng.normal(size=HEIGHT.size), np.zeros((2, 0)), (rng.normal(size=3),)),
+    "docs/equations.md 7, stochastic weights",
 ))  # fmt: skip

@@ -1,16 +1,32 @@
-"""Polynomials in the normalised line tau and the normalised sample s.
+"""Polynomials in the normalised line tau and the normalised sample s, and curves over tau.
 
 ``tau = (line - c)/c`` with ``c = (n_lines - 1)/2``, ``s`` alike for samples: the first
 pixel is -1, the last +1. EOP corrections are ``c0 + c1 tau + c2 tau^2`` (T 2.34, T-Table
 4.1, with tau instead of the line number for conditioning). The published per-line form
 ``q0 + q1 l + q2 l^2``, ``l = line - c``, follows by a diagonal transformation.
+
+Smooth curves over an image are uniform cubic B-splines with a prior on their third differences.
+
+A curve of tau in [-1, 1] is ``B(tau) W x``: B are the ``k + 3`` cubic B-splines over ``k`` equal intervals, x the ``k``
+unknowns, each N(0, 1). ``W`` is the pseudo-inverse of the third differences D of the coefficients, so that x is what D
+gives: independent x are the random walk of third order that penalised splines stand for (Eilers & Marx 1996), and
+quadratics, which D does not see and degree-2 coefficients hold, are not in the curves. W is scaled so that the
+prior standard deviation of a curve is 1 in the mean square over the image.
 """
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Final
+
 import numpy as np
 
 from factors._contract import Array
+
+#: Coefficients beyond the number of intervals, and differences taken: the degree of the pieces.
+DEGREE: Final = 3
+#: Intervals that a curve may have.
+FEWEST, MOST = 2, 32
 
 
 def normalised(pixel: Array, count: int) -> Array:
@@ -46,3 +62,30 @@ def per_line_from_tau(n_lines: int) -> Array:
     """
     centre = (n_lines - 1) / 2.0
     return np.asarray(centre ** -np.arange(3.0))
+
+
+def basis(tau: Array, n_intervals: int) -> Array:
+    """Values (N, n_intervals + 3) of the B-splines at N times; the outer pieces go on beyond -1 and 1."""
+    u = 0.5 * n_intervals * (np.asarray(tau, float) + 1.0)
+    piece = np.clip(np.floor(u).astype(int), 0, n_intervals - 1)
+    f = u - piece
+    values = ((1.0 - f) ** 3, 3.0 * f**3 - 6.0 * f**2 + 4.0, 3.0 * f * (1.0 + f - f**2) + 1.0, f**3)
+    out = np.zeros((len(u), n_intervals + DEGREE))
+    for k, value in enumerate(values):
+        out[np.arange(len(u)), piece + k] = value / 6.0
+    return out
+
+
+@cache
+def _from_unknowns(n_intervals: int) -> Array:
+    """W: coefficients (n_intervals + 3) of independent unknowns (n_intervals)."""
+    w: Array = np.asarray(np.linalg.pinv(np.diff(np.eye(n_intervals + DEGREE), n=DEGREE, axis=0)), dtype=float)
+    curve = basis(np.linspace(-1.0, 1.0, 40 * n_intervals + 1), n_intervals) @ w
+    w = np.asarray(w / np.sqrt(np.mean(np.sum(curve**2, axis=1))))
+    w.setflags(write=False)
+    return w
+
+
+def curves(tau: Array, n_intervals: int) -> Array:
+    """Values (N, n_intervals) of the curves that each unknown of 1 stands for."""
+    return np.asarray(basis(tau, n_intervals) @ _from_unknowns(n_intervals))

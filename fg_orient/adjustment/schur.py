@@ -26,10 +26,8 @@ from fg_orient.adjustment.schur_reduced import REDUCED, Reduced, ReducedSystems,
 from fg_orient.adjustment.schur_stages import Buffers, ImageExtras, Stages, TileRows
 from fg_orient.adjustment.schur_structure import SERIAL_LIMIT, Structure, Tile, compile_structure
 from fg_orient.kernels.batch_gather import gather_blocks, gather_gradients
-from fg_orient.kernels.batch_ground import control_squares, move
 from fg_orient.kernels.batch_pairs import image_gradients
-from fg_orient.kernels.batch_steps import product
-from fg_orient.kernels.batch_weights import scale_rows
+from fg_orient.kernels.batch_steps import control_squares, move, product, scale_rows
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]

@@ -23,7 +23,7 @@ import re
 import numpy as np
 import numpy.typing as npt
 
-from factors.geometry.attitude import sign_aligned
+from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats import dimap_checks as checks
 from fg_orient.formats.dimap_checks import DIMAP_FIRST_PIXEL
 from fg_orient.formats.xml import METRES, METRES_PER_SECOND, MILLISECONDS, RADIANS, SECONDS, XmlNode

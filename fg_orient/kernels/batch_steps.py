@@ -1,4 +1,4 @@
-"""Steps of the ground points after one of the images, and what the linear model says of a step.
+"""Steps of the ground points after one of the images, squares of the linear model, weights, residuals of control.
 
 A solution x of the reduced system gives a point's step ``-H^-1 (g + sum G^T J x)``, ``H^-1 = R^T R``; symbols and
 arrays: ``fg_orient.kernels.batch_points``.
@@ -10,6 +10,7 @@ import numpy as np
 
 from factors._compile import threaded
 from factors._contract import Array
+from factors.conditions.control import POINT
 from fg_orient.kernels.batch_components import row_along
 from fg_orient.kernels.batch_points import ROOT
 from fg_orient.kernels.batch_rows import Flags, Index, Small
@@ -97,3 +98,46 @@ def product(
                     after += d_ground[k, r, 0] * x0 + d_ground[k, r, 1] * x1 + d_ground[k, r, 2] * x2
                     total += after * after
         squares[n] = total
+
+
+@threaded
+def scale_rows(lo: int, hi: int, root: Array, value: Array, d_image: Array, d_ground: Array) -> None:
+    """Apply weights: multiply the rows of image points lo to hi by ``root`` (n,)."""
+    for a in range(lo, hi):
+        factor = root[a]
+        for r in range(2):
+            value[a, r] *= factor
+            for k in range(3):
+                d_ground[a, r, k] *= factor
+            for c in range(d_image.shape[2]):
+                d_image[a, r, c] *= factor
+
+
+@threaded
+def control_squares(ground: Array, control: Array, observed: Index, out: Array) -> None:
+    """Write the squared norms (m,) of the whitened residuals of observed ground points.
+
+    Parameters
+    ----------
+    ground : (N, 3) array
+    control : (N, 12) array
+        Records of observed points, ``factors.conditions.control.POINT``.
+    observed : (m,) int array
+        Rows of both.
+    """
+    for k in range(len(observed)):
+        j = observed[k]
+        x, y = ground[j, 0] - control[j, POINT.x], ground[j, 1] - control[j, POINT.y]
+        z = ground[j, 2] - control[j, POINT.z]
+        r1 = control[j, POINT.w11] * x + control[j, POINT.w12] * y + control[j, POINT.w13] * z
+        r2 = control[j, POINT.w21] * x + control[j, POINT.w22] * y + control[j, POINT.w23] * z
+        r3 = control[j, POINT.w31] * x + control[j, POINT.w32] * y + control[j, POINT.w33] * z
+        out[k] = r1 * r1 + r2 * r2 + r3 * r3
+
+
+@threaded
+def move(number: Small, step: Array, ground: Array) -> None:
+    """Add steps (P, 3) to the ground points (N, 3) with these numbers (P,)."""
+    for p in range(len(number)):
+        for k in range(3):
+            ground[number[p], k] += step[p, k]

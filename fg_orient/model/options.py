@@ -75,7 +75,7 @@ class Options:
     curve_intervals: int = option(
         0, UNKNOWNS,
         "Intervals of smooth curves of position and attitude. Longer strips need them in addition to the quadratic "
-        "polynomials; the curves are cubic splines over equal intervals of the image (`factors.geometry.splines`).",
+        "polynomials; the curves are cubic splines over equal intervals of the image (`factors.geometry.polynomials`).",
         within=(2, 32), zero="no curves",
     )
     curve_position_sigma_m: float = option(

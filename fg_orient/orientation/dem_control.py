@@ -1,7 +1,7 @@
 """An elevation model as control: heights of points observed from it, with a sigma.
 
 The height of a point above the model is one more observation; the model is replaced by a plane at the point's last
-place (``factors.conditions.height_control``). The planes are read again at the adjusted places until the points no
+place (``factors.conditions.control``). The planes are read again at the adjusted places until the points no
 longer move, because the place decides on the slope. This fixes the height of a block with tie points on open ground and
 little control; on slopes also the position.
 """
@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from factors.conditions.height_control import HEIGHT_CONTROL, RECORD
+from factors.conditions.control import HEIGHT, HEIGHT_CONTROL
 from factors.geometry import ellipsoid
 from fg_orient.geodesy import enu_from_ecef
 from fg_orient.model.block import Block, ExtraObservation
@@ -167,7 +167,7 @@ def height_observations(
     extra = tuple(
         ExtraObservation(
             HEIGHT_CONTROL, (f"point:{block.points.ids[placed[j]]}",),
-            RECORD.pack(normal=normal[j] / sigma_m, place=foot[j]), np.zeros((2, 0)), 1,
+            HEIGHT.pack(normal=normal[j] / sigma_m, place=foot[j]), np.zeros((2, 0)), 1,
             f"height of point {block.points.ids[placed[j]]} from the DEM",
         )
         for j in good

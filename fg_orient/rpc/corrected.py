@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.cameras.rfm import terms
 from factors.cameras.rfm_project import COMPENSATION, RANGE
-from factors.cameras.rfm_terms import terms
 from fg_orient.model.errors import finding
 from fg_orient.rpc.points import statistics
 from fg_orient.sensors.rpc import RpcModel

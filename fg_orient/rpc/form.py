@@ -16,7 +16,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from factors.cameras.rfm_terms import EXPONENTS, permutation, terms
+from factors.cameras.rfm import EXPONENTS, permutation, terms
 from fg_orient.model.errors import InputError
 
 Array = npt.NDArray[np.float64]

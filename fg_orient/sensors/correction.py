@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from factors.geometry import polynomials, splines
+from factors.geometry import polynomials
 
 Array = npt.NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Correction:
     small_angle : bool
         Use the small-angle attitude matrix (faithful mode).
     curve : (9, k) array
-        Amplitudes of the curves of ``factors.geometry.splines`` over k intervals, for the nine EOP.
+        Amplitudes of the curves of ``factors.geometry.polynomials`` over k intervals, for the nine EOP.
     """
 
     eop: Array = field(default_factory=lambda: np.zeros((9, 3)))
@@ -58,7 +58,7 @@ class Correction:
 
     def curve_at(self, tau: Array) -> Array:
         """What the curves add to the nine EOP (N, 9) at N line times tau."""
-        return np.asarray(splines.curves(tau, self.curve.shape[1]) @ self.curve.T)
+        return np.asarray(polynomials.curves(tau, self.curve.shape[1]) @ self.curve.T)
 
     def eop_at(self, tau: Array) -> Array:
         """Corrections of the nine EOP (N, 9) at N line times tau."""

@@ -14,7 +14,7 @@ from typing import Final, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from factors.geometry import ephemeris
+from factors.geometry import interpolation
 from factors.geometry.light import EARTH_RATE_RAD_S
 from fg_orient.model.errors import Finding, InputError, finding
 
@@ -84,7 +84,7 @@ class EarthOrientation:
         near = slice(first, first + 4)
         ut1_tai = self.ut1_utc_s[near] - [_tai_utc(day) for day in self.mjd[near]]  # without leap seconds
         daily = np.column_stack([self.pole_rad[near], ut1_tai, self.offset_rad[near]])
-        found = ephemeris.lagrange(self.mjd[near], np.ascontiguousarray(daily), np.array([mjd]))[0]
+        found = interpolation.lagrange(self.mjd[near], np.ascontiguousarray(daily), np.array([mjd]))[0]
         return found[:2], float(found[2]) + _tai_utc(mjd), found[3:]
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from factors.cameras import look
 from factors.cameras.pushbroom import RECORD
-from factors.geometry import attitude, ellipsoid, ephemeris, kepler, light, polynomials, rotations
+from factors.geometry import ellipsoid, interpolation, kepler, light, polynomials, rotations
 from fg_orient.model.errors import InputError, OutOfTimeRange, finding
 from fg_orient.sensors.correction import Correction, HeightSurface
 from fg_orient.sensors.general_metadata import GeneralMetadata
@@ -94,7 +94,7 @@ class GeneralPushbroom(PushbroomSensor):
     def _orbit(self, t: Array) -> tuple[Array, Array]:
         """Position and Earth-fixed velocity (N, 3) of the point that the orbit describes, Earth-fixed axes."""
         orbit = self._general.orbit
-        state = ephemeris.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
+        state = interpolation.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
         p, v = state[:, :3], state[:, 3:]
         if orbit.frame != "ITRF":
             turn = self._earth(t)
@@ -121,9 +121,11 @@ class GeneralPushbroom(PushbroomSensor):
                 frame = kepler.frames_from_kepler(kepler.kepler_angles(p, inertial))
             else:
                 frame = kepler.frames_from_state(p, v if kind == "earth-fixed velocity" else inertial)
-            return np.asarray(frame @ kepler.attitude_matrices(attitude.linear(source.time_s, source.angles_rad, t)))
+            return np.asarray(
+                frame @ kepler.attitude_matrices(interpolation.linear(source.time_s, source.angles_rad, t))
+            )
         assert source.quaternion is not None  # an attitude has one or the other
-        q = attitude.quaternion_linear(source.time_s, source.quaternion, t)
+        q = interpolation.quaternion_linear(source.time_s, source.quaternion, t)
         turned = rotations.quaternion_matrices(np.ascontiguousarray(q))
         return turned if source.frame == "ITRF" else np.asarray(self._earth(t) @ turned)
 

@@ -54,7 +54,7 @@ class AngleAttitude:
 class QuaternionList:
     """Sampled quaternions body to ECEF, scalar part first: ``time_s`` (n,), ``quaternion`` (n, 4).
 
-    Signs are aligned (``factors.geometry.attitude.sign_aligned``): neighbours have a positive product.
+    Signs are aligned (``factors.geometry.interpolation.sign_aligned``): neighbours have a positive product.
     """
 
     time_s: Array

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from factors.cameras import look
 from factors.cameras.pushbroom import RECORD
-from factors.geometry import attitude, ellipsoid, ephemeris, polynomials, rotations
+from factors.geometry import ellipsoid, interpolation, polynomials, rotations
 from fg_orient.model.errors import Finding, InputError, OutOfTimeRange, finding
 from fg_orient.model.options import MAX_EXTRAPOLATION_S
 from fg_orient.sensors import projection
@@ -58,8 +58,8 @@ def _extended(source: AngleAttitude | QuaternionList, seconds: Array) -> AngleAt
     if not seconds.any():
         return source
     if isinstance(source, AngleAttitude):
-        return AngleAttitude(*attitude.extended(source.time_s, source.angles_rad, *seconds))
-    return QuaternionList(*attitude.extended(source.time_s, source.quaternion, *seconds))
+        return AngleAttitude(*interpolation.extended(source.time_s, source.angles_rad, *seconds))
+    return QuaternionList(*interpolation.extended(source.time_s, source.quaternion, *seconds))
 
 
 class PushbroomSensor(PixelRange):
@@ -199,7 +199,7 @@ class PushbroomSensor(PixelRange):
         orbit = self.metadata.ephemeris
         self._require_ephemeris(line, t)
         self._require_attitude(line)
-        state = ephemeris.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
+        state = interpolation.lagrange(orbit.time_s, np.hstack([orbit.position_m, orbit.velocity_m_s]), t)
         p, v = np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
         angles, mount = self._attitude(t, p, v)
         return LineStates(polynomials.normalised(line, self.n_lines), p, v, angles, mount)
@@ -219,12 +219,12 @@ class PushbroomSensor(PixelRange):
         """Angles (N, 3) and mounting (N, 3, 3) of the observation equation."""
         source = self.attitude
         if isinstance(source, AngleAttitude):
-            angles = attitude.linear(source.time_s, source.angles_rad, t)
+            angles = interpolation.linear(source.time_s, source.angles_rad, t)
             return np.ascontiguousarray(angles), np.broadcast_to(np.eye(3), (len(t), 3, 3))
         if isinstance(source, QuaternionList):
-            q = attitude.quaternion_linear(source.time_s, source.quaternion, t)
+            q = interpolation.quaternion_linear(source.time_s, source.quaternion, t)
         else:
-            q = attitude.quaternion_polynomial(source.coefficients, source.offset_s, source.scale_s, t)
+            q = interpolation.quaternion_polynomial(source.coefficients, source.offset_s, source.scale_s, t)
         ecef_from_body = rotations.quaternion_matrices(np.ascontiguousarray(q)) @ V2_BODY_FROM_BODY
         mount = np.swapaxes(rotations.orbital_frames(p, v), 1, 2) @ ecef_from_body
         return np.zeros((len(t), 3)), mount

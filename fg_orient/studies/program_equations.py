@@ -85,7 +85,7 @@ def _rotated(p: Any, v: Any, angles: Any, to_ground: Any, base: Array, small: bo
     else:
         sines = [f(a) for a in (roll, pitch, yaw) for f in (np.sin, np.cos)]
         u = rotations.from_sines(*sines)
-    f = np.stack(rotations.multiply_transposed(u, *w), axis=1)
+    f = np.stack(rotations.multiply_transposed(u, w), axis=1)
     return np.einsum("nji,nj->ni", base.reshape(-1, 3, 3), f)
 
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from factors.cameras import look, pushbroom
-from factors.geometry import attitude, differences, ellipsoid, ephemeris, light, orbital, polynomials, rotations
+from factors.geometry import differences, ellipsoid, interpolation, light, orbital, polynomials, rotations
 from factors.geometry.sines import sine_cosine
 from fg_orient.sensors.projection import residuals
 
@@ -71,8 +71,8 @@ def test_sign_flips_are_aligned_before_interpolation() -> None:
     flipped = q * np.array([1, -1, -1, 1, -1])[:, None]
     times = np.linspace(0.0, 1.0, 33)
     a, b, raw = (
-        rotations.quaternion_matrices(attitude.quaternion_linear(t, samples, times))
-        for samples in (q, attitude.sign_aligned(flipped), flipped)
+        rotations.quaternion_matrices(interpolation.quaternion_linear(t, samples, times))
+        for samples in (q, interpolation.sign_aligned(flipped), flipped)
     )
     between = np.stack([np.interp(times, t, q[:, k]) for k in (1, 2, 3, 0)], axis=1)  # scipy has w last, normalises
     expected = Rotation.from_quat(between).as_matrix()
@@ -87,9 +87,9 @@ def test_lagrange_is_exact_for_degree_seven(rng: np.random.Generator) -> None:
     c = rng.normal(size=(8, 3))
     at = rng.uniform(-120.0, 120.0, 200)
     poly = np.polynomial.polynomial.polyval
-    found = ephemeris.lagrange(t, poly(t / 120.0, c).T.copy(), at)
+    found = interpolation.lagrange(t, poly(t / 120.0, c).T.copy(), at)
     assert np.abs(found - poly(at / 120.0, c).T).max() < 1e-12
-    nodes = ephemeris.lagrange(t, poly(t / 120.0, c).T.copy(), t)
+    nodes = interpolation.lagrange(t, poly(t / 120.0, c).T.copy(), t)
     assert np.abs(nodes - poly(t / 120.0, c).T).max() < 1e-14
 
 

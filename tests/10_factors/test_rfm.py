@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from factors.cameras import rfm, rfm_equation, rfm_ground, rfm_project
-from factors.cameras.rfm_terms import EXPONENTS, degree_mask, permutation, terms
+from factors.cameras.rfm import EXPONENTS, degree_mask, permutation, terms
 from factors.geometry import ellipsoid
 from tests.support.rpc_model import TERMS, ground_points, reference_project, synthetic_model
 

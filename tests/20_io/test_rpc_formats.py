@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factors.cameras.rfm_terms import permutation
+from factors.cameras.rfm import permutation
 from fg_orient.formats.registry import formats
 from fg_orient.formats.rpc import dimap as rpc_dimap
 from fg_orient.formats.rpc import gdal as rpc_raster

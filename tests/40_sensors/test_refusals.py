@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fg_orient as fg
-from factors.geometry import attitude
+from factors.geometry import interpolation
 from fg_orient.model.errors import InputError, OutOfImage, OutOfTimeRange
 from fg_orient.sensors import initial, projection
 from fg_orient.sensors.correction import Correction
@@ -137,9 +137,9 @@ def test_extrapolated_quaternions_keep_their_rate(metadata: PushbroomMetadata) -
     listed = metadata.attitude.time_s
     half = 5e-4 * (listed - listed[0])  # 1e-3 rad/s
     q = np.stack([np.cos(half), 0.6 * np.sin(half), 0.8 * np.sin(half), np.zeros(len(half))], axis=1)
-    times, samples = attitude.extended(listed, q, 0.0, 0.15)
+    times, samples = interpolation.extended(listed, q, 0.0, 0.15)
     assert times[-1] == listed[-1] + 0.15
-    found = attitude.quaternion_linear(times, samples, times[-1:])[0]
+    found = interpolation.quaternion_linear(times, samples, times[-1:])[0]
     half = 5e-4 * (times[-1] - listed[0])
     # chord against arc: the turn of 7.5e-5 rad cubed, and rounding
     np.testing.assert_allclose(found, [np.cos(half), 0.6 * np.sin(half), 0.8 * np.sin(half), 0.0], rtol=0, atol=2e-12)

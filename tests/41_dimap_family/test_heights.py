@@ -11,7 +11,7 @@ import pyproj
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from factors.conditions.height_control import HEIGHT_CONTROL
+from factors.conditions.control import HEIGHT_CONTROL
 from fg_orient.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_ecef
 from fg_orient.model.block import Block, Coordinates, GroundPoints, ImagePoints, Options, WithheldCoordinates
 from fg_orient.model.errors import InputError

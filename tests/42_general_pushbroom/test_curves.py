@@ -9,7 +9,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 import fg_orient as fg
-from factors.geometry import splines
+from factors.geometry import polynomials
 from fg_orient.model.block import Block
 from fg_orient.model.errors import InputError
 from fg_orient.model.options import Options
@@ -28,9 +28,9 @@ def test_basis_is_that_of_scipy(n: int) -> None:
     tau = np.linspace(-1.0, 1.0, 101)
     knots = -1.0 + 2.0 / n * np.arange(-3, n + 4)
     expected = BSpline(knots, np.eye(n + 3), 3)(tau)
-    assert np.abs(splines.basis(tau, n) - expected).max() < 1e-12
+    assert np.abs(polynomials.basis(tau, n) - expected).max() < 1e-12
     assert (
-        np.abs(splines.basis(np.array([-1.01, 1.01]), n) - BSpline(knots, np.eye(n + 3), 3)([-1.01, 1.01])).max()
+        np.abs(polynomials.basis(np.array([-1.01, 1.01]), n) - BSpline(knots, np.eye(n + 3), 3)([-1.01, 1.01])).max()
         < 1e-12
     )
 
@@ -42,18 +42,18 @@ def test_the_prior_is_that_of_penalised_splines() -> None:
     tau = np.sort(rng.uniform(-1.0, 1.0, 60))
     y = np.sin(4.0 * tau) + 0.1 * rng.normal(size=60)
     powers = tau[:, None] ** np.arange(3)
-    ours = np.hstack([powers, sigma * splines.curves(tau, n)])
+    ours = np.hstack([powers, sigma * polynomials.curves(tau, n)])
     prior = np.hstack([np.zeros((n, 3)), 0.1 * np.eye(n)])
     x = np.linalg.lstsq(np.vstack([ours, prior]), np.append(y, np.zeros(n)), rcond=None)[0]
     difference = np.diff(np.eye(n + 3), n=3, axis=0)
     # a curve of x has the third differences c x, c the scale of the curves
     scale = np.linalg.norm(
-        difference @ np.linalg.lstsq(splines.basis(tau, n), splines.curves(tau, n), rcond=None)[0], 2
+        difference @ np.linalg.lstsq(polynomials.basis(tau, n), polynomials.curves(tau, n), rcond=None)[0], 2
     )
-    b = np.vstack([splines.basis(tau, n), 0.1 / (sigma * scale) * difference])
+    b = np.vstack([polynomials.basis(tau, n), 0.1 / (sigma * scale) * difference])
     c = np.linalg.lstsq(b, np.append(y, np.zeros(n)), rcond=None)[0]
-    assert np.abs(ours @ x - splines.basis(tau, n) @ c).max() < 1e-9
-    grid = splines.curves(np.linspace(-1.0, 1.0, 2001), n)
+    assert np.abs(ours @ x - polynomials.basis(tau, n) @ c).max() < 1e-9
+    grid = polynomials.curves(np.linspace(-1.0, 1.0, 2001), n)
     assert np.mean(np.sum(grid**2, axis=1)) == pytest.approx(1.0, rel=1e-2)
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from factors._contract import Equation
 from factors.cameras.pushbroom import LOOK_ANGLE_COLLINEARITY, RECORD
-from factors.geometry import splines
+from factors.geometry import polynomials
 from factors.geometry.polynomials import per_line_from_tau
 from factors.geometry.rotations import orbital_frames
 from fg_orient.model.block import ImagePoints, Options
@@ -50,7 +50,7 @@ class PushbroomModel:
         j = pixel_derivative(self.sensor, line, sample, ground_m, Correction(small_angle=small))
         sigma = np.stack([points.sigma_line_px, points.sigma_sample_px], axis=1)
         out[:, RECORD.whitening] = (np.linalg.inv(j) / sigma[:, :, None]).reshape(-1, 4)
-        return np.hstack([out, splines.curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out
+        return np.hstack([out, polynomials.curves(out[:, RECORD.tau], self.n_curves)]) if self.n_curves else out
 
     def correction(self, x: Array) -> Correction:
         """EOP corrections (9, 3), look corrections (2, degree + 1) and curves (9, k) in physical units."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from factors.geometry import kepler
-from factors.geometry.attitude import sign_aligned
+from factors.geometry.interpolation import sign_aligned
 from fg_orient.formats.registry import Format, register_format
 from fg_orient.formats.schema import Number, Positive, Switch, Table, Text, read_toml
 from fg_orient.formats.tables import Faults, number, read_table

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from lxml import etree
 
+from factors.cameras.rfm import permutation
 from factors.cameras.rfm_project import RANGE
-from factors.cameras.rfm_terms import permutation
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.formats.registry import Format, register_format, xml_root
 from fg_orient.formats.rpc.fields import (

@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from factors.cameras.rfm import EXPONENTS, N_TERMS, permutation
 from factors.cameras.rfm_project import RANGE
-from factors.cameras.rfm_terms import EXPONENTS, N_TERMS, permutation
 from fg_orient.formats.registry import read_bytes
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel, RpcValidity

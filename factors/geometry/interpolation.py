@@ -1,6 +1,6 @@
-"""Attitude at a time: linear angles, linear normalised quaternions, quaternion polynomials.
+"""State at a time: ephemeris by Lagrange, linear angles, linear normalised quaternions, quaternion polynomials.
 
-Source: Terlemezoğlu 2019, eq. 2.33 (interval as corrected) and 2.37-2.40.
+Source: Terlemezoğlu 2019, eq. 2.32 (t_e in the denominator, as corrected), 2.33 (interval as corrected), 2.37-2.40.
 """
 
 from __future__ import annotations
@@ -8,6 +8,36 @@ from __future__ import annotations
 import numpy as np
 
 from factors._contract import Array
+
+#: Samples that a Lagrange polynomial goes through.
+MAX_SAMPLES = 8
+#: Times that are interpolated together: what is read and written stays near the processor.
+AT_ONCE = 1024
+
+
+def lagrange(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
+    """Interpolate (n, c) samples of position and velocity at N times: -> (N, c); the samples nearest, up to eight.
+
+    Nothing is extrapolated: the caller checks the span. Exact for polynomials up to degree min(n, 8) - 1.
+    """
+    use = min(len(sample_time_s), MAX_SAMPLES)
+    window = np.arange(len(sample_time_s) - use + 1) + np.arange(use)[:, None]  # (use, W)
+    apart = sample_time_s[window][:, None] - sample_time_s[window][None]  # of sample d (axis 0) from sample e (axis 1)
+    apart[np.arange(use), np.arange(use)] = 1.0
+    divisor = np.multiply.reduce(apart, axis=1)
+    out = np.zeros((len(time_s), samples.shape[1]))
+    for lo in range(0, len(time_s), AT_ONCE):
+        t = time_s[lo : lo + AT_ONCE]
+        first = np.clip(np.searchsorted(sample_time_s, t) - use // 2, 0, len(sample_time_s) - use)
+        near = first + np.arange(use)[:, None]
+        away = t - sample_time_s[near]  # (use, N)
+        before, after = np.ones_like(away), np.ones_like(away)  # products over the samples before and after sample d
+        for d in range(1, use):
+            np.multiply(before[d - 1], away[d - 1], out=before[d])
+            np.multiply(after[use - d], away[use - d], out=after[use - d - 1])
+        weight = before * after / divisor[:, first]
+        np.add.reduce(weight[:, :, None] * samples[near], axis=0, out=out[lo : lo + AT_ONCE])
+    return out
 
 
 def linear(sample_time_s: Array, samples: Array, time_s: Array) -> Array:
