@@ -54,7 +54,8 @@ nitpicky = False
 # line, the loops inside the backends and the printed values; a module takes a third of a second of a processor.
 _ROOT = Path(__file__).resolve().parents[1]
 _INTERNAL = """
-    fg_orient/__main__.py fg_orient/adjustment/*.py fg_orient/adjustment/models fg_orient/adjustment/parts/*
+    fg_orient/__main__.py fg_orient/_public.py
+    fg_orient/adjustment/*.py fg_orient/adjustment/models fg_orient/adjustment/parts/*
     fg_orient/cli fg_orient/closerange/*job.py fg_orient/closerange/bundle_record.py fg_orient/closerange/importing.py
     fg_orient/closerange/report*.py fg_orient/formats/assemble.py fg_orient/formats/atomic.py
     fg_orient/formats/*_checks.py fg_orient/formats/gdal.py fg_orient/formats/toml.py

@@ -11,14 +11,22 @@ command line start quickly and import gtsam only when something is adjusted::
 
 from __future__ import annotations
 
-from importlib import import_module
 from importlib.util import find_spec
 from os.path import dirname, join
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
+
+from fg_orient._public import on_first_use
 
 if TYPE_CHECKING:
+    from factors._contract import Argument, Equation, Example, compiled
+    from factors._contract import register as register_equation
+    from factors.losses import Loss
+    from factors.losses import register as register_loss
+    from factors.losses.construct import loss_from_weight
+    from factors.records import Record
+    from fg_orient.adjustment.linear.kappa import KappaChoice, register_kappa_rule
     from fg_orient.adjustment.linear.registry import register_solver
-    from fg_orient.adjustment.linear.system import LinearSystem
+    from fg_orient.adjustment.linear.system import LinearSolution, LinearSystem
     from fg_orient.adjustment.models.contract import register_model
     from fg_orient.adjustment.regression import fit_curve
     from fg_orient.formats.project import read_project
@@ -27,9 +35,11 @@ if TYPE_CHECKING:
     from fg_orient.model.block import Block, ExtraObservation, GroundPoints, Image, ImagePoints, Options
     from fg_orient.model.errors import FgOrientError, InputError, NoSolutionError, RankDeficientError
     from fg_orient.model.names import Role, Status
+    from fg_orient.model.parameters import ImageParameters
     from fg_orient.orientation.orient import adjust
     from fg_orient.orientation.solution import Solution
     from fg_orient.result.record import Result, read_result
+    from fg_orient.rpc.select import register_selection
     from fg_orient.sensors.initial import intersect
     from fg_orient.studies.comparison.compare import compare
 
@@ -59,49 +69,71 @@ def _require_own_factors() -> None:
 
 _require_own_factors()
 
-#: Public name -> module that defines it.
-_HOME: Final[dict[str, str]] = {
+#: Public name to the module that defines it; ``module:name`` where it has another name there.
+_HOME: Final = {
+    "Argument": "factors._contract",
     "Block": "fg_orient.model.block",
+    "Equation": "factors._contract",
+    "Example": "factors._contract",
     "ExtraObservation": "fg_orient.model.block",
-    "Format": "fg_orient.formats.registry",
     "FgOrientError": "fg_orient.model.errors",
+    "Format": "fg_orient.formats.registry",
     "GroundPoints": "fg_orient.model.block",
     "Image": "fg_orient.model.block",
+    "ImageParameters": "fg_orient.model.parameters",
     "ImagePoints": "fg_orient.model.block",
     "InputError": "fg_orient.model.errors",
+    "KappaChoice": "fg_orient.adjustment.linear.kappa",
+    "LinearSolution": "fg_orient.adjustment.linear.system",
     "LinearSystem": "fg_orient.adjustment.linear.system",
+    "Loss": "factors.losses",
     "NoSolutionError": "fg_orient.model.errors",
     "Options": "fg_orient.model.block",
     "RankDeficientError": "fg_orient.model.errors",
+    "Record": "factors.records",
     "Result": "fg_orient.result.record",
     "Role": "fg_orient.model.names",
     "Solution": "fg_orient.orientation.solution",
     "Status": "fg_orient.model.names",
     "adjust": "fg_orient.orientation.orient",
     "compare": "fg_orient.studies.comparison.compare",
+    "compiled": "factors._contract",
     "fit_curve": "fg_orient.adjustment.regression",
     "intersect": "fg_orient.sensors.initial",
+    "loss_from_weight": "factors.losses.construct",
     "read_project": "fg_orient.formats.project",
     "read_result": "fg_orient.result.record",
     "read_sensor": "fg_orient.formats.sensor",
+    "register_equation": "factors._contract:register",
     "register_format": "fg_orient.formats.registry",
+    "register_kappa_rule": "fg_orient.adjustment.linear.kappa",
+    "register_loss": "factors.losses:register",
     "register_model": "fg_orient.adjustment.models.contract",
+    "register_selection": "fg_orient.rpc.select",
     "register_solver": "fg_orient.adjustment.linear.registry",
 }
 
 __all__ = [
+    "Argument",
     "Block",
+    "Equation",
+    "Example",
     "ExtraObservation",
     "FgOrientError",
     "Format",
     "GroundPoints",
     "Image",
+    "ImageParameters",
     "ImagePoints",
     "InputError",
+    "KappaChoice",
+    "LinearSolution",
     "LinearSystem",
+    "Loss",
     "NoSolutionError",
     "Options",
     "RankDeficientError",
+    "Record",
     "Result",
     "Role",
     "Solution",
@@ -109,23 +141,23 @@ __all__ = [
     "__version__",
     "adjust",
     "compare",
+    "compiled",
     "fit_curve",
     "intersect",
+    "loss_from_weight",
     "read_project",
     "read_result",
     "read_sensor",
+    "register_equation",
     "register_format",
+    "register_kappa_rule",
+    "register_loss",
     "register_model",
+    "register_selection",
     "register_solver",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Import the module that defines a public name, on first use."""
-    if name in _HOME:
-        value = globals()[name] = getattr(import_module(_HOME[name]), name)
-        return value
-    raise AttributeError(f"module 'fg_orient' has no attribute {name!r}")
+__getattr__ = on_first_use(globals(), _HOME)
 
 
 def __dir__() -> list[str]:

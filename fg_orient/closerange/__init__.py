@@ -1,1 +1,22 @@
 """Close range: DLT, resection, intersection, relative and absolute orientation, parallax, surfaces."""
+
+from __future__ import annotations
+
+from fg_orient._public import names_of, on_first_use
+
+_HOME = names_of(__name__, {
+    "accuracy": "Comparison compare_points",
+    "axes": "aerial_from_rotation ayhan_from_rotation rotation_from_aerial rotation_from_ayhan",
+    "bundle": "Adjustment Bundle BundlePhoto adjust_bundle",
+    "constraints": "Constraint",
+    "dlt": "DltFit fit_dlt",
+    "intersection": "Intersection intersect_photos",
+    "orientation": "RelativeOrientation Similarity absolute_orientation relative_orientation",
+    "parallax": "normal_case",
+    "photo": "Interior Photo",
+    "resection": "Resection resect",
+    "surface": "Surface map_points",
+    "surface_fit": "SurfaceFit fit_surface",
+})  # fmt: skip
+__all__ = sorted(_HOME)
+__getattr__ = on_first_use(globals(), _HOME)

@@ -21,6 +21,8 @@ from fg_orient.model.block import Options
 from fg_orient.model.declaration import declared
 from fg_orient.model.names import Role
 
+__all__ = ["write_observations", "write_points", "write_project"]
+
 Array = npt.NDArray[np.float64]
 
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from pyproj import CRS, Transformer
     from pyproj.transformer import TransformerGroup
 
+__all__ = ["ecef_to_geodetic", "enu_from_ecef", "from_geographic", "geodetic_to_ecef", "to_ecef", "to_geographic"]
+
 Array = npt.NDArray[np.float64]
 Kind = Literal["geographic", "projected", "geocentric"]
 

@@ -25,6 +25,8 @@ from fg_orient.orientation.orient import adjust
 from fg_orient.orientation.solution import Solution
 from fg_orient.sensors.correction import HeightSurface
 
+__all__ = ["DemAdjustment", "adjust_with_dem"]
+
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 

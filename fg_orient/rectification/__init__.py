@@ -3,3 +3,21 @@
 Source of the plane methods: C. İpbüker (1994), MSc thesis, Istanbul Technical University: geometric accuracy of images
 at map scale from satellite data. Cited as İpbüker 1994.
 """
+
+from __future__ import annotations
+
+from fg_orient._public import names_of, on_first_use
+
+_HOME = names_of(__name__, {
+    "fit": "Fit Observations",
+    "models": "find_model",
+    "ortho": "OrthoOptions orthorectify",
+    "outliers": "PointTests point_tests",
+    "points": "MapPoints PointFit fit_points read_map_points",
+    "standards": "check_accuracy nmas_limit_m nssda_m",
+    "transformation": "Transformation read_transformation",
+    "grid": "MapGrid",
+    "areas": "planar_area_m2 perimeter_m",
+})  # fmt: skip
+__all__ = sorted(_HOME)
+__getattr__ = on_first_use(globals(), _HOME)

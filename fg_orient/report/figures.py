@@ -16,6 +16,8 @@ from fg_orient.report.chart import Chart
 from fg_orient.report.words import printable, scientific
 from fg_orient.result.record import Result, read_result
 
+__all__ = ["write_figures"]
+
 W = TypeVar("W")
 
 FORMATS: Final = ("svg", "pdf")

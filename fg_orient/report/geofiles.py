@@ -17,6 +17,8 @@ from fg_orient.formats.gdal import plain_case
 from fg_orient.model.errors import InputError
 from fg_orient.report.layers import Layer, read_layers
 
+__all__ = ["export"]
+
 CRS: Final = "EPSG:4326"
 SUFFIXES: Final = (".gpkg", ".geojson")
 #: Digits of a degree in GeoJSON: 0.1 mm.

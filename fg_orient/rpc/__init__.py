@@ -1,1 +1,21 @@
 """Work on RPC files: check, convert, refine with control points, fit to points or to a rigorous model."""
+
+from __future__ import annotations
+
+from fg_orient._public import names_of, on_first_use
+
+_HOME = names_of(__name__, {
+    "check": "check_rpc",
+    "compensate": "Compensation",
+    "estimate": "fit_linear fit_true fit_weighted",
+    "fit": "RfmFit",
+    "form": "RfmForm",
+    "gcp_file": "read_gcp",
+    "points": "MeasuredPoints read_measured",
+    "rfm_points": "ControlPoints",
+    "select": "fit_selected",
+    "validate": "CrossValidation cross_validate",
+    "virtual_grid": "SensorRfm fit_sensor",
+})  # fmt: skip
+__all__ = sorted(_HOME)
+__getattr__ = on_first_use(globals(), _HOME)

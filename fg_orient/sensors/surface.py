@@ -20,6 +20,8 @@ from factors.geometry import ellipsoid
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.correction import HeightSurface
 
+__all__ = ["RasterDem"]
+
 Array = npt.NDArray[np.float64]
 
 #: Height by which a hit may miss the DEM.

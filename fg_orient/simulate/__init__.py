@@ -4,3 +4,17 @@
 ``simulate_block`` a block of any size, ``simulate_mixed`` one of three kinds of sensors; ``zonguldak_block``,
 ``grid_block`` and ``mixed_block`` give the same blocks in memory.
 """
+
+from __future__ import annotations
+
+from fg_orient._public import names_of, on_first_use
+
+_HOME = names_of(__name__, {
+    "block": "grid_block simulate_block",
+    "options": "BlockOptions MixedOptions ZonguldakOptions",
+    "mixed": "mixed_block",
+    "mixed_files": "simulate_mixed",
+    "zonguldak": "simulate_zonguldak zonguldak_block",
+})  # fmt: skip
+__all__ = sorted(_HOME)
+__getattr__ = on_first_use(globals(), _HOME)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import re
+import tempfile
 from pathlib import Path
 
+import pandas
 import pytest
 
 from factors import _contract
@@ -115,3 +119,33 @@ def test_read_dimap_says_what_is_wrong(repository: Path, tmp_path: Path) -> None
     assert done.code == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert str(missing) in done.stderr
+
+
+def cells_of(path: Path) -> list[str]:
+    """Code cells of a notebook."""
+    cells = json.loads(path.read_text("utf-8"))["cells"]
+    return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+
+
+def run_cells(cells: list[str]) -> list[object]:
+    """Run code cells one after the other; the value of the last expression of each, as a notebook shows it."""
+    names: dict[str, object] = {}
+    shown = []
+    for cell in cells:
+        tree = ast.parse(cell)
+        last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+        exec(compile(tree, "<cell>", "exec"), names)
+        if isinstance(last, ast.Expr):
+            shown.append(eval(compile(ast.Expression(last.value), "<cell>", "eval"), names))
+    return shown
+
+
+@pytest.mark.behaviour
+def test_notebook(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (notebook,) = (repository / "examples").glob("*.ipynb")
+    shown = run_cells(cells_of(notebook))
+    assert "converged" in repr(shown[0]) and "converged" in repr(shown[-1])
+    assert all(hasattr(value, "_repr_html_") or isinstance(value, pandas.Series) for value in shown)
+    with pytest.raises(ZeroDivisionError):
+        run_cells(["1 / 0"])

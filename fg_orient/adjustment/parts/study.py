@@ -22,6 +22,8 @@ from fg_orient.adjustment.parts.pool import Execution, opened
 from fg_orient.formats.atomic import write_bytes
 from fg_orient.model.errors import InputError
 
+__all__ = ["study"]
+
 #: Told after each case: cases done, cases in all, the case.
 Progress = Callable[[int, int, Any], None]
 #: Takes a case and gives nested dicts and lists of numbers, words and arrays.

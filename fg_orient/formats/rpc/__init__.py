@@ -10,6 +10,8 @@ from fg_orient.formats.rpc.fields import USUAL_ORDER, Reading
 from fg_orient.model.errors import InputError
 from fg_orient.sensors.rpc import RpcModel
 
+__all__ = ["read_rpc", "write_rpc"]
+
 
 def rpc_format(path: str | os.PathLike[str]) -> Format | None:
     """RPC format of a file by its content; None if it is not a known one.
