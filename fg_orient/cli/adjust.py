@@ -68,6 +68,9 @@ def adjust(
     """
     execution = {"parts": parts, "workers": workers, "cluster": scheduler, "work_dir": work_dir}
     require_project(project)
+    from fg_orient.formats.project import require_files
+
+    require_files(project, **options)
     load(options.get("backend"))
     from fg_orient.run import checkpoint_path, run_project
 

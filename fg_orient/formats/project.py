@@ -128,6 +128,32 @@ def checked_project(path: str | Path, **overrides: object) -> tuple[Block | None
     return block, list(remarks)
 
 
+def require_files(path: str | Path, **overrides: object) -> None:
+    """Refuse a project that names a missing file, before the modules of sensors are loaded.
+
+    Raises
+    ------
+    InputError
+        Errors of the project file; if a file is missing, all missing files and the errors of the tables.
+    """
+    path = Path(path)
+    project = _read_toml(path, overrides)
+    problems = list(filter(None, (_missing(project, k, path) for k in range(len(project.images)))))
+    if problems or not all((path.parent / table.file).exists() for table in (project.points, project.observations)):
+        problems += _tables(project, path.parent, str(path), {}).problems
+    if problems:
+        raise InputError(*problems)
+
+
+def _missing(project: ProjectFile, k: int, path: Path) -> Finding | None:
+    """Error of image k if its metadata file does not exist."""
+    name = project.images[k].metadata
+    if (path.parent / name).is_file():
+        return None
+    place = f"images[{k + 1}].metadata"
+    return finding("project.missing_file", file=path, place=place, value=name, folder=path.parent)
+
+
 def _navigated(block: Block, project: ProjectFile, folder: Path, file: str) -> Block:
     """The block with what was observed on board of its frame images, if the project names it."""
     entry = project.navigation
@@ -214,12 +240,9 @@ def _images(
     problems: list[Finding] = []
     for k, entry in enumerate(project.images):
         images.setdefault(entry.id, None)
-        metadata = folder / entry.metadata
-        if not metadata.is_file():
-            place = f"images[{k + 1}].metadata"
-            problems.append(
-                finding("project.missing_file", file=file, place=place, value=entry.metadata, folder=folder)
-            )
+        metadata, missing = folder / entry.metadata, _missing(project, k, Path(file))
+        if missing is not None:
+            problems.append(missing)
             continue
         try:
             seconds = project.values_of(Reading)["extrapolate_attitude_s"]

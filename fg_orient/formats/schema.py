@@ -20,7 +20,6 @@ from fg_orient.model import declaration as option_types
 from fg_orient.model.declaration import Option, declared, toml
 from fg_orient.model.errors import Finding, InputError, finding
 from fg_orient.model.options import Options, Reading
-from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation
 
 Text = Annotated[str, Field(strict=True), StringConstraints(min_length=1, strip_whitespace=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
@@ -74,8 +73,11 @@ class ObservationsEntry(_Foreign):
 
 def _rotation(value: tuple[Row, Row, Row] | None) -> tuple[Row, Row, Row] | None:
     """Refuse a matrix that turns nothing: columns that are not orthonormal, or a reflection."""
-    if value is not None and away_from_rotation(np.array(value)) > ORTHONORMAL:
-        raise ValueError
+    if value is not None:
+        from fg_orient.sensors.frame import ORTHONORMAL, away_from_rotation  # not above: it loads numba
+
+        if away_from_rotation(np.array(value)) > ORTHONORMAL:
+            raise ValueError
     return value
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -91,6 +92,21 @@ def test_a_command_loads_only_what_it_uses(name: str, repository: Path, twin: Pa
     if words[0] == "adjust" and "--help" not in words:
         assert (tmp_path / "out" / "report.html").is_file()
         assert ("gtsam" in loaded) == ("graph" in words)
+
+
+@pytest.mark.repository
+@pytest.mark.parametrize("name", ["right.DIM", "points.csv"])
+def test_a_missing_file_is_refused_without_numba(name: str, repository: Path, twin: Path, tmp_path: Path) -> None:
+    """Sensors, kernels and backends are loaded only once all files are there."""
+    project = shutil.copytree(twin, tmp_path / "project")
+    (project / name).unlink()
+    code = (
+        f"import sys; sys.argv = ['fg-orient', 'adjust', {str(project / 'project.toml')!r}]\n"
+        "from fg_orient.cli import main\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    print(end.code)\n"
+        "print([name for name in ('numba', 'scipy', 'gtsam', 'jinja2') if name in sys.modules])"
+    )
+    assert run(code, repository).splitlines() == ["2", "[]"]
 
 
 @pytest.mark.repository
